@@ -1,0 +1,1 @@
+"""People and time: pages, API, users, history, events. Never imports how bytes travel."""

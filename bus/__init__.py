@@ -1,0 +1,1 @@
+"""The wire: one process per serial port polls, schedules, retries, verifies, stages and broadcasts."""

@@ -1,0 +1,89 @@
+"""What a bus and its units are, as the configuration says it (``[[bus]]`` of lineside.toml)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+Baud = Literal[300, 600, 1200, 2400, 4800, 9600]
+BAUDS: tuple[Baud, ...] = (300, 600, 1200, 2400, 4800, 9600)
+BITS_PER_BYTE = 10
+"""8 data bits, no parity, 1 stop bit and the start bit (manual, 2.0.3)."""
+
+
+class Strict(BaseModel):
+    """Immutable, and an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Dialect(Strict):
+    """The open questions of the manual, answered for one bus. A real unit decides each of them."""
+
+    checksum_10h: Literal["once", "twice"] = "once"
+    """Whether a checksum byte of 10h is sent once or doubled like data."""
+    parameter_reply_bytes: Literal[0, 1, 2, 4] = 0
+    """Width of the 85h reply; 0 accepts 1, 2 and 4 bytes."""
+    parameter_numbers: Literal["binary", "bcd"] = "binary"
+    """How PRM is written: sixteen as 10h or, in a unit that counts in BCD, as 16h."""
+    follower_speed: Literal["speed", "ratio"] = "speed"
+    """What CS and AS are while #8 makes the unit a follower."""
+    estop_healthy: Literal[0, 1] = 1
+    """The value of the e-stop input bit while no emergency stop is active."""
+
+
+class UnitLabels(Strict):
+    """Names of what is wired to a unit."""
+
+    output: dict[Annotated[int, Field(ge=1, le=6)], str] = {}
+    input: dict[Literal["run", "estop", "preset", "reverse", "up", "down", "slave"], str] = {}
+    analog: str = ""
+    analog_unit: str = ""
+    unit: str = ""
+    """What the display shows, for example m/min."""
+
+
+class UnitSettings(Strict):
+    """One DIGIMAX IV: its address (#17) and its name on the floor."""
+
+    id: Annotated[int, Field(ge=1, le=255)]
+    name: Annotated[str, Field(min_length=1, max_length=60)]
+    group: str = ""
+    labels: UnitLabels = UnitLabels()
+
+
+class BusSettings(Dialect):
+    """One RS-422 cable, its port, its dialect and its units in floor order."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z0-9]([a-z0-9-]*[a-z0-9])?$", max_length=40)]
+    port: Annotated[str, Field(min_length=1)]
+    baud: Baud = 9600
+    turnaround_ms: Annotated[float, Field(ge=0, le=5000)] = 50
+    unit: tuple[UnitSettings, ...] = ()
+
+    @field_validator("unit")
+    @classmethod
+    def _addresses_are_unique(cls, units: tuple[UnitSettings, ...]) -> tuple[UnitSettings, ...]:
+        seen: set[int] = set()
+        for unit in units:
+            if unit.id in seen:
+                raise ValueError(f"unit id {unit.id} is given twice; every unit on a bus has its own (#17)")
+            seen.add(unit.id)
+        return units
+
+    @model_validator(mode="after")
+    def _port_is_one_we_open(self) -> BusSettings:
+        if "://" in self.port and not self.port.startswith(("socket://", "rfc2217://")):
+            raise ValueError("port is a device path, socket://host:port or rfc2217://host:port")
+        return self
+
+    @property
+    def dialect(self) -> Dialect:
+        """The dialect record of this bus."""
+        return Dialect.model_validate({name: getattr(self, name) for name in Dialect.model_fields})
+
+    @property
+    def turnaround_s(self) -> float:
+        """What a unit may take to begin its answer, seconds."""
+        return self.turnaround_ms / 1000
