@@ -44,13 +44,15 @@ class Reading(Message, frozen=True, tag="reading"):
 
 
 class ParameterValue(Message, frozen=True, tag="parameter"):
-    """What 85h answered. ``available`` False: the unit said NAK 82h, it does not have this one."""
+    """What 85h answered, and the very frame that said so (``frame``, as on the wire, for evidence).
+    ``available`` False: the unit said NAK 82h, it does not have this one."""
 
     unit: int
     number: int
     at: float
     raw: int | None
     available: bool = True
+    frame: bytes = b""
 
 
 class UnitLink(Message, frozen=True, tag="unit_link"):
