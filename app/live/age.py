@@ -1,0 +1,49 @@
+"""Whether a unit's word is still to be trusted, from its age. Pure: the time is passed in."""
+
+from __future__ import annotations
+
+from app.live.state import BusLive, UnitLive
+from bus.contract import UnitLinkState
+from bus.settings import BITS_PER_BYTE, BusSettings
+
+POLL_BYTES = 25
+"""81h and its answer (manual, 2.2): 7 bytes out, 18 back."""
+OFFLINE_SCANS = 5
+
+
+def stale_after_s(scan_s: float) -> float:
+    """An answer older than this is overdue: two seconds, or two scans where those take longer."""
+    return max(2.0, 2 * scan_s)
+
+
+def offline_after_s(scan_s: float) -> float:
+    """No answer for this long: the unit counts as lost."""
+    return max(10.0, OFFLINE_SCANS * scan_s)
+
+
+def scan_s_of(bus: BusLive) -> float:
+    """How long one round over all units takes: as the worker measured it, else what the wire allows."""
+    if bus.figures is not None and bus.figures.scan_s > 0:
+        return bus.figures.scan_s
+    return scan_s_at_best(bus.settings)
+
+
+def scan_s_at_best(settings: BusSettings) -> float:
+    """The wire time of one poll of every configured unit, seconds."""
+    return len(settings.unit) * POLL_BYTES * BITS_PER_BYTE / settings.baud
+
+
+def unit_link_now(bus: BusLive, unit: UnitLive, now: float) -> UnitLinkState:
+    """The worker's opinion, made worse by the age of the reading and by a closed port, never better."""
+    if unit.reading is None:
+        return "unknown"
+    said = unit.link.link
+    if said == "offline":
+        return "offline"
+    age = now - unit.reading.at
+    scan_s = scan_s_of(bus)
+    if age > offline_after_s(scan_s):
+        return "offline"
+    if said != "online" or bus.link.link == "closed" or age > stale_after_s(scan_s):
+        return "stale"
+    return "online"
