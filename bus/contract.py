@@ -298,6 +298,14 @@ class ScanBus(Message, frozen=True, tag="scan_bus"):
     last: int = 255
 
 
+class ReadTrace(Message, frozen=True, tag="read_trace"):
+    """The kept frames (an hour at most) from ``since`` on, oldest first, as the result's ``frames``: at
+    most ``limit`` of them, so a longer span is asked for again from the last one's time. Nothing is sent."""
+
+    since: float
+    limit: int = 2000
+
+
 Action = (
     SetSpeed
     | ExecuteSpeed
@@ -309,6 +317,7 @@ Action = (
     | WriteParameter
     | ChangeBaud
     | ScanBus
+    | ReadTrace
 )
 
 
