@@ -1,0 +1,220 @@
+"""Frames on the wire: ``10 02 body 10 03 checksum``, with every 10h of the body sent twice (manual, 2.0).
+
+The rules of receiving, in the order in which they are applied:
+
+1. Outside a frame everything up to the next ``10 02`` is noise.
+2. Inside a frame ``10 10`` is the byte 10h, ``10 03`` ends the body, and exactly one byte after it is
+   the checksum. ``10 02`` starts anew; 10h before anything else, a body longer than the longest legal
+   one, one too short for an address and a command, and a wrong checksum each end the candidate.
+3. After a candidate has failed only its first byte is given up: the search goes on one byte after its
+   start, so a good frame that begins inside a bad one is not lost.
+4. A single 10h right after a frame whose checksum is 10h is that checksum sent twice, not noise.
+
+A candidate is never longer than ``_LONGEST_CANDIDATE`` bytes, so each byte is looked at a bounded
+number of times whatever arrives. The events depend on the bytes alone, never on how they were cut,
+and their bytes, put together, are the bytes that came in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+from bus.errors import CallerError
+from bus.settings import Dialect
+
+DLE, STX, ETX, ACK, NAK = 0x10, 0x02, 0x03, 0x06, 0x15
+SHORTEST_BODY = 2
+"""UID and a command or ACK."""
+LONGEST_BODY = 13
+"""UID, ACK and the eleven bytes of the answer to 81h."""
+LONGEST_NOISE = 64
+"""Rubbish is reported in pieces of at most so many bytes."""
+
+_START = bytes((DLE, STX))
+_END = bytes((DLE, ETX))
+
+
+class Fault(StrEnum):
+    """Why bytes are not a frame."""
+
+    OUTSIDE = "outside a frame"
+    RESTART = "a new frame began inside"
+    ESCAPE = "10h before a byte that it cannot precede"
+    TOO_LONG = "longer than any legal frame"
+    TOO_SHORT = "no address and command"
+    CHECKSUM = "checksum"
+    CUT = "cut off"
+
+
+@dataclass(frozen=True, slots=True)
+class ReceivedFrame:
+    """A whole frame with the right checksum. ``body`` is unstuffed, ``wire`` is as received."""
+
+    body: bytes
+    wire: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Bytes that belong to no good frame.
+
+    ``body`` is the unstuffed content where a frame was whole but for its checksum, else empty.
+    """
+
+    data: bytes
+    reason: Fault
+    body: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class DoubledChecksum:
+    """The second 10h of a checksum that was sent twice; it belongs to the frame before it."""
+
+    data: bytes = bytes((DLE,))
+
+
+Received = ReceivedFrame | Noise | DoubledChecksum
+
+
+class _Verdict(NamedTuple):
+    """What a candidate turned out to be; ``end`` is one past the byte that decided."""
+
+    end: int
+    fault: Fault | None
+    body: bytes = b""
+
+
+def checksum(body: bytes) -> int:
+    """Two's complement of the sum of the unstuffed bytes (manual, 2.0: its frame, not its prose)."""
+    return -sum(body) & 0xFF
+
+
+def encode_frame(body: bytes, dialect: Dialect) -> bytes:
+    """The bytes to send for ``body`` ([UID][CMD or ACK/NAK][data]).
+
+    Raises CallerError for a body that no frame can carry.
+    """
+    if not SHORTEST_BODY <= len(body) <= LONGEST_BODY:
+        raise CallerError(f"a frame carries {SHORTEST_BODY} to {LONGEST_BODY} bytes, not {len(body)}")
+    check = bytes((checksum(body),))
+    if check[0] == DLE and dialect.checksum_10h == "twice":
+        check += check
+    return _START + body.replace(b"\x10", b"\x10\x10") + _END + check
+
+
+class FrameDecoder:
+    """Bytes in, frames and noise out, by the rules at the head of this module.
+
+    Receiving is the same in every dialect: a checksum of 10h may come once or twice.
+    """
+
+    def __init__(self, dialect: Dialect) -> None:
+        self.dialect = dialect
+        self._buffer = bytearray()
+        self._after_checksum_10h = False
+
+    @property
+    def pending(self) -> int:
+        """Bytes received that are not yet part of an event."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes) -> list[Received]:
+        """Take ``data`` in any cut; give what is now certain."""
+        self._buffer += data
+        return list(self._events())
+
+    def flush(self) -> list[Received]:
+        """Nothing more will come: give up what is unfinished and say what it was."""
+        events = list(self._events())
+        while self._buffer:
+            events.append(self._abandon())
+            events += self._events()
+        return events
+
+    def _events(self) -> Iterator[Received]:
+        while self._buffer:
+            if self._after_checksum_10h:
+                if len(self._buffer) == 1 and self._buffer[0] == DLE:
+                    return
+                self._after_checksum_10h = False
+                if self._buffer[0] == DLE and self._buffer[1] != STX:
+                    yield DoubledChecksum(self._take(1))
+                    continue
+            start = self._buffer.find(_START)
+            yield from self._noise_before(start)
+            if start < 0:
+                return
+            verdict = _judge(self._buffer)
+            if verdict is None:
+                return
+            if verdict.fault is None:
+                yield self._accept(verdict)
+            else:
+                yield self._give_up(verdict.end, verdict.fault, verdict.body)
+
+    def _noise_before(self, start: int) -> Iterator[Noise]:
+        """Rubbish before ``start``; with no start in sight (-1) only what exceeds one piece."""
+        known = start if start >= 0 else len(self._buffer)
+        while known > LONGEST_NOISE or (start >= 0 and known > 0):
+            piece = min(known, LONGEST_NOISE)
+            known -= piece
+            yield Noise(self._take(piece), Fault.OUTSIDE)
+
+    def _accept(self, verdict: _Verdict) -> ReceivedFrame:
+        self._after_checksum_10h = checksum(verdict.body) == DLE
+        return ReceivedFrame(verdict.body, self._take(verdict.end))
+
+    def _give_up(self, end: int, fault: Fault, body: bytes) -> Noise:
+        """Rule 3: keep all from the next possible start on, which may be a lone 10h at the end."""
+        next_start = self._buffer.find(_START, 1, end)
+        if next_start < 0:
+            next_start = end - 1 if self._buffer[end - 1] == DLE else end
+        return Noise(self._take(next_start), fault, body)
+
+    def _abandon(self) -> Received:
+        if self._after_checksum_10h:
+            self._after_checksum_10h = False
+            return DoubledChecksum(self._take(1))
+        if not self._buffer.startswith(_START):
+            return Noise(self._take(len(self._buffer)), Fault.OUTSIDE)
+        next_start = self._buffer.find(_START, 1)
+        return Noise(self._take(next_start if next_start > 0 else len(self._buffer)), Fault.CUT)
+
+    def _take(self, count: int) -> bytes:
+        taken = bytes(self._buffer[:count])
+        del self._buffer[:count]
+        return taken
+
+
+def _judge(buffer: bytearray) -> _Verdict | None:
+    """Read the candidate at the head of ``buffer``; None while it may still become a frame."""
+    body = bytearray()
+    at = len(_START)
+    while at < len(buffer):
+        byte = buffer[at]
+        at += 1
+        if byte == DLE:
+            if at == len(buffer):
+                return None
+            follower = buffer[at]
+            at += 1
+            if follower == ETX:
+                return _judge_end(buffer, at, bytes(body))
+            if follower != DLE:
+                return _Verdict(at, Fault.RESTART if follower == STX else Fault.ESCAPE)
+        body.append(byte)
+        if len(body) > LONGEST_BODY:
+            return _Verdict(at, Fault.TOO_LONG)
+    return None
+
+
+def _judge_end(buffer: bytearray, at: int, body: bytes) -> _Verdict | None:
+    if len(body) < SHORTEST_BODY:
+        return _Verdict(at, Fault.TOO_SHORT)
+    if at == len(buffer):
+        return None
+    fault = None if buffer[at] == checksum(body) else Fault.CHECKSUM
+    return _Verdict(at + 1, fault, body)
