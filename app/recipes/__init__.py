@@ -1,0 +1,1 @@
+"""Setpoint recipes: the setpoints of a product, loaded as one change."""

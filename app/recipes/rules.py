@@ -1,0 +1,210 @@
+"""What a recipe is, whether it can be loaded now, what loading it will do, what departed from it since."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from app.live.age import POLL_BYTES
+from app.live.state import BusLive, UnitLive
+from bus.catalogue.status import status_bits
+from bus.catalogue.values import ratio_text, speed_text
+from bus.settings import BITS_PER_BYTE
+
+Kind = Literal["speed", "ratio"]
+
+_MAX_DISPLAY, _DECIMALS, _ACCELERATION, _DECELERATION, _MODE = 2, 3, 6, 7, 8
+_STAGE_BYTES = 11 + 7
+"""82h with four data bytes and its ACK."""
+_EXECUTE_BYTES = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """``raw``: display units of the unit, or ratio times 10000 for a follower."""
+
+    unit: int
+    raw: int
+    kind: Kind
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """One version of a named set of setpoints; it never changes, a new version is saved beside it."""
+
+    bus: str
+    name: str
+    comment: str
+    who: str
+    saved_at: float
+    setpoints: tuple[Setpoint, ...]
+    version: int = 0
+    id: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What loading does to one unit, in words. ``ramp_s`` None where it is not known.
+
+    ``obstacle``: why it cannot be loaded now; empty when nothing stands in the way.
+    """
+
+    unit: int
+    name: str
+    raw: int
+    old: str
+    new: str
+    ramp_s: float | None
+    obstacle: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class DryRun:
+    """``wire_s``: time on the wire at best; ``ramp_s``: the longest known ramp of any unit."""
+
+    steps: tuple[Step, ...]
+    wire_s: float
+    ramp_s: float | None
+
+    @property
+    def loadable(self) -> bool:
+        """Whether every unit can take its setpoint."""
+        return not any(step.obstacle for step in self.steps)
+
+
+@dataclass(frozen=True, slots=True)
+class Departure:
+    """A unit whose commanded value is no longer what the loaded recipe says."""
+
+    unit: int
+    name: str
+    recipe: str
+    now: str
+
+
+def setpoint_kind(unit: UnitLive) -> Kind | None:
+    """What a setpoint of this unit is: by #8, None while that has not been read."""
+    mode = unit.parameter_raw(_MODE)
+    if mode is None:
+        return None
+    return "speed" if mode == 0 else "ratio"
+
+
+def setpoint_text(unit: UnitLive, setpoint: Setpoint) -> str:
+    """The setpoint as the unit would show it; the bare integer while its decimals are not known."""
+    if setpoint.kind == "ratio":
+        return ratio_text(setpoint.raw)
+    decimals = unit.parameter_raw(_DECIMALS)
+    return str(setpoint.raw) if decimals is None else speed_text(setpoint.raw, decimals)
+
+
+def dry_run(recipe: Recipe, bus: BusLive, refusal: Callable[[int, int], str]) -> DryRun:
+    """``refusal(unit, raw)`` says why the desk would refuse a setpoint now, empty when it would not."""
+    steps = tuple(_step(setpoint, bus, refusal) for setpoint in recipe.setpoints)
+    ramps = [step.ramp_s for step in steps if step.ramp_s is not None]
+    return DryRun(steps, wire_seconds(len(steps), bus), max(ramps, default=None))
+
+
+def wire_seconds(units: int, bus: BusLive) -> float:
+    """Stage each, one broadcast, read each: the bytes of it at the baud rate of the bus."""
+    total = units * (_STAGE_BYTES + POLL_BYTES) + _EXECUTE_BYTES
+    return total * BITS_PER_BYTE / bus.settings.baud
+
+
+def departures(recipe: Recipe, bus: BusLive) -> list[Departure]:
+    """Units that were read since and no longer command what the recipe says."""
+    found = (_departure(setpoint, bus.units.get(setpoint.unit)) for setpoint in recipe.setpoints)
+    return [departure for departure in found if departure is not None]
+
+
+def _step(setpoint: Setpoint, bus: BusLive, refusal: Callable[[int, int], str]) -> Step:
+    unit = bus.units.get(setpoint.unit)
+    if unit is None:
+        text = str(setpoint.raw)
+        return Step(
+            setpoint.unit,
+            f"unit {setpoint.unit}",
+            setpoint.raw,
+            "unknown",
+            text,
+            None,
+            "not in the configuration",
+        )
+    return Step(
+        unit=setpoint.unit,
+        name=unit.settings.name,
+        raw=setpoint.raw,
+        old=_present_text(unit, setpoint.kind),
+        new=setpoint_text(unit, setpoint),
+        ramp_s=ramp_seconds(unit, setpoint),
+        obstacle=_obstacle(setpoint, unit, bus) or refusal(setpoint.unit, setpoint.raw),
+    )
+
+
+def _obstacle(setpoint: Setpoint, unit: UnitLive, bus: BusLive) -> str:
+    if bus.link.link == "closed":
+        return f"no link to the bus: {bus.link.cause or 'the port is closed'}"
+    if unit.reading is None or unit.link.link == "offline":
+        return "the unit does not answer"
+    if not status_bits(unit.reading.outputs, unit.reading.inputs, bus.settings.estop_healthy).remote:
+        return "the unit is in LOCAL and will refuse"
+    kind = setpoint_kind(unit)
+    if kind is None:
+        return "whether it follows by ratio (#8) has not been read yet"
+    if kind != setpoint.kind:
+        return f"the recipe holds a {setpoint.kind}, the unit now takes a {kind} (#8)"
+    return _above_maximum(setpoint, unit)
+
+
+def _above_maximum(setpoint: Setpoint, unit: UnitLive) -> str:
+    maximum = unit.parameter_raw(_MAX_DISPLAY)
+    if setpoint.kind == "speed" and maximum is not None and setpoint.raw > maximum:
+        limit = setpoint_text(unit, Setpoint(setpoint.unit, maximum, "speed"))
+        return f"above the unit's maximum of {limit} (#2)"
+    return ""
+
+
+def ramp_seconds(unit: UnitLive, setpoint: Setpoint) -> float | None:
+    """Time of the ramp by #6 or #7, which hold for the full span #2; None where any is not known."""
+    span, reading = unit.parameter_raw(_MAX_DISPLAY), unit.reading
+    if setpoint.kind != "speed" or not span or reading is None:
+        return None
+    change = setpoint.raw - reading.commanded
+    tenths = unit.parameter_raw(_ACCELERATION if change > 0 else _DECELERATION)
+    return None if tenths is None else abs(change) / span * tenths / 10
+
+
+def _present_text(unit: UnitLive, kind: Kind) -> str:
+    if unit.reading is None:
+        return "unknown"
+    present = present_raw(unit, kind)
+    return "unknown" if present is None else setpoint_text(unit, Setpoint(unit.settings.id, present, kind))
+
+
+def present_raw(unit: UnitLive, kind: Kind) -> int | None:
+    """What the unit is commanded now: CS of its last answer, or #37 for a ratio."""
+    if kind == "ratio":
+        return unit.parameter_raw(37)
+    return unit.reading.commanded if unit.reading is not None else None
+
+
+def _departure(setpoint: Setpoint, unit: UnitLive | None) -> Departure | None:
+    if unit is None:
+        return None
+    now = present_raw(unit, setpoint.kind)
+    if now is None or now == setpoint.raw:
+        return None
+    shown = setpoint_text(unit, Setpoint(setpoint.unit, now, setpoint.kind))
+    return Departure(setpoint.unit, unit.settings.name, setpoint_text(unit, setpoint), shown)
+
+
+def setpoints_now(units: Iterable[UnitLive]) -> tuple[Setpoint, ...]:
+    """The present setpoints of units that have told theirs, to begin a recipe from."""
+    found: list[Setpoint] = []
+    for unit in units:
+        kind = setpoint_kind(unit)
+        raw = present_raw(unit, kind) if kind is not None else None
+        if kind is not None and raw is not None:
+            found.append(Setpoint(unit.settings.id, raw, kind))
+    return tuple(found)

@@ -1,0 +1,1 @@
+"""Parameter sets: stored, compared, restored, proven."""

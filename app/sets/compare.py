@@ -1,0 +1,107 @@
+"""Set with set, set with live unit, unit with unit: row by row, with what a difference means."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from app.sets.model import Row, UnitRows
+from bus.catalogue.parameters import PARAMETERS, Parameter
+from bus.catalogue.values import parameter_text
+
+Kind = Literal["equal", "differs", "unavailable", "unknown"]
+
+OPERATING_VALUES = frozenset({20, 37})
+"""Setpoints: they change with every shift, so they are compared and restored but are no drift."""
+
+_DECIMALS = 3
+_MEANINGS: dict[int, str] = {
+    1: "full scale is {new} rpm instead of {old} rpm",
+    2: "shows {new} at full scale instead of {old}",
+    3: "shows {new} decimals instead of {old}",
+    4: "base ratio {new} instead of {old}",
+    5: "counts {new} encoder pulses a revolution instead of {old}",
+    6: "accelerates in {new} instead of {old}",
+    7: "decelerates in {new} instead of {old}",
+    8: "runs as {new} instead of {old}",
+    12: "is at speed within {new} instead of {old}",
+    17: "has the address {new} instead of {old}",
+    18: "talks at {new} instead of {old}",
+    31: "follows at {new} at most instead of {old}",
+    38: "follows at {new} at least instead of {old}",
+}
+_ANY_MEANING = "{new} instead of {old}"
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """One row of a comparison. ``meaning`` is a template for ``old`` (left) and ``new`` (right) text."""
+
+    number: int
+    left: Row | None
+    right: Row | None
+    kind: Kind
+    old: str
+    new: str
+    meaning: str
+
+    @property
+    def sentence(self) -> str:
+        """What the difference means, in English; empty for rows that do not differ."""
+        return self.meaning.format(new=self.new, old=self.old)
+
+
+def compare(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[Compared]:
+    """All 40 rows; ``left`` is the reference. ``tolerance``: raw counts that still pass as equal."""
+    return [_compare_row(parameter, left, right, tolerance) for parameter in PARAMETERS.values()]
+
+
+def differences(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[Compared]:
+    """Only the rows known to differ."""
+    return [row for row in compare(left, right, tolerance) if row.kind == "differs"]
+
+
+def drift(golden: UnitRows, live: UnitRows) -> list[Compared]:
+    """Rows in which a live unit departs from its golden set; setpoints do not count."""
+    return [row for row in differences(golden, live) if row.number not in OPERATING_VALUES]
+
+
+def _compare_row(parameter: Parameter, left: UnitRows, right: UnitRows, tolerance: int) -> Compared:
+    old, new = left.rows.get(parameter.number), right.rows.get(parameter.number)
+    kind = _kind(old, new, tolerance)
+    return Compared(
+        number=parameter.number,
+        left=old,
+        right=new,
+        kind=kind,
+        old=row_text(parameter, left),
+        new=row_text(parameter, right),
+        meaning=_MEANINGS.get(parameter.number, _ANY_MEANING) if kind == "differs" else "",
+    )
+
+
+def _kind(left: Row | None, right: Row | None, tolerance: int) -> Kind:
+    if (left and not left.available) or (right and not right.available):
+        return "unavailable"
+    if left is None or right is None or left.raw is None or right.raw is None:
+        return "unknown"
+    return "equal" if abs(left.raw - right.raw) <= tolerance else "differs"
+
+
+def row_text(parameter: Parameter, rows: UnitRows) -> str:
+    """A row as shown to people: in its unit, a secret masked, a missing one said."""
+    row = rows.rows.get(parameter.number)
+    if row is not None and not row.available:
+        return "not in this unit"
+    if parameter.secret:
+        return "secret"
+    if row is None or row.raw is None:
+        return "not known"
+    return with_unit(parameter, row.raw, rows.raw(_DECIMALS))
+
+
+def with_unit(parameter: Parameter, raw: int, decimals: int | None) -> str:
+    """``50`` of #6 → ``5.0 s``."""
+    text = parameter_text(parameter, raw, decimals)
+    unit = parameter.unit
+    return f"{text} {unit}" if unit and unit not in text else text

@@ -1,0 +1,162 @@
+"""A parameter set as a readable TOML file, one line a parameter, fit for version control."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from datetime import UTC, datetime
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from app.sets.compare import with_unit
+from app.sets.model import ParameterSet, Row, UnitRows
+from bus.catalogue.parameters import PARAMETERS
+from bus.errors import CallerError
+
+DOCUMENT_FORMAT = "lineside parameter set"
+DOCUMENT_VERSION = 1
+_DECIMALS = 3
+
+
+class DocumentError(CallerError):
+    """The file is not a parameter set that can be used; nothing was written to any unit."""
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class _Parameter(_Strict):
+    name: str = ""
+    raw: int | None = None
+    value: str = ""
+    available: bool = True
+    masked: bool = False
+
+
+class _Unit(_Strict):
+    id: Annotated[int, Field(ge=1, le=255)]
+    name: str = ""
+    read_at: datetime | None = None
+    parameters: dict[str, _Parameter]
+
+
+class _Document(_Strict):
+    format: Literal["lineside parameter set"]
+    version: int
+    bus: str = ""
+    name: str = ""
+    comment: str = ""
+    taken_at: datetime
+    by: str = ""
+    unit: Annotated[list[_Unit], Field(min_length=1)]
+
+
+def write_document(parameter_set: ParameterSet, *, with_secrets: bool = False) -> str:
+    """The set as TOML text; #21 is masked unless ``with_secrets``."""
+    lines = [
+        f"format = {_quoted(DOCUMENT_FORMAT)}",
+        f"version = {DOCUMENT_VERSION}",
+        f"bus = {_quoted(parameter_set.bus)}",
+        f"name = {_quoted(parameter_set.name)}",
+        f"comment = {_quoted(parameter_set.comment)}",
+        f"taken_at = {_time(parameter_set.taken_at)}",
+        f"by = {_quoted(parameter_set.who)}",
+    ]
+    for unit in parameter_set.units:
+        lines += ["", *_unit_lines(unit, with_secrets)]
+    return "\n".join(lines) + "\n"
+
+
+def _unit_lines(unit: UnitRows, with_secrets: bool) -> list[str]:
+    lines = ["[[unit]]", f"id = {unit.unit}", f"name = {_quoted(unit.name)}"]
+    times = [row.read_at for row in unit.rows.values() if row.read_at is not None]
+    if times:
+        lines.append(f"read_at = {_time(max(times))}")
+    lines.append("[unit.parameters]")
+    return lines + [_row_line(row, unit, with_secrets) for _, row in sorted(unit.rows.items())]
+
+
+def _row_line(row: Row, unit: UnitRows, with_secrets: bool) -> str:
+    parameter = PARAMETERS[row.number]
+    fields = [f"name = {_quoted(parameter.name)}"]
+    if not row.available:
+        fields.append("available = false")
+    elif parameter.secret and not with_secrets:
+        fields.append("masked = true")
+    elif row.raw is not None:
+        shown = with_unit(parameter, row.raw, unit.raw(_DECIMALS))
+        fields += [f"raw = {row.raw}", f"value = {_quoted(shown)}"]
+    return f"{row.number} = {{ {', '.join(fields)} }}"
+
+
+def read_document(text: str, source: str = "the file") -> ParameterSet:
+    """Parse and check a file; raises DocumentError with what is wrong and where.
+
+    Only ``raw`` counts: ``value`` and ``name`` are for the reader's eyes.
+    """
+    document = _parse(text, source)
+    units = tuple(_unit_rows(unit, source) for unit in document.unit)
+    if len({unit.unit for unit in units}) < len(units):
+        raise DocumentError(f"{source}: a unit is given twice; keep one [[unit]] for each address")
+    return ParameterSet(
+        bus=document.bus,
+        taken_at=document.taken_at.timestamp(),
+        who=document.by,
+        origin="from a file",
+        units=units,
+        name=document.name,
+        comment=document.comment,
+    )
+
+
+def _parse(text: str, source: str) -> _Document:
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise DocumentError(f"{source}: not readable as TOML, perhaps cut off: {error}") from error
+    if content.get("format") != DOCUMENT_FORMAT:
+        raise DocumentError(f"{source}: not a parameter set: it lacks format = {_quoted(DOCUMENT_FORMAT)}")
+    version = content.get("version")
+    if isinstance(version, int) and version > DOCUMENT_VERSION:
+        raise DocumentError(f"{source}: written by a newer Lineside (version {version}); update this one")
+    try:
+        return _Document.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise DocumentError(f"{source}: {where}: {first['msg']}") from error
+
+
+def _unit_rows(unit: _Unit, source: str) -> UnitRows:
+    read_at = None if unit.read_at is None else unit.read_at.timestamp()
+    rows: dict[int, Row] = {}
+    for key, given in unit.parameters.items():
+        if not (key.isascii() and key.isdecimal()) or int(key) not in PARAMETERS:
+            raise DocumentError(
+                f"{source}: unit {unit.id}: there is no parameter {key!r}; a DIGIMAX IV has 1 to 40"
+            )
+        number = int(key)
+        _check_range(number, given.raw, f"{source}: unit {unit.id}")
+        rows[number] = Row(number, given.raw if given.available else None, given.available, read_at)
+    return UnitRows(unit.id, unit.name, rows)
+
+
+def _check_range(number: int, raw: int | None, where: str) -> None:
+    parameter = PARAMETERS[number]
+    if raw is None or parameter.minimum <= raw <= parameter.maximum:
+        return
+    raise DocumentError(
+        f"{where}: parameter {number} ({parameter.name}): {raw} is outside "
+        f"{parameter.minimum} to {parameter.maximum}"
+    )
+
+
+def _quoted(text: str) -> str:
+    """A TOML basic string: JSON's escapes are a part of TOML's; DEL must be escaped as well."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
+
+
+def _time(seconds: float) -> str:
+    return datetime.fromtimestamp(round(seconds), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

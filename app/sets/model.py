@@ -1,0 +1,59 @@
+"""What a parameter set is: the parameters of one or several units, as they were read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Origin = Literal[
+    "by hand", "on schedule", "before the first write of the day", "from a file", "after a restore"
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One parameter as a unit gave it: ``raw`` on the wire, when it was read, by which frame.
+
+    ``raw`` None with ``available`` False: the unit does not have it. ``raw`` None otherwise: not
+    known here (never read, or masked because it is secret).
+    """
+
+    number: int
+    raw: int | None
+    available: bool = True
+    read_at: float | None = None
+    frame: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class UnitRows:
+    """The rows of one unit; ``unit`` is its address (#17), ``name`` its section."""
+
+    unit: int
+    name: str
+    rows: Mapping[int, Row]
+
+    def raw(self, number: int) -> int | None:
+        """The raw value of one parameter, None when it is not known or not there."""
+        row = self.rows.get(number)
+        return None if row is None else row.raw
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSet:
+    """Immutable once stored; ``id`` 0 before that. ``taken_at`` seconds since the epoch."""
+
+    bus: str
+    taken_at: float
+    who: str
+    origin: Origin
+    units: tuple[UnitRows, ...]
+    name: str = ""
+    comment: str = ""
+    id: int = 0
+    golden_for: frozenset[int] = field(default_factory=frozenset)
+
+    def unit(self, unit: int) -> UnitRows | None:
+        """The rows of one unit of the set."""
+        return next((rows for rows in self.units if rows.unit == unit), None)

@@ -1,0 +1,54 @@
+"""Reading whole parameter lists from units, through the same desk as everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from app.auth.rules import Person
+from app.commands.desk import Desk
+from app.live.state import LiveState, UnitLive
+from app.sets.model import Row, UnitRows
+from app.web.problems import Problem
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import ParameterValue, ReadParameters, Result
+
+READ_TIMEOUT_S = 300.0
+"""A full list waits for gaps in the scan; at 300 baud one unit takes half a minute of wire alone."""
+
+
+def rows_of(values: Iterable[ParameterValue]) -> dict[int, Row]:
+    """What units answered, by parameter number."""
+    return {
+        value.number: Row(value.number, value.raw, value.available, value.at, value.frame) for value in values
+    }
+
+
+def known_rows(unit: UnitLive) -> UnitRows:
+    """What is known of a live unit without asking it again, each row with the time it was read."""
+    return UnitRows(unit.settings.id, unit.settings.name, rows_of(unit.parameters.values()))
+
+
+class ParameterReader:
+    """Reads units now; an unread or partly read unit is an answer too, never a guess."""
+
+    def __init__(self, state: LiveState, desk: Desk) -> None:
+        self._state = state
+        self._desk = desk
+
+    async def read_unit(self, person: Person, bus: str, unit: int, *, urgent: bool = False) -> UnitRows:
+        """All 40 parameters as the unit gives them now.
+
+        Raises Problem 503 or 504 when the bus is closed or the unit does not answer.
+        """
+        action = ReadParameters(unit=unit, numbers=list(PARAMETERS), urgent=urgent)
+        result = await self._desk.ask(person, bus, action, timeout_s=READ_TIMEOUT_S)
+        if len(result.values) < len(PARAMETERS):
+            raise _unread(result, unit)
+        settings = self._state.buses[bus].units[unit].settings
+        return UnitRows(unit, settings.name, rows_of(result.values))
+
+
+def _unread(result: Result, unit: int) -> Problem:
+    got, of = len(result.values), len(PARAMETERS)
+    detail = f"unit {unit}: {got} of {of} parameters were read, then: {result.message or 'no answer'}"
+    return Problem(504, "unverified", detail, unit=unit, read=got)
