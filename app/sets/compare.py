@@ -57,8 +57,8 @@ def compare(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[Compare
 
 
 def differences(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[Compared]:
-    """Only the rows known to differ."""
-    return [row for row in compare(left, right, tolerance) if row.kind == "differs"]
+    """Only the rows known to differ; one that only one of the two has is a difference too."""
+    return [row for row in compare(left, right, tolerance) if row.kind in ("differs", "unavailable")]
 
 
 def drift(golden: UnitRows, live: UnitRows) -> list[Compared]:
@@ -76,16 +76,24 @@ def _compare_row(parameter: Parameter, left: UnitRows, right: UnitRows, toleranc
         kind=kind,
         old=row_text(parameter, left),
         new=row_text(parameter, right),
-        meaning=_MEANINGS.get(parameter.number, _ANY_MEANING) if kind == "differs" else "",
+        meaning=_meaning(parameter.number, kind),
     )
 
 
+def _meaning(number: int, kind: Kind) -> str:
+    if kind == "differs":
+        return _MEANINGS.get(number, _ANY_MEANING)
+    return _ANY_MEANING if kind == "unavailable" else ""
+
+
 def _kind(left: Row | None, right: Row | None, tolerance: int) -> Kind:
-    if (left and not left.available) or (right and not right.available):
-        return "unavailable"
-    if left is None or right is None or left.raw is None or right.raw is None:
+    if left is None or right is None:
         return "unknown"
-    return "equal" if abs(left.raw - right.raw) <= tolerance else "differs"
+    if not left.available and not right.available:
+        return "equal"
+    if left.raw is not None and right.raw is not None:
+        return "equal" if abs(left.raw - right.raw) <= tolerance else "differs"
+    return "unknown" if left.available and right.available else "unavailable"
 
 
 def row_text(parameter: Parameter, rows: UnitRows) -> str:

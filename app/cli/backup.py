@@ -1,0 +1,71 @@
+"""``lineside backup``: the parameters of a unit or of a bus, read from the units now, into a file."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.cli.dashboard import Dashboard, DashboardError, dashboard
+from app.cli.ending import ending
+from app.sets.document import write_document
+from app.sets.model import ParameterSet, UnitRows
+
+Url = Annotated[str, typer.Option(help="Address of the dashboard.", envvar="LINESIDE_URL")]
+Token = Annotated[str, typer.Option(help="A bearer token.", envvar="LINESIDE_TOKEN")]
+Bus = Annotated[str, typer.Option(help="Name of the bus.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable result on standard output.")]
+
+
+def register(cli: typer.Typer) -> None:
+    """Add the command."""
+    cli.command()(backup)
+
+
+def backup(
+    url: Url,
+    token: Token,
+    bus: Bus,
+    out: Annotated[Path, typer.Option(help="The TOML file to write.")],
+    unit: Annotated[int | None, typer.Option(help="One unit; without it the whole bus.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Read all parameters from the units and write them to a file (#21 is masked)."""
+    with ending(), dashboard(url, token) as there:
+        wanted = [unit] if unit is not None else list(there.units(bus))
+        read, missing = _read(there, bus, wanted)
+        if read:
+            out.write_text(write_document(_set(bus, read, missing)), encoding="utf-8")
+        _tell(out, read, missing, as_json)
+        if missing:
+            raise typer.Exit(1)
+
+
+def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows], dict[int, str]]:
+    """What answered, and why the others did not; one silent unit does not cost the rest their backup."""
+    read: list[UnitRows] = []
+    missing: dict[int, str] = {}
+    for unit in wanted:
+        try:
+            read.append(there.read_unit(bus, unit))
+        except DashboardError as error:
+            missing[unit] = str(error)
+    return read, missing
+
+
+def _set(bus: str, units: list[UnitRows], missing: dict[int, str]) -> ParameterSet:
+    comment = f"not read: unit {', '.join(str(unit) for unit in missing)}" if missing else ""
+    return ParameterSet(bus, time.time(), "lineside backup", "by hand", tuple(units), comment=comment)
+
+
+def _tell(out: Path, read: list[UnitRows], missing: dict[int, str], as_json: bool) -> None:
+    for unit, reason in missing.items():
+        typer.echo(f"unit {unit} was not read: {reason}", err=True)
+    if as_json:
+        units = [unit.unit for unit in read]
+        typer.echo(json.dumps({"file": str(out) if read else None, "units": units, "missing": missing}))
+    elif read:
+        typer.echo(f"{len(read)} unit{'s' if len(read) != 1 else ''} written to {out}")

@@ -1,0 +1,90 @@
+"""A running dashboard as the commands see it: its HTTP API, and its errors in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import datetime
+from typing import Any
+
+import httpx
+
+from app.sets.model import Row, UnitRows
+from bus.errors import CallerError, LinesideError
+
+_TIMEOUT_S = 600.0
+"""A full list of 40 parameters waits for the gaps of a busy line."""
+
+
+class DashboardError(LinesideError):
+    """The dashboard could not be reached, or did not do what it was asked to."""
+
+
+class Dashboard:
+    """``url`` of the dashboard and a bearer ``token`` that it knows."""
+
+    def __init__(self, client: httpx.Client) -> None:
+        self._client = client
+
+    def get(self, path: str, **query: str) -> Any:
+        """The JSON of ``/api/v1`` + path; raises DashboardError or CallerError in words."""
+        return self._answer("GET", path, params=query)
+
+    def post(self, path: str, body: Mapping[str, Any] | None = None) -> Any:
+        """Post a JSON body; the JSON of the answer."""
+        return self._answer("POST", path, json=dict(body or {}))
+
+    def units(self, bus: str) -> dict[int, str]:
+        """Address → name of the units of a bus, in floor order."""
+        buses = {found["name"]: found for found in self.get("/line")["buses"]}
+        if bus not in buses:
+            raise CallerError(
+                f"there is no bus {bus!r}; this dashboard has {', '.join(sorted(buses)) or 'none'}"
+            )
+        return {unit["id"]: unit["name"] for unit in buses[bus]["units"]}
+
+    def read_unit(self, bus: str, unit: int) -> UnitRows:
+        """All parameters of a unit, read from it now."""
+        units = self.units(bus)
+        if unit not in units:
+            known = ", ".join(str(number) for number in units)
+            raise CallerError(f"bus {bus!r} has no unit {unit}; it has {known or 'none'}")
+        rows = [_row(given) for given in self.get(f"/buses/{bus}/units/{unit}/parameters", refresh="true")]
+        return UnitRows(unit, units[unit], {row.number: row for row in rows})
+
+    def _answer(self, method: str, path: str, **request: Any) -> Any:
+        try:
+            response = self._client.request(method, f"/api/v1{path}", **request)
+        except httpx.HTTPError as error:
+            raise DashboardError(
+                f"{self._client.base_url} cannot be reached: {error}; is the dashboard running?"
+            ) from error
+        if response.is_success:
+            return response.json()
+        raise DashboardError(f"{method} {path}: {_problem_text(response)}")
+
+
+@contextmanager
+def dashboard(url: str, token: str) -> Iterator[Dashboard]:
+    """Open a dashboard by its base URL; raises CallerError for a URL that is none."""
+    if not url.startswith(("http://", "https://")):
+        raise CallerError(f"--url {url!r} is no address; give for example http://127.0.0.1:8000")
+    headers = {"Authorization": f"Bearer {token}"}
+    with httpx.Client(
+        base_url=url.rstrip("/"), headers=headers, timeout=_TIMEOUT_S, trust_env=False
+    ) as client:
+        yield Dashboard(client)
+
+
+def _row(given: Mapping[str, Any]) -> Row:
+    read_at = given.get("read_at")
+    at = datetime.fromisoformat(read_at).timestamp() if isinstance(read_at, str) else read_at
+    return Row(given["number"], given["raw"], bool(given["available"]), at)
+
+
+def _problem_text(response: httpx.Response) -> str:
+    try:
+        problem = response.json()
+    except ValueError:
+        return f"status {response.status_code}"
+    return str(problem.get("detail") or problem.get("title") or f"status {response.status_code}")

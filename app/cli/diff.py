@@ -1,0 +1,109 @@
+"""``lineside diff``: a file against a unit as it is now, or a file against a file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from app.cli.backup import AsJson
+from app.cli.dashboard import dashboard
+from app.cli.ending import ending
+from app.sets.compare import Compared, differences
+from app.sets.document import read_document
+from app.sets.model import ParameterSet, UnitRows
+from bus.catalogue.parameters import PARAMETERS
+from bus.errors import CallerError
+
+Pair = tuple[UnitRows, UnitRows]
+
+
+def register(cli: typer.Typer) -> None:
+    """Add the command."""
+    cli.command()(diff)
+
+
+def diff(
+    files: Annotated[
+        list[Path], typer.Argument(help="One file and a live unit, or two files.", metavar="FILE [FILE]")
+    ],
+    url: Annotated[str, typer.Option(help="Address of the dashboard.", envvar="LINESIDE_URL")] = "",
+    token: Annotated[str, typer.Option(help="A bearer token.", envvar="LINESIDE_TOKEN")] = "",
+    bus: Annotated[str, typer.Option(help="Name of the bus.")] = "",
+    unit: Annotated[int | None, typer.Option(help="The unit to compare with.")] = None,
+    tolerance: Annotated[int, typer.Option(min=0, help="Raw counts that still pass as equal.")] = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Show the rows that differ. Exit 0 when equal, 1 when different, 2 on wrong use."""
+    with ending():
+        pairs = _two_files(files) if len(files) == 2 else [_with_live(files, url, token, bus, unit)]
+        found = [(left, right, row) for left, right in pairs for row in differences(left, right, tolerance)]
+        typer.echo(json.dumps([_as_json(*each) for each in found]) if as_json else _table(found))
+        if found:
+            raise typer.Exit(1)
+
+
+def load(path: Path) -> ParameterSet:
+    """A parameter set from a file; raises CallerError (DocumentError) in words."""
+    try:
+        return read_document(path.read_text(encoding="utf-8"), str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        raise CallerError(f"{path} cannot be read: {error}") from error
+
+
+def rows_for(parameter_set: ParameterSet, unit: int, path: Path) -> UnitRows:
+    """The rows meant for a unit: its own, or those of the only unit in the file (a spare, a sister)."""
+    own = parameter_set.unit(unit)
+    if own is not None:
+        return own
+    if len(parameter_set.units) == 1:
+        return parameter_set.units[0]
+    held = ", ".join(str(rows.unit) for rows in parameter_set.units)
+    raise CallerError(f"{path} holds units {held}, not {unit}; back that unit up, or name one of these")
+
+
+def _with_live(files: list[Path], url: str, token: str, bus: str, unit: int | None) -> Pair:
+    if len(files) != 1 or not url or not bus or unit is None:
+        raise CallerError("give two files, or one file with --url, --token, --bus and --unit")
+    wanted = rows_for(load(files[0]), unit, files[0])
+    with dashboard(url, token) as there:
+        return wanted, there.read_unit(bus, unit)
+
+
+def _two_files(files: list[Path]) -> list[Pair]:
+    left, right = load(files[0]), load(files[1])
+    if len(left.units) == len(right.units) == 1:
+        return [(left.units[0], right.units[0])]
+    lone = {rows.unit for rows in left.units} ^ {rows.unit for rows in right.units}
+    if lone:
+        numbers = ", ".join(str(unit) for unit in sorted(lone))
+        raise CallerError(f"the files do not hold the same units: {numbers} is in one of them only")
+    return [(rows, other) for rows in left.units if (other := right.unit(rows.unit)) is not None]
+
+
+def _as_json(left: UnitRows, right: UnitRows, row: Compared) -> dict[str, Any]:
+    parameter = PARAMETERS[row.number]
+    return {
+        "unit": right.unit,
+        "number": row.number,
+        "name": parameter.name,
+        "left_raw": None if parameter.secret else left.raw(row.number),
+        "right_raw": None if parameter.secret else right.raw(row.number),
+        "left": row.old,
+        "right": row.new,
+        "meaning": row.sentence,
+    }
+
+
+def _table(found: list[tuple[UnitRows, UnitRows, Compared]]) -> str:
+    if not found:
+        return "equal"
+    head = f"{len(found)} row{'s' if len(found) != 1 else ''} differ (file, then now):"
+    return "\n".join([head, *(_line(right.unit, row) for _, right, row in found)])
+
+
+def _line(unit: int, row: Compared) -> str:
+    name = PARAMETERS[row.number].name
+    return f"unit {unit}  #{row.number:<3}{name:<32}{row.old:>14}  {row.new:>14}  {row.sentence}"
