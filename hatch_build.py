@@ -70,3 +70,7 @@ def _install(root: Path, work: Path) -> Path:
         [npm, "ci", "--ignore-scripts", "--omit=dev", "--no-audit", "--no-fund"], cwd=work, check=True
     )
     return work / "node_modules"
+
+
+if __name__ == "__main__":
+    fill_vendor(Path(__file__).parent)

@@ -1,0 +1,76 @@
+# make demo | test | setup | bench | check | screenshots | lock | clean
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+VENDOR := static/vendor/made-from.sha256
+CHROMIUM := /usr/bin/chromium
+NODE_TOOLS := node_modules/.package-lock.json
+
+.PHONY: demo test setup bench check screenshots lock clean development
+.DEFAULT_GOAL := demo
+
+demo: setup
+	$(BIN)/lineside demo
+
+setup: $(VENV)/.lineside
+
+test: development
+	$(BIN)/pytest -n 2 --dist loadfile
+
+bench: development
+	$(BIN)/python -m benchmarks
+
+screenshots: development
+	$(BIN)/python -m docs.screenshots
+
+check: development
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/djlint templates --lint --quiet
+	node_modules/.bin/biome lint static/js static/css
+
+development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM)
+
+# The locks are exact and carry a hash for every file. requirements.lock is what runs, and hatchling.
+lock: development
+	$(BIN)/uv pip compile -q --upgrade --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
+		--custom-compile-command "make lock" --extra rfc2217 --group build pyproject.toml -o requirements.lock
+	$(BIN)/uv pip compile -q --upgrade --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
+		--custom-compile-command "make lock" --extra rfc2217 --group build --group dev \
+		-c requirements.lock pyproject.toml -o requirements-dev.lock
+	npm install --package-lock-only --ignore-scripts --omit-lockfile-registry-resolved
+
+clean:
+	rm -rf $(VENV) node_modules static/vendor dist build
+
+# Each stamp is newer than what it was made from, so that a second run does nothing.
+$(VENV)/.python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Lineside needs Python 3.11 or newer; this is " + sys.version.split()[0] + ". Set PYTHON=/path/to/python3.11.")'
+	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.runtime: requirements.lock $(VENV)/.python
+	$(BIN)/pip install --disable-pip-version-check -q --require-hashes -r requirements.lock
+	@touch $@
+
+$(VENDOR): package.json package-lock.json hatch_build.py $(VENV)/.runtime
+	$(BIN)/python hatch_build.py
+	@touch $@
+
+$(VENV)/.lineside: pyproject.toml $(VENDOR)
+	$(BIN)/pip install --disable-pip-version-check -q --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/.development: requirements-dev.lock $(VENV)/.runtime
+	$(BIN)/pip install --disable-pip-version-check -q --require-hashes -r requirements-dev.lock
+	@touch $@
+
+$(NODE_TOOLS): package.json package-lock.json
+	npm ci --ignore-scripts --no-audit --no-fund
+	@touch $@
+
+$(CHROMIUM):
+	@test "$$(id -u)" = 0 || { echo "The browser tests need Chromium: as root, apt-get install chromium, then run this again." >&2; exit 1; }
+	apt-get update && apt-get install --yes --no-install-recommends chromium
