@@ -1,0 +1,1 @@
+"""What the words of the link mean: parameters, values, status bits. No bytes travel here."""

@@ -1,0 +1,151 @@
+"""The 40 parameters of a DIGIMAX IV as a table (manual, section 4.0), nothing else.
+
+Number, name, type and range are as printed: #31 alone ends at 1387Fh = 79999. What the list leaves
+out carries its mark of evidence; a choice that nobody has stated is not named and is shown by its
+number. The columns are explained in ``parameter``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from bus.catalogue.parameter import (
+    IllegalValue,
+    Parameter,
+    Scale,
+    check_writable_value,
+    danger_of_writing,
+    nearest_legal,
+)
+
+__all__ = [
+    "NEEDED_TO_SHOW",
+    "PARAMETERS",
+    "IllegalValue",
+    "Parameter",
+    "Scale",
+    "check_writable_value",
+    "danger_of_writing",
+    "nearest_legal",
+]
+
+SPEED, MODE, RATIO, RAMPS = "Speed and display", "Mode", "Ratio", "Ramps"
+STEPS, INPUTS = "Presets and jumps", "Inputs"
+ANALOG_IN, ANALOG_OUT = "Analog input", "Analog output"
+LINK, OPERATOR = "Link", "Operator"
+
+# fmt: off
+_ROWS = (
+    Parameter(1, "Maximum Motor Speed", "UINT", 0, 65535, "C", SPEED,
+              "Motor speed at full scale.",
+              unit="rpm"),
+    Parameter(2, "Maximum Display Value", "ULNG", 0, 99999, "C", SPEED,
+              "The number displayed at the maximum motor speed (#1).",
+              scale=Scale.SPEED),
+    Parameter(3, "Decimal Location", "UCHR", 0, 4, "C", SPEED,
+              "Number of decimal places of every displayed speed."),
+    Parameter(4, "Base Ratio", "ULNG", 0, 99999, "B", RATIO,
+              "Base ratio of a follower to its master.",
+              scale=Scale.RATIO),
+    Parameter(5, "Encoder PPR", "UINT", 0, 5000, "A", SPEED,
+              "Encoder pulses per revolution.",
+              unit="pulses/rev"),
+    Parameter(6, "Acceleration Ramp Rate", "UINT", 0, 9999, "A", RAMPS,
+              "Time to accelerate over the full span of speed.",
+              scale=Scale.TENTHS),
+    Parameter(7, "Deceleration Ramp Rate", "UINT", 0, 9999, "A", RAMPS,
+              "Time to decelerate over the full span of speed.",
+              scale=Scale.TENTHS),
+    Parameter(8, "Master/Slave/Inverse Mode", "UCHR", 0, 2, "B", MODE,
+              "Whether the unit keeps a speed of its own or follows another unit by a ratio.",
+              choices={0: "Master", 1: "Follower", 2: "Inverse follower"}, not_while_running=True),
+    Parameter(9, "Preset Speed", "ULNG", 0, 99999, "C", STEPS,
+              "Speed taken while the Preset input is on.",
+              scale=Scale.SPEED_OR_RATIO),
+    Parameter(10, "Jump Up Delta", "ULNG", 0, 99999, "C", STEPS,
+              "Step of the Up input.",
+              scale=Scale.SPEED_OR_RATIO),
+    Parameter(11, "Jump Down Delta", "ULNG", 0, 99999, "C", STEPS,
+              "Step of the Down input.",
+              scale=Scale.SPEED_OR_RATIO),
+    Parameter(12, "Up to Speed Tolerance", "UCHR", 0, 255, "C", SPEED,
+              "The unit is at speed while the actual speed is within this of the commanded speed.",
+              scale=Scale.SPEED),
+    Parameter(13, "MOP/Jump Mode", "UCHR", 0, 1, "U", STEPS,
+              "Up and Down as a motor potentiometer or as jumps; which number is which is not known."),
+    Parameter(14, "Freeze/Float Mode", "UCHR", 0, 1, "U", MODE,
+              "Not explained in the manual."),
+    Parameter(15, "Display Sample Rate", "UCHR", 1, 255, "U", SPEED,
+              "How often the unit's own display is renewed; the unit of time is not known."),
+    Parameter(16, "Allow Setup During Run", "UCHR", 0, 1, "C", OPERATOR,
+              "Whether setup parameters may be changed while the unit runs.",
+              choices={0: "No", 1: "Yes"}, setup=False),
+    Parameter(17, "Unit ID Number", "UCHR", 1, 255, "A", LINK,
+              "The unit's own address on the link; set at the unit's panel only.",
+              never_writable=True),
+    Parameter(18, "Baud Rate", "UCHR", 3, 96, "A", LINK,
+              "Baud rate in hundreds.",
+              dangerous="The unit answers at the new baud rate only: lost until the host follows.",
+              scale=Scale.BAUD, allowed=frozenset({3, 6, 12, 24, 48, 96})),
+    Parameter(19, "Local/Remote/Keylock", "UCHR", 0, 2, "C", LINK,
+              "Who commands the unit. The link cannot leave Local.",
+              dangerous="The unit will refuse every write until someone sets it to Remote at its panel.",
+              choices={0: "Local", 1: "Remote", 2: "Keylock"}, harmless=frozenset({1})),
+    Parameter(20, "Speed Setpoint", "ULNG", 0, 99999, "C", SPEED,
+              "Speed setpoint.",
+              scale=Scale.SPEED, setup=False),
+    Parameter(21, "Operator Password", "ULNG", 0, 99999, "C", OPERATOR,
+              "Password of the unit's panel.",
+              secret=True),
+    Parameter(22, "A to D Low Engr Units", "UINT", 0, 999, "C", ANALOG_IN,
+              "Value shown when the analog input reads 0."),
+    Parameter(23, "A to D High Engr Units", "UINT", 0, 999, "C", ANALOG_IN,
+              "Value shown when the analog input reads 255."),
+    Parameter(24, "A to D Display Mode", "UCHR", 0, 1, "U", ANALOG_IN,
+              "Not explained in the manual."),
+    Parameter(25, "A to D Sample Rate", "UCHR", 1, 255, "U", ANALOG_IN,
+              "How often the analog input is read; the unit of time is not known."),
+    Parameter(26, "A to D Trim Enable", "UCHR", 0, 1, "U", ANALOG_IN,
+              "Trim by the analog input.",
+              choices={0: "Off", 1: "On"}),
+    Parameter(27, "Communications Protocol", "UCHR", 0, 3, "U", LINK,
+              "Protocol of the link; which number is which is not known.",
+              dangerous="Its values are not explained, and a wrong one ends communication with the unit."),
+    Parameter(28, "D to A Source", "UCHR", 0, 3, "A", ANALOG_OUT,
+              "What drives the analog output; the host can set it (88h) only while this is 2.",
+              choices={2: "RS-422 link"}),
+    Parameter(29, "D to A Low Engineering Units", "ULNG", 0, 99999, "A", ANALOG_OUT,
+              "Value for 0 V at the analog output."),
+    Parameter(30, "D to A High Engineering Units", "ULNG", 0, 99999, "A", ANALOG_OUT,
+              "Value for 10 V at the analog output."),
+    Parameter(31, "Maximum Ratio", "ULNG", 0, 79999, "B", RATIO,
+              "Highest ratio that a follower accepts.",
+              scale=Scale.RATIO),
+    Parameter(32, "Preset Input Mode", "UCHR", 0, 2, "U", INPUTS,
+              "Not explained in the manual."),
+    Parameter(33, "Reverse Input Mode", "UCHR", 0, 2, "U", INPUTS,
+              "Not explained in the manual."),
+    Parameter(34, "Up Input Mode", "UCHR", 0, 1, "U", INPUTS,
+              "Not explained in the manual."),
+    Parameter(35, "Down Input Mode", "UCHR", 0, 1, "U", INPUTS,
+              "Not explained in the manual."),
+    Parameter(36, "Installed Option Enable", "UCHR", 0, 2, "U", OPERATOR,
+              "Not explained in the manual."),
+    Parameter(37, "Command Ratio Setpoint", "ULNG", 0, 99999, "B", RATIO,
+              "Ratio setpoint of a follower.",
+              scale=Scale.RATIO, setup=False),
+    Parameter(38, "Minimum Ratio", "ULNG", 0, 99999, "B", RATIO,
+              "Lowest ratio that a follower accepts.",
+              scale=Scale.RATIO),
+    Parameter(39, "Debounce Value", "UCHR", 0, 255, "U", INPUTS,
+              "How long an input must hold to be believed; the unit of time is not known."),
+    Parameter(40, "At Speed Source", "UCHR", 0, 1, "U", MODE,
+              "Not explained in the manual."),
+)
+# fmt: on
+
+PARAMETERS: Mapping[int, Parameter] = MappingProxyType({row.number: row for row in _ROWS})
+"""Every parameter by its number, 1 to 40."""
+NEEDED_TO_SHOW = (1, 2, 3, 8, 12, 22, 23, 28, 29, 30)
+"""Without these a reading cannot be shown right."""

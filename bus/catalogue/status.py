@@ -1,0 +1,65 @@
+"""The bits of ST2 and ST1, the two status bytes in the answer to 81h (manual, Read speed and status)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+_AT_SPEED, _REMOTE = 7, 6
+_RUN, _ESTOP, _PRESET, _REVERSE, _UP, _DOWN, _FOLLOWER = range(7)
+OUTPUT_NUMBERS = range(1, 7)
+
+
+@dataclass(frozen=True, slots=True)
+class StatusBits:
+    """ST2 and ST1 as words. ``outputs[0]`` is auxiliary output 1."""
+
+    at_speed: bool
+    remote: bool
+    outputs: tuple[bool, bool, bool, bool, bool, bool]
+    run: bool
+    estop_active: bool
+    """An emergency stop is active, whatever level says so in this dialect."""
+    preset: bool
+    reverse: bool
+    up: bool
+    down: bool
+    follower: bool
+
+
+def status_bits(outputs: int, inputs: int, estop_healthy: int = 1) -> StatusBits:
+    """``outputs`` is ST2, ``inputs`` is ST1; ``estop_healthy`` is the dialect's level of a healthy chain."""
+    one, two, three, four, five, six = (_bit(outputs, number - 1) for number in OUTPUT_NUMBERS)
+    return StatusBits(
+        at_speed=_bit(outputs, _AT_SPEED),
+        remote=_bit(outputs, _REMOTE),
+        outputs=(one, two, three, four, five, six),
+        run=_bit(inputs, _RUN),
+        estop_active=_bit(inputs, _ESTOP) != bool(estop_healthy),
+        preset=_bit(inputs, _PRESET),
+        reverse=_bit(inputs, _REVERSE),
+        up=_bit(inputs, _UP),
+        down=_bit(inputs, _DOWN),
+        follower=_bit(inputs, _FOLLOWER),
+    )
+
+
+def encode_status(bits: StatusBits, estop_healthy: int = 1) -> tuple[int, int]:
+    """(ST2, ST1) of ``bits``; the inverse of ``status_bits`` but for the unused bit 7 of ST1."""
+    switched = (bits.run, bits.estop_active != bool(estop_healthy), bits.preset, bits.reverse)
+    return (
+        _byte((*bits.outputs, bits.remote, bits.at_speed)),
+        _byte((*switched, bits.up, bits.down, bits.follower)),
+    )
+
+
+def output_is_on(outputs: int, number: int) -> bool:
+    """Whether auxiliary output ``number`` (1-6) is on in ST2."""
+    return _bit(outputs, number - 1)
+
+
+def _bit(byte: int, position: int) -> bool:
+    return bool(byte >> position & 1)
+
+
+def _byte(bits: tuple[bool, ...]) -> int:
+    return sum(bit << position for position, bit in enumerate(bits))

@@ -1,0 +1,135 @@
+"""Integers on the wire ⇄ the numbers that people use. Exact decimal arithmetic, no floats but for volts.
+
+Texts have a point and no grouping; whoever shows them puts them into a language.
+"""
+
+from __future__ import annotations
+
+import re
+
+from bus.catalogue.parameter import Parameter, Scale
+from bus.errors import CallerError
+
+RATIO_DECIMALS = 4
+HIGHEST_ATD = 255
+_FULL_VOLTS = 10
+_NUMBER = re.compile(r"([0-9]{1,9})(?:[.,]([0-9]{1,9}))?")
+_SCALE_UNITS = {Scale.TENTHS: "s", Scale.BAUD: "baud"}
+
+
+def speed_text(raw: int, decimals: int) -> str:
+    """``raw`` display units with ``decimals`` (#3) places: 12345 with 1 is "1234.5"."""
+    whole, part = divmod(raw, 10**decimals)
+    return f"{whole}.{part:0{decimals}d}" if decimals else str(whole)
+
+
+def speed_raw(text: str, decimals: int) -> int:
+    """The raw integer for a typed number; point and comma both separate decimals.
+
+    More places than ``decimals`` are refused even when they are zeros: in "1.000" for a display with
+    one decimal the point was most likely meant to group thousands. Raises CallerError.
+    """
+    return _raw(text, decimals)
+
+
+def ratio_text(raw: int) -> str:
+    """10000 is "1.0000"."""
+    return speed_text(raw, RATIO_DECIMALS)
+
+
+def ratio_raw(text: str) -> int:
+    """The raw ratio for a typed number of up to four decimals. Raises CallerError."""
+    return _raw(text, RATIO_DECIMALS)
+
+
+def analog_input_value(atd: int, low: int, high: int) -> float:
+    """Engineering value of ATD 0-255, ``low`` being #22 and ``high`` #23."""
+    return low + (high - low) * atd / HIGHEST_ATD
+
+
+def analog_output_volts(raw: int, low: int, high: int) -> float:
+    """Volts at the analog output for the value of 88h, ``low`` being #29 and ``high`` #30 (manual, 88h).
+
+    Raises CallerError when #29 and #30 are equal, for then no value means any voltage.
+    """
+    if low == high:
+        raise CallerError("#29 and #30 are equal, so no value stands for a voltage; set them apart first")
+    return _FULL_VOLTS * (raw - low) / (high - low)
+
+
+def rpm(raw: int, max_rpm: int, max_display: int) -> float:
+    """Motor speed for a displayed speed, ``max_rpm`` being #1 and ``max_display`` #2.
+
+    Raises CallerError when #2 is 0.
+    """
+    if max_display == 0:
+        raise CallerError("#2 is 0, so a displayed speed stands for no motor speed; set #2 first")
+    return raw * max_rpm / max_display
+
+
+def parameter_unit(parameter: Parameter) -> str:
+    """The unit that follows ``parameter_text``: "s", "rpm", "baud", or "" where it is the drive's own."""
+    return _SCALE_UNITS.get(parameter.scale, parameter.unit)
+
+
+def parameter_text(parameter: Parameter, raw: int, decimals: int | None, *, follower: bool = False) -> str:
+    """What people read: a choice by its name where that is known, else the number in its scale.
+
+    ``decimals`` is #3 of the unit, None while it is not known: a speed is then marked as raw.
+    ``follower``: #8 is 1 or 2, so presets and jumps are ratios. A secret is not shown.
+    """
+    if parameter.secret:
+        return "hidden"
+    if raw in parameter.choices:
+        return parameter.choices[raw]
+    places = _decimals(parameter, decimals, follower)
+    if places is None:
+        return f"{raw} raw"
+    return str(raw * 100) if parameter.scale is Scale.BAUD else speed_text(raw, places)
+
+
+def parameter_raw(parameter: Parameter, text: str, decimals: int | None, *, follower: bool = False) -> int:
+    """The raw integer for what a person typed, a number or the name of a choice.
+
+    Its range is not judged here. Raises CallerError for what is neither, and for a speed while the
+    unit's decimals (#3) are not known.
+    """
+    for raw, name in parameter.choices.items():
+        if text.strip().casefold() == name.casefold():
+            return raw
+    places = _decimals(parameter, decimals, follower)
+    if places is None:
+        raise CallerError("the unit's decimals (#3) have not been read yet; give the raw number")
+    raw = _raw(text, places)
+    if parameter.scale is not Scale.BAUD:
+        return raw
+    if raw % 100:
+        raise CallerError(f"{raw} is no baud rate of the unit; it takes 300, 600, 1200, 2400, 4800 or 9600")
+    return raw // 100
+
+
+def _decimals(parameter: Parameter, decimals: int | None, follower: bool) -> int | None:
+    match parameter.scale:
+        case Scale.RATIO:
+            return RATIO_DECIMALS
+        case Scale.SPEED_OR_RATIO:
+            return RATIO_DECIMALS if follower else decimals
+        case Scale.SPEED:
+            return decimals
+        case Scale.TENTHS:
+            return 1
+        case _:
+            return 0
+
+
+def _raw(text: str, decimals: int) -> int:
+    number = _NUMBER.fullmatch(text.strip())
+    if number is None:
+        raise CallerError(
+            f"{text.strip()!r} is not a number; write it as 123 or {speed_text(1234, decimals)}"
+        )
+    whole, part = number[1], number[2] or ""
+    if len(part) > decimals:
+        allowed = f"at most {decimals}" if decimals else "no"
+        raise CallerError(f"{text.strip()} has {len(part)} decimals; this value has {allowed}")
+    return int(whole + part.ljust(decimals, "0"))
