@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from app.auth.rules import Person
 from app.commands.desk import Desk
+from app.errors import Problem
 from app.live.state import LiveState, UnitLive
 from app.sets.model import Row, UnitRows
-from app.web.problems import Problem
+from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, ReadParameters, Result
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from app.audit.log import EventLog
-from app.auth.rules import Person
 from app.commands.desk import Desk
+from app.errors import Problem
 from app.sets.compare import Compared, differences
 from app.sets.model import UnitRows
 from app.sets.plan import LeftOut, RestorePlan, Write, plan_restore
 from app.sets.reading import ParameterReader
-from app.web.problems import Problem
+from app.web.access import Person
 from bus.contract import Outcome, WriteParameter
 from bus.errors import unit_error_name
 

@@ -1,0 +1,230 @@
+"""Parameter sets over HTTP: taken, listed, compared, restored."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from app.audit.log import EventLog
+from app.errors import Problem
+from app.live.state import LiveState
+from app.sets.compare import compare
+from app.sets.document import write_document
+from app.sets.keeper import SetKeeper
+from app.sets.lookup import (
+    bus_or_404,
+    is_running,
+    restore_or_404,
+    set_or_404,
+    unit_or_404,
+    unit_rows_or_404,
+    wanted_rows,
+)
+from app.sets.model import ParameterSet
+from app.sets.reading import ParameterReader
+from app.sets.restore import RestoreDesk
+from app.sets.view import compared_json, restore_json, set_json, summary_json
+from app.web.access import Engineer, Person, Role, Viewer
+
+router = APIRouter(prefix="/api/v1", tags=["parameter sets"])
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class TakeSet(_Strict):
+    """Which units to read now (all of the bus when empty)."""
+
+    units: list[int] = []
+    name: Annotated[str, Field(max_length=80)] = ""
+    comment: Annotated[str, Field(max_length=1000)] = ""
+
+
+class GoldenMark(_Strict):
+    """The unit whose golden set this becomes."""
+
+    unit: int
+
+
+class Schedule(_Strict):
+    """Minute of the local day at which all units of the bus are read; null ends it."""
+
+    minute_of_day: Annotated[int, Field(ge=0, le=1439)] | None
+
+
+class PlanRestore(_Strict):
+    """What a unit shall become: a stored set, or a TOML document with one unit (or with this one)."""
+
+    set: int | None = None
+    document: str | None = None
+    from_unit: int | None = None
+    ticked: list[int] = []
+
+
+def keeper_of(request: Request) -> SetKeeper:
+    """The app's one keeper of sets."""
+    keeper: SetKeeper = request.app.state.services.sets
+    return keeper
+
+
+def restores_of(request: Request) -> RestoreDesk:
+    """The app's one desk of restores."""
+    restores: RestoreDesk = request.app.state.services.restores
+    return restores
+
+
+def reader_of(request: Request) -> ParameterReader:
+    """The app's one reader of whole parameter lists."""
+    reader: ParameterReader = request.app.state.services.parameter_reader
+    return reader
+
+
+def live_of(request: Request) -> LiveState:
+    """The present state."""
+    live: LiveState = request.app.state.services.live
+    return live
+
+
+def events_of(request: Request) -> EventLog:
+    """The event log."""
+    events: EventLog = request.app.state.services.events
+    return events
+
+
+Keeper = Annotated[SetKeeper, Depends(keeper_of)]
+Restores = Annotated[RestoreDesk, Depends(restores_of)]
+Reader = Annotated[ParameterReader, Depends(reader_of)]
+Live = Annotated[LiveState, Depends(live_of)]
+Events = Annotated[EventLog, Depends(events_of)]
+
+
+@router.get("/sets")
+async def list_sets(
+    _: Viewer, keeper: Keeper, bus: str | None = None, unit: int | None = None
+) -> list[dict[str, Any]]:
+    """All stored sets, newest first."""
+    return [summary_json(summary) for summary in await keeper.store.summaries(bus, unit)]
+
+
+@router.post("/buses/{bus}/sets", status_code=201)
+async def take_set(person: Engineer, keeper: Keeper, live: Live, bus: str, wanted: TakeSet) -> dict[str, Any]:
+    """Read the units now and keep what they say; nothing is kept when one does not answer."""
+    known = bus_or_404(live, bus).units
+    units = wanted.units or list(known)
+    for unit in units:
+        unit_or_404(live, bus, unit)
+    return set_json(await keeper.take(person, bus, units, wanted.name, wanted.comment))
+
+
+@router.get("/sets/{set_id}")
+async def one_set(_: Viewer, keeper: Keeper, set_id: int) -> dict[str, Any]:
+    """A whole set with the evidence of each value; #21 masked."""
+    return set_json(await set_or_404(keeper, set_id))
+
+
+@router.get("/sets/{set_id}/document")
+async def set_document(
+    person: Viewer, keeper: Keeper, events: Events, set_id: int, secrets: bool = False
+) -> Response:
+    """The set as a TOML file. With ``secrets`` (engineer) #21 is in it, and the asking is an event."""
+    stored = await set_or_404(keeper, set_id)
+    if secrets:
+        await _ask_for_secrets(person, events, stored)
+    headers = {"Content-Disposition": f'attachment; filename="lineside-{stored.bus}-{set_id}.toml"'}
+    return Response(
+        write_document(stored, with_secrets=secrets), media_type="application/toml", headers=headers
+    )
+
+
+@router.post("/sets/{set_id}/golden")
+async def mark_golden(person: Engineer, keeper: Keeper, set_id: int, mark: GoldenMark) -> dict[str, Any]:
+    """From now on the unit ought to be as this set says."""
+    await keeper.mark_golden(person, set_id, mark.unit)
+    return {"set": set_id, "unit": mark.unit, "golden": True}
+
+
+@router.get("/sets/{set_id}/compare/{other_id}")
+async def compare_sets(
+    _: Viewer,
+    keeper: Keeper,
+    set_id: int,
+    other_id: int,
+    unit: int,
+    other_unit: int | None = None,
+    tolerance: int = 0,
+) -> list[dict[str, Any]]:
+    """Set with set, row by row."""
+    left = unit_rows_or_404(await set_or_404(keeper, set_id), unit)
+    right = unit_rows_or_404(await set_or_404(keeper, other_id), other_unit or unit)
+    return [compared_json(row) for row in compare(left, right, tolerance)]
+
+
+@router.get("/buses/{bus}/units/{unit}/drift")
+async def unit_drift(_: Viewer, keeper: Keeper, live: Live, bus: str, unit: int) -> dict[str, Any]:
+    """Where the unit as last read departs from its golden set."""
+    unit_or_404(live, bus, unit)
+    golden = keeper.golden(bus, unit)
+    rows = [compared_json(row) for row in keeper.drift(bus, unit)]
+    return {"golden": golden is not None, "rows": rows}
+
+
+@router.get("/buses/{bus}/set-schedule")
+async def read_schedule(_: Viewer, keeper: Keeper, live: Live, bus: str) -> dict[str, Any]:
+    """At which minute of the day the units of the bus are read."""
+    bus_or_404(live, bus)
+    return {"minute_of_day": (await keeper.store.schedule()).get(bus)}
+
+
+@router.put("/buses/{bus}/set-schedule")
+async def write_schedule(
+    person: Engineer, keeper: Keeper, live: Live, bus: str, schedule: Schedule
+) -> dict[str, Any]:
+    """Read all units of the bus daily, or no longer."""
+    bus_or_404(live, bus)
+    await keeper.set_schedule(person, bus, schedule.minute_of_day)
+    return {"minute_of_day": schedule.minute_of_day}
+
+
+@router.post("/buses/{bus}/units/{unit}/restores", status_code=201)
+async def plan_unit_restore(
+    person: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int, wanted: PlanRestore
+) -> dict[str, Any]:
+    """Read the unit and say what a restore would write. Nothing is written."""
+    unit_or_404(live, bus, unit)
+    rows = await wanted_rows(keeper, unit, wanted.set, wanted.document, wanted.from_unit)
+    running = is_running(live.buses[bus], unit)
+    return restore_json(
+        await restores.plan(person, bus, unit, rows, running=running, ticked=frozenset(wanted.ticked))
+    )
+
+
+@router.post("/restores/{restore_id}/start", status_code=202)
+async def start_restore(person: Engineer, restores: Restores, restore_id: str) -> dict[str, Any]:
+    """Write what the plan says."""
+    restore = restore_or_404(restores, restore_id)
+    restores.start(person, restore)
+    return restore_json(restore)
+
+
+@router.post("/restores/{restore_id}/cancel", status_code=202)
+async def cancel_restore(_: Engineer, restores: Restores, restore_id: str) -> dict[str, Any]:
+    """Leave off after the row in hand."""
+    restore = restore_or_404(restores, restore_id)
+    restore.cancel()
+    return restore_json(restore)
+
+
+@router.get("/restores/{restore_id}")
+async def one_restore(_: Viewer, restores: Restores, restore_id: str) -> dict[str, Any]:
+    """How far it is, row by row."""
+    return restore_json(restore_or_404(restores, restore_id))
+
+
+async def _ask_for_secrets(person: Person, events: EventLog, stored: ParameterSet) -> None:
+    if not person.role.includes(Role.ENGINEER):
+        raise Problem(403, "forbidden", "the operator password (#21) is given to an engineer only")
+    what = f"set {stored.id} was taken out with the operator password (#21) in clear"
+    await events.record(kind="secret", who=person.name, bus=stored.bus, unit=None, what=what)

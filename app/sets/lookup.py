@@ -1,0 +1,78 @@
+"""What a request names, found or refused in words."""
+
+from __future__ import annotations
+
+from app.errors import Problem
+from app.live.state import BusLive, LiveState
+from app.sets.document import DocumentError, read_document
+from app.sets.keeper import SetKeeper
+from app.sets.model import ParameterSet, UnitRows
+from app.sets.restore import Restore, RestoreDesk
+from bus.catalogue.status import status_bits
+
+
+async def wanted_rows(
+    keeper: SetKeeper, unit: int, set_id: int | None, document_text: str | None, from_unit: int | None
+) -> UnitRows:
+    """What the unit shall become. Raises Problem 422 or 404 in words."""
+    if (set_id is None) == (document_text is None):
+        raise Problem(422, "invalid", "give either set (a stored one) or document (a TOML file)")
+    if set_id is not None:
+        return unit_rows_or_404(await set_or_404(keeper, set_id), from_unit or unit)
+    try:
+        document = read_document(document_text or "", "the document")
+    except DocumentError as error:
+        raise Problem(422, "invalid", str(error)) from error
+    lone = document.units[0] if len(document.units) == 1 else None
+    rows = document.unit(from_unit or unit) or (lone if from_unit is None else None)
+    if rows is None:
+        raise Problem(422, "invalid", f"the document does not hold unit {from_unit or unit}")
+    return rows
+
+
+def is_running(bus: BusLive, unit: int) -> bool | None:
+    """The Run input as last read; None when the unit never answered."""
+    reading = bus.units[unit].reading
+    if reading is None:
+        return None
+    return status_bits(reading.outputs, reading.inputs, estop_healthy=bus.settings.estop_healthy).run
+
+
+def bus_or_404(live: LiveState, bus: str) -> BusLive:
+    """A configured bus."""
+    found = live.buses.get(bus)
+    if found is None:
+        raise Problem(404, "unknown_bus", f"there is no bus {bus!r}; there are {', '.join(live.buses)}")
+    return found
+
+
+def unit_or_404(live: LiveState, bus: str, unit: int) -> None:
+    """Raise unless the unit is configured."""
+    if unit not in bus_or_404(live, bus).units:
+        raise Problem(404, "unknown_unit", f"bus {bus!r} has no unit {unit}")
+
+
+async def set_or_404(keeper: SetKeeper, set_id: int) -> ParameterSet:
+    """A stored set."""
+    stored = await keeper.store.load(set_id)
+    if stored is None:
+        raise Problem(404, "unknown_set", f"there is no parameter set {set_id}")
+    return stored
+
+
+def unit_rows_or_404(stored: ParameterSet, unit: int) -> UnitRows:
+    """The rows of one unit of a set."""
+    rows = stored.unit(unit)
+    if rows is None:
+        raise Problem(404, "unknown_unit", f"set {stored.id} does not hold unit {unit}")
+    return rows
+
+
+def restore_or_404(restores: RestoreDesk, restore_id: str) -> Restore:
+    """A restore of this run of the server."""
+    restore = restores.get(restore_id)
+    if restore is None:
+        raise Problem(
+            404, "unknown_restore", "no such restore; the server may have been started anew: plan again"
+        )
+    return restore

@@ -1,0 +1,130 @@
+"""Sets, comparisons and restores as JSON. #21 never leaves here."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+from app.sets.compare import Compared, with_unit
+from app.sets.model import ParameterSet, UnitRows
+from app.sets.restore import Restore, RowResult
+from app.sets.store import SetSummary
+from bus.catalogue.parameters import PARAMETERS
+
+_DECIMALS = 3
+
+
+def summary_json(summary: SetSummary) -> dict[str, Any]:
+    """One line of the list."""
+    return {
+        "id": summary.id,
+        "bus": summary.bus,
+        "name": summary.name,
+        "comment": summary.comment,
+        "taken_at": iso(summary.taken_at),
+        "who": summary.who,
+        "origin": summary.origin,
+        "units": list(summary.units),
+        "golden_for": list(summary.golden_for),
+    }
+
+
+def set_json(stored: ParameterSet) -> dict[str, Any]:
+    """A whole set; secrets masked."""
+    return {
+        "id": stored.id,
+        "bus": stored.bus,
+        "name": stored.name,
+        "comment": stored.comment,
+        "taken_at": iso(stored.taken_at),
+        "who": stored.who,
+        "origin": stored.origin,
+        "golden_for": sorted(stored.golden_for),
+        "units": [_unit_json(rows) for rows in stored.units],
+    }
+
+
+def _unit_json(rows: UnitRows) -> dict[str, Any]:
+    parameters = []
+    for number, row in sorted(rows.rows.items()):
+        parameter = PARAMETERS[number]
+        shown = parameter.secret or row.raw is None
+        parameters.append(
+            {
+                "number": number,
+                "name": parameter.name,
+                "raw": None if parameter.secret else row.raw,
+                "value": None
+                if shown or row.raw is None
+                else with_unit(parameter, row.raw, rows.raw(_DECIMALS)),
+                "available": row.available,
+                "read_at": iso(row.read_at),
+                "frame": None if parameter.secret else row.frame.hex(" "),
+            }
+        )
+    return {"id": rows.unit, "name": rows.name, "parameters": parameters}
+
+
+def compared_json(row: Compared) -> dict[str, Any]:
+    """One row of a comparison, as shown to people and raw."""
+    secret = PARAMETERS[row.number].secret
+    return {
+        "number": row.number,
+        "name": PARAMETERS[row.number].name,
+        "kind": row.kind,
+        "left": row.old,
+        "right": row.new,
+        "left_raw": None if secret or row.left is None else row.left.raw,
+        "right_raw": None if secret or row.right is None else row.right.raw,
+        "meaning": row.sentence,
+    }
+
+
+def restore_json(restore: Restore) -> dict[str, Any]:
+    """A restore: its plan, how far it is, and what a full read found afterwards."""
+    return {
+        "id": restore.id,
+        "bus": restore.bus,
+        "unit": restore.unit,
+        "who": restore.who,
+        "state": restore.state,
+        "cause": restore.cause,
+        "done": restore.done,
+        "equal": restore.plan.equal,
+        "rows": [_row_json(restore, row) for row in restore.rows],
+        "left_out": [
+            {"number": left.number, "name": PARAMETERS[left.number].name, "reason": left.reason}
+            for left in restore.left_out
+        ],
+        "remaining": None if restore.remaining is None else [compared_json(row) for row in restore.remaining],
+    }
+
+
+def _row_json(restore: Restore, row: RowResult) -> dict[str, Any]:
+    parameter = PARAMETERS[row.write.number]
+    present, wanted = (
+        _shown(restore, row.write.number, row.write.present),
+        _shown(restore, row.write.number, row.write.wanted),
+    )
+    return {
+        "number": parameter.number,
+        "name": parameter.name,
+        "present_raw": None if parameter.secret else row.write.present,
+        "wanted_raw": None if parameter.secret else row.write.wanted,
+        "present": present,
+        "wanted": wanted,
+        "meaning": "" if parameter.secret else f"{wanted} instead of {present}",
+        "outcome": row.outcome,
+        "message": row.message,
+        "read_back": None if parameter.secret else row.read_back,
+    }
+
+
+def _shown(restore: Restore, number: int, raw: int) -> str:
+    parameter = PARAMETERS[number]
+    return "secret" if parameter.secret else with_unit(parameter, raw, restore.wanted.raw(_DECIMALS))
+
+
+def iso(at: float | None) -> str | None:
+    """ISO 8601 in UTC."""
+    return None if at is None else datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds")
