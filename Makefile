@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 VENDOR := static/vendor/made-from.sha256
 CHROMIUM := /usr/bin/chromium
 NODE_TOOLS := node_modules/.package-lock.json
+LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
+	--no-emit-index-url --custom-compile-command "make lock" --extra rfc2217
 
 .PHONY: demo test setup bench check screenshots lock clean development
 .DEFAULT_GOAL := demo
@@ -35,11 +37,9 @@ development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM)
 
 # The locks are exact and carry a hash for every file. requirements.lock is what runs, and hatchling.
 lock: development
-	$(BIN)/uv pip compile -q --upgrade --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
-		--custom-compile-command "make lock" --extra rfc2217 --group build pyproject.toml -o requirements.lock
-	$(BIN)/uv pip compile -q --upgrade --universal --generate-hashes --no-emit-index-url --python-version 3.11 \
-		--custom-compile-command "make lock" --extra rfc2217 --group build --group dev \
-		-c requirements.lock pyproject.toml -o requirements-dev.lock
+	$(BIN)/pip install -q uv
+	$(LOCK) --group build pyproject.toml -o requirements.lock
+	$(LOCK) --group build --group dev -c requirements.lock pyproject.toml -o requirements-dev.lock
 	npm install --package-lock-only --ignore-scripts --omit-lockfile-registry-resolved
 
 clean:
