@@ -1,0 +1,136 @@
+"""Recipes over HTTP: listed, saved as versions, tried out, loaded."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Header, Request
+from pydantic import BaseModel, ConfigDict, Field
+
+from app.errors import Problem
+from app.live.state import BusLive, LiveState
+from app.recipes.book import RecipeBook
+from app.recipes.rules import Recipe, setpoints_now
+from app.recipes.view import dry_run_json, loaded_json, recipe_json
+from app.web.access import Engineer, Operator, Viewer
+
+router = APIRouter(prefix="/api/v1", tags=["recipes"])
+
+Raw = Annotated[int, Field(ge=0, le=99999)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class SaveRecipe(_Strict):
+    """``setpoints``: unit → raw; without any, the setpoints that the line has now."""
+
+    name: Annotated[str, Field(min_length=1, max_length=80)]
+    comment: Annotated[str, Field(max_length=1000)] = ""
+    setpoints: Annotated[dict[str, Raw], Field(max_length=255)] = {}
+
+
+class LoadRecipe(_Strict):
+    """``confirm``: steps that an engineer wants reviewed have been reviewed."""
+
+    confirm: bool = False
+
+
+def book_of(request: Request) -> RecipeBook:
+    """The app's one book of recipes."""
+    book: RecipeBook = request.app.state.services.recipes
+    return book
+
+
+def live_of(request: Request) -> LiveState:
+    """The present state."""
+    live: LiveState = request.app.state.services.live
+    return live
+
+
+Book = Annotated[RecipeBook, Depends(book_of)]
+Live = Annotated[LiveState, Depends(live_of)]
+
+
+@router.get("/recipes")
+async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None) -> list[dict[str, Any]]:
+    """The newest version of every recipe in use."""
+    return [recipe_json(recipe, live.buses.get(recipe.bus)) for recipe in await book.store.newest(bus)]
+
+
+@router.post("/buses/{bus}/recipes", status_code=201)
+async def save_recipe(
+    person: Engineer, book: Book, live: Live, bus: str, wanted: SaveRecipe
+) -> dict[str, Any]:
+    """Save a new version; older ones stay."""
+    known = bus_or_404(live, bus)
+    setpoints = unit_setpoints(wanted.setpoints)
+    if not setpoints:
+        setpoints = {setpoint.unit: setpoint.raw for setpoint in setpoints_now(known.units.values())}
+    if not setpoints:
+        raise Problem(422, "invalid", "no setpoints were given, and no unit has told its own yet")
+    return recipe_json(await book.save(person, bus, wanted.name, wanted.comment, setpoints), known)
+
+
+@router.get("/recipes/{recipe_id}")
+async def one_recipe(_: Viewer, book: Book, live: Live, recipe_id: int) -> dict[str, Any]:
+    """One version."""
+    recipe = await recipe_or_404(book, recipe_id)
+    return recipe_json(recipe, live.buses.get(recipe.bus))
+
+
+@router.get("/recipes/{recipe_id}/dry-run")
+async def try_recipe(_: Viewer, book: Book, recipe_id: int) -> dict[str, Any]:
+    """What loading it now would do, unit by unit, and how long it takes on the wire and by the ramps."""
+    return dry_run_json(book.try_out(await recipe_or_404(book, recipe_id)))
+
+
+@router.post("/recipes/{recipe_id}/load")
+async def load_recipe(
+    person: Operator,
+    book: Book,
+    recipe_id: int,
+    wanted: LoadRecipe,
+    idempotency_key: Annotated[str | None, Header()] = None,
+) -> Any:
+    """Stage every unit, broadcast once, prove each."""
+    recipe = await recipe_or_404(book, recipe_id)
+    return answer(await book.load(person, recipe, confirm=wanted.confirm, command_id=idempotency_key))
+
+
+@router.get("/buses/{bus}/recipe")
+async def loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> dict[str, Any] | None:
+    """The recipe that the bus was loaded with last, and what has departed from it since."""
+    bus_or_404(live, bus)
+    loaded = book.loaded(bus)
+    return None if loaded is None else loaded_json(loaded, book.departed(bus))
+
+
+@router.delete("/buses/{bus}/recipes/{name}", status_code=204)
+async def retire_recipe(person: Engineer, book: Book, bus: str, name: str) -> None:
+    """Take a recipe out of the list; its versions stay on record."""
+    await book.retire(person, bus, name)
+
+
+def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
+    """Keys of JSON are text; raises Problem 422 for one that is no address."""
+    wrong = [key for key in given if not (key.isascii() and key.isdecimal() and 1 <= int(key) <= 255)]
+    if wrong:
+        raise Problem(422, "invalid", f"{wrong[0]!r} is no unit address; give 1 to 255")
+    return {int(key): raw for key, raw in given.items()}
+
+
+def bus_or_404(live: LiveState, bus: str) -> BusLive:
+    """A configured bus."""
+    if bus not in live.buses:
+        raise Problem(404, "unknown_bus", f"there is no bus {bus!r}")
+    return live.buses[bus]
+
+
+async def recipe_or_404(book: RecipeBook, recipe_id: int) -> Recipe:
+    """A stored version."""
+    recipe = await book.store.load(recipe_id)
+    if recipe is None:
+        raise Problem(404, "unknown_recipe", f"there is no recipe {recipe_id}")
+    return recipe

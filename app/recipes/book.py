@@ -1,0 +1,116 @@
+"""The recipes of the app: saved, checked against the line as it is, loaded as one change."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+from app.audit.log import EventLog
+from app.commands.desk import Desk
+from app.errors import Problem
+from app.live.state import BusLive, LiveState
+from app.recipes.rules import Departure, DryRun, Recipe, Setpoint, departures, dry_run, setpoint_kind
+from app.recipes.store import Loaded, RecipeStore
+from app.web.access import Person
+from bus.contract import Result, SetLine
+
+Refusal = Callable[[str, int, int], str]
+
+
+class RecipeBook:
+    """One for the app. ``refusal(bus, unit, raw)``: why the desk would refuse a setpoint, or nothing."""
+
+    def __init__(
+        self, state: LiveState, desk: Desk, store: RecipeStore, events: EventLog, refusal: Refusal
+    ) -> None:
+        self._state = state
+        self._desk = desk
+        self.store = store
+        self._events = events
+        self._refusal = refusal
+        self._loaded: dict[str, Loaded] = {}
+
+    async def load_marks(self) -> None:
+        """Read which recipes were loaded last; once at start."""
+        self._loaded = await self.store.loaded()
+
+    def loaded(self, bus: str) -> Loaded | None:
+        """The recipe that a bus was loaded with last."""
+        return self._loaded.get(bus)
+
+    def departed(self, bus: str) -> list[Departure]:
+        """What has left the loaded recipe since."""
+        loaded = self._loaded.get(bus)
+        return departures(loaded.recipe, self._state.buses[bus]) if loaded is not None else []
+
+    async def save(
+        self, person: Person, bus: str, name: str, comment: str, setpoints: Mapping[int, int]
+    ) -> Recipe:
+        """A new version. ``setpoints``: unit → raw. Raises Problem 422 or 404 in words."""
+        live = self._state.buses[bus]
+        rows = tuple(_setpoint(live, unit, raw) for unit, raw in sorted(setpoints.items()))
+        recipe = await self.store.save(Recipe(bus, name, comment, person.name, time.time(), rows))
+        await self._record(person, recipe, "saved")
+        return recipe
+
+    async def retire(self, person: Person, bus: str, name: str) -> None:
+        """Take a recipe out of the list; its versions stay on record."""
+        versions = await self.store.versions(bus, name)
+        if not versions:
+            raise Problem(404, "unknown_recipe", f"there is no recipe {name!r} for {bus}")
+        await self.store.retire(bus, name)
+        await self._record(person, versions[0], "retired")
+
+    def try_out(self, recipe: Recipe) -> DryRun:
+        """What loading it now would do; nothing is sent."""
+        return dry_run(recipe, self._bus(recipe), lambda unit, raw: self._refusal(recipe.bus, unit, raw))
+
+    async def load(self, person: Person, recipe: Recipe, *, confirm: bool, command_id: str | None) -> Result:
+        """Load it as one change: staged, broadcast, proven. Raises Problem 409 where a unit cannot take it."""
+        run = self.try_out(recipe)
+        if not run.loadable:
+            why = "; ".join(f"{step.name}: {step.obstacle}" for step in run.steps if step.obstacle)
+            raise Problem(409, "not_loadable", f"{recipe.name} cannot be loaded now: {why}; nothing was sent")
+        action = SetLine(setpoints={setpoint.unit: setpoint.raw for setpoint in recipe.setpoints})
+        result = await self._desk.ask(
+            person, recipe.bus, action, confirm=confirm, id=command_id, origin=f"recipe {recipe.name}"
+        )
+        if result.outcome == "verified":
+            await self._mark(person, recipe)
+        return result
+
+    async def _mark(self, person: Person, recipe: Recipe) -> None:
+        now = time.time()
+        await self.store.mark_loaded(recipe.bus, recipe.id, person.name, now)
+        self._loaded[recipe.bus] = Loaded(replace(recipe), person.name, now)
+        await self._record(person, recipe, "loaded and proven")
+
+    async def _record(self, person: Person, recipe: Recipe, what: str) -> None:
+        await self._events.record(
+            kind="recipe",
+            who=person.name,
+            bus=recipe.bus,
+            unit=None,
+            what=f"recipe {recipe.name} version {recipe.version} {what}",
+        )
+
+    def _bus(self, recipe: Recipe) -> BusLive:
+        bus = self._state.buses.get(recipe.bus)
+        if bus is None:
+            raise Problem(
+                409, "unknown_bus", f"the recipe is for bus {recipe.bus!r}, which is not configured"
+            )
+        return bus
+
+
+def _setpoint(bus: BusLive, unit: int, raw: int) -> Setpoint:
+    live = bus.units.get(unit)
+    if live is None:
+        raise Problem(422, "invalid", f"bus {bus.settings.name!r} has no unit {unit}")
+    kind = setpoint_kind(live)
+    if kind is None:
+        raise Problem(
+            422, "invalid", f"whether unit {unit} takes a speed or a ratio (#8) has not been read from it yet"
+        )
+    return Setpoint(unit, raw, kind)

@@ -1,0 +1,72 @@
+"""Recipes, dry runs and departures as JSON."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+from app.live.state import BusLive
+from app.recipes.rules import Departure, DryRun, Recipe, setpoint_text
+from app.recipes.store import Loaded
+
+
+def recipe_json(recipe: Recipe, bus: BusLive | None) -> dict[str, Any]:
+    """One version; setpoints also as their units show them, where the unit is configured."""
+    return {
+        "id": recipe.id,
+        "bus": recipe.bus,
+        "name": recipe.name,
+        "version": recipe.version,
+        "comment": recipe.comment,
+        "who": recipe.who,
+        "saved_at": _iso(recipe.saved_at),
+        "setpoints": {
+            str(setpoint.unit): {
+                "raw": setpoint.raw,
+                "kind": setpoint.kind,
+                "value": setpoint_text(bus.units[setpoint.unit], setpoint)
+                if bus is not None and setpoint.unit in bus.units
+                else None,
+            }
+            for setpoint in recipe.setpoints
+        },
+    }
+
+
+def dry_run_json(run: DryRun) -> dict[str, Any]:
+    """What loading would do. Times in seconds."""
+    return {
+        "loadable": run.loadable,
+        "wire_s": round(run.wire_s, 3),
+        "ramp_s": None if run.ramp_s is None else round(run.ramp_s, 1),
+        "units": [
+            {
+                "id": step.unit,
+                "name": step.name,
+                "raw": step.raw,
+                "old": step.old,
+                "new": step.new,
+                "ramp_s": None if step.ramp_s is None else round(step.ramp_s, 1),
+                "obstacle": step.obstacle,
+            }
+            for step in run.steps
+        ],
+    }
+
+
+def loaded_json(loaded: Loaded, departed: list[Departure]) -> dict[str, Any]:
+    """Which recipe a bus was loaded with, and which units no longer command what it says."""
+    return {
+        "id": loaded.recipe.id,
+        "name": loaded.recipe.name,
+        "version": loaded.recipe.version,
+        "who": loaded.who,
+        "loaded_at": _iso(loaded.at),
+        "departed": [
+            {"id": one.unit, "name": one.name, "recipe": one.recipe, "now": one.now} for one in departed
+        ],
+    }
+
+
+def _iso(at: float) -> str:
+    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds")
