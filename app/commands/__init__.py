@@ -1,0 +1,1 @@
+"""What was asked: checked before anything is sent, sent once, followed to its one fate."""

@@ -1,0 +1,70 @@
+"""What an engineer allows for each unit's speed, kept in the store and at hand for the rules.
+
+All four are raw integers of the unit's own setpoint: display units, or the ratio times 10000
+where the unit is a follower.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import astuple, dataclass
+
+from app.database import Database
+
+HIGHEST_SETPOINT = 99999
+"""Manual, command 82h."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Of one unit. None: no limit. ``per_minute``: how far the setpoint may move within a minute."""
+
+    lowest: int | None = None
+    highest: int | None = None
+    largest_step: int | None = None
+    per_minute: int | None = None
+
+    @property
+    def bounds(self) -> tuple[int, int]:
+        """Lowest and highest setpoint, as far as the protocol has one at all."""
+        lowest = 0 if self.lowest is None else self.lowest
+        return lowest, HIGHEST_SETPOINT if self.highest is None else self.highest
+
+
+NO_LIMITS = Limits()
+
+
+class LimitsStore:
+    """Every unit's limits: read once, written through."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._limits: dict[tuple[str, int], Limits] = {}
+
+    async def load(self) -> None:
+        """Read what is stored; once, before the first command."""
+        self._limits = await self._database.read(_select_all)
+
+    def of(self, bus: str, unit: int) -> Limits:
+        """The limits of a unit; without any, all that the protocol allows."""
+        return self._limits.get((bus, unit), NO_LIMITS)
+
+    async def put(self, bus: str, unit: int, limits: Limits, set_by: str, set_at: float) -> None:
+        """Replace the limits of a unit."""
+        await self._database.write(lambda store: _replace(store, bus, unit, limits, set_by, set_at))
+        self._limits[bus, unit] = limits
+
+
+def _select_all(store: sqlite3.Connection) -> dict[tuple[str, int], Limits]:
+    rows = store.execute("SELECT bus, unit, lowest, highest, largest_step, per_minute FROM limits")
+    return {(bus, unit): Limits(*limits) for bus, unit, *limits in rows}
+
+
+def _replace(
+    store: sqlite3.Connection, bus: str, unit: int, limits: Limits, set_by: str, set_at: float
+) -> None:
+    store.execute(
+        "INSERT OR REPLACE INTO limits (bus, unit, lowest, highest, largest_step, per_minute, set_by, set_at)"
+        " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+        (bus, unit, *astuple(limits), set_by, set_at),
+    )

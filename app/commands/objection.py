@@ -1,0 +1,36 @@
+"""A reason not to send what was asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from app.commands.blocks import Block
+from app.commands.limits import Limits
+from app.live.state import BusLive
+
+Code = Literal["invalid", "dangerous", "confirm_needed", "blocked"]
+
+
+class ObjectionError(Exception):
+    """A wish that is not sent. The text is the reason; ``nearest`` the closest value that would do."""
+
+    def __init__(
+        self, code: Code, reason: str, *, unit: int | None = None, nearest: int | None = None
+    ) -> None:
+        super().__init__(reason)
+        self.code = code
+        self.unit = unit
+        self.nearest = nearest
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """What the rules look at. ``moved``: how far a unit's setpoint was moved within the last minute."""
+
+    bus: BusLive
+    limits: Callable[[int], Limits]
+    block: Callable[[int], Block | None]
+    moved: Callable[[int], int]
+    confirm: bool = False

@@ -1,0 +1,144 @@
+"""The way down to one bus: commands by id, each with exactly one fate.
+
+The worker carries out an id once and repeats its fate when asked again; so what was under way
+when the connection broke is asked again of the *same* worker, and is unverified with any other.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from app.live.state import NO_WORKER
+from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, Result, Watch
+
+REASK_WITHIN_S = 10.0
+"""How long a command under way waits for its worker to come back."""
+PATIENCE_S = 15.0
+"""How long after its deadline, or its last sign of progress, a command is still waited for."""
+
+ProgressListener = Callable[[Progress], None]
+
+
+class Connection(Protocol):
+    """What the channel needs of a worker's WebSocket."""
+
+    async def send(self, message: AppMessage) -> None:
+        """Raises ConnectionError when the worker is gone."""
+
+
+@dataclass(slots=True)
+class _Asked:
+    command: Command
+    worker: str
+    fate: asyncio.Future[Result]
+    give_up_at: float
+    """On the monotonic clock."""
+    listener: ProgressListener | None
+
+
+class Channel:
+    """Commands and wishes for one bus, over whichever connection its worker has now."""
+
+    def __init__(self, bus: str, *, patience_s: float = PATIENCE_S, reask_s: float = REASK_WITHIN_S) -> None:
+        self.bus = bus
+        self._patience_s = patience_s
+        self._reask_s = reask_s
+        self._connection: Connection | None = None
+        self._worker = ""
+        self._asked: dict[str, _Asked] = {}
+        self._watch = Watch(units=[])
+
+    @property
+    def connected(self) -> bool:
+        """Whether a worker is there to ask."""
+        return self._connection is not None
+
+    async def opened(self, connection: Connection, worker: str) -> None:
+        """A worker is ready: tell it what is watched, ask again what was under way."""
+        self._connection, self._worker = connection, worker
+        if self._watch.units or self._watch.trace:
+            await self._send(self._watch)
+        for asked in tuple(self._asked.values()):
+            if asked.worker != worker:
+                _end(asked, "unverified", "the bus worker was restarted: whether the unit acted is not known")
+            else:
+                asked.give_up_at = self._last_moment(asked.command)
+                await self._send(asked.command)
+
+    def closed(self, connection: Connection) -> None:
+        """The connection ended. What is under way waits a while for the worker's return."""
+        if self._connection is not connection:
+            return
+        self._connection = None
+        for asked in self._asked.values():
+            asked.give_up_at = min(asked.give_up_at, time.monotonic() + self._reask_s)
+
+    async def ask(self, command: Command, listener: ProgressListener | None = None) -> Result:
+        """Send ``command`` and wait for its fate. Never raises for what happens on the way."""
+        if self._connection is None:
+            return Result(id=command.id, at=time.time(), outcome="bus_closed", message=NO_WORKER)
+        fate: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
+        asked = _Asked(command, self._worker, fate, self._last_moment(command), listener)
+        self._asked[command.id] = asked
+        try:
+            await self._send(command)
+            return await self._fate_of(asked)
+        finally:
+            del self._asked[command.id]
+
+    async def cancel(self, command_id: str) -> None:
+        """Ask the worker to give a command up where nothing is half done; its fate still comes."""
+        if command_id in self._asked:
+            await self._send(Cancel(id=command_id))
+
+    async def watch(self, units: list[int], *, trace: bool = False) -> None:
+        """Say which units are on an open page and whether someone follows the trace."""
+        wanted = Watch(units=sorted(units), trace=trace)
+        if wanted != self._watch:
+            self._watch = wanted
+            await self._send(wanted)
+
+    def heard(self, update: Result | Progress) -> None:
+        """The worker said how far a command is, or its fate. Unknown ids are old news."""
+        asked = self._asked.get(update.id)
+        if asked is None or asked.fate.done():
+            return
+        if isinstance(update, Result):
+            asked.fate.set_result(update)
+            return
+        asked.give_up_at = max(asked.give_up_at, time.monotonic() + self._patience_s)
+        if asked.listener is not None:
+            asked.listener(update)
+
+    def _last_moment(self, command: Command) -> float:
+        to_send = max(0.0, command.deadline - time.time())
+        return time.monotonic() + to_send + self._patience_s
+
+    async def _send(self, message: AppMessage) -> None:
+        if self._connection is None:
+            return
+        try:
+            await self._connection.send(message)
+        except ConnectionError:
+            self.closed(self._connection)
+
+    async def _fate_of(self, asked: _Asked) -> Result:
+        while (left := asked.give_up_at - time.monotonic()) > 0 and not asked.fate.done():
+            await asyncio.wait({asked.fate}, timeout=min(left, 0.25))
+        if not asked.fate.done():
+            _end(asked, "unverified", self._why_no_fate())
+        return asked.fate.result()
+
+    def _why_no_fate(self) -> str:
+        if self._connection is None:
+            return f"{NO_WORKER}: whether the unit acted is not known"
+        return "the bus worker did not say what became of it: whether the unit acted is not known"
+
+
+def _end(asked: _Asked, outcome: Outcome, message: str) -> None:
+    if not asked.fate.done():
+        asked.fate.set_result(Result(id=asked.command.id, at=time.time(), outcome=outcome, message=message))

@@ -1,0 +1,66 @@
+"""How far a worker's clock is from the app's, from messages that say when they were sent. Pure.
+
+A message arrives later than it was sent, never earlier, so the least difference seen is the
+nearest to the truth. It is taken over the last windows only, so that a stepped clock is noticed.
+"""
+
+from __future__ import annotations
+
+from math import inf
+from typing import TypeVar
+
+import msgspec
+
+from bus.contract import Message
+
+SAME_CLOCK_S = 0.05
+"""Clocks this near are one clock: most workers run on the app's own machine."""
+STEP_S = 0.5
+WINDOW_S = 10.0
+
+M = TypeVar("M", bound=Message)
+
+_TIMES = ("at", "sent_at", "acknowledged_at", "proven_at")
+
+
+class WorkerClock:
+    """Least-delay estimate of what to add to one worker's times, in seconds."""
+
+    def __init__(self) -> None:
+        self.offset_s = 0.0
+        self._window_began = -inf
+        self._least = inf
+        self._least_before = inf
+
+    def hear(self, sent_at: float, received_at: float) -> float:
+        """Take in one message; gives by how much a *known* clock has stepped, 0.0 mostly."""
+        first = self._least == inf and self._least_before == inf
+        if not 0 <= received_at - self._window_began <= WINDOW_S:
+            self._window_began = received_at
+            self._least_before, self._least = self._least, inf
+        self._least = min(self._least, received_at - sent_at)
+        return self._settle(min(self._least, self._least_before), first)
+
+    def _settle(self, difference: float, first: bool) -> float:
+        wanted = difference if abs(difference) >= SAME_CLOCK_S else 0.0
+        change = wanted - self.offset_s
+        if abs(change) < SAME_CLOCK_S and wanted != 0.0:
+            return 0.0
+        self.offset_s = wanted
+        return change if abs(change) >= STEP_S and not first else 0.0
+
+
+def shifted(message: M, offset_s: float) -> M:
+    """The same message, and all its parts, with every time moved by ``offset_s``."""
+    if offset_s == 0.0:
+        return message
+    changed: dict[str, object] = {}
+    for name in message.__struct_fields__:
+        value = getattr(message, name)
+        if name in _TIMES and value is not None:
+            changed[name] = value + offset_s
+        elif isinstance(value, Message):
+            changed[name] = shifted(value, offset_s)
+        elif isinstance(value, list) and value and isinstance(value[0], Message):
+            changed[name] = [shifted(part, offset_s) for part in value]
+    return msgspec.structs.replace(message, **changed)

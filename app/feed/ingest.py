@@ -1,0 +1,147 @@
+"""What a worker says, in its fixed order of speech, taken in whole or not at all.
+
+``Hello`` → Welcome → ``Snapshot`` → backlog → ``Batch`` after ``Batch``. A batch counts once for each
+worker and number; a missing number asks for a new snapshot. No socket here: bytes in, messages out.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+
+from app.feed.channel import Channel, Connection
+from app.feed.clock import WorkerClock, shifted
+from app.pipeline import Pipeline
+from bus.contract import (
+    CONTRACT_VERSION,
+    Batch,
+    Clock,
+    Delivered,
+    Hello,
+    Progress,
+    Result,
+    Snapshot,
+    WantSnapshot,
+    Welcome,
+    WorkerMessage,
+    decode_from_worker,
+)
+
+
+class MalformedSpeechError(Exception):
+    """The worker said something that cannot be; the connection ends with this reason."""
+
+
+@dataclass(slots=True)
+class Heard:
+    """How far the app has followed one worker. ``seq``: its last batch that is safe here."""
+
+    worker: str
+    seq: int = 0
+
+
+class Ingest:
+    """One connection of one worker."""
+
+    def __init__(
+        self,
+        hello: Hello,
+        heard: Heard,
+        channel: Channel,
+        pipeline: Pipeline,
+        connection: Connection,
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        self.hello = hello
+        self._heard = heard
+        self._channel = channel
+        self._pipeline = pipeline
+        self._connection = connection
+        self._now = now
+        self._clock = WorkerClock()
+        self._snapshot_seq: int | None = None
+        self._snapshot_wanted = False
+        self._delivered = heard.seq
+        self._clock.hear(hello.sent_at, now())
+
+    async def receive(self, data: bytes) -> None:
+        """One message. Raises MalformedSpeechError; nothing of such a message was applied."""
+        match decode(data):
+            case Snapshot() as snapshot:
+                await self._take_snapshot(snapshot)
+            case Batch() as batch:
+                await self._take_batch(batch)
+            case Hello():
+                raise MalformedSpeechError("hello is said once, at the beginning")
+
+    async def tick(self) -> None:
+        """About once a second: the app's time, and what may be forgotten."""
+        await self._connection.send(Clock(app_time=self._now()))
+        await self._confirm()
+
+    async def _take_snapshot(self, snapshot: Snapshot) -> None:
+        self._hear(snapshot.sent_at)
+        first = self._snapshot_seq is None
+        self._snapshot_seq = snapshot.seq
+        self._snapshot_wanted = False
+        self._pipeline.snapshot(self.hello.bus, shifted(snapshot, self._clock.offset_s), self.hello.software)
+        if first:
+            await self._channel.opened(self._connection, self.hello.worker)
+
+    async def _take_batch(self, batch: Batch) -> None:
+        if self._snapshot_seq is None:
+            raise MalformedSpeechError("a snapshot comes before the first batch")
+        if batch.live:
+            self._hear(batch.sent_at)
+            await self._miss(batch, max(self._heard.seq, self._snapshot_seq) + 1)
+        if batch.seq <= self._heard.seq:
+            return
+        self._heard.seq = batch.seq
+        updates = [shifted(update, self._clock.offset_s) for update in batch.updates]
+        for update in updates:
+            if isinstance(update, Result | Progress):
+                self._channel.heard(update)
+        self._pipeline.batch(self.hello.bus, updates, live=batch.live)
+        if not batch.live:
+            await self._confirm()
+
+    async def _miss(self, batch: Batch, expected: int) -> None:
+        if batch.seq > expected and not self._snapshot_wanted:
+            self._snapshot_wanted = True
+            await self._connection.send(WantSnapshot())
+
+    async def _confirm(self) -> None:
+        if self._delivered != self._heard.seq:
+            self._delivered = self._heard.seq
+            await self._connection.send(Delivered(seq=self._heard.seq))
+
+    def _hear(self, sent_at: float) -> None:
+        now = self._now()
+        step = self._clock.hear(sent_at, now)
+        if step:
+            self._pipeline.clock_stepped(self.hello.bus, step, now)
+
+
+def decode(data: bytes) -> WorkerMessage:
+    """One message of a worker. Raises MalformedSpeechError."""
+    try:
+        return decode_from_worker(data)
+    except (msgspec.DecodeError, ValueError) as error:
+        raise MalformedSpeechError(f"not a message of a bus worker: {error}") from error
+
+
+def welcome(hello: Hello, buses: list[str], heard: Heard, now: float) -> Welcome:
+    """The answer to a hello: from where to go on, or why not."""
+    refused = ""
+    if hello.version != CONTRACT_VERSION:
+        refused = (
+            f"this dashboard speaks version {CONTRACT_VERSION} of the link and the worker {hello.version}: "
+            "install the same release of lineside on both"
+        )
+    elif hello.bus not in buses:
+        known = ", ".join(buses) or "none"
+        refused = f"no [[bus]] is called {hello.bus!r} in this dashboard's lineside.toml (it has: {known})"
+    return Welcome(version=CONTRACT_VERSION, seq=heard.seq, app_time=now, refused=refused)

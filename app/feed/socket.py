@@ -1,0 +1,49 @@
+"""The WebSocket ``/feed``: the one door for workers, opened by a bearer token."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+from fastapi import WebSocket
+from starlette.websockets import WebSocketDisconnect, WebSocketState
+
+from app.feed.ingest import MalformedSpeechError
+from bus.contract import AppMessage, encode
+
+POLICY_VIOLATION = 1008
+REASON_BYTES = 123
+"""What a close frame has room for (RFC 6455, 5.5)."""
+
+
+class WorkerSocket:
+    """Starlette's WebSocket with the words of :class:`app.feed.workers.Socket`."""
+
+    def __init__(self, websocket: WebSocket) -> None:
+        self._websocket = websocket
+
+    async def send(self, message: AppMessage) -> None:
+        """Raises ConnectionError when the worker is gone."""
+        try:
+            await self._websocket.send_bytes(encode(message))
+        except (WebSocketDisconnect, RuntimeError) as error:
+            raise ConnectionError("the worker is gone") from error
+
+    async def receive(self) -> bytes:
+        """Raises ConnectionError at the end, MalformedSpeechError for anything but bytes."""
+        if self._websocket.application_state is not WebSocketState.CONNECTED:
+            raise ConnectionError("the connection was closed")
+        message = await self._websocket.receive()
+        if message["type"] == "websocket.disconnect":
+            raise ConnectionError("the worker is gone")
+        data = message.get("bytes")
+        if not isinstance(data, bytes):
+            raise MalformedSpeechError("a worker speaks in binary messages")
+        return data
+
+    async def close(self, reason: str) -> None:
+        """End it, with as many words as a close frame holds; at its end already, nothing happens."""
+        if self._websocket.application_state is not WebSocketState.CONNECTED:
+            return
+        short = reason.encode()[:REASON_BYTES].decode(errors="ignore")
+        with suppress(WebSocketDisconnect, RuntimeError):
+            await self._websocket.close(POLICY_VIOLATION, short)

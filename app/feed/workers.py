@@ -1,0 +1,108 @@
+"""All workers: one connection for each bus, the newer in place of the older."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
+
+from app.feed.channel import Channel, Connection
+from app.feed.ingest import Heard, Ingest, MalformedSpeechError, decode, welcome
+from app.pipeline import Pipeline
+from bus.contract import Hello
+
+HELLO_WITHIN_S = 10.0
+TICK_S = 1.0
+
+
+class Socket(Connection, Protocol):
+    """A worker's WebSocket as this package sees it."""
+
+    async def receive(self) -> bytes:
+        """The next message. Raises ConnectionError when there is none, MalformedSpeechError for text."""
+
+    async def close(self, reason: str) -> None:
+        """End it, with a reason in words. Raises nothing."""
+
+
+class Workers:
+    """The feed: who is connected, and how far each was followed."""
+
+    def __init__(self, buses: list[str], pipeline: Pipeline, now: Callable[[], float] = time.time) -> None:
+        self.channels = {bus: Channel(bus) for bus in buses}
+        self._pipeline = pipeline
+        self._now = now
+        self._heard: dict[str, Heard] = {}
+        self._sockets: dict[str, Socket] = {}
+
+    async def serve(self, socket: Socket) -> None:
+        """One connection from its hello to its end. Raises nothing that a worker could cause."""
+        try:
+            async with asyncio.timeout(HELLO_WITHIN_S):
+                hello = decode(await socket.receive())
+            if not isinstance(hello, Hello):
+                raise MalformedSpeechError("a worker says hello first")
+            if not await self._welcomed(hello, socket):
+                return
+        except (MalformedSpeechError, TimeoutError) as error:
+            await socket.close(str(error) or "a worker says hello first")
+            return
+        except ConnectionError:
+            return
+        await self._replace(hello.bus, socket)
+        await self._follow(hello, socket)
+
+    async def _welcomed(self, hello: Hello, socket: Socket) -> bool:
+        heard = self._heard_of(hello)
+        answer = welcome(hello, list(self.channels), heard, self._now())
+        await socket.send(answer)
+        if answer.refused:
+            await socket.close(answer.refused)
+            return False
+        again = self._heard.get(hello.bus) is heard
+        self._heard[hello.bus] = heard
+        self._pipeline.worker_came(hello, self._now(), again=again)
+        return True
+
+    def _heard_of(self, hello: Hello) -> Heard:
+        heard = self._heard.get(hello.bus)
+        return heard if heard is not None and heard.worker == hello.worker else Heard(hello.worker)
+
+    async def _replace(self, bus: str, socket: Socket) -> None:
+        older = self._sockets.get(bus)
+        self._sockets[bus] = socket
+        if older is not None:
+            self.channels[bus].closed(older)
+            await older.close("another worker connected for this bus")
+
+    async def _follow(self, hello: Hello, socket: Socket) -> None:
+        channel = self.channels[hello.bus]
+        ingest = Ingest(hello, self._heard[hello.bus], channel, self._pipeline, socket, self._now)
+        ticking = asyncio.create_task(_tick(ingest))
+        cause = ""
+        try:
+            while self._sockets.get(hello.bus) is socket:
+                await ingest.receive(await socket.receive())
+        except MalformedSpeechError as error:
+            cause = f"the bus worker was sent away: {error}"
+            await socket.close(str(error))
+        except ConnectionError:
+            pass
+        finally:
+            ticking.cancel()
+            self._gone(hello.bus, socket, cause)
+
+    def _gone(self, bus: str, socket: Socket, cause: str) -> None:
+        self.channels[bus].closed(socket)
+        if self._sockets.get(bus) is socket:
+            del self._sockets[bus]
+            self._pipeline.worker_went(bus, self._now(), cause)
+
+
+async def _tick(ingest: Ingest) -> None:
+    with suppress(ConnectionError):
+        while True:
+            await ingest.tick()
+            await asyncio.sleep(TICK_S)

@@ -1,0 +1,97 @@
+"""Which changes of a line are worth an entry in the events. Pure: updates in, changes out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from bus.catalogue.status import StatusBits, status_bits
+from bus.contract import BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
+from bus.settings import BusSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One entry to be. ``unit`` None: the whole bus."""
+
+    kind: str
+    unit: int | None
+    at: float
+    what: str
+    old: str
+    new: str
+
+
+@dataclass(slots=True)
+class _UnitMemory:
+    bits: StatusBits | None = None
+    link: UnitLinkState = "unknown"
+
+
+@dataclass(slots=True)
+class Changes:
+    """What was last seen of one bus. The first sight of anything is no change."""
+
+    settings: BusSettings
+    _port: BusLinkState | None = None
+    _units: dict[int, _UnitMemory] = field(default_factory=dict)
+
+    def see(self, update: Update) -> list[Change]:
+        """What this update changes, compared with the one before."""
+        match update:
+            case Reading():
+                return self._see_reading(update)
+            case UnitLink():
+                return self._see_unit_link(update)
+            case BusLink():
+                return self._see_port(update)
+        return []
+
+    def _memory(self, unit: int) -> _UnitMemory:
+        return self._units.setdefault(unit, _UnitMemory())
+
+    def _see_reading(self, reading: Reading) -> list[Change]:
+        memory = self._memory(reading.unit)
+        before = memory.bits
+        now = status_bits(reading.outputs, reading.inputs, estop_healthy=self.settings.estop_healthy)
+        memory.bits = now
+        if before is None or before == now:
+            return []
+        return [
+            Change(kind, reading.unit, reading.at, what, words[old], words[new])
+            for kind, what, old, new, words in (
+                ("mode", "mode", before.remote, now.remote, ("LOCAL", "REMOTE")),
+                (
+                    "estop",
+                    "emergency stop input",
+                    before.estop_active,
+                    now.estop_active,
+                    ("healthy", "active"),
+                ),
+                ("run", "run input", before.run, now.run, ("off", "on")),
+            )
+            if old != new
+        ]
+
+    def _see_unit_link(self, update: UnitLink) -> list[Change]:
+        memory = self._memory(update.unit)
+        before = memory.link
+        if update.link not in ("online", "offline") or update.link == before:
+            return []
+        if update.link == "offline" and self._port == "closed":
+            return []
+        memory.link = update.link
+        if before == "unknown":
+            return []
+        what = "unit is back" if update.link == "online" else _with_cause("unit lost", update.cause)
+        return [Change("unit", update.unit, update.at, what, before, update.link)]
+
+    def _see_port(self, update: BusLink) -> list[Change]:
+        before, self._port = self._port, update.link
+        if before is None or before == update.link:
+            return []
+        what = "port opened" if update.link == "open" else _with_cause("port closed", update.cause)
+        return [Change("bus", None, update.at, what, before, update.link)]
+
+
+def _with_cause(what: str, cause: str) -> str:
+    return f"{what}: {cause}" if cause else what
