@@ -1,0 +1,85 @@
+"""``lineside simulate``: simulated units alone, at a port to open."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import Annotated, get_args
+
+import typer
+
+from bus.settings import BAUDS, Baud
+from bus.simulator.control import Control
+from bus.simulator.demo import demo_line
+from bus.simulator.faults import Faults
+from bus.simulator.line import SimulatedLine
+from bus.simulator.memory import Prm
+from bus.simulator.ports import Port, PtyPort, TcpPort
+from bus.simulator.serve import LineServer
+from bus.simulator.unit import Traits
+
+
+def register(cli: typer.Typer) -> None:
+    """Add the command."""
+    cli.command()(simulate)
+
+
+def simulate(
+    units: Annotated[int, typer.Option(min=1, max=255, help="How many units, at addresses 1, 2, …")] = 8,
+    baud: Annotated[int, typer.Option(help="Their speed (#18): 300 to 9600.")] = 9600,
+    tcp: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Serve a TCP port instead; 0 takes a free one.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same line.")] = 1,
+    link: Annotated[
+        Path | None, typer.Option(help="A path that always leads to the pseudo-terminal.")
+    ] = None,
+    turnaround_ms: Annotated[
+        float, typer.Option(min=0, max=5000, help="What a unit takes to begin its answer.")
+    ] = 0.0,
+    speedup: Annotated[
+        float, typer.Option(min=1, max=1000, help="Shorten byte times and turnarounds so many times.")
+    ] = 1.0,
+    script: Annotated[
+        bool, typer.Option(help="Somebody works run, preset, jog and emergency stop now and then.")
+    ] = True,
+    control: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Take wishes as JSON lines at this TCP port.")
+    ] = None,
+) -> None:
+    """Simulated units alone: the first line printed is the port to open. Ends with Ctrl-C or SIGTERM."""
+    if baud not in BAUDS:
+        raise typer.BadParameter(
+            f"{baud} is none of {', '.join(map(str, get_args(Baud)))}", param_hint="--baud"
+        )
+    if tcp is not None and link is not None:
+        raise typer.BadParameter("a link leads to a pseudo-terminal, not to a TCP port", param_hint="--link")
+    signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
+    plant = demo_line(units, seed=seed, traits=Traits(turnaround_s=turnaround_ms / 1000), script=script).plant
+    for unit in plant.units:
+        unit.memory[Prm.BAUD] = baud // 100
+        unit.power_up()
+    line = SimulatedLine(plant, Faults(seed), baud, speedup)
+    with LineServer(line, _open(tcp, link, baud)) as server:
+        typer.echo(server.port.name)
+        hands = None if control is None else Control(server, control)
+        if hands is not None:
+            typer.echo(f"control 127.0.0.1:{hands.port}")
+        signal.sigwait(_ENDINGS)
+        if hands is not None:
+            hands.close()
+
+
+_ENDINGS = {signal.SIGINT, signal.SIGTERM}
+
+
+def _open(tcp: int | None, link: Path | None, baud: int) -> Port:
+    if tcp is None:
+        return PtyPort(link, baud)
+    try:
+        return TcpPort(tcp)
+    except OSError as error:
+        typer.echo(
+            f"TCP port {tcp} cannot be opened: {error.strerror}; choose another, or 0 for any.", err=True
+        )
+        raise typer.Exit(1) from error

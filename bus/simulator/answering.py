@@ -1,0 +1,167 @@
+"""What one request does to a unit, and what the unit says to it.
+
+The rules, with their places in the manual:
+
+* reads are answered in every mode, writes only in REMOTE, else NAK 80h (1.0, and every write command);
+* nothing on the link leads out of LOCAL or KEYLOCK (4.0 ***), for that would be a write;
+* a speed above #2, or a ratio outside #38-#31 in a follower, is NAK 81h;
+* #8 while RUN is on, any set-up while RUN is on and #16 is 0, and #17 always, are NAK 83h: the parameter
+  is there and can be read, so no value is legal now, and 82h would say that the number is not;
+* 88h needs #28 = 2, else NAK 87h, and a value from #29 to #30, else NAK 88h;
+* an unknown command, or one with the wrong amount of data, is NAK 89h.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bus.errors import UnitErrorCode
+from bus.simulator.memory import Mode, Prm, width_by_type
+from bus.simulator.unit import Unit
+from bus.wire.commands import (
+    Ack,
+    ExecuteSpeed,
+    IllegalRequest,
+    Nak,
+    ParameterReply,
+    ReadParameter,
+    ReadStatus,
+    Reply,
+    Request,
+    SetAndExecuteSpeed,
+    StageSpeed,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+    encode_reply,
+    parse_request,
+)
+
+ALL_UNITS = 0
+"""The UID of an 83h to every unit, which nobody answers."""
+
+Refusal = UnitErrorCode | None
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """What one request led to. ``acted``: a write was carried out. ``reply`` None: silence is right."""
+
+    request: Request | None
+    reply: Reply | None
+    acted: bool
+
+
+def respond(unit: Unit, body: bytes) -> Turn:
+    """Carry out one request that reached ``unit``; ``body`` is what stood between STX and DLE ETX."""
+    try:
+        request = parse_request(body, unit.traits.dialect)
+    except IllegalRequest as error:
+        return Turn(None, _refuse_illegal(unit, error), acted=False)
+    if request.unit == ALL_UNITS:
+        acted = isinstance(request, ExecuteSpeed) and _write(unit, request) is None
+        return Turn(request, None, acted)
+    if isinstance(request, ReadStatus):
+        return Turn(request, unit.status(request.unit), acted=False)
+    if isinstance(request, ReadParameter):
+        return Turn(request, _read(unit, request), acted=False)
+    refusal = _write(unit, request)
+    if refusal is not None:
+        return Turn(request, Nak(request.unit, refusal), acted=False)
+    return Turn(request, _written(unit, request), acted=True)
+
+
+def encode(unit: Unit, turn: Turn) -> bytes:
+    """The frame of a reply as ``unit`` writes it, or nothing where silence is right."""
+    return b"" if turn.reply is None else encode_reply(turn.reply, unit.traits.dialect)
+
+
+def _refuse_illegal(unit: Unit, error: IllegalRequest) -> Reply | None:
+    """A command that is none is that in every mode; a malformed value matters only where it could count."""
+    if error.unit == ALL_UNITS:
+        return None
+    if error.code == UnitErrorCode.ILLEGAL_OUTPUT_VALUE and unit.mode is not Mode.REMOTE:
+        return Nak(error.unit, UnitErrorCode.NOT_REMOTE)
+    return Nak(error.unit, error.code)
+
+
+def _read(unit: Unit, request: ReadParameter) -> Reply:
+    if not unit.memory.has(request.number):
+        return Nak(request.unit, UnitErrorCode.ILLEGAL_PARAMETER_NUMBER)
+    width = unit.traits.dialect.parameter_reply_bytes or width_by_type(request.number)
+    return ParameterReply(request.unit, unit.memory[request.number] & (1 << 8 * width) - 1, width)
+
+
+def _written(unit: Unit, request: Request) -> Reply:
+    if isinstance(request, WriteParameter) and unit.traits.answers_written_value:
+        return Ack(request.unit, request.raw.to_bytes(4, "big"))
+    return Ack(request.unit)
+
+
+def _write(unit: Unit, request: Request) -> Refusal:
+    if unit.mode is not Mode.REMOTE:
+        return UnitErrorCode.NOT_REMOTE
+    match request:
+        case StageSpeed(raw=raw):
+            return _enter(unit, raw)
+        case ExecuteSpeed():
+            unit.setpoint = unit.entered
+            return None
+        case SetAndExecuteSpeed(raw=raw):
+            return _set(unit, raw)
+        case WriteParameter(number=number, raw=raw):
+            return _write_parameter(unit, number, raw)
+        case WriteOutput(output=output, on=on):
+            return _write_output(unit, output, on)
+        case WriteAnalogOutput(raw=raw):
+            return _write_analog(unit, raw)
+    return UnitErrorCode.ILLEGAL_COMMAND
+
+
+def _enter(unit: Unit, raw: int) -> Refusal:
+    if not unit.lowest <= raw <= unit.highest:
+        return UnitErrorCode.ILLEGAL_SPEED
+    unit.entered = raw
+    return None
+
+
+def _set(unit: Unit, raw: int) -> Refusal:
+    refusal = _enter(unit, raw)
+    if refusal is None:
+        unit.setpoint = raw
+    return refusal
+
+
+def _write_parameter(unit: Unit, number: int, raw: int) -> Refusal:
+    if not unit.memory.has(number):
+        return UnitErrorCode.ILLEGAL_PARAMETER_NUMBER
+    if number == Prm.ADDRESS or _locked_by_run(unit, number) or not unit.memory.takes(number, raw):
+        return UnitErrorCode.ILLEGAL_PARAMETER_VALUE
+    unit.memory[number] = raw
+    if number == Prm.FOLLOWING:
+        unit.entered = unit.setpoint
+    if number == Prm.BAUD and unit.traits.baud_changes == "at once":
+        unit.baud = raw * 100
+    return None
+
+
+def _locked_by_run(unit: Unit, number: int) -> bool:
+    if not unit.inputs.run or number in (Prm.SETPOINT, Prm.RATIO):
+        return False
+    return number == Prm.FOLLOWING or not unit.memory[Prm.SETUP_DURING_RUN]
+
+
+def _write_output(unit: Unit, output: int, on: bool) -> Refusal:
+    if not 1 <= output <= 6:
+        return UnitErrorCode.ILLEGAL_OUTPUT_NUMBER
+    unit.outputs[output - 1] = on
+    return None
+
+
+def _write_analog(unit: Unit, raw: int) -> Refusal:
+    if unit.memory[Prm.ANALOG_SOURCE] != 2:
+        return UnitErrorCode.ANALOG_OUTPUT_NOT_COMMANDED_BY_LINK
+    if not unit.memory[Prm.ANALOG_LOW] <= raw <= unit.memory[Prm.ANALOG_HIGH]:
+        return UnitErrorCode.ILLEGAL_ANALOG_VALUE
+    unit.analog_output = raw
+    return None

@@ -1,0 +1,159 @@
+"""Hands on a simulated line from outside: JSON lines over a TCP port of the loopback.
+
+One line asks, one line answers: ``{"do": "mode", "unit": 3, "to": "local"}`` → ``{"ok": true}``, or
+``{"ok": false, "error": "…"}``. What can be done is the table ``_DEEDS``; ``Remote`` is the other end.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import socketserver
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from bus.simulator.faults import WHOLE_LINE, Kind
+from bus.simulator.line import SimulatedLine
+from bus.simulator.memory import Mode, Prm
+from bus.simulator.record import Entry, Happened
+from bus.simulator.serve import LineServer
+
+Wish = dict[str, Any]
+
+
+class Control:
+    """Listens for wishes about the line of ``server`` until ``close``."""
+
+    def __init__(self, server: LineServer, port: int = 0) -> None:
+        class Handler(socketserver.StreamRequestHandler):
+            def handle(self) -> None:
+                for text in self.rfile:
+                    self.wfile.write(json.dumps(_answer(server, text)).encode() + b"\n")
+
+        self._listener = socketserver.ThreadingTCPServer(("127.0.0.1", port), Handler)
+        self._listener.daemon_threads = True
+        self._thread = threading.Thread(target=self._listener.serve_forever, name="control", daemon=True)
+        self._thread.start()
+
+    @property
+    def port(self) -> int:
+        """The port in use."""
+        return int(self._listener.server_address[1])
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._listener.shutdown()
+        self._listener.server_close()
+
+
+class Remote:
+    """The other end of ``Control``, for tests and benchmarks in another process."""
+
+    def __init__(self, port: int) -> None:
+        self._socket = socket.create_connection(("127.0.0.1", port))
+        self._stream = self._socket.makefile("rw", encoding="utf-8")
+
+    def do(self, deed: str, **details: object) -> Any:
+        """Ask for ``deed``; its result. Raises RuntimeError with the line's own words when it failed."""
+        self._stream.write(json.dumps({"do": deed, **details}) + "\n")
+        self._stream.flush()
+        answer = json.loads(self._stream.readline())
+        if not answer["ok"]:
+            raise RuntimeError(answer["error"])
+        return answer.get("result")
+
+    def close(self) -> None:
+        """Hang up."""
+        self._stream.close()
+        self._socket.close()
+
+
+def _answer(server: LineServer, text: bytes) -> Wish:
+    try:
+        wish = json.loads(text)
+        return {"ok": True, "result": _DEEDS[wish["do"]](server, wish)}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        return {"ok": False, "error": f"{type(error).__name__}: {error}"}
+
+
+def _on_unit(deed: Callable[[SimulatedLine, Wish], object]) -> Callable[[LineServer, Wish], object]:
+    return lambda server, wish: server.call(lambda line: deed(line, wish))
+
+
+def _mode(line: SimulatedLine, wish: Wish) -> None:
+    line.plant.unit(wish["unit"]).memory[Prm.MODE] = Mode[wish["to"].upper()]
+
+
+def _input(line: SimulatedLine, wish: Wish) -> None:
+    inputs = line.plant.unit(wish["unit"]).inputs
+    getattr(inputs, wish["input"])
+    setattr(inputs, wish["input"], bool(wish["on"]))
+
+
+def _parameter(line: SimulatedLine, wish: Wish) -> int:
+    memory = line.plant.unit(wish["unit"]).memory
+    if "raw" in wish:
+        memory[wish["number"]] = int(wish["raw"])
+    return memory[wish["number"]]
+
+
+def _power_cycle(line: SimulatedLine, wish: Wish) -> None:
+    line.plant.unit(wish["unit"]).power_up()
+
+
+def _fault(line: SimulatedLine, wish: Wish) -> None:
+    line.faults.set(Kind(wish["kind"]), float(wish["rate"]), wish.get("unit", WHOLE_LINE))
+
+
+def _clear(line: SimulatedLine, _wish: Wish) -> None:
+    line.faults.clear()
+
+
+def _hands_off(line: SimulatedLine, _wish: Wish) -> None:
+    line.plant.script = None
+
+
+def _state(line: SimulatedLine, wish: Wish) -> Wish:
+    unit = line.plant.unit(wish["unit"])
+    return {
+        "commanded": unit.commanded,
+        "actual": unit.measured.actual,
+        "entered": unit.entered,
+        "setpoint": unit.setpoint,
+        "outputs": unit.outputs,
+        "analog_output": unit.analog_output,
+        "mode": unit.mode.name.lower(),
+        "baud": unit.baud,
+    }
+
+
+def _record(line: SimulatedLine, wish: Wish) -> list[Wish]:
+    kinds = [Happened(kind) for kind in wish.get("kinds", [])]
+    return [_as_json(entry) for entry in line.record.since(wish.get("since", 0), *kinds)]
+
+
+def _as_json(entry: Entry) -> Wish:
+    return {
+        "number": entry.number,
+        "at": entry.at,
+        "what": entry.what,
+        "unit": entry.unit,
+        "hex": entry.data.hex(" "),
+    }
+
+
+_DEEDS: dict[str, Callable[[LineServer, Wish], object]] = {
+    "mode": _on_unit(_mode),
+    "input": _on_unit(_input),
+    "parameter": _on_unit(_parameter),
+    "power_cycle": _on_unit(_power_cycle),
+    "fault": _on_unit(_fault),
+    "clear": _on_unit(_clear),
+    "hands_off": _on_unit(_hands_off),
+    "state": _on_unit(_state),
+    "record": _on_unit(_record),
+    "unplug": lambda server, _wish: server.unplug(),
+    "plug": lambda server, _wish: server.plug(),
+    "port": lambda server, _wish: server.port.name,
+}

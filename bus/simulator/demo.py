@@ -1,0 +1,100 @@
+"""A line to look at: eight sections of a web coater, or any number of plausible ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from bus.settings import UnitLabels, UnitSettings
+from bus.simulator.memory import FACTORY, Memory, Prm
+from bus.simulator.plant import Plant, Script
+from bus.simulator.section import Section
+from bus.simulator.unit import ORDINARY, Traits, Unit
+
+LINE_SPEED = 1200
+"""120.0 m/min, in the display units of every section."""
+_DRIVE_EVERY = 8
+
+
+class _Machine(NamedTuple):
+    """One section: ``draw`` is its speed as a part of the line's, ``ramp_s`` #6 and #7 in seconds."""
+
+    name: str
+    group: str
+    draw: float
+    ramp_s: int
+    analog: str
+    outputs: dict[int, str]
+
+
+_MACHINES = (
+    _Machine("Unwind", "Infeed", 0.995, 20, "Web tension", {1: "Brake release", 2: "Splice arm"}),
+    _Machine("Infeed nip", "Infeed", 0.998, 15, "Web tension", {1: "Nip close"}),
+    _Machine("Coater", "Coating", 1.0, 15, "Web tension", {1: "Blade load", 2: "Pump"}),
+    _Machine("Dryer 1", "Drying", 1.001, 20, "Web tension", {1: "Hood fan", 2: "Steam valve"}),
+    _Machine("Dryer 2", "Drying", 1.002, 20, "Web tension", {1: "Hood fan", 2: "Steam valve"}),
+    _Machine("Cooling drum", "Drying", 1.002, 20, "Web tension", {1: "Chilled water"}),
+    _Machine("Pull nip", "Outfeed", 1.004, 15, "Web tension", {1: "Nip close"}),
+    _Machine("Rewind", "Outfeed", 1.006, 20, "Web tension", {1: "Brake release", 2: "Core chuck"}),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class DemoLine:
+    """The configuration of the units, and the plant that answers to it."""
+
+    settings: tuple[UnitSettings, ...]
+    plant: Plant
+
+
+def demo_line(units: int = 8, *, seed: int = 1, traits: Traits = ORDINARY, script: bool = True) -> DemoLine:
+    """``units`` (1-255) sections in floor order at addresses 1, 2, …; same seed, same line.
+
+    The first eight are set in m/min. In a longer line the machines repeat, and from the second eight on
+    the last of each eight follows the master by ratio.
+    """
+    addresses = range(1, units + 1)
+    sections = [_section(address, units, seed, traits) for address in addresses]
+    hands = Script([section.unit for section in sections], seed=seed) if script else None
+    plant = Plant(sections, hands)
+    plant.settle()
+    return DemoLine(tuple(_settings(address) for address in addresses), plant)
+
+
+def _machine(address: int) -> _Machine:
+    return _MACHINES[(address - 1) % len(_MACHINES)]
+
+
+def _follows(address: int) -> bool:
+    return address > len(_MACHINES) and address % _DRIVE_EVERY == 0
+
+
+def _settings(address: int) -> UnitSettings:
+    machine = _machine(address)
+    bank = (address - 1) // len(_MACHINES)
+    labels = UnitLabels(output=machine.outputs, analog=machine.analog, analog_unit="N", unit="m/min")
+    name = f"{machine.name} {chr(ord('A') + bank - 1)}" if bank else machine.name
+    return UnitSettings(id=address, name=name, group=machine.group, labels=labels)
+
+
+def _section(address: int, units: int, seed: int, traits: Traits) -> Section:
+    machine = _machine(address)
+    draw = machine.draw + 0.001 * ((address - 1) // len(_MACHINES)) / max(units / 64, 1)
+    values = dict(FACTORY) | {
+        Prm.MAX_RPM: 1750,
+        Prm.MAX_DISPLAY: 2000,
+        Prm.DECIMALS: 1,
+        Prm.ACCELERATION: machine.ramp_s * 10,
+        Prm.DECELERATION: machine.ramp_s * 10,
+        Prm.FOLLOWING: int(_follows(address)),
+        Prm.PRESET: 300,
+        Prm.ADDRESS: address,
+        Prm.SETPOINT: round(LINE_SPEED * draw),
+        Prm.RATIO: round(10000 * draw),
+        22: 0,
+        23: 500,
+    }
+    values = {int(number): raw for number, raw in values.items()}
+    unit = Unit(Memory(values), traits)
+    unit.random.seed(seed * 1000 + address)
+    return Section(unit, seed=seed * 1000 + address)

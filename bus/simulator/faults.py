@@ -1,0 +1,160 @@
+"""Faults on demand: what a bad unit, a bad cable or a bad adapter makes of an answer; seeded, by rate.
+
+Pure: a frame goes in, pieces with delays come out. A fault belongs to one unit (by its address) or,
+under address 0, to the whole line.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
+
+from bus.errors import UnitErrorCode
+from bus.settings import Dialect
+from bus.wire.framing import ACK, checksum, encode_frame
+
+WHOLE_LINE = 0
+LATE_S = 0.4
+"""Beyond any timeout of a host with the default turnaround of 50 ms."""
+SLOW_S = 0.03
+"""Slower than usual, yet within that turnaround."""
+HUGE_BYTES = 10_000
+
+
+class Kind(StrEnum):
+    """The faults. Those before the line act when a request arrives, the others on the answer."""
+
+    DEAD = "dead"
+    """The request is not heard: power off, or the drop cut."""
+    NAK = "nak"
+    """The unit refuses, truly: it does not act."""
+    EVERYBODY = "everybody"
+    """The unit takes every address for its own."""
+    ECHO = "echo"
+    """Line only: the adapter hands the host its own bytes back."""
+    FLOOD = "flood"
+    """Line only: bytes without end that never frame, as long as the rate is not 0."""
+
+    LATE = "late"
+    SLOW = "slow"
+    LOST = "lost"
+    DOUBLED = "doubled"
+    FOREIGN = "foreign"
+    """The answer carries another unit's address."""
+    CUT = "cut"
+    CORRUPT = "corrupt"
+    NOISE = "noise"
+    """Rubbish before or after the answer."""
+    WRONG_LENGTH = "wrong_length"
+    """A whole frame with a right checksum, and data that no command answers with."""
+    HUGE = "huge"
+    """A frame of 10,000 bytes."""
+
+
+class Piece(NamedTuple):
+    """Bytes that a unit puts on the line ``delay`` seconds later than a good answer would begin."""
+
+    delay: float
+    data: bytes
+
+
+@dataclass
+class Faults:
+    """The present rates. One instance serves a whole line; every draw comes from its own seed."""
+
+    seed: int = 0
+    late_s: float = LATE_S
+    _rates: dict[int, dict[Kind, float]] = field(default_factory=lambda: defaultdict(dict))
+    _random: random.Random = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._random = random.Random(self.seed)
+
+    def set(self, kind: Kind, rate: float, unit: int = WHOLE_LINE) -> None:
+        """From now on ``kind`` happens at ``rate`` (0 never, 1 always) to ``unit`` or the whole line."""
+        if rate:
+            self._rates[unit][kind] = rate
+        else:
+            self._rates[unit].pop(kind, None)
+
+    def clear(self) -> None:
+        """All is well again."""
+        self._rates.clear()
+
+    def strikes(self, kind: Kind, unit: int = WHOLE_LINE) -> bool:
+        """Whether ``kind`` happens now; draws nothing where its rate is 0, so that it disturbs no seed."""
+        rate = max(self._rates[WHOLE_LINE].get(kind, 0.0), self._rates[unit].get(kind, 0.0))
+        return rate > 0 and self._random.random() < rate
+
+    def refusal(self) -> int:
+        """The code of a NAK out of nowhere."""
+        return self._random.choice(list(UnitErrorCode))
+
+    def rubbish(self, count: int) -> bytes:
+        """``count`` bytes without a frame in them: no 10h, so nothing ever starts or ends."""
+        return bytes(self._random.choice(_NO_DLE) for _ in range(count))
+
+    def spoil(self, unit: int, frame: bytes, body: bytes) -> list[Piece]:
+        """What becomes of an answer: ``frame`` as the unit wrote it, ``body`` what it carries."""
+        for kind, spoiler in _SPOILERS.items():
+            if self.strikes(kind, unit):
+                return spoiler(self, frame, body)
+        return [Piece(0.0, frame)]
+
+    def _late(self, frame: bytes, _body: bytes) -> list[Piece]:
+        return [Piece(self.late_s * self._random.uniform(0.5, 1.5), frame)]
+
+    def _slow(self, frame: bytes, _body: bytes) -> list[Piece]:
+        return [Piece(SLOW_S, frame)]
+
+    def _lost(self, _frame: bytes, _body: bytes) -> list[Piece]:
+        return []
+
+    def _doubled(self, frame: bytes, _body: bytes) -> list[Piece]:
+        return [Piece(0.0, frame), Piece(0.0, frame)]
+
+    def _foreign(self, _frame: bytes, body: bytes) -> list[Piece]:
+        other = body[0] % 255 + 1
+        return [Piece(0.0, encode_frame(bytes((other,)) + body[1:], _PLAIN))]
+
+    def _cut(self, frame: bytes, _body: bytes) -> list[Piece]:
+        return [Piece(0.0, frame[: self._random.randrange(1, len(frame))])]
+
+    def _corrupt(self, frame: bytes, _body: bytes) -> list[Piece]:
+        spoilt = bytearray(frame)
+        spoilt[self._random.randrange(len(frame))] ^= self._random.randrange(1, 256)
+        return [Piece(0.0, bytes(spoilt))]
+
+    def _noise(self, frame: bytes, _body: bytes) -> list[Piece]:
+        rubbish = self.rubbish(self._random.randrange(1, 12))
+        return [Piece(0.0, self._random.choice((rubbish + frame, frame + rubbish)))]
+
+    def _wrong_length(self, _frame: bytes, body: bytes) -> list[Piece]:
+        length = self._random.choice((3, 5, 7, 9))
+        odd = body[:1] + bytes((ACK,)) + bytes(self._random.randrange(256) for _ in range(length))
+        return [Piece(0.0, encode_frame(odd, _PLAIN))]
+
+    def _huge(self, _frame: bytes, body: bytes) -> list[Piece]:
+        whole = body[:1] + bytes((ACK,)) + self.rubbish(HUGE_BYTES)
+        return [Piece(0.0, b"\x10\x02" + whole + b"\x10\x03" + bytes((checksum(whole),)))]
+
+
+_PLAIN = Dialect()
+_NO_DLE = bytes(value for value in range(256) if value != 0x10)
+_SPOILERS: dict[Kind, Callable[[Faults, bytes, bytes], list[Piece]]] = {
+    Kind.LATE: Faults._late,
+    Kind.SLOW: Faults._slow,
+    Kind.LOST: Faults._lost,
+    Kind.DOUBLED: Faults._doubled,
+    Kind.FOREIGN: Faults._foreign,
+    Kind.CUT: Faults._cut,
+    Kind.CORRUPT: Faults._corrupt,
+    Kind.NOISE: Faults._noise,
+    Kind.WRONG_LENGTH: Faults._wrong_length,
+    Kind.HUGE: Faults._huge,
+}
+"""Of several that strike at once the first one counts: an answer has one fate."""

@@ -1,0 +1,145 @@
+"""A whole simulated line without a port: bytes and times in, bytes and times out.
+
+One clock, passed in, drives everything: request bytes on their way, answers, physics, faults. ``serve``
+gives it a real clock and a port; a test gives it a virtual one, and the same seed gives the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from bus.settings import Dialect
+from bus.simulator.answering import ALL_UNITS, Turn, encode, respond
+from bus.simulator.faults import WHOLE_LINE, Faults, Kind
+from bus.simulator.pacer import ReplyLine, RequestLine, byte_seconds
+from bus.simulator.plant import STEP_S, Plant
+from bus.simulator.record import Happened, Record
+from bus.simulator.unit import Unit
+from bus.wire.commands import Nak
+from bus.wire.framing import FrameDecoder, ReceivedFrame
+
+FLOOD_TALKER = -1
+ECHO_TALKER = -2
+"""Talkers on the reply pair that are no unit; units are numbered by their place in the plant."""
+
+
+class _Arriving(NamedTuple):
+    at: float
+    body: bytes
+    baud: int | None
+
+
+@dataclass
+class SimulatedLine:
+    """Plant and cable. ``baud`` is the pace while the host's own speed cannot be known.
+
+    ``speedup`` shortens byte times and turnarounds, not the physics.
+    """
+
+    plant: Plant
+    faults: Faults = field(default_factory=Faults)
+    baud: int = 9600
+    speedup: float = 1.0
+    record: Record = field(default_factory=Record)
+
+    def __post_init__(self) -> None:
+        self._requests = RequestLine()
+        self._replies = ReplyLine()
+        self._decoder = FrameDecoder(Dialect())
+        self._arriving: deque[_Arriving] = deque()
+        self._physics_at: float | None = None
+
+    def receive(self, now: float, data: bytes, host_baud: int | None = None) -> None:
+        """The host wrote ``data`` at ``now``, its port set to ``host_baud`` (None: not known)."""
+        self.record.add(now, Happened.CAME, WHOLE_LINE, data)
+        byte_s = byte_seconds(host_baud or self.baud, self.speedup)
+        for at, value in zip(self._requests.carry(now, len(data), byte_s), data, strict=True):
+            if self.faults.strikes(Kind.ECHO):
+                self._replies.transmit(ECHO_TALKER, at - byte_s, bytes((value,)), byte_s)
+            for event in self._decoder.feed(bytes((value,))):
+                if isinstance(event, ReceivedFrame):
+                    self._arriving.append(_Arriving(at, event.body, host_baud))
+
+    def advance(self, now: float) -> bytes:
+        """Let everything happen that is due by ``now``; the bytes that reach the host with it."""
+        if self._physics_at is None:
+            self._physics_at = now + STEP_S
+        while (at := self._next_inside()) <= now:
+            if at == self._physics_at:
+                self._step_physics(at)
+            else:
+                self._dispatch(self._arriving.popleft())
+        return self._replies.due(now)
+
+    def wake_at(self) -> float:
+        """When ``advance`` has something to do next, if the host stays silent."""
+        reply = self._replies.wake_at()
+        inside = self._next_inside()
+        return inside if reply is None else min(inside, reply)
+
+    def unplug(self) -> None:
+        """The cable is gone: nothing that is under way arrives."""
+        self._arriving.clear()
+        self._replies.hush()
+        self._decoder = FrameDecoder(Dialect())
+
+    def _next_inside(self) -> float:
+        physics = self._physics_at if self._physics_at is not None else 0.0
+        return min(self._arriving[0].at, physics) if self._arriving else physics
+
+    def _step_physics(self, at: float) -> None:
+        self.plant.step(STEP_S)
+        self._physics_at = at + STEP_S
+        if self.faults.strikes(Kind.FLOOD):
+            byte_s = byte_seconds(self.baud, self.speedup)
+            self._send(FLOOD_TALKER, at, self.faults.rubbish(int(STEP_S / byte_s)), byte_s)
+
+    def _dispatch(self, arriving: _Arriving) -> None:
+        heard = False
+        for place, unit in enumerate(self.plant.units):
+            if self._hears(unit, arriving):
+                heard = True
+                self._answer(place, unit, arriving)
+        if not heard:
+            self.record.add(arriving.at, Happened.HEARD, WHOLE_LINE, arriving.body)
+
+    def _hears(self, unit: Unit, arriving: _Arriving) -> bool:
+        if arriving.baud is not None and arriving.baud != unit.baud:
+            return False
+        asked = arriving.body[0]
+        if asked not in (ALL_UNITS, unit.address) and not self.faults.strikes(Kind.EVERYBODY, unit.address):
+            return False
+        return not self.faults.strikes(Kind.DEAD, unit.address)
+
+    def _answer(self, place: int, unit: Unit, arriving: _Arriving) -> None:
+        address, at = unit.address, arriving.at
+        byte_s = byte_seconds(arriving.baud or self.baud, self.speedup)
+        self.record.add(at, Happened.HEARD, address, arriving.body)
+        turn = self._turn(unit, arriving.body)
+        if turn.acted:
+            self.record.add(at, Happened.ACTED, address, arriving.body)
+        frame = encode(unit, turn)
+        if not frame:
+            return
+        body = _body_of(frame)
+        begins = at + unit.turnaround() / self.speedup
+        self.record.add(begins, Happened.SAID, address, body)
+        for piece in self.faults.spoil(address, frame, body):
+            self._send(place, begins + piece.delay, piece.data, byte_s)
+
+    def _turn(self, unit: Unit, body: bytes) -> Turn:
+        if body[0] != ALL_UNITS and self.faults.strikes(Kind.NAK, unit.address):
+            return Turn(None, Nak(body[0], self.faults.refusal()), acted=False)
+        return respond(unit, body)
+
+    def _send(self, talker: int, at: float, data: bytes, byte_s: float) -> None:
+        ends = self._replies.transmit(talker, at, data, byte_s)
+        self.record.add(ends, Happened.SENT, WHOLE_LINE, data)
+
+
+def _body_of(frame: bytes) -> bytes:
+    [event] = FrameDecoder(Dialect()).feed(frame)[:1]
+    assert isinstance(event, ReceivedFrame)
+    return event.body

@@ -1,0 +1,211 @@
+"""What the host opens: a pseudo-terminal, or a TCP port like a serial device server's.
+
+A port can be pulled and plugged again. Nothing here waits: ``serve`` selects on the descriptors.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import termios
+import tty
+from pathlib import Path
+from typing import Protocol
+
+READ_BYTES = 4096
+_SPEEDS = {getattr(termios, f"B{baud}"): baud for baud in (300, 600, 1200, 2400, 4800, 9600, 19200, 38400)}
+_SPEED_CODES = {baud: code for code, baud in _SPEEDS.items()}
+
+
+class Port(Protocol):
+    """One end of the cable."""
+
+    @property
+    def name(self) -> str:
+        """What the host opens: a device path or a pySerial URL."""
+
+    def descriptors(self) -> list[int]:
+        """File descriptors that become readable when the host did something."""
+
+    def read(self) -> bytes:
+        """What the host wrote, which may be nothing."""
+
+    def write(self, data: bytes) -> None:
+        """Hand bytes to the host; what it has no room for is lost, as in a UART."""
+
+    def host_baud(self) -> int | None:
+        """The speed to which the host has set the port, where that can be seen."""
+
+    def unplug(self) -> None:
+        """Pull the cable out of the host."""
+
+    def plug(self) -> None:
+        """Put it back."""
+
+    def close(self) -> None:
+        """Leave nothing behind."""
+
+
+class PtyPort:
+    """A pseudo-terminal. ``link`` is a stable path, like /dev/serial/by-id, that moves to each new device.
+
+    The slave side stays open here, so that the host may close and open it as it likes. With
+    ``follow_speed`` the host's termios speed counts; at first it is ``baud``, for hosts that set none.
+    """
+
+    def __init__(self, link: Path | None = None, baud: int = 9600, *, follow_speed: bool = True) -> None:
+        self._link = link
+        self._baud = baud
+        self._follow_speed = follow_speed
+        self._master = self._slave = -1
+        self._device = ""
+        self.plug()
+
+    @property
+    def name(self) -> str:
+        return str(self._link or self._device)
+
+    @property
+    def device(self) -> str:
+        """The device itself, behind the link."""
+        return self._device
+
+    def descriptors(self) -> list[int]:
+        return [self._master] if self._master >= 0 else []
+
+    def read(self) -> bytes:
+        try:
+            return os.read(self._master, READ_BYTES)
+        except OSError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        if self._master < 0:
+            return
+        try:
+            os.write(self._master, data)
+        except OSError:
+            return
+
+    def host_baud(self) -> int | None:
+        if not self._follow_speed or self._master < 0:
+            return None
+        return _SPEEDS.get(termios.tcgetattr(self._slave)[5], 0) or None
+
+    def unplug(self) -> None:
+        if self._master < 0:
+            return
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+        os.close(self._slave)
+        os.close(self._master)
+        self._master = self._slave = -1
+
+    def plug(self) -> None:
+        """Always under another device name than before: the old one is held back meanwhile."""
+        if self._master >= 0:
+            return
+        placeholder = os.openpty()
+        self._master, self._slave = os.openpty()
+        if self._device != os.ttyname(placeholder[1]):
+            self._exchange(placeholder)
+        else:
+            self._discard(placeholder)
+        self._prepare()
+
+    def close(self) -> None:
+        self.unplug()
+
+    def _exchange(self, placeholder: tuple[int, int]) -> None:
+        self._discard((self._master, self._slave))
+        self._master, self._slave = placeholder
+
+    @staticmethod
+    def _discard(pair: tuple[int, int]) -> None:
+        for descriptor in pair:
+            os.close(descriptor)
+
+    def _prepare(self) -> None:
+        tty.setraw(self._slave)
+        attributes = termios.tcgetattr(self._slave)
+        attributes[4] = attributes[5] = _SPEED_CODES[self._baud]
+        termios.tcsetattr(self._slave, termios.TCSANOW, attributes)
+        os.set_blocking(self._master, False)
+        self._device = os.ttyname(self._slave)
+        if self._link is not None:
+            fresh = self._link.with_name(self._link.name + ".new")
+            fresh.symlink_to(self._device)
+            fresh.replace(self._link)
+
+
+class TcpPort:
+    """A TCP port on the loopback that serves one host at a time, as a device server does."""
+
+    def __init__(self, number: int = 0) -> None:
+        self._number = number
+        self._listener: socket.socket | None = None
+        self._host: socket.socket | None = None
+        self.plug()
+
+    @property
+    def name(self) -> str:
+        return f"socket://127.0.0.1:{self._number}"
+
+    def descriptors(self) -> list[int]:
+        return [end.fileno() for end in (self._listener, self._host) if end is not None]
+
+    def read(self) -> bytes:
+        self._accept()
+        if self._host is None:
+            return b""
+        try:
+            data = self._host.recv(READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._host.close()
+            self._host = None
+        return data
+
+    def write(self, data: bytes) -> None:
+        if self._host is None:
+            return
+        try:
+            self._host.send(data)
+        except OSError:
+            return
+
+    def host_baud(self) -> int | None:
+        return None
+
+    def unplug(self) -> None:
+        for end in (self._host, self._listener):
+            if end is not None:
+                end.close()
+        self._host = self._listener = None
+
+    def plug(self) -> None:
+        if self._listener is not None:
+            return
+        self._listener = socket.create_server(("127.0.0.1", self._number))
+        self._listener.setblocking(False)
+        self._number = self._listener.getsockname()[1]
+
+    def close(self) -> None:
+        self.unplug()
+
+    def _accept(self) -> None:
+        if self._listener is None:
+            return
+        try:
+            host, _ = self._listener.accept()
+        except BlockingIOError:
+            return
+        if self._host is not None:
+            host.close()
+            return
+        host.setblocking(False)
+        host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._host = host

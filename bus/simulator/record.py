@@ -1,0 +1,62 @@
+"""What a simulated line heard, did and said, with times: the other witness, by which tests judge a host."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+LONGEST_RECORD = 200_000
+"""Entries kept; the oldest go first."""
+
+
+class Happened(StrEnum):
+    """The kinds of entry."""
+
+    CAME = "came"
+    """Bytes that the host wrote, at the time it wrote them."""
+    HEARD = "heard"
+    """A whole request reached a unit; ``at`` is its last byte. Unit 0: nobody has its address."""
+    ACTED = "acted"
+    """The unit carried out the write in ``data``."""
+    SAID = "said"
+    """The unit's own answer, before any fault."""
+    SENT = "sent"
+    """Bytes put on the line to the host, faults and all; ``at`` is when the last of them is out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """``number`` counts from 1; ``at`` is on the line's clock; ``data`` is a body for HEARD, ACTED and SAID
+    (what stands between STX and DLE ETX), else bytes as on the wire."""
+
+    number: int
+    at: float
+    what: Happened
+    unit: int
+    data: bytes
+
+
+@dataclass
+class Record:
+    """Bounded, in the order of happening."""
+
+    _entries: deque[Entry] = field(default_factory=lambda: deque(maxlen=LONGEST_RECORD))
+    _count: int = 0
+
+    def add(self, at: float, what: Happened, unit: int, data: bytes) -> None:
+        """Keep one entry."""
+        self._count += 1
+        self._entries.append(Entry(self._count, at, what, unit, data))
+
+    def since(self, number: int = 0, *what: Happened) -> Iterator[Entry]:
+        """Entries after ``number``, of the kinds asked for (all when none is named)."""
+        return (
+            entry for entry in self._entries if entry.number > number and (not what or entry.what in what)
+        )
+
+    @property
+    def count(self) -> int:
+        """The number of the last entry."""
+        return self._count

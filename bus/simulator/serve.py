@@ -1,0 +1,119 @@
+"""A simulated line at a real port: one thread that waits, all else is in ``line``.
+
+The thread sleeps until shortly before the next byte is due and watches the clock for the rest, so the
+host never gets a byte before a UART would have given it, and hardly later.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import queue
+import select
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from types import TracebackType
+from typing import Any, TypeVar
+
+from bus.simulator.line import SimulatedLine
+from bus.simulator.ports import Port
+
+T = TypeVar("T")
+
+WATCH_S = 60e-6
+"""How long before a byte is due the thread stops sleeping: about what waking up costs."""
+_PR_SET_TIMERSLACK = 29
+
+
+class LineServer:
+    """Serves ``line`` at ``port`` from ``start`` to ``stop``, or as a context manager."""
+
+    def __init__(self, line: SimulatedLine, port: Port) -> None:
+        self.line = line
+        self.port = port
+        self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._waked, self._waker = os.pipe()
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="simulated line", daemon=True)
+
+    def start(self) -> None:
+        """Units are powered from now on."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Power off; the port is gone afterwards."""
+        self._stopping = True
+        os.write(self._waker, b".")
+        self._thread.join()
+        self.port.close()
+        os.close(self._waked)
+        os.close(self._waker)
+
+    def __enter__(self) -> LineServer:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def call(self, change: Callable[[SimulatedLine], T]) -> T:
+        """Run ``change`` on the line between two bytes, in its own thread; give its result."""
+        future: Future[T] = Future()
+
+        def run() -> None:
+            try:
+                future.set_result(change(self.line))
+            except Exception as error:
+                future.set_exception(error)
+
+        self._calls.put(run)
+        os.write(self._waker, b".")
+        return future.result(timeout=10)
+
+    def unplug(self) -> None:
+        """Pull the cable: the host's port is gone, and what was under way."""
+
+        def pull(line: SimulatedLine) -> None:
+            self.port.unplug()
+            line.unplug()
+
+        self.call(pull)
+
+    def plug(self) -> None:
+        """Put the cable back; a pseudo-terminal comes back under another name behind the same link."""
+        self.call(lambda _line: self.port.plug())
+
+    def _run(self) -> None:
+        _sharpen_timer()
+        while not self._stopping:
+            reply = self.line.advance(time.monotonic())
+            if reply:
+                self.port.write(reply)
+            self._wait(self.line.wake_at())
+
+    def _wait(self, until: float) -> None:
+        sleep = max(until - time.monotonic() - WATCH_S, 0.0)
+        ready, _, _ = select.select([self._waked, *self.port.descriptors()], [], [], sleep)
+        if not ready:
+            while time.monotonic() < until:
+                pass
+            return
+        if self._waked in ready:
+            os.read(self._waked, 64)
+            while not self._calls.empty():
+                self._calls.get()()
+        else:
+            now, data = time.monotonic(), self.port.read()
+            if data:
+                self.line.receive(now, data, self.port.host_baud())
+
+
+def _sharpen_timer() -> None:
+    """Ask Linux to wake this thread on time; the usual slack of 50 µs is two percent of a byte time."""
+    prctl: Any = getattr(ctypes.CDLL(None), "prctl", None)
+    if prctl is not None:
+        prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)

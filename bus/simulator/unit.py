@@ -1,0 +1,157 @@
+"""One DIGIMAX IV as pure state: parameters, mode, speeds, contacts, outputs; no clock, no I/O.
+
+What a request does to it is in ``answering``; what its motor does is in ``section``.
+"""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass, field
+from typing import Literal
+
+from bus.settings import Dialect
+from bus.simulator.memory import Memory, Mode, Prm
+from bus.wire.commands import StatusReply
+
+AS_THE_MANUAL_READS = Dialect()
+
+
+@dataclass(frozen=True, slots=True)
+class Traits:
+    """What the manual leaves open, as this one unit decides it."""
+
+    dialect: Dialect = AS_THE_MANUAL_READS
+    last_parameter: int = 40
+    answers_written_value: bool = False
+    baud_changes: Literal["at once", "at power-up"] = "at power-up"
+    turnaround_s: float = 0.0
+    turnaround_jitter: float = 0.2
+
+
+ORDINARY = Traits()
+
+
+@dataclass(slots=True)
+class Inputs:
+    """The contacts at the terminals. ``estop`` is True while an emergency stop is pressed."""
+
+    run: bool = True
+    estop: bool = False
+    preset: bool = False
+    reverse: bool = False
+    up: bool = False
+    down: bool = False
+
+
+@dataclass(slots=True)
+class Measured:
+    """What the shaft and the analog terminals show the unit; the section's physics writes it.
+
+    ``following`` is the speed that the master's pulses ask of a follower, ``ratio`` what it holds.
+    """
+
+    actual: int = 0
+    analog: int = 0
+    following: int = 0
+    ratio: int = 0
+
+
+@dataclass
+class Unit:
+    """The state behind one address. Nothing here moves by itself: see ``section``."""
+
+    memory: Memory = field(default_factory=Memory)
+    traits: Traits = ORDINARY
+    inputs: Inputs = field(default_factory=Inputs)
+    measured: Measured = field(default_factory=Measured)
+    random: random.Random = field(default_factory=lambda: random.Random(0))
+
+    def __post_init__(self) -> None:
+        self.memory.last = self.traits.last_parameter
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Off and on again: parameters stay, the staged speed and the outputs do not, #18 takes effect."""
+        self.baud = self.memory[Prm.BAUD] * 100
+        self.outputs = [False] * 6
+        self.analog_output = self.memory[Prm.ANALOG_LOW]
+        self.entered = self.setpoint
+
+    @property
+    def address(self) -> int:
+        """#17."""
+        return self.memory[Prm.ADDRESS]
+
+    @property
+    def mode(self) -> Mode:
+        """#19."""
+        return Mode(self.memory[Prm.MODE])
+
+    @property
+    def follows(self) -> bool:
+        """Whether #8 makes it a slave or an inverse slave."""
+        return self.memory[Prm.FOLLOWING] != 0
+
+    @property
+    def setpoint(self) -> int:
+        """The executed speed, or ratio in a follower."""
+        return self.memory[Prm.RATIO if self.follows else Prm.SETPOINT]
+
+    @setpoint.setter
+    def setpoint(self, raw: int) -> None:
+        self.memory[Prm.RATIO if self.follows else Prm.SETPOINT] = raw
+
+    @property
+    def commanded(self) -> int:
+        """The speed (ratio in a follower) now asked of the drive: preset before jump before setpoint."""
+        if self.inputs.preset:
+            return self.memory[Prm.PRESET]
+        if self.memory[Prm.JUMP_MODE] == 1:
+            jump = self.memory[Prm.JUMP_UP] * self.inputs.up - self.memory[Prm.JUMP_DOWN] * self.inputs.down
+            return min(max(self.setpoint + jump, 0), self.highest)
+        return self.setpoint
+
+    @property
+    def highest(self) -> int:
+        """The highest value that 82h and 84h take: #2, or #31 in a follower."""
+        return self.memory[Prm.MAX_RATIO if self.follows else Prm.MAX_DISPLAY]
+
+    @property
+    def lowest(self) -> int:
+        """The lowest value that 82h and 84h take: 0, or #38 in a follower."""
+        return self.memory[Prm.MIN_RATIO] if self.follows else 0
+
+    @property
+    def running(self) -> bool:
+        """Whether the drive turns its motor."""
+        return self.inputs.run and not self.inputs.estop
+
+    @property
+    def at_speed(self) -> bool:
+        """Within #12 of what is asked, while running."""
+        asked = self.measured.following if self.follows else self.commanded
+        return self.running and abs(self.measured.actual - asked) <= self.memory[Prm.WINDOW]
+
+    def turnaround(self) -> float:
+        """Seconds until the next answer begins; drawn from this unit's own seeded randomness."""
+        jitter = self.traits.turnaround_jitter
+        return self.traits.turnaround_s * self.random.uniform(1 - jitter, 1 + jitter)
+
+    def status(self, uid: int) -> StatusReply:
+        """The answer to 81h under the address asked (manual, READ SPEED AND STATUS)."""
+        commanded, actual = self.commanded, self.measured.actual
+        if self.follows and self.traits.dialect.follower_speed == "speed":
+            commanded = self.measured.following
+        elif self.follows:
+            actual = self.measured.ratio
+        return StatusReply(uid, commanded, actual, self.measured.analog, self._st2(), self._st1())
+
+    def _st2(self) -> int:
+        outputs = sum(on << bit for bit, on in enumerate(self.outputs))
+        return self.at_speed << 7 | (self.mode is Mode.REMOTE) << 6 | outputs
+
+    def _st1(self) -> int:
+        inputs = self.inputs
+        estop = self.traits.dialect.estop_healthy ^ inputs.estop
+        bits = (inputs.run, estop, inputs.preset, inputs.reverse, inputs.up, inputs.down, self.follows)
+        return sum(bool(on) << bit for bit, on in enumerate(bits))
