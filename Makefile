@@ -6,7 +6,7 @@ VENDOR := static/vendor/made-from.sha256
 CHROMIUM := /usr/bin/chromium
 NODE_TOOLS := node_modules/.package-lock.json
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
-	--no-emit-index-url --custom-compile-command "make lock" --extra rfc2217
+	--custom-compile-command "make lock" --extra rfc2217
 
 .PHONY: demo test setup bench check screenshots lock clean development
 .DEFAULT_GOAL := demo

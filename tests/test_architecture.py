@@ -1,0 +1,82 @@
+"""The shape of the repository: layers, sizes, names, and what may not stand in it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+LONGEST_FILE = 400
+NAMES_THAT_SAY_NOTHING = {"util", "utils", "helper", "helpers", "common", "misc", "manager", "managers"}
+LEFT_BEHIND = re.compile(r"\b(" + "|".join(("TODO", "FIXME", "XXX")) + r")\b")
+REGISTRY = re.compile(
+    r'"resolved": *"http|index' r"-url|^registry *=|pypi\.org|files\.pythonhosted|registry\.npmjs", re.M
+)
+
+
+def tracked(*patterns: str) -> Iterator[Path]:
+    """The files under version control that match one of the patterns (all when none is given)."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--", *patterns], cwd=ROOT, capture_output=True, check=True, text=True
+    ).stdout
+    return (path for name in listed.split("\0") if name and (path := ROOT / name).is_file())
+
+
+def text_of(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace")
+
+
+def relative(paths: Iterator[Path]) -> list[str]:
+    return [str(path.relative_to(ROOT)) for path in paths]
+
+
+def test_imports_go_downwards_only() -> None:
+    done = subprocess.run(
+        [Path(sys.executable).with_name("lint-imports"), "--no-cache"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_a_file_holds_one_idea() -> None:
+    code = tracked("app/*.py", "bus/*.py", "static/js/*.js", "tests/*.py", "benchmarks/*.py")
+    assert relative(path for path in code if len(text_of(path).splitlines()) > LONGEST_FILE) == []
+
+
+def test_names_say_something() -> None:
+    vague = (
+        path for path in tracked() if {path.stem, *path.relative_to(ROOT).parts} & NAMES_THAT_SAY_NOTHING
+    )
+    assert relative(vague) == []
+
+
+def test_nothing_is_left_for_later() -> None:
+    code = tracked("app", "bus", "templates", "static", "tests", "benchmarks", "docs")
+    assert relative(path for path in code if LEFT_BEHIND.search(text_of(path))) == []
+
+
+def test_no_registry_is_named() -> None:
+    own = Path(__file__).resolve()
+    assert relative(path for path in tracked() if path != own and REGISTRY.search(text_of(path))) == []
+
+
+def test_third_party_files_stay_out() -> None:
+    foreign = re.compile(r"\.min\.(js|css)$|(^|/)(vendor|node_modules)/|(^|/)(uv|poetry|yarn)\.lock$")
+    assert [name for name in relative(tracked()) if foreign.search(name)] == []
+
+
+@pytest.mark.parametrize("suffix", ["html"])
+def test_pages_hold_no_inline_script_or_style(suffix: str) -> None:
+    """The content policy forbids both (ui.md), so a page that had one would be broken in the browser."""
+    inline = re.compile(
+        r"<script(?![^>]*\bsrc=)[^>]*>|<style\b|\sstyle=|\son[a-z]+=|\bhx-on\b|javascript:", re.I
+    )
+    pages = tracked(f"templates/*.{suffix}")
+    assert relative(path for path in pages if inline.search(text_of(path))) == []
