@@ -7,14 +7,14 @@ from typing import Literal
 
 from app.sets.model import Row, UnitRows
 from bus.catalogue.parameters import PARAMETERS, Parameter
-from bus.catalogue.values import parameter_text
+from bus.catalogue.values import parameter_text, parameter_unit
 
 Kind = Literal["equal", "differs", "unavailable", "unknown"]
 
 OPERATING_VALUES = frozenset({20, 37})
 """Setpoints: they change with every shift, so they are compared and restored but are no drift."""
 
-_DECIMALS = 3
+_DECIMALS, _MODE = 3, 8
 _MEANINGS: dict[int, str] = {
     1: "full scale is {new} rpm instead of {old} rpm",
     2: "shows {new} at full scale instead of {old}",
@@ -105,11 +105,13 @@ def row_text(parameter: Parameter, rows: UnitRows) -> str:
         return "secret"
     if row is None or row.raw is None:
         return "not known"
-    return with_unit(parameter, row.raw, rows.raw(_DECIMALS))
+    return with_unit(parameter, row.raw, rows)
 
 
-def with_unit(parameter: Parameter, raw: int, decimals: int | None) -> str:
-    """``50`` of #6 → ``5.0 s``."""
-    text = parameter_text(parameter, raw, decimals)
-    unit = parameter.unit
-    return f"{text} {unit}" if unit and unit not in text else text
+def with_unit(parameter: Parameter, raw: int, rows: UnitRows) -> str:
+    """``50`` of #6 → ``5.0 s``, by the decimals (#3) and the mode (#8) that ``rows`` hold."""
+    if raw in parameter.choices:
+        return parameter.choices[raw]
+    follower = rows.raw(_MODE) in (1, 2)
+    text = parameter_text(parameter, raw, rows.raw(_DECIMALS), follower=follower)
+    return f"{text} {parameter_unit(parameter)}".strip()

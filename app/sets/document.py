@@ -16,7 +16,6 @@ from bus.errors import CallerError
 
 DOCUMENT_FORMAT = "lineside parameter set"
 DOCUMENT_VERSION = 1
-_DECIMALS = 3
 
 
 class DocumentError(CallerError):
@@ -86,7 +85,7 @@ def _row_line(row: Row, unit: UnitRows, with_secrets: bool) -> str:
     elif parameter.secret and not with_secrets:
         fields.append("masked = true")
     elif row.raw is not None:
-        shown = with_unit(parameter, row.raw, unit.raw(_DECIMALS))
+        shown = with_unit(parameter, row.raw, unit)
         fields += [f"raw = {row.raw}", f"value = {_quoted(shown)}"]
     return f"{row.number} = {{ {', '.join(fields)} }}"
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from app.sets.model import UnitRows
-from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.parameters import PARAMETERS, danger_of_writing
 
 _FIRST = (1, 2, 3, 8)
 """Full scale, display and mode give the other rows their meaning and their bounds."""
@@ -84,9 +84,7 @@ def _why_not(
         return "it could not be read from the unit"
     if number == _MODE and running:
         return "no change while Run is on"
-    if parameter.dangerous and number not in ticked:
-        return parameter.dangerous
-    return ""
+    return "" if number in ticked else danger_of_writing(parameter, asked.raw)
 
 
 def _in_order(writes: Iterable[Write]) -> list[Write]:

@@ -11,8 +11,6 @@ from app.sets.restore import Restore, RowResult
 from app.sets.store import SetSummary
 from bus.catalogue.parameters import PARAMETERS
 
-_DECIMALS = 3
-
 
 def summary_json(summary: SetSummary) -> dict[str, Any]:
     """One line of the list."""
@@ -54,9 +52,7 @@ def _unit_json(rows: UnitRows) -> dict[str, Any]:
                 "number": number,
                 "name": parameter.name,
                 "raw": None if parameter.secret else row.raw,
-                "value": None
-                if shown or row.raw is None
-                else with_unit(parameter, row.raw, rows.raw(_DECIMALS)),
+                "value": None if shown or row.raw is None else with_unit(parameter, row.raw, rows),
                 "available": row.available,
                 "read_at": iso(row.read_at),
                 "frame": None if parameter.secret else row.frame.hex(" "),
@@ -122,7 +118,7 @@ def _row_json(restore: Restore, row: RowResult) -> dict[str, Any]:
 
 def _shown(restore: Restore, number: int, raw: int) -> str:
     parameter = PARAMETERS[number]
-    return "secret" if parameter.secret else with_unit(parameter, raw, restore.wanted.raw(_DECIMALS))
+    return "secret" if parameter.secret else with_unit(parameter, raw, restore.wanted)
 
 
 def iso(at: float | None) -> str | None:
