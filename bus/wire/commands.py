@@ -165,9 +165,14 @@ def is_write(request: Request) -> bool:
 
 def encode_request(request: Request, dialect: Dialect) -> bytes:
     """The frame to send. Raises CallerError for an address, number or value outside the manual's ranges."""
+    return encode_frame(request_body(request, dialect), dialect)
+
+
+def request_body(request: Request, dialect: Dialect) -> bytes:
+    """What the frame carries, unstuffed. Raises CallerError like ``encode_request``."""
     lowest = 0 if isinstance(request, ExecuteSpeed) else 1
     _require("unit address", request.unit, lowest, 255)
-    return encode_frame(bytes((request.unit, request.COMMAND)) + _request_data(request, dialect), dialect)
+    return bytes((request.unit, request.COMMAND)) + _request_data(request, dialect)
 
 
 def _request_data(request: Request, dialect: Dialect) -> bytes:

@@ -1,0 +1,152 @@
+"""One request and its answer as a value machine: bytes in, events out. It has no clock.
+
+================  =============================  ==========================================
+while             a good frame arrives           event
+================  =============================  ==========================================
+at any time       equal to our own request       Echo (a half-duplex adapter hears itself)
+at any time       another address                Foreign
+awaiting          right address, wrong shape     Unexpected
+awaiting          fits, but may be a late one    Late (see ``fence``)
+awaiting          fits                           Answered; nothing is awaited any more
+answered          the same bytes once more       Doubled
+answered or       right address                  Late
+given up
+================  =============================  ==========================================
+
+Everything that is no good frame passes through as the Noise that framing made of it; a Noise with
+``Fault.CHECKSUM`` while awaiting is most likely the answer, spoilt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bus.settings import Dialect
+from bus.wire.commands import Reply, Request, encode_request, parse_reply, request_body
+from bus.wire.fence import Doubt
+from bus.wire.framing import DoubledChecksum, FrameDecoder, Noise, ReceivedFrame
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """The answer to the request."""
+
+    reply: Reply
+    frame: ReceivedFrame
+
+
+@dataclass(frozen=True, slots=True)
+class Foreign:
+    """A good frame with another address than the one asked."""
+
+    unit: int
+    frame: ReceivedFrame
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """Our own request came back."""
+
+    frame: ReceivedFrame
+
+
+@dataclass(frozen=True, slots=True)
+class Unexpected:
+    """A good frame of the unit asked that no unit gives as the answer to this command."""
+
+    frame: ReceivedFrame
+
+
+@dataclass(frozen=True, slots=True)
+class Late:
+    """A good frame of the unit that belongs, or may belong, to an earlier request."""
+
+    frame: ReceivedFrame
+
+
+@dataclass(frozen=True, slots=True)
+class Doubled:
+    """The answer already taken, once more."""
+
+    frame: ReceivedFrame
+
+
+Event = Answered | Foreign | Echo | Unexpected | Late | Doubled | Noise | DoubledChecksum
+
+
+class Exchange:
+    """A request and what comes back.
+
+    ``decoder`` is the one of the exchange before where bytes may still be under way; without it a new
+    one is used. ``doubt`` is what the unit may still answer late, by default nothing. Raises CallerError
+    for a request that the wire must not carry.
+    """
+
+    def __init__(
+        self,
+        request: Request,
+        dialect: Dialect,
+        *,
+        decoder: FrameDecoder | None = None,
+        doubt: Doubt | None = None,
+    ) -> None:
+        self.request = request
+        self.sent = encode_request(request, dialect)
+        self.decoder = decoder or FrameDecoder(dialect)
+        self.awaiting = request.unit != 0
+        self.reply: Reply | None = None
+        self.first_byte_at: float | None = None
+        """When the first byte after the request (and its echo) came, in the caller's time."""
+        self._dialect = dialect
+        self._own_body = request_body(request, dialect)
+        self._before = doubt or Doubt(request.unit, dialect)
+        self._answer: bytes | None = None
+        self.doubt = self._before.sent(request)
+        """What the unit may still answer late once this exchange is over."""
+
+    def receive(self, data: bytes, at: float) -> list[Event]:
+        """Take what came in at ``at``, in any cut; say what it is."""
+        if data and self.first_byte_at is None:
+            self.first_byte_at = at
+        events: list[Event] = []
+        for received in self.decoder.feed(data):
+            event = self._classify(received) if isinstance(received, ReceivedFrame) else received
+            if isinstance(event, Echo):
+                self.first_byte_at = None
+            elif self.first_byte_at is None:
+                self.first_byte_at = at
+            events.append(event)
+        if self.decoder.pending and self.first_byte_at is None:
+            self.first_byte_at = at
+        return events
+
+    def give_up(self) -> None:
+        """The deadline has passed: whatever comes now is late."""
+        self.awaiting = False
+
+    def _classify(self, frame: ReceivedFrame) -> Event:
+        if frame.body == self._own_body:
+            return Echo(frame)
+        unit = frame.body[0]
+        if unit != self.request.unit:
+            return Foreign(unit, frame)
+        before, self.doubt = self.doubt, self.doubt.heard(frame.body)
+        if self.awaiting:
+            return self._judge(frame)
+        # What was answered twice has not been asked twice.
+        if frame.body == self._answer:
+            self.doubt = before
+            return Doubled(frame)
+        return Late(frame)
+
+    def _judge(self, frame: ReceivedFrame) -> Event:
+        reply = parse_reply(self.request, frame.body, self._dialect)
+        if reply is None:
+            return Unexpected(frame)
+        if not self._before.believes(self.request, frame.body):
+            self._before = self._before.heard(frame.body)
+            return Late(frame)
+        self.awaiting = False
+        self.reply = reply
+        self._answer = frame.body
+        return Answered(reply, frame)

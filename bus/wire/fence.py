@@ -1,0 +1,216 @@
+"""Which answers can still be late, and what must be asked before the next question can be trusted.
+
+An answer names its unit and nothing else: neither the command nor the parameter. After a timeout the
+answer may be lost or on its way, and on its way it could pass for the answer to what is asked next. So
+could the second copy of an answer that comes twice.
+
+The *shape* of an answer is all there is to tell it by: ACK with so many data bytes, or NAK with such
+an error code. The rules:
+
+1. Every request that was sent and not surely answered is *outstanding*, oldest first. A unit answers in
+   order, so an answer ends all that was outstanding before the first request that can have caused it.
+2. The *last* answer of a unit may come once more, until the bus has moved on to another unit or that unit
+   has given another answer.
+3. An answer is believed only if nothing outstanding, nor the last one, can be the cause of it. The one
+   exception is the same read sent again with no write between, for its late answer says the same thing.
+   The same write sent again is no exception: a late refusal of the first is none of the second.
+4. A request needs a fence first when the answers it ordinarily gets are among those that may come late or
+   twice. The fence is 81h or 85h, whichever leaves less outstanding: their answers have 11 and at most 4
+   data bytes, those to writes have none (86h: at most 4).
+
+So after a lost 81h any write or 85h may follow at once; after a lost write 81h may, and 85h too, but for
+a lost 86h; after a lost 85h another 85h or an 86h needs 81h before it; after a lost write another write
+does. The same holds right after an answer, at the price of an 81h that would soon be due anyway.
+"Illegal command" (86h, 89h) can be the answer to anything, so it is no one's ordinary answer: no unit
+that knows the commands gives it, and in doubt it is not believed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from bus.errors import UnitErrorCode
+from bus.settings import Dialect
+from bus.wire.commands import (
+    ReadParameter,
+    ReadStatus,
+    Request,
+    acknowledged_lengths,
+    is_write,
+)
+from bus.wire.framing import ACK, NAK
+
+OWN_ADDRESS = 17
+"""The parameter that a fence reads: every unit has it and its value is known beforehand."""
+MOST_OUTSTANDING = 32
+"""An answer that is late by more requests than this to one unit is not reckoned with."""
+
+_ILLEGAL_COMMAND = frozenset((UnitErrorCode.ILLEGAL_COMMAND, UnitErrorCode.ILLEGAL_COMMAND_DFS))
+_REFUSALS: dict[int, frozenset[int]] = {
+    0x81: frozenset(),
+    0x82: frozenset((0x80, 0x81)),
+    0x83: frozenset((0x80,)),
+    0x84: frozenset((0x80, 0x81)),
+    0x85: frozenset((0x82,)),
+    0x86: frozenset((0x80, 0x82, 0x83)),
+    0x87: frozenset((0x80, 0x84, 0x85)),
+    0x88: frozenset((0x80, 0x87, 0x88)),
+}
+"""[ERR] by command, as the manual lists them, without "illegal command"."""
+
+
+class Shape(NamedTuple):
+    """ACK and the number of data bytes, or NAK and the error code."""
+
+    mark: int
+    detail: int
+
+
+def shape_of(body: bytes) -> Shape | None:
+    """The shape of a unit's answer; None for a body that no answer has."""
+    if len(body) == 3 and body[1] == NAK:
+        return Shape(NAK, body[2])
+    if len(body) >= 2 and body[1] == ACK:
+        return Shape(ACK, len(body) - 2)
+    return None
+
+
+def ordinary_shapes(request: Request, dialect: Dialect) -> frozenset[Shape]:
+    """The answers the manual gives to ``request``, without "illegal command"; none to a broadcast."""
+    if request.unit == 0:
+        return frozenset()
+    acks = {Shape(ACK, length) for length in acknowledged_lengths(request, dialect)}
+    return frozenset(acks | {Shape(NAK, code) for code in _REFUSALS[request.COMMAND]})
+
+
+def possible_shapes(request: Request, dialect: Dialect) -> frozenset[Shape]:
+    """Every answer that ``request`` can cause."""
+    if request.unit == 0:
+        return frozenset()
+    return ordinary_shapes(request, dialect) | {Shape(NAK, code) for code in _ILLEGAL_COMMAND}
+
+
+def fence_needed(timed_out: Request, following: Request, dialect: Dialect | None = None) -> bool:
+    """Whether a late answer to ``timed_out`` could be taken for the answer to ``following`` (rule 4)."""
+    dialect = dialect or Dialect()
+    if timed_out.unit != following.unit or _says_the_same(timed_out, following):
+        return False
+    return bool(possible_shapes(timed_out, dialect) & ordinary_shapes(following, dialect))
+
+
+def fence_for(unit: int, timed_out: Request, dialect: Dialect | None = None) -> Request:
+    """The read whose answer nobody can take for a late answer to ``timed_out``."""
+    return Doubt(unit, dialect or Dialect(), (timed_out,)).fence()
+
+
+class Answer(NamedTuple):
+    """A request and the shape of what it was answered with."""
+
+    request: Request
+    shape: Shape
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """What one unit may still answer late or twice. A value: each step gives the next one."""
+
+    unit: int
+    dialect: Dialect
+    outstanding: tuple[Request, ...] = ()
+    last: Answer | None = None
+
+    def sent(self, request: Request) -> Doubt:
+        """``request`` has gone out (a broadcast changes nothing, for it has no answer)."""
+        if request.unit != self.unit:
+            return self
+        return replace(self, outstanding=(*self.outstanding, request)[-MOST_OUTSTANDING:])
+
+    def heard(self, body: bytes) -> Doubt:
+        """A frame of this unit came in, awaited or not (rules 1 and 2)."""
+        shape = shape_of(body)
+        for position, request in enumerate(self.outstanding):
+            if shape is not None and shape in possible_shapes(request, self.dialect):
+                answer = Answer(request, shape)
+                return replace(self, outstanding=self.outstanding[position + 1 :], last=answer)
+        return self
+
+    def moved_on(self) -> Doubt:
+        """The bus has talked with another unit since; the last answer cannot come again."""
+        return replace(self, last=None)
+
+    def believes(self, request: Request, body: bytes) -> bool:
+        """Whether ``body``, which fits ``request``, can only be its answer (rule 3)."""
+        shape = shape_of(body)
+        late = self._may_be_late(request)
+        twice = {self.last.shape} if self.last and not _says_the_same(self.last.request, request) else set()
+        if not late and not twice:
+            return True
+        return shape not in late | twice and (not late or shape in ordinary_shapes(request, self.dialect))
+
+    def fence_before(self, request: Request) -> Request | None:
+        """What to ask before ``request``; None where it may follow at once (rule 4)."""
+        ordinary = ordinary_shapes(request, self.dialect)
+        if ordinary & self._may_be_late(request):
+            return self.fence()
+        if self.last is None or _says_the_same(self.last.request, request):
+            return None
+        return self.fence() if self.last.shape in ordinary else None
+
+    def fence(self) -> Request:
+        """Of the two fences the one whose answer would leave less in doubt."""
+        fences: tuple[Request, ...] = (ReadStatus(self.unit), ReadParameter(self.unit, OWN_ADDRESS))
+        return min(fences, key=self._left_in_doubt_by)
+
+    def _may_be_late(self, request: Request) -> set[Shape]:
+        """Shapes of late answers that would mislead about ``request``; the same read does not, unless
+        a write went out after it."""
+        shapes: set[Shape] = set()
+        written_since = False
+        for sent in reversed(self.outstanding):
+            if written_since or not _says_the_same(sent, request):
+                shapes |= possible_shapes(sent, self.dialect)
+            written_since = written_since or is_write(sent)
+        return shapes
+
+    def _left_in_doubt_by(self, fence: Request) -> int:
+        lengths = acknowledged_lengths(fence, self.dialect)
+        answers = (bytes((self.unit, ACK, *bytes(length))) for length in lengths)
+        doubts = [
+            len(self.sent(fence).heard(answer).outstanding) + (not self.believes(fence, answer))
+            for answer in answers
+        ]
+        return max(doubts)
+
+
+class Doubts:
+    """The doubts about every unit of one bus."""
+
+    def __init__(self, dialect: Dialect) -> None:
+        self._dialect = dialect
+        self._units: dict[int, Doubt] = {}
+        self._last_unit = 0
+
+    def about(self, unit: int) -> Doubt:
+        """What ``unit`` may still answer late or twice if it were asked now."""
+        doubt = self._units.get(unit) or Doubt(unit, self._dialect)
+        return doubt if unit == self._last_unit else doubt.moved_on()
+
+    def fence_before(self, request: Request) -> Request | None:
+        """What to ask before ``request``; None where it may follow at once."""
+        return self.about(request.unit).fence_before(request) if request.unit else None
+
+    def after(self, doubt: Doubt) -> None:
+        """An exchange is over; ``doubt`` is what it left."""
+        if doubt.unit:
+            self._units[doubt.unit] = doubt
+            self._last_unit = doubt.unit
+
+    def heard(self, body: bytes) -> None:
+        """A frame of another unit than the one asked came in."""
+        if body[0] in self._units:
+            self._units[body[0]] = self._units[body[0]].heard(body)
+
+
+def _says_the_same(earlier: Request, later: Request) -> bool:
+    return earlier == later and not is_write(later)
