@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic_core import PydanticCustomError
 
 Baud = Literal[300, 600, 1200, 2400, 4800, 9600]
 BAUDS: tuple[Baud, ...] = (300, 600, 1200, 2400, 4800, 9600)
@@ -66,17 +67,19 @@ class BusSettings(Dialect):
     @classmethod
     def _addresses_are_unique(cls, units: tuple[UnitSettings, ...]) -> tuple[UnitSettings, ...]:
         seen: set[int] = set()
-        for unit in units:
+        for index, unit in enumerate(units):
             if unit.id in seen:
-                raise ValueError(f"unit id {unit.id} is given twice; every unit on a bus has its own (#17)")
+                sentence = "unit id {id} is given twice; every unit on a bus has its own (#17)"
+                raise PydanticCustomError("twice", sentence, {"id": unit.id, "at": (index, "id")})
             seen.add(unit.id)
         return units
 
-    @model_validator(mode="after")
-    def _port_is_one_we_open(self) -> BusSettings:
-        if "://" in self.port and not self.port.startswith(("socket://", "rfc2217://")):
-            raise ValueError("port is a device path, socket://host:port or rfc2217://host:port")
-        return self
+    @field_validator("port")
+    @classmethod
+    def _port_is_one_we_open(cls, port: str) -> str:
+        if "://" in port and not port.startswith(("socket://", "rfc2217://")):
+            raise ValueError("write a device path, socket://host:port or rfc2217://host:port")
+        return port
 
     @property
     def dialect(self) -> Dialect:

@@ -1,0 +1,137 @@
+"""``GET /api/v1/events``: JSON by pages and CSV whole."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import AsyncIterator
+from datetime import UTC, datetime
+from typing import Annotated, Any, cast
+
+from fastapi import APIRouter, Depends, Query
+from pydantic import AwareDatetime, BaseModel
+from starlette.requests import HTTPConnection
+from starlette.responses import StreamingResponse
+
+from app.audit.log import Event, EventLog
+from app.audit.store import Filter
+from app.web.access import Viewer
+
+router = APIRouter(prefix="/api/v1", tags=["events"])
+MOST = 1000
+"""How many events one page may hold."""
+
+COLUMNS = (
+    *("id", "time", "kind", "who", "origin", "bus", "unit", "what"),
+    *("old", "new", "old_raw", "new_raw", "outcome", "message"),
+)
+
+
+class FrameShown(BaseModel):
+    """One frame that carried a command."""
+
+    at: float
+    direction: str
+    data: str
+    meaning: str
+
+
+class EventShown(BaseModel):
+    """One event; ``outcome`` of a command is null until its fate is known."""
+
+    id: int
+    time: str
+    kind: str
+    who: str
+    origin: str
+    bus: str | None
+    unit: int | None
+    what: str
+    old: str | None
+    new: str | None
+    old_raw: int | None
+    new_raw: int | None
+    outcome: str | None
+    message: str
+    frames: list[FrameShown]
+
+
+class EventPage(BaseModel):
+    """Events newest first. ``next`` is the ``before`` of the next page, null at the end."""
+
+    events: list[EventShown]
+    next: int | None
+
+
+def events_of(connection: HTTPConnection) -> EventLog:
+    """The app's event log."""
+    return cast(EventLog, connection.app.state.services.events)
+
+
+Events = Annotated[EventLog, Depends(events_of)]
+Number = Annotated[int | None, Query(ge=1, le=2**62)]
+
+
+async def wanted_events(
+    before: Number = None,
+    kind: str | None = None,
+    bus: str | None = None,
+    unit: Annotated[int | None, Query(ge=1, le=255)] = None,
+    who: str | None = None,
+    since: Annotated[AwareDatetime | None, Query(alias="from")] = None,
+    until: Annotated[AwareDatetime | None, Query(alias="to")] = None,
+    search: Annotated[str, Query(max_length=200)] = "",
+) -> Filter:
+    """The filter that the query says."""
+    moments = (since and since.timestamp(), until and until.timestamp())
+    return Filter(before, kind or None, bus or None, unit, who or None, *moments, search)
+
+
+Wanted = Annotated[Filter, Depends(wanted_events)]
+
+
+def iso(at: float) -> str:
+    """An instant as the API writes it: UTC, milliseconds."""
+    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds")
+
+
+def shown(event: Event) -> dict[str, Any]:
+    """An event as the API gives it."""
+    said = {name: event[name] for name in COLUMNS}
+    return {**said, "time": iso(event["time"]), "frames": json.loads(event["frames"])}
+
+
+@router.get("/events")
+async def list_events(
+    _: Viewer, events: Events, wanted: Wanted, limit: Annotated[int, Query(ge=1, le=MOST)] = 100
+) -> EventPage:
+    """Events newest first: at most 1000 a page; ask on with ``before`` = ``next``. Times with zone."""
+    found, after = await events.page(wanted, limit)
+    return EventPage.model_validate({"events": [shown(event) for event in found], "next": after})
+
+
+@router.get("/events.csv", response_class=StreamingResponse)
+async def events_as_csv(_: Viewer, events: Events, wanted: Wanted) -> StreamingResponse:
+    """The same filter, every event, as CSV with a line of headings."""
+    headers = {"Content-Disposition": 'attachment; filename="events.csv"'}
+    return StreamingResponse(_csv(events, wanted), headers=headers, media_type="text/csv; charset=utf-8")
+
+
+async def _csv(events: EventLog, wanted: Filter) -> AsyncIterator[str]:
+    yield _lines([list(COLUMNS)])
+    async for chunk in events.every(wanted):
+        rows = (shown(event) for event in chunk)
+        yield _lines([[_cell(row[name]) for name in COLUMNS] for row in rows])
+
+
+def _cell(value: object) -> str:
+    """Text that a spreadsheet would take for a formula is kept text (OWASP, CSV injection)."""
+    text = "" if value is None else str(value)
+    return f"'{text}" if isinstance(value, str) and text.startswith(("=", "+", "-", "@")) else text
+
+
+def _lines(rows: list[list[str]]) -> str:
+    buffer = io.StringIO()
+    csv.writer(buffer).writerows(rows)
+    return buffer.getvalue()

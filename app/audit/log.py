@@ -1,0 +1,147 @@
+"""The event log as the rest of the app writes it."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import AsyncIterator, Callable, Sequence
+from typing import Any
+
+import structlog
+
+from app.audit import store
+from app.audit.chain import Verdict
+from app.audit.store import Filter
+from app.database import Database
+from bus.contract import Frame, Outcome
+
+log = structlog.get_logger()
+
+Event = dict[str, Any]
+"""One event with its fate, as `app.audit.store.select` gives it."""
+Subscriber = Callable[[Event], None]
+
+CHUNK = 1000
+ENDED_BEFORE = "the server stopped before the fate was known"
+
+
+class EventLog:
+    """Append-only. Whatever returns from here is on disk."""
+
+    def __init__(self, database: Database, clock: Callable[[], float] = time.time) -> None:
+        self._database = database
+        self._clock = clock
+        self._subscribers: list[Subscriber] = []
+
+    def subscribe(self, subscriber: Subscriber) -> Callable[[], None]:
+        """Hear of each event, and of a command again with its fate. Returns what ends it."""
+        self._subscribers.append(subscriber)
+        return lambda: self._subscribers.remove(subscriber)
+
+    async def intend(
+        self,
+        *,
+        kind: str = "command",
+        who: str,
+        origin: str,
+        bus: str,
+        unit: int | None,
+        what: str,
+        old: str | None = None,
+        new: str | None = None,
+        old_raw: int | None = None,
+        new_raw: int | None = None,
+    ) -> int:
+        """What is about to be asked, on disk before it is. Returns the event's number for `conclude`."""
+        said = {"bus": bus, "unit": unit, "old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
+        return await self._append(kind=kind, who=who, origin=origin, what=what, **said)
+
+    async def conclude(
+        self, event: int, outcome: Outcome, message: str = "", frames: Sequence[Frame] = ()
+    ) -> None:
+        """The one fate of what was intended; ``frames`` carried it."""
+        shown = [_frame(frame) for frame in frames]
+        entry = self._entry(kind="fate", about=event, outcome=outcome, message=message, frames=shown)
+        await self._database.write(lambda connection: store.append(connection, entry))
+        await self._tell(event)
+
+    async def record(
+        self,
+        *,
+        kind: str,
+        what: str,
+        who: str = "",
+        origin: str = "",
+        bus: str | None = None,
+        unit: int | None = None,
+        old: str | None = None,
+        new: str | None = None,
+        old_raw: int | None = None,
+        new_raw: int | None = None,
+        outcome: str | None = None,
+        message: str = "",
+    ) -> int:
+        """Something that happened, whole. Returns the event's number."""
+        said = {"bus": bus, "unit": unit, "old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
+        words = {"what": what, "outcome": outcome, "message": message}
+        return await self._append(kind=kind, who=who, origin=origin, **words, **said)
+
+    async def close_open_intents(self) -> int:
+        """At start: what was open when the server ended is unverified. Returns how many there were."""
+        left = await self._database.read(store.open_intents)
+        for intent in left:
+            await self.conclude(intent["id"], "unverified", ENDED_BEFORE)
+        return len(left)
+
+    async def page(self, wanted: Filter, limit: int) -> tuple[list[Event], int | None]:
+        """Events newest first, and the number to ask on from (None at the end)."""
+        found = await self._database.read(lambda connection: store.select(connection, wanted, limit + 1))
+        return found[:limit], found[limit - 1]["id"] if len(found) > limit else None
+
+    async def every(self, wanted: Filter) -> AsyncIterator[list[Event]]:
+        """All of them newest first, in pieces, however many they are."""
+        while True:
+            chunk, after = await self.page(wanted, CHUNK)
+            yield chunk
+            if after is None:
+                return
+            wanted = Filter(**{**vars(wanted), "before": after})
+
+    async def kinds(self) -> list[str]:
+        """Every kind there is an event of."""
+        return await self._database.read(store.kinds)
+
+    async def prove(self) -> Verdict:
+        """Whether the log is whole."""
+        return await self._database.read(store.prove)
+
+    async def _append(self, **said: Any) -> int:
+        entry = self._entry(**said)
+        number = await self._database.write(lambda connection: store.append(connection, entry))
+        await self._tell(number)
+        return number
+
+    def _entry(self, **said: Any) -> dict[str, Any]:
+        nothing = dict.fromkeys(("about", "bus", "unit", "old", "new", "old_raw", "new_raw", "outcome"))
+        words = {"who": "", "origin": "", "what": "", "message": ""}
+        frames = json.dumps(said.pop("frames", []), separators=(",", ":"), ensure_ascii=False)
+        return {**nothing, **words, "time": self._clock(), **said, "frames": frames}
+
+    async def _tell(self, number: int) -> None:
+        if not self._subscribers:
+            return
+        event = await self._database.read(lambda connection: store.one(connection, number))
+        for subscriber in tuple(self._subscribers):
+            try:
+                subscriber(event or {})
+            except Exception:
+                log.exception("subscriber of events failed", event_id=number)
+
+
+def _frame(frame: Frame) -> dict[str, Any]:
+    return {
+        "at": frame.at,
+        "direction": frame.direction,
+        "data": frame.data.hex(" ").upper(),
+        "meaning": frame.meaning,
+    }

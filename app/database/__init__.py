@@ -1,0 +1,8 @@
+"""One SQLite store: one thread writes, others read, numbered SQL files bring it up to date."""
+
+from __future__ import annotations
+
+from app.database.connection import Database
+from app.database.words import StoreError
+
+__all__ = ["Database", "StoreError"]

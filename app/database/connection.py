@@ -1,0 +1,113 @@
+"""The connections to one store: one that writes, on a thread of its own, and read-only ones."""
+
+from __future__ import annotations
+
+import asyncio
+import sqlite3
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Literal, TypeVar
+
+from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
+from app.database.words import in_words
+from app.errors import StoreError
+
+T = TypeVar("T")
+Synchronous = Literal["FULL", "NORMAL"]
+READERS = 4
+BUSY_S = 5.0
+
+
+def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> sqlite3.Connection:
+    """The one connection that writes (and checkpoints). Autocommit: transactions are begun by hand."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
+    connection.row_factory = sqlite3.Row
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute(f"PRAGMA synchronous = {synchronous}")
+    connection.execute("PRAGMA foreign_keys = ON")
+    return connection
+
+
+def open_for_reading(path: Path) -> sqlite3.Connection:
+    """A connection that cannot write."""
+    uri = f"{path.absolute().as_uri()}?mode=ro"
+    connection = sqlite3.connect(uri, uri=True, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
+    connection.row_factory = sqlite3.Row
+    return connection
+
+
+def transact(connection: sqlite3.Connection, work: Callable[[sqlite3.Connection], T]) -> T:
+    """``work`` inside one transaction: all of it, or none when it raises."""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        result = work(connection)
+        connection.execute("COMMIT")
+    except BaseException:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+        raise
+    return result
+
+
+class Database:
+    """One store. Opening brings it up to date and raises StoreError in words when it cannot be used."""
+
+    def __init__(
+        self, path: Path, migrations: Path = MIGRATIONS, synchronous: Synchronous = "FULL"
+    ) -> None:
+        self.path = path
+        with in_words(path):
+            self._connection = open_for_writing(path, synchronous)
+            self.migrated: list[Migration] = bring_up_to_date(self._connection, path, migrations)
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix=f"{path.stem}-writer")
+        self._readers = ThreadPoolExecutor(READERS, thread_name_prefix=f"{path.stem}-reader")
+        self._local = threading.local()
+        self._opened: list[sqlite3.Connection] = []
+
+    async def write(self, work: Callable[[sqlite3.Connection], T]) -> T:
+        """Run ``work`` in one transaction on the writer's thread; it is on disk when this returns."""
+        return await self._run(self._writer, self.write_now, work)
+
+    async def read(self, work: Callable[[sqlite3.Connection], T]) -> T:
+        """Run ``work`` on a read-only connection in a thread."""
+        return await self._run(self._readers, self.read_now, work)
+
+    def write_now(self, work: Callable[[sqlite3.Connection], T]) -> T:
+        """The same without a loop, for the command line and the writer's own thread."""
+        with in_words(self.path):
+            return transact(self._connection, work)
+
+    def read_now(self, work: Callable[[sqlite3.Connection], T]) -> T:
+        """The same without a loop."""
+        with in_words(self.path):
+            return work(self._reader())
+
+    def close(self) -> None:
+        """Finish what is asked, then close; waits for the threads."""
+        self._readers.shutdown()
+        self._writer.shutdown()
+        for connection in (*self._opened, self._connection):
+            connection.close()
+
+    async def _run(
+        self,
+        pool: ThreadPoolExecutor,
+        run: Callable[[Callable[[sqlite3.Connection], T]], T],
+        work: Callable[[sqlite3.Connection], T],
+    ) -> T:
+        try:
+            future = asyncio.get_running_loop().run_in_executor(pool, run, work)
+        except RuntimeError as error:
+            raise StoreError(f"the store {self.path} is closed; the server is ending") from error
+        return await future
+
+    def _reader(self) -> sqlite3.Connection:
+        connection: sqlite3.Connection | None = getattr(self._local, "connection", None)
+        if connection is None:
+            connection = open_for_reading(self.path)
+            self._local.connection = connection
+            self._opened.append(connection)
+        return connection

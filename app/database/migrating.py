@@ -1,0 +1,84 @@
+"""Bringing a store up to date: numbered SQL files, forward only, a copy of the store first."""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.errors import StoreError
+
+MIGRATIONS = Path(__file__).parent / "migrations"
+_NAME = re.compile(r"^(\d{4})_([a-z0-9_]+)\.sql$")
+_LEDGER = """
+CREATE TABLE IF NOT EXISTS migrations (
+    number INTEGER PRIMARY KEY,
+    name TEXT NOT NULL,
+    applied_at REAL NOT NULL
+) STRICT
+"""
+
+
+@dataclass(frozen=True)
+class Migration:
+    """One step forward."""
+
+    number: int
+    name: str
+    sql: str
+
+
+def migrations_in(folder: Path) -> list[Migration]:
+    """Every ``NNNN_name.sql`` of a folder in order."""
+    found = ((path, _NAME.match(path.name)) for path in sorted(folder.glob("*.sql")))
+    return [Migration(int(name[1]), name[2], path.read_text("utf-8")) for path, name in found if name]
+
+
+def bring_up_to_date(connection: sqlite3.Connection, path: Path, folder: Path) -> list[Migration]:
+    """Apply what is missing, each step whole or not at all, and say which. ``connection`` is in
+    autocommit. Raises StoreError for a store of a newer version and for a step that fails."""
+    known = migrations_in(folder)
+    applied = _applied(connection)
+    newer = sorted(set(applied) - {migration.number for migration in known})
+    if newer:
+        raise StoreError(
+            f"the store {path} was written by a newer version of Lineside (its step {newer[-1]:04d} "
+            f"{applied[newer[-1]]} is unknown here); use that version, or restore an older backup"
+        )
+    missing = [migration for migration in known if migration.number not in applied]
+    if missing and applied:
+        _copy(connection, path, missing[0])
+    for migration in missing:
+        _apply(connection, path, migration)
+    return missing
+
+
+def _applied(connection: sqlite3.Connection) -> dict[int, str]:
+    exists = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'migrations'"
+    if connection.execute(exists).fetchone() is None:
+        return {}
+    return dict(connection.execute("SELECT number, name FROM migrations"))
+
+
+def copy_name(path: Path, step: Migration) -> Path:
+    """Where the store is copied to before a step."""
+    return path.with_name(f"{path.name}.before-{step.number:04d}")
+
+
+def _copy(connection: sqlite3.Connection, path: Path, step: Migration) -> None:
+    copy = copy_name(path, step)
+    copy.unlink(missing_ok=True)
+    connection.execute("VACUUM INTO ?", (str(copy),))
+
+
+def _apply(connection: sqlite3.Connection, path: Path, step: Migration) -> None:
+    row = f"({step.number}, '{step.name}', {time.time():.3f})"
+    record = f"{_LEDGER};\nINSERT INTO migrations VALUES {row}"
+    try:
+        connection.executescript(f"BEGIN IMMEDIATE;\n{step.sql};\n{record};\nCOMMIT")
+    except sqlite3.OperationalError as error:
+        if connection.in_transaction:
+            connection.rollback()
+        raise StoreError(f"the store {path}: step {step.number:04d} {step.name} failed: {error}") from error

@@ -1,0 +1,43 @@
+"""What SQLite's failures mean to a person."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from app.errors import StoreError
+
+__all__ = ["StoreError", "in_words"]
+
+_MEANINGS: dict[int, str] = {
+    sqlite3.SQLITE_FULL: "the disk is full; free some space, nothing was stored",
+    sqlite3.SQLITE_READONLY: "it may not be written to; give the server's user write access to it and its folder",
+    sqlite3.SQLITE_CORRUPT: "it is damaged; restore a backup of it (lineside backup-store) or move it away",
+    sqlite3.SQLITE_NOTADB: "it is not a Lineside store, or damaged; restore a backup of it or move it away",
+    sqlite3.SQLITE_CANTOPEN: "it cannot be opened; check that its folder exists and that the server's user may use it",
+    sqlite3.SQLITE_IOERR: "the disk failed at it; check the disk",
+    sqlite3.SQLITE_BUSY: "another program holds it locked; end that program",
+    sqlite3.SQLITE_PERM: "access to it is refused; give the server's user access",
+}
+_PRIMARY = 0xFF
+"""An extended result code holds the primary one in its low byte."""
+
+
+@contextmanager
+def in_words(path: Path) -> Iterator[None]:
+    """Turn what SQLite or the file system raises into a StoreError that names the store.
+
+    A broken rule of a table (sqlite3.IntegrityError) passes through: that is for the caller to answer.
+    """
+    try:
+        yield
+    except sqlite3.IntegrityError:
+        raise
+    except sqlite3.Error as error:
+        code = getattr(error, "sqlite_errorcode", None)
+        meaning = _MEANINGS.get(code & _PRIMARY) if isinstance(code, int) else None
+        raise StoreError(f"the store {path}: {meaning or error}") from error
+    except OSError as error:
+        raise StoreError(f"the store {path}: {error.strerror or error}") from error

@@ -1,0 +1,94 @@
+"""What lineside.toml says, whole: the site, the server and every bus."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+from zoneinfo import available_timezones
+
+from pydantic import Field, field_validator
+from pydantic_core import PydanticCustomError
+
+from bus import configuration
+from bus.configuration import ConfigurationError
+from bus.settings import BusSettings, Strict
+
+__all__ = ["ConfigurationError", "Server", "Settings", "Site", "load"]
+
+
+class Site(Strict):
+    """The plant as people call it."""
+
+    name: Annotated[str, Field(min_length=1, max_length=80)] = "Lineside"
+    language: str = "en"
+    """For whoever has chosen none and whose browser asks for none we have."""
+    time_zone: str = ""
+    """An IANA name such as Europe/Berlin; empty: the machine's own."""
+    simulated: bool = False
+    """No drive is connected: every page says so."""
+    control: bool = False
+    """One person at a time holds control of a line, and nobody else may set anything."""
+
+    @field_validator("time_zone")
+    @classmethod
+    def _zone_is_known(cls, name: str) -> str:
+        if name and name not in available_timezones():
+            raise ValueError("write a time zone like Europe/Berlin, or leave it out for the machine's own")
+        return name
+
+    @field_validator("language")
+    @classmethod
+    def _language_has_a_file(cls, tag: str) -> str:
+        known = sorted(path.stem for path in (Path(__file__).parent / "web" / "languages").glob("*.toml"))
+        if tag not in known:
+            raise ValueError(f"write one of {', '.join(known)}")
+        return tag
+
+
+class Server(Strict):
+    """Where the dashboard listens and keeps its data."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 8000
+    """0 takes any free port."""
+    data: Path = Path("data")
+    """Relative to the file; absolute once loaded."""
+
+
+class Settings(Strict):
+    """The whole configuration."""
+
+    site: Site = Site()
+    server: Server = Server()
+    bus: tuple[BusSettings, ...] = ()
+
+    @field_validator("bus")
+    @classmethod
+    def _names_and_ports_are_unique(cls, buses: tuple[BusSettings, ...]) -> tuple[BusSettings, ...]:
+        names: set[str] = set()
+        ports: dict[str, str] = {}
+        for index, bus in enumerate(buses):
+            if bus.name in names:
+                sentence = "bus name {name} is given twice; every bus has its own"
+                raise PydanticCustomError("twice", sentence, {"name": bus.name, "at": (index, "name")})
+            port = _same_device(bus.port)
+            if port in ports:
+                sentence = "port {port} belongs to bus {other} already; every bus has its own port"
+                context = {"port": bus.port, "other": ports[port], "at": (index, "port")}
+                raise PydanticCustomError("twice", sentence, context)
+            names.add(bus.name)
+            ports[port] = bus.name
+        return buses
+
+
+def _same_device(port: str) -> str:
+    """A name that is equal for two names of one device (/dev/serial/by-id/… are links)."""
+    return port if "://" in port else os.path.realpath(port)
+
+
+def load(path: Path) -> Settings:
+    """Read the file. Raises ConfigurationError naming file, line and what would be right."""
+    settings = configuration.load(path, Settings)
+    data = (path.resolve().parent / settings.server.data.expanduser()).resolve()
+    return settings.model_copy(update={"server": settings.server.model_copy(update={"data": data})})

@@ -1,0 +1,103 @@
+"""Who asks, and what a route demands of them.
+
+Every route declares a role with one of the dependencies here or says that it is public; the app does
+not start otherwise (`app.web.routes`). The person is put into the ASGI scope by `app.auth.access`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated, Literal
+
+from fastapi import Depends
+from starlette.requests import HTTPConnection
+
+from app.errors import Problem
+
+Via = Literal["session", "token", "worker", "demo"]
+
+
+class Role(StrEnum):
+    """What someone may do. The first four each include the ones before; ``worker`` is for /feed alone."""
+
+    VIEWER = "viewer"
+    OPERATOR = "operator"
+    ENGINEER = "engineer"
+    ADMIN = "admin"
+    WORKER = "worker"
+
+    def includes(self, other: Role | str) -> bool:
+        """Whether this role may do what ``other`` may (templates name it by its word)."""
+        other = Role(other)
+        if Role.WORKER in (self, other):
+            return self is other or self in (Role.ENGINEER, Role.ADMIN)
+        return _ORDER.index(self) >= _ORDER.index(other)
+
+
+_ORDER = (Role.VIEWER, Role.OPERATOR, Role.ENGINEER, Role.ADMIN)
+PEOPLE_ROLES = _ORDER
+
+
+@dataclass(frozen=True)
+class Person:
+    """Somebody who is signed in: a person, a panel or a program."""
+
+    name: str
+    role: Role
+    via: Via
+    language: str = ""
+    panel: bool = False
+    home: str = "/"
+
+
+
+def person_of(connection: HTTPConnection) -> Person | None:
+    """Who asks, None when nobody is signed in."""
+    person: Person | None = connection.scope.get("person")
+    return person
+
+
+class Requires:
+    """A dependency: refuses whoever has less than ``role``, and gives the person."""
+
+    def __init__(self, role: Role) -> None:
+        self.role = role
+
+    async def __call__(self, connection: HTTPConnection) -> Person:
+        """Raises Problem 401 or 403."""
+        person = person_of(connection)
+        if person is None:
+            raise not_signed_in()
+        if not person.role.includes(self.role):
+            raise Problem(403, "forbidden", f"this needs the role {self.role}; {person.name} is {person.role}")
+        return person
+
+    def __hash__(self) -> int:
+        return hash(self.role)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Requires) and other.role is self.role
+
+
+def requires(role: Role) -> Callable[[HTTPConnection], Awaitable[Person]]:
+    """For ``Depends(requires(Role.OPERATOR))``."""
+    return Requires(role)
+
+
+async def public() -> None:
+    """For ``dependencies=[Depends(public)]``: a route that nobody need sign in for."""
+
+
+def not_signed_in() -> Problem:
+    """The refusal for nobody."""
+    problem = Problem(401, "unauthorized", "sign in, or send a token that is valid")
+    return problem.with_headers(WWW_Authenticate="Bearer")
+
+
+Viewer = Annotated[Person, Depends(requires(Role.VIEWER))]
+Operator = Annotated[Person, Depends(requires(Role.OPERATOR))]
+Engineer = Annotated[Person, Depends(requires(Role.ENGINEER))]
+Admin = Annotated[Person, Depends(requires(Role.ADMIN))]
+Worker = Annotated[Person, Depends(requires(Role.WORKER))]

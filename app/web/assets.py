@@ -1,0 +1,97 @@
+"""The static files, kept in memory under an address that changes with their content."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import mimetypes
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.errors import Problem
+
+_ROOT = Path(__file__).resolve().parents[2]
+_PACKED = Path(__file__).resolve().parents[1] / "_assets"
+_FOREVER = "public, max-age=31536000, immutable"
+_TEXT = ("text/", "application/javascript", "application/json", "application/manifest+json", "image/svg+xml")
+
+mimetypes.add_type("text/javascript", ".js")
+mimetypes.add_type("application/manifest+json", ".webmanifest")
+mimetypes.add_type("font/woff2", ".woff2")
+
+
+def _folder(name: str) -> Path:
+    """In a wheel the files lie inside the package, in a checkout at its root."""
+    packed = _PACKED / name
+    return packed if packed.is_dir() else _ROOT / name
+
+
+def templates_dir() -> Path:
+    """Where the templates are."""
+    return _folder("templates")
+
+
+def static_dir() -> Path:
+    """Where the static files are."""
+    return _folder("static")
+
+
+@dataclass
+class Asset:
+    """One file as it is sent."""
+
+    body: bytes
+    media_type: str
+
+    @cached_property
+    def packed(self) -> bytes | None:
+        """Gzipped once, when that makes it smaller."""
+        if not self.media_type.startswith(_TEXT):
+            return None
+        packed = gzip.compress(self.body, 9, mtime=0)
+        return packed if len(packed) < len(self.body) else None
+
+
+class Assets:
+    """All files below one folder. Their address holds one hash of all of them, so that a module's
+    relative import stays inside the same version."""
+
+    def __init__(self, folder: Path) -> None:
+        self._files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*"))}
+        self._files = {name: path for name, path in self._files.items() if path.is_file()}
+        self._loaded: dict[str, Asset] = {}
+        self.version = self._digest()
+
+    def _digest(self) -> str:
+        digest = hashlib.sha256()
+        for name, path in self._files.items():
+            digest.update(f"{name}\0{path.stat().st_size}\0".encode())
+            digest.update(path.read_bytes())
+        return digest.hexdigest()[:12]
+
+    def url(self, name: str) -> str:
+        """The address of a file, for example ``asset("css/lineside.css")``."""
+        return f"/static/{self.version}/{name}"
+
+    def get(self, name: str) -> Asset:
+        """Raises Problem 404."""
+        if name not in self._files:
+            raise Problem(404, "not_found", f"there is no file {name}")
+        if name not in self._loaded:
+            media_type = mimetypes.guess_type(name)[0] or "application/octet-stream"
+            self._loaded[name] = Asset(self._files[name].read_bytes(), media_type)
+        return self._loaded[name]
+
+    def response(self, request: Request, name: str, *, forever: bool) -> Response:
+        """The file, gzipped for a browser that takes it. ``forever``: its address names its version."""
+        asset = self.get(name)
+        headers = {"Cache-Control": _FOREVER if forever else "no-cache", "Vary": "Accept-Encoding"}
+        body = asset.body
+        if asset.packed is not None and "gzip" in request.headers.get("accept-encoding", ""):
+            headers["Content-Encoding"] = "gzip"
+            body = asset.packed
+        return Response(body, media_type=asset.media_type, headers=headers)

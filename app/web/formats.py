@@ -1,0 +1,71 @@
+"""Numbers and times as a reader of one language expects them."""
+
+from __future__ import annotations
+
+from datetime import datetime, tzinfo
+from decimal import Decimal
+from zoneinfo import ZoneInfo
+
+from babel import Locale
+from babel.dates import format_date, format_datetime, format_time
+from babel.numbers import format_decimal, get_decimal_symbol
+
+UNKNOWN = "–"
+"""What stands where a value was never read."""
+
+
+def zone(name: str) -> tzinfo:
+    """The site's time zone; the machine's own when none is named."""
+    if name:
+        return ZoneInfo(name)
+    return datetime.now().astimezone().tzinfo or ZoneInfo("UTC")
+
+
+class Formats:
+    """Formatting for one locale and one time zone."""
+
+    def __init__(self, locale: str, time_zone: str = "") -> None:
+        self.locale = Locale.parse(locale, sep="-" if "-" in locale else "_")
+        self.decimal_sign = get_decimal_symbol(self.locale)
+        self._zone_name = time_zone
+
+    def point(self, text: str) -> str:
+        """A number written with a point, with this locale's sign instead."""
+        return text.replace(".", self.decimal_sign)
+
+    def fixed(self, raw: int | None, decimals: int | None) -> str:
+        """An integer of display units with implied decimals: (12345, 1) → ``1234.5``; no grouping."""
+        if raw is None:
+            return UNKNOWN
+        return self.point(f"{Decimal(raw).scaleb(-(decimals or 0)):f}")
+
+    def number(self, value: float | Decimal | None, digits: int = 0) -> str:
+        """A measured value with a fixed count of digits after the sign."""
+        return UNKNOWN if value is None else self.point(f"{value:.{digits}f}")
+
+    def amount(self, value: float) -> str:
+        """A count for reading, with this locale's grouping."""
+        return format_decimal(value, locale=self.locale)
+
+    def local(self, at: float | datetime) -> datetime:
+        """An instant (seconds since the epoch, or aware) at the site."""
+        site = zone(self._zone_name)
+        return at.astimezone(site) if isinstance(at, datetime) else datetime.fromtimestamp(at, site)
+
+    def moment(self, at: float | datetime | None) -> str:
+        """Date and time to the second."""
+        if at is None:
+            return UNKNOWN
+        return format_datetime(self.local(at), "medium", locale=self.locale)
+
+    def day(self, at: float | datetime) -> str:
+        """The date."""
+        return format_date(self.local(at).date(), "medium", locale=self.locale)
+
+    def clock(self, at: float | datetime) -> str:
+        """The time of day to the second."""
+        return format_time(self.local(at).time(), "medium", locale=self.locale)
+
+    def iso(self, at: float | datetime) -> str:
+        """ISO 8601 with zone, for ``<time datetime>``."""
+        return self.local(at).isoformat(timespec="milliseconds")

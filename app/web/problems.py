@@ -1,0 +1,123 @@
+"""Every refusal and failure as RFC 9457 for programs and as a page or fragment for people."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from http import HTTPStatus
+from typing import Any
+
+import structlog
+from fastapi import FastAPI
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import JSONResponse, Response
+
+from app.errors import Problem, StoreError
+from app.web.templating import render
+from bus.errors import CallerError
+
+log = structlog.get_logger()
+
+_CODES = {401: "unauthorized", 403: "forbidden", 404: "not_found", 405: "method_not_allowed", 422: "invalid"}
+
+
+def wants_json(connection: HTTPConnection) -> bool:
+    """Whether a program asks: the API, and whoever accepts no HTML elsewhere."""
+    path = connection.scope["path"]
+    if path.startswith("/api/") or path in ("/metrics", "/healthz"):
+        return True
+    accepts = connection.headers.get("accept", "*/*")
+    return "text/html" not in accepts and "*/*" not in accepts
+
+
+def is_fragment(connection: HTTPConnection) -> bool:
+    """Whether htmx asks, to swap the answer into a page that stands."""
+    return connection.headers.get("hx-request") == "true"
+
+
+def problem_json(problem: Problem) -> JSONResponse:
+    """The problem as ``application/problem+json``."""
+    content = {
+        "type": "about:blank",
+        "title": HTTPStatus(problem.status).phrase,
+        "status": problem.status,
+        "code": problem.code,
+        "detail": problem.detail,
+        **problem.extra,
+    }
+    return JSONResponse(content, problem.status, problem.headers, "application/problem+json")
+
+
+def respond(request: Request, problem: Problem) -> Response:
+    """The problem in the form that whoever asks can read."""
+    if wants_json(request):
+        return problem_json(problem)
+    template = "web/_problem.html" if is_fragment(request) else "web/problem.html"
+    return render(request, template, status=problem.status, headers=problem.headers, problem=problem)
+
+
+def _place(location: Sequence[int | str]) -> str:
+    return ".".join(str(step) for step in location if step not in ("body", "query", "path")) or "body"
+
+
+def invalid(errors: Sequence[Any]) -> Problem:
+    """Malformed input, each fault named. Nothing was done."""
+    if any(error["type"] == "json_invalid" for error in errors):
+        return Problem(422, "invalid", "the body is not JSON; nothing was sent")
+    faults = [{"where": _place(error["loc"]), "message": error["msg"]} for error in errors]
+    words = "; ".join(f"{fault['where']}: {fault['message']}" for fault in faults)
+    return Problem(422, "invalid", f"{words}; nothing was sent", errors=faults)
+
+
+async def _on_problem(request: Request, error: Exception) -> Response:
+    assert isinstance(error, Problem)
+    return respond(request, error)
+
+
+async def _on_http(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    if error.status_code in (204, 304):
+        return Response(status_code=error.status_code)
+    detail = str(error.detail)
+    if error.status_code == 404:
+        detail = f"there is nothing at {request.url.path}"
+    problem = Problem(error.status_code, _CODES.get(error.status_code, "refused"), detail)
+    problem.headers.update(error.headers or {})
+    return respond(request, problem)
+
+
+async def _on_invalid(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    return respond(request, invalid(error.errors()))
+
+
+async def _on_caller(request: Request, error: Exception) -> Response:
+    return respond(request, Problem(422, "invalid", str(error)))
+
+
+async def _on_store(request: Request, error: Exception) -> Response:
+    log.error("store", path=request.url.path, error=str(error))
+    return respond(request, Problem(503, "store", str(error)))
+
+
+async def _on_undecodable(request: Request, _error: Exception) -> Response:
+    return respond(request, Problem(422, "invalid", "the body is not UTF-8 text; nothing was sent"))
+
+
+async def _on_anything(request: Request, error: Exception) -> Response:
+    log.error("failed", path=request.url.path, exc_info=error)
+    return respond(request, Problem(500, "failed", "the server failed at this; its log says why"))
+
+
+def install(app: FastAPI) -> None:
+    """Every kind of failure gets its answer."""
+    app.add_exception_handler(Problem, _on_problem)
+    app.add_exception_handler(HTTPException, _on_http)
+    app.add_exception_handler(RequestValidationError, _on_invalid)
+    app.add_exception_handler(CallerError, _on_caller)
+    app.add_exception_handler(StoreError, _on_store)
+    app.add_exception_handler(UnicodeDecodeError, _on_undecodable)
+    app.add_exception_handler(json.JSONDecodeError, _on_undecodable)
+    app.add_exception_handler(Exception, _on_anything)

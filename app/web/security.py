@@ -1,0 +1,112 @@
+"""What the browser is told to forbid, and which requests are not ours to answer.
+
+A request that changes something, and every WebSocket handshake, must come from our own pages when a
+browser sends it: browsers name the page's origin in ``Origin``. One without ``Origin`` is not from a
+browser's foreign page (all of them send it with such requests), so scripts need not invent one.
+"""
+
+from __future__ import annotations
+
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from app.errors import Problem
+from app.web.problems import problem_json
+
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+CONTENT_POLICY = (
+    "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
+    "form-action 'self'; frame-ancestors 'none'"
+)
+HEADERS = {
+    "Content-Security-Policy": CONTENT_POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
+}
+_DEFAULT_PORTS = {"http": 80, "https": 443, "ws": 80, "wss": 443}
+
+
+def _authority(scheme: str, netloc: str) -> tuple[str | None, int | None]:
+    parts = urlsplit(f"//{netloc}")
+    return parts.hostname, parts.port or _DEFAULT_PORTS.get(scheme)
+
+
+def same_origin(origin: str, host: str) -> bool:
+    """Whether an ``Origin`` header names the host that was asked; ``null`` never does."""
+    try:
+        parts = urlsplit(origin)
+        asked = _authority(parts.scheme, host)
+        return bool(parts.netloc) and _authority(parts.scheme, parts.netloc) == asked
+    except ValueError:
+        return False
+
+
+def is_foreign(scope: Scope) -> bool:
+    """Whether a browser sends this from somebody else's page to change something or to listen."""
+    if scope["type"] == "http" and scope["method"] in SAFE_METHODS:
+        return False
+    headers = Headers(scope=scope)
+    origin = headers.get("origin")
+    if origin is None:
+        return headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none")
+    return not same_origin(origin, headers.get("host", ""))
+
+
+async def refuse(scope: Scope, receive: Receive, send: Send, problem: Problem) -> None:
+    """Answer a request or a WebSocket handshake with a problem before anything else sees it."""
+    response = problem_json(problem)
+    if scope["type"] == "http":
+        await response(scope, receive, send)
+    elif "websocket.http.response" in scope.get("extensions", {}):
+        await response(scope, receive, _as_denial(send))
+    else:
+        await send({"type": "websocket.close", "code": 4000 + problem.status, "reason": problem.code})
+
+
+def _as_denial(send: Send) -> Send:
+    async def denial(message: Message) -> None:
+        await send({**message, "type": f"websocket.{message['type'].removeprefix('websocket.')}"})
+
+    return denial
+
+
+class SecurityHeaders:
+    """Adds the headers above to every answer."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        await self._app(scope, receive, with_headers)
+
+
+class OwnPagesOnly:
+    """Refuses what a foreign page makes a browser send."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] in ("http", "websocket") and is_foreign(scope):
+            origin = HTTPConnection(scope).headers.get("origin", "another site")
+            detail = f"this came from a page of {origin}, not from here; nothing was done"
+            await refuse(scope, receive, send, Problem(403, "foreign_origin", detail))
+            return
+        await self._app(scope, receive, send)

@@ -1,0 +1,93 @@
+"""Pages and fragments: one Jinja environment per language, strict and escaping."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, cast
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from starlette.requests import HTTPConnection
+from starlette.responses import HTMLResponse
+
+from app.settings import Site
+from app.web.access import Person, Role, person_of
+from app.web.assets import Assets
+from app.web.formats import Formats
+from app.web.languages import Language, Languages
+
+
+class Templates:
+    """Renders templates. In every template: ``t()``, ``asset()``, ``formats``, ``language``,
+    ``languages``, ``site``, ``Role``, ``demo``; in a page or fragment of a request also ``person``,
+    ``request`` and ``path``."""
+
+    def __init__(self, folder: Path, assets: Assets, site: Site, *, demo: bool = False) -> None:
+        self.languages = Languages()
+        self._site = site
+        self._demo = demo
+        self._assets = assets
+        self._loader = FileSystemLoader(folder)
+        self.environment = cache(self._environment)
+
+    def _environment(self, tag: str) -> Environment:
+        language = self.languages[tag]
+        environment = Environment(
+            loader=self._loader,
+            autoescape=True,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        environment.globals.update(self._globals(language))
+        return environment
+
+    def _globals(self, language: Language) -> Mapping[str, Any]:
+        return {
+            "t": language.t,
+            "language": language,
+            "languages": self.languages,
+            "formats": self.formats(language.tag),
+            "asset": self._assets.url,
+            "site": self._site,
+            "demo": self._demo,
+            "Role": Role,
+        }
+
+    def formats(self, tag: str) -> Formats:
+        """Number and time formatting of a language."""
+        return Formats(self.languages[tag].locale, self._site.time_zone)
+
+    def text(self, tag: str, name: str, /, **context: Any) -> str:
+        """A template in one language, for whoever renders without a request."""
+        return self.environment(tag).get_template(name).render(context)
+
+    def language_of(self, connection: HTTPConnection) -> Language:
+        """The language for whoever asks."""
+        person = person_of(connection)
+        wished = person.language if person else ""
+        accepted = connection.headers.get("accept-language", "")
+        return self.languages.choose(wished, accepted, self._site.language)
+
+
+def templates_of(connection: HTTPConnection) -> Templates:
+    """The app's templates."""
+    return cast(Templates, connection.app.state.services.templates)
+
+
+def render(
+    request: HTTPConnection,
+    name: str,
+    /,
+    *,
+    status: int = 200,
+    headers: Mapping[str, str] | None = None,
+    **context: Any,
+) -> HTMLResponse:
+    """A page or fragment in the language of whoever asks, never kept by a cache."""
+    templates = templates_of(request)
+    person: Person | None = person_of(request)
+    context = {"person": person, "request": request, "path": request.url.path, **context}
+    html = templates.text(templates.language_of(request).tag, name, **context)
+    return HTMLResponse(html, status, {"Cache-Control": "no-store", **(headers or {})})

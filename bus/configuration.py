@@ -1,0 +1,191 @@
+"""Reading lineside.toml: what is wrong is said with the file, the line and what would be right."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from bus.errors import LinesideError
+from bus.settings import BusSettings
+
+Step = str | int
+Model = TypeVar("Model", bound=BaseModel)
+
+_HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
+_KEY = re.compile(r"""^\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*=""")
+_PART = re.compile(r"""[A-Za-z0-9_-]+|"[^"]*"|'[^']*'""")
+_SYNTAX_PLACE = re.compile(r"\(at (?:line (\d+), column \d+|end of document)\)")
+
+
+class ConfigurationError(LinesideError):
+    """The configuration cannot be used as it stands; the text says where and what would be right."""
+
+
+class _OnlyBuses(BaseModel):
+    """What a worker reads of the file: the buses; the rest belongs to the dashboard."""
+
+    bus: tuple[BusSettings, ...] = ()
+
+
+def load(path: Path, model: type[Model]) -> Model:
+    """The file as ``model``. Raises ConfigurationError ``FILE:LINE: what, and what would be right``."""
+    text = _read(path)
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(_syntax(path, text, error)) from error
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        lines = Lines(text)
+        faults = [_fault(path, lines, model, details) for details in error.errors()]
+        raise ConfigurationError("\n".join(dict.fromkeys(faults))) from error
+
+
+def load_bus(path: Path, name: str) -> BusSettings:
+    """One ``[[bus]]`` of the file, for its worker. Raises ConfigurationError."""
+    buses = {bus.name: bus for bus in load(path, _OnlyBuses).bus}
+    if name not in buses:
+        raise ConfigurationError(f"{path}: there is no [[bus]] named {name!r}; it has {_listed(buses)}")
+    return buses[name]
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: there is no such file; name one with --config FILE") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error}") from error
+
+
+def _listed(names: Mapping[str, object]) -> str:
+    return ", ".join(names) or "none"
+
+
+def _syntax(path: Path, text: str, error: tomllib.TOMLDecodeError) -> str:
+    place = _SYNTAX_PLACE.search(str(error))
+    line = int(place[1]) if place and place[1] else len(text.splitlines())
+    said = _SYNTAX_PLACE.sub("", str(error)).strip()
+    written = (text.splitlines() or [""])[max(0, line - 1)].strip()
+    return f'{path}:{line}: this is not TOML: {said}; it says {written!r}, write key = value, text in "quotes"'
+
+
+class Lines:
+    """Where each key of a TOML text stands. A value inside an array or an inline table is found by
+    the line of the nearest key around it."""
+
+    def __init__(self, text: str) -> None:
+        self._places = dict(_places(text))
+
+    def of(self, path: tuple[Step, ...]) -> int:
+        """The line (from 1) of a key, or of what it would stand in."""
+        for length in range(len(path), 0, -1):
+            if path[:length] in self._places:
+                return self._places[path[:length]]
+        return 1
+
+
+def _parts(dotted: str) -> tuple[str, ...]:
+    return tuple(part.strip("\"'") for part in _PART.findall(dotted))
+
+
+def _places(text: str) -> Iterator[tuple[tuple[Step, ...], int]]:
+    counts: dict[tuple[Step, ...], int] = {}
+    table: tuple[Step, ...] = ()
+    lines = text.splitlines()
+    number = 0
+    while number < len(lines):
+        header, key = _HEADER.match(lines[number]), _KEY.match(lines[number])
+        if header:
+            table = _table(_parts(header[2]), counts, is_new=header[1] == "[[")
+            yield table, number + 1
+        elif key:
+            parts = _parts(key[1])
+            for length in range(1, len(parts) + 1):
+                yield table + parts[:length], number + 1
+            number += _lines_of_value(lines[number:])
+        number += 1
+
+
+def _table(parts: tuple[str, ...], counts: dict[tuple[Step, ...], int], *, is_new: bool) -> tuple[Step, ...]:
+    """The path of a header, with the index of the present element after each name of an array."""
+    path: tuple[Step, ...] = ()
+    for index, part in enumerate(parts):
+        path += (part,)
+        if is_new and index == len(parts) - 1:
+            counts[path] = counts.get(path, -1) + 1
+        if path in counts:
+            path += (counts[path],)
+    return path
+
+
+def _lines_of_value(lines: list[str]) -> int:
+    """How many lines after the first one a value takes."""
+    for extra in range(len(lines)):
+        try:
+            tomllib.loads("\n".join(lines[: extra + 1]))
+        except tomllib.TOMLDecodeError:
+            continue
+        return extra
+    return 0
+
+
+def _fault(path: Path, lines: Lines, model: type[BaseModel], details: ErrorDetails) -> str:
+    place = tuple(details["loc"]) + tuple(details.get("ctx", {}).get("at", ()))
+    return f"{path}:{lines.of(place)}: {_sentence(model, place, details)}"
+
+
+def _sentence(model: type[BaseModel], place: tuple[Step, ...], details: ErrorDetails) -> str:
+    key = str(place[-1]) if place else "the file"
+    if details["type"] == "extra_forbidden":
+        return _unknown_key(model, place)
+    if details["type"] == "missing":
+        return f"{_inside(place)} needs {key} = …"
+    if "at" in details.get("ctx", {}):
+        return details["msg"]
+    names = ".".join(step for step in place if isinstance(step, str) and step != "[key]")
+    return f"{names} = {details['input']!r}: {_right(details)}"
+
+
+def _right(details: ErrorDetails) -> str:
+    if details["type"] == "string_pattern_mismatch":
+        return "write small letters, digits and hyphens between them, like dry-end"
+    said = details["msg"].removeprefix("Value error, ")
+    said = said.replace("Input should be a valid tuple", "Input should be a list")
+    return said.replace("Input should", "it must").replace("String should", "it must")
+
+
+def _inside(place: tuple[Step, ...]) -> str:
+    names = ".".join(step for step in place[:-1] if isinstance(step, str))
+    if not names:
+        return "the file"
+    return f"[[{names}]]" if isinstance(place[-2], int) else f"[{names}]"
+
+
+def _unknown_key(model: type[BaseModel], place: tuple[Step, ...]) -> str:
+    known = _keys(model, place[:-1])
+    near = difflib.get_close_matches(str(place[-1]), known, 1)
+    right = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
+    return f"unknown key {place[-1]} in {_inside(place)}; {right}"
+
+
+def _keys(annotation: Any, place: tuple[Step, ...]) -> list[str]:
+    """The keys that may stand at a place of a model."""
+    if get_origin(annotation) is Annotated:
+        return _keys(get_args(annotation)[0], place)
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        fields = annotation.model_fields
+        if not place:
+            return list(fields)
+        return _keys(fields[str(place[0])].annotation, place[1:])
+    return _keys(get_args(annotation)[0], place[1:])
+
+
