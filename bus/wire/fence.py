@@ -9,8 +9,7 @@ an error code. The rules:
 
 1. Every request that was sent and not surely answered is *outstanding*, oldest first. A unit answers in
    order, so an answer ends all that was outstanding before the first request that can have caused it.
-2. The *last* answer of a unit may come once more, until the bus has moved on to another unit or that unit
-   has given another answer.
+2. The *last* answer of a unit may come once more, but only while the very next request is under way.
 3. An answer is believed only if nothing outstanding, nor the last one, can be the cause of it. The one
    exception is the same read sent again with no write between, for its late answer says the same thing.
    The same write sent again is no exception: a late refusal of the first is none of the second.
@@ -124,7 +123,7 @@ class Doubt:
         """``request`` has gone out (a broadcast changes nothing, for it has no answer)."""
         if request.unit != self.unit:
             return self
-        return replace(self, outstanding=(*self.outstanding, request)[-MOST_OUTSTANDING:])
+        return replace(self, outstanding=(*self.outstanding, request)[-MOST_OUTSTANDING:], last=None)
 
     def heard(self, body: bytes) -> Doubt:
         """A frame of this unit came in, awaited or not (rules 1 and 2)."""
@@ -136,7 +135,7 @@ class Doubt:
         return self
 
     def moved_on(self) -> Doubt:
-        """The bus has talked with another unit since; the last answer cannot come again."""
+        """The bus has asked another unit since; the last answer cannot come again."""
         return replace(self, last=None)
 
     def believes(self, request: Request, body: bytes) -> bool:
