@@ -8,7 +8,8 @@ from fastapi import APIRouter, Depends, Header, Request
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.errors import Problem
-from app.live.state import BusLive, LiveState
+from app.live.lookup import bus_or_404
+from app.live.state import LiveState
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, setpoints_now
 from app.recipes.view import dry_run_json, loaded_json, recipe_json
@@ -81,9 +82,9 @@ async def one_recipe(_: Viewer, book: Book, live: Live, recipe_id: int) -> dict[
 
 
 @router.get("/recipes/{recipe_id}/dry-run")
-async def try_recipe(_: Viewer, book: Book, recipe_id: int) -> dict[str, Any]:
+async def try_recipe(person: Viewer, book: Book, recipe_id: int) -> dict[str, Any]:
     """What loading it now would do, unit by unit, and how long it takes on the wire and by the ramps."""
-    return dry_run_json(book.try_out(await recipe_or_404(book, recipe_id)))
+    return dry_run_json(book.try_out(person, await recipe_or_404(book, recipe_id)))
 
 
 @router.post("/recipes/{recipe_id}/load")
@@ -119,13 +120,6 @@ def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
     if wrong:
         raise Problem(422, "invalid", f"{wrong[0]!r} is no unit address; give 1 to 255")
     return {int(key): raw for key, raw in given.items()}
-
-
-def bus_or_404(live: LiveState, bus: str) -> BusLive:
-    """A configured bus."""
-    if bus not in live.buses:
-        raise Problem(404, "unknown_bus", f"there is no bus {bus!r}")
-    return live.buses[bus]
 
 
 async def recipe_or_404(book: RecipeBook, recipe_id: int) -> Recipe:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 
 from app.audit.log import EventLog
 from app.commands.desk import Desk
@@ -13,22 +12,17 @@ from app.live.state import BusLive, LiveState
 from app.recipes.rules import Departure, DryRun, Recipe, Setpoint, departures, dry_run, setpoint_kind
 from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person
-from bus.contract import Result, SetLine
-
-Refusal = Callable[[str, int, int], str]
+from bus.contract import Result, SetLine, SetSpeed
 
 
 class RecipeBook:
-    """One for the app. ``refusal(bus, unit, raw)``: why the desk would refuse a setpoint, or nothing."""
+    """One for the app."""
 
-    def __init__(
-        self, state: LiveState, desk: Desk, store: RecipeStore, events: EventLog, refusal: Refusal
-    ) -> None:
+    def __init__(self, state: LiveState, desk: Desk, store: RecipeStore, events: EventLog) -> None:
         self._state = state
         self._desk = desk
         self.store = store
         self._events = events
-        self._refusal = refusal
         self._loaded: dict[str, Loaded] = {}
 
     async def load_marks(self) -> None:
@@ -62,13 +56,14 @@ class RecipeBook:
         await self.store.retire(bus, name)
         await self._record(person, versions[0], "retired")
 
-    def try_out(self, recipe: Recipe) -> DryRun:
+    def try_out(self, person: Person, recipe: Recipe) -> DryRun:
         """What loading it now would do; nothing is sent."""
-        return dry_run(recipe, self._bus(recipe), lambda unit, raw: self._refusal(recipe.bus, unit, raw))
+        bus = self._bus(recipe)
+        return dry_run(recipe, bus, lambda unit, raw: self._refusal(person, recipe.bus, unit, raw))
 
     async def load(self, person: Person, recipe: Recipe, *, confirm: bool, command_id: str | None) -> Result:
-        """Load it as one change: staged, broadcast, proven. Raises Problem 409 where a unit cannot take it."""
-        run = self.try_out(recipe)
+        """Load it as one change: staged, broadcast, proven. Problem 409 where a unit cannot take it."""
+        run = self.try_out(person, recipe)
         if not run.loadable:
             why = "; ".join(f"{step.name}: {step.obstacle}" for step in run.steps if step.obstacle)
             raise Problem(409, "not_loadable", f"{recipe.name} cannot be loaded now: {why}; nothing was sent")
@@ -80,10 +75,18 @@ class RecipeBook:
             await self._mark(person, recipe)
         return result
 
+    def _refusal(self, person: Person, bus: str, unit: int, raw: int) -> str:
+        """Why the desk would refuse this setpoint now, confirmed as it will be; empty when it would not."""
+        try:
+            self._desk.check(person, bus, SetSpeed(unit=unit, raw=raw), confirm=True)
+        except Problem as problem:
+            return problem.detail
+        return ""
+
     async def _mark(self, person: Person, recipe: Recipe) -> None:
         now = time.time()
         await self.store.mark_loaded(recipe.bus, recipe.id, person.name, now)
-        self._loaded[recipe.bus] = Loaded(replace(recipe), person.name, now)
+        self._loaded[recipe.bus] = Loaded(recipe, person.name, now)
         await self._record(person, recipe, "loaded and proven")
 
     async def _record(self, person: Person, recipe: Recipe, what: str) -> None:

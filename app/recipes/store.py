@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlite3
 from dataclasses import dataclass
 
-from app.database.connection import Database
+from app.database import Database
 from app.recipes.rules import Recipe, Setpoint
 
 

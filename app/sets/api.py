@@ -9,16 +9,15 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from app.audit.log import EventLog
 from app.errors import Problem
+from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state import LiveState
 from app.sets.compare import compare
 from app.sets.document import write_document
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import (
-    bus_or_404,
     is_running,
     restore_or_404,
     set_or_404,
-    unit_or_404,
     unit_rows_or_404,
     wanted_rows,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.errors import Problem
-from app.live.state import BusLive, LiveState
+from app.live.state import BusLive
 from app.sets.document import DocumentError, read_document
 from app.sets.keeper import SetKeeper
 from app.sets.model import ParameterSet, UnitRows
@@ -35,21 +35,7 @@ def is_running(bus: BusLive, unit: int) -> bool | None:
     reading = bus.units[unit].reading
     if reading is None:
         return None
-    return status_bits(reading.outputs, reading.inputs, estop_healthy=bus.settings.estop_healthy).run
-
-
-def bus_or_404(live: LiveState, bus: str) -> BusLive:
-    """A configured bus."""
-    found = live.buses.get(bus)
-    if found is None:
-        raise Problem(404, "unknown_bus", f"there is no bus {bus!r}; there are {', '.join(live.buses)}")
-    return found
-
-
-def unit_or_404(live: LiveState, bus: str, unit: int) -> None:
-    """Raise unless the unit is configured."""
-    if unit not in bus_or_404(live, bus).units:
-        raise Problem(404, "unknown_unit", f"bus {bus!r} has no unit {unit}")
+    return status_bits(reading.outputs, reading.inputs, bus.settings.estop_healthy).run
 
 
 async def set_or_404(keeper: SetKeeper, set_id: int) -> ParameterSet:

@@ -6,7 +6,7 @@ import sqlite3
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from app.database.connection import Database
+from app.database import Database
 from app.sets.model import ParameterSet, Row, UnitRows
 
 
@@ -157,7 +157,7 @@ def _summaries(connection: sqlite3.Connection, bus: str | None, unit: int | None
         " ORDER BY taken_at DESC, id DESC",
         {"bus": bus, "unit": unit},
     )
-    return [SetSummary(*row[:7], units=_numbers(row[7]), golden_for=_numbers(row[8])) for row in found]
+    return [SetSummary(*row[:7], _numbers(row[7]), _numbers(row[8])) for row in found]
 
 
 def _numbers(joined: str | None) -> tuple[int, ...]:
