@@ -1,0 +1,123 @@
+"""A real browser on a real server on simulated units.
+
+``line_server`` starts sites, ``site`` is one of eight units that a module shares, ``browser_page`` opens a
+page signed in as a role, ``axe`` judges a page's accessibility. The browser belongs to a module, because
+Playwright's own event loop would be in the way of asynchronous tests in the same process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Protocol
+
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
+
+from tests.e2e import site as sites
+from tests.e2e.site import PASSWORD, Site
+
+CHROMIUM = "/usr/bin/chromium"
+FLAGS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+AXE = Path(__file__).resolve().parents[2] / "node_modules" / "axe-core" / "axe.min.js"
+AXE_RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
+
+
+class OpensPages(Protocol):
+    """``browser_page("operator", viewport={"width": 360, "height": 740})``; no role: nobody signed in."""
+
+    def __call__(self, role: str | None = ..., site: Site | None = ..., **context: Any) -> Page: ...
+
+
+@pytest.fixture(scope="module")
+def line_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Site]]:
+    """Starts sites: ``line_server(units=4, line_options=("--no-script",), toml="…", bus_toml="…")``."""
+    with ExitStack() as stack:
+        yield lambda units=8, **options: stack.enter_context(
+            sites.site(tmp_path_factory.mktemp("site"), units, **options)
+        )
+
+
+@pytest.fixture(scope="module")
+def site(line_server: Callable[..., Site]) -> Site:
+    """Eight units that nobody but the test works on."""
+    return line_server(8, line_options=("--no-script",))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Chromium of the machine, without a window."""
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def browser_page(browser: Browser, request: pytest.FixtureRequest) -> Iterator[OpensPages]:
+    """Opens pages signed in as a role; whatever a page logs as an error fails the test at its end.
+
+    Mark a test with ``provokes("part of the text")`` where it means that.
+    """
+    complaints: list[str] = []
+    with ExitStack() as stack:
+
+        def open_page(role: str | None = "operator", site: Site | None = None, **context: Any) -> Page:
+            served: Site = site or request.getfixturevalue("site")
+            state = signed_in(browser, served, role) if role else None
+            opened = browser.new_context(base_url=served.url, storage_state=state, **context)
+            stack.callback(opened.close)
+            page = opened.new_page()
+            page.on("pageerror", lambda error: complaints.append(str(error)))
+            page.on("console", lambda said: complaints.append(said.text) if is_complaint(said) else None)
+            return page
+
+        yield open_page
+    provoked = request.node.get_closest_marker("provokes")
+    allowed: tuple[str, ...] = provoked.args if provoked else ()
+    assert [text for text in complaints if not any(part in text for part in allowed)] == []
+
+
+def is_complaint(said: Any) -> bool:
+    """An error or a broken content policy; a refused request is the page's business, not the console's."""
+    return said.type == "error" and "Failed to load resource" not in said.text
+
+
+def signed_in(browser: Browser, site: Site, role: str) -> Any:
+    """The cookies of a role, asked for once for each site: signing in is slow on purpose."""
+    if role not in site.sessions:
+        context: BrowserContext = browser.new_context(base_url=site.url)
+        answer = context.request.post(
+            "/login", form={"name": role, "password": PASSWORD}, headers={"Origin": site.url}, max_redirects=0
+        )
+        assert answer.status in (200, 204, 303), f"{role} could not sign in: {answer.status} {answer.text()}"
+        site.sessions[role] = context.storage_state()
+        context.close()
+    return site.sessions[role]
+
+
+@pytest.fixture
+def axe() -> Callable[..., list[str]]:
+    """``axe(page)`` → each violation in words; evaluated, as a script tag is blocked by the policy."""
+    source = AXE.read_text(encoding="utf-8")
+
+    def judge(page: Page, *disabled: str) -> list[str]:
+        page.evaluate(source)
+        options = {"runOnly": AXE_RULES, "rules": {rule: {"enabled": False} for rule in disabled}}
+        found = page.evaluate("options => axe.run(document, options)", options)
+        return [
+            f"{broken['id']} ({broken['help']}): {node['html'][:200]}"
+            for broken in found["violations"]
+            for node in broken["nodes"]
+        ]
+
+    return judge

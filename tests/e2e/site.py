@@ -1,0 +1,215 @@
+"""A whole plant for a test: simulated units at a port, ``lineside serve`` on them, and people of each role.
+
+Everything is a process of its own and speaks as it would on a machine: a device path, HTTP, the command.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import httpx
+
+from bus.simulator.control import Remote
+from bus.simulator.demo import demo_line
+
+LINESIDE = Path(sys.executable).with_name("lineside")
+ROLES = ("viewer", "operator", "engineer", "admin")
+PASSWORD = "correct horse battery staple"
+START_S = 60.0
+
+
+def eventually(condition: Callable[[], Any], what: str, *, within: float = START_S) -> Any:
+    """The first true result of ``condition``; fails with ``what`` when there is none in time."""
+    end = time.monotonic() + within
+    while time.monotonic() < end:
+        result = condition()
+        if result:
+            return result
+        time.sleep(0.02)
+    raise AssertionError(f"not within {within:g} s: {what}")
+
+
+@dataclass
+class Line:
+    """A process of simulated units. ``port`` is what goes into lineside.toml, ``remote`` moves its hands."""
+
+    port: str
+    remote: Remote
+    process: subprocess.Popen[str]
+
+    def close(self) -> None:
+        """Power off."""
+        self.remote.close()
+        end(self.process)
+
+
+def start_line(folder: Path, units: int, *options: str) -> Line:
+    """``lineside simulate`` behind a path that stays when the cable is pulled and plugged again."""
+    link = folder / "tty-line"
+    process = subprocess.Popen(
+        [LINESIDE, "simulate", "--units", str(units), "--link", str(link), "--control", "0", *options],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    port = process.stdout.readline().strip()
+    control = process.stdout.readline().rpartition(":")[2]
+    assert control, "lineside simulate did not start; its error output stands above"
+    return Line(port, Remote(int(control)), process)
+
+
+def end(process: subprocess.Popen[Any], number: int = signal.SIGTERM) -> int:
+    """Send a signal and wait; what the process returned."""
+    if process.poll() is None:
+        process.send_signal(number)
+    status = process.wait(timeout=20)
+    for stream in (process.stdout, process.stderr, process.stdin):
+        if stream is not None:
+            stream.close()
+    return status
+
+
+@dataclass
+class Site:
+    """A served line. ``url`` holds for the whole life of the site, also when the server is restarted."""
+
+    folder: Path
+    line: Line
+    url: str
+    units: int
+    tokens: dict[str, str] = field(default_factory=dict)
+    sessions: dict[str, Any] = field(default_factory=dict)
+    server: subprocess.Popen[bytes] | None = None
+    log: IO[bytes] | None = None
+
+    @property
+    def config(self) -> Path:
+        """Its lineside.toml."""
+        return self.folder / "lineside.toml"
+
+    def start(self) -> None:
+        """Start ``lineside serve`` and wait until it answers."""
+        self.log = (self.folder / "serve.log").open("ab")
+        self.server = subprocess.Popen(
+            [LINESIDE, "serve", "--config", str(self.config)], stdout=self.log, stderr=self.log
+        )
+        eventually(self._answers, f"an answer from {self.url}")
+
+    def wait_for_units(self) -> None:
+        """Until every unit has been read, and its decimals are known."""
+        eventually(self._all_read, "a reading from every unit")
+
+    def stop(self, number: int = signal.SIGTERM) -> int:
+        """End the server by a signal; what it returned."""
+        assert self.server is not None
+        assert self.log is not None
+        status = end(self.server, number)
+        self.log.close()
+        self.server = None
+        return status
+
+    def close(self) -> None:
+        """Stop everything."""
+        if self.server is not None:
+            self.stop()
+        self.line.close()
+
+    def command(self, *arguments: str, text: str = "") -> str:
+        """Run ``lineside …`` on this configuration; its output."""
+        done = subprocess.run(
+            [LINESIDE, *arguments, "--config", str(self.config)], input=text, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    def add_people(self) -> None:
+        """One user and one token for each role, under the role's name."""
+        for role in ROLES:
+            self.command("user", "add", role, "--role", role, "--password-stdin", text=PASSWORD + "\n")
+            self.tokens[role] = self.command("token", "create", f"{role}-program", "--role", role).split()[-1]
+
+    def api(self, role: str | None = "admin") -> httpx.Client:
+        """A client of the API with a role's token (None: nobody)."""
+        headers = {"Authorization": f"Bearer {self.tokens[role]}"} if role else {}
+        return httpx.Client(base_url=f"{self.url}/api/v1", headers=headers, timeout=30, trust_env=False)
+
+    def unit(self, number: int = 1) -> dict[str, Any]:
+        """A unit as the API shows it now."""
+        with self.api() as client:
+            shown: dict[str, Any] = client.get(f"/buses/line/units/{number}").json()
+            return shown
+
+    def _answers(self) -> bool:
+        assert self.server is not None
+        if self.server.poll() is not None:
+            raise AssertionError("lineside serve ended:\n" + (self.folder / "serve.log").read_text()[-4000:])
+        try:
+            return httpx.get(f"{self.url}/healthz", trust_env=False).status_code == 200
+        except httpx.HTTPError:
+            return False
+
+    def _all_read(self) -> bool:
+        with self.api() as client:
+            units = client.get("/line").json()["buses"][0]["units"]
+        return all(unit["link"] == "online" and unit["decimals"] is not None for unit in units)
+
+
+@contextmanager
+def site(
+    folder: Path, units: int = 8, *, line_options: tuple[str, ...] = (), toml: str = "", bus_toml: str = ""
+) -> Iterator[Site]:
+    """A running site of ``units`` on the bus ``line``; ``toml`` and ``bus_toml`` are added to its file."""
+    line = start_line(folder, units, *line_options)
+    made = Site(folder, line, f"http://127.0.0.1:{free_port()}", units)
+    try:
+        made.config.write_text(_configuration(made, toml, bus_toml), encoding="utf-8")
+        made.add_people()
+        made.start()
+        made.wait_for_units()
+        yield made
+    finally:
+        made.close()
+
+
+def free_port() -> int:
+    """A TCP port that nobody has at the moment."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return int(listener.getsockname()[1])
+
+
+def _configuration(made: Site, toml: str, bus_toml: str) -> str:
+    port = made.url.rpartition(":")[2]
+    head = f"""\
+[server]
+port = {port}
+data = "./data"
+
+{toml}
+[[bus]]
+name = "line"
+port = {json.dumps(made.line.port)}
+turnaround_ms = 50
+{bus_toml}
+"""
+    return head + "".join(_unit_table(unit) for unit in demo_line(made.units).settings)
+
+
+def _unit_table(unit: Any) -> str:
+    outputs = "".join(
+        f"output.{number} = {json.dumps(name)}\n" for number, name in unit.labels.output.items()
+    )
+    return (
+        f"\n[[bus.unit]]\nid = {unit.id}\nname = {json.dumps(unit.name)}\ngroup = {json.dumps(unit.group)}\n"
+        f"[bus.unit.labels]\n{outputs}analog = {json.dumps(unit.labels.analog)}\n"
+        f"analog_unit = {json.dumps(unit.labels.analog_unit)}\nunit = {json.dumps(unit.labels.unit)}\n"
+    )
