@@ -55,6 +55,16 @@ def is_write(action: Action) -> bool:
     return not isinstance(action, ReadParameters | ScanBus | ReadTrace)
 
 
+def units_named(action: Action) -> list[int]:
+    """The units that the action itself names."""
+    match action:
+        case SetLine():
+            return sorted(action.setpoints)
+        case ExecuteAll() | ChangeBaud() | ScanBus() | ReadTrace():
+            return []
+    return [action.unit]
+
+
 def units_written(action: Action, bus: BusLive) -> list[int]:
     """The units at which this action, or its broadcast, can change something."""
     match action:

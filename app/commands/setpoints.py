@@ -10,14 +10,15 @@ from __future__ import annotations
 from app.commands.limits import HIGHEST_SETPOINT, Limits
 from app.commands.objection import Circumstances, ObjectionError
 from app.live.state import BusLive, UnitLive
+from app.live.view import follower
 
-MODE, MAX_RATIO, MIN_RATIO = 8, 31, 38
+MAX_RATIO, MIN_RATIO = 31, 38
 
 
 def check_setpoint(unit: int, raw: int, now: Circumstances) -> None:
     """Raises ObjectionError for the first reason why ``raw`` is not sent."""
     live = now.bus.units[unit]
-    if raw == 0 and not is_follower(live):
+    if raw == 0 and not follower(live):
         return
     limits = now.limits(unit)
     _check_bounds(live, raw, limits)
@@ -28,14 +29,9 @@ def check_setpoint(unit: int, raw: int, now: Circumstances) -> None:
         _check_step(unit, step, limits)
 
 
-def is_follower(live: UnitLive) -> bool:
-    """Whether #8, as last read, makes the unit follow a master by a ratio."""
-    return live.parameter_raw(MODE) in (1, 2)
-
-
 def commanded_setpoint(live: UnitLive, bus: BusLive) -> int | None:
     """The setpoint that the unit has now, to compare with a new one; None where it cannot be known."""
-    if live.reading is None or (is_follower(live) and bus.settings.follower_speed == "speed"):
+    if live.reading is None or (follower(live) and bus.settings.follower_speed == "speed"):
         return None
     return live.reading.commanded
 
@@ -43,7 +39,7 @@ def commanded_setpoint(live: UnitLive, bus: BusLive) -> int | None:
 def bounds(live: UnitLive, limits: Limits) -> tuple[int, int, str]:
     """Lowest and highest setpoint, and who says so: the narrowest of all that is known."""
     lowest, highest, whose = 0, HIGHEST_SETPOINT, "what the link can carry"
-    if is_follower(live):
+    if follower(live):
         lowest = live.parameter_raw(MIN_RATIO) or 0
         most = live.parameter_raw(MAX_RATIO)
         highest = HIGHEST_SETPOINT if most is None else max(lowest, most)

@@ -1,0 +1,252 @@
+"""The one way from a wish to the wire: checked, written down, sent once, followed to its fate."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+import uuid
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import structlog
+
+from app.audit.log import EventLog
+from app.commands.blocks import BlockStore
+from app.commands.control import Control, ControlledError
+from app.commands.limits import LimitsStore
+from app.commands.moves import Moves
+from app.commands.objection import Circumstances, ObjectionError
+from app.commands.rules import check, is_write, setpoints_of, units_named
+from app.commands.setpoints import commanded_setpoint
+from app.commands.words import wording
+from app.errors import Problem, StoreError
+from app.feed.channel import Channel, ProgressListener
+from app.live.lookup import bus_or_404, unit_or_404
+from app.live.state import BusLive, LiveState
+from app.web.access import Person
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import Action, Command, Result, ScanBus, SetSpeed, WriteParameter
+
+log = structlog.get_logger()
+
+REMEMBERED = 1000
+"""Fates kept for whoever asks with the same id again."""
+STATUS_OF_OBJECTION = {"invalid": 422, "dangerous": 409, "confirm_needed": 409, "blocked": 423}
+ACTED = ("verified", "acknowledged", "unverified")
+"""Outcomes after which a unit has acted, or may have."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """One command as it was asked. ``deadline``: the last moment a frame that writes may leave."""
+
+    id: str
+    person: Person
+    bus: str
+    action: Action
+    deadline: float
+    origin: str
+    listener: ProgressListener | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    bus: str
+    action: Action
+    fate: asyncio.Task[Result]
+
+
+class Desk:
+    """Takes wishes of people and programs for every bus."""
+
+    def __init__(
+        self,
+        live: LiveState,
+        channels: Mapping[str, Channel],
+        events: EventLog,
+        limits: LimitsStore,
+        blocks: BlockStore,
+        control: Control,
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        self._live = live
+        self._channels = channels
+        self._events = events
+        self._limits = limits
+        self._blocks = blocks
+        self._control = control
+        self._now = now
+        self._moves = Moves()
+        self._kept: OrderedDict[str, _Kept] = OrderedDict()
+
+    async def ask(
+        self,
+        person: Person,
+        bus: str,
+        action: Action,
+        *,
+        timeout_s: float = 2.0,
+        confirm: bool = False,
+        id: str | None = None,
+        origin: str = "api",
+        listener: ProgressListener | None = None,
+    ) -> Result:
+        """Carry out ``action`` and give its one fate; the same ``id`` again gives the same fate.
+
+        Raises Problem for what is not asked of the worker at all: 404 for a unit or bus that is not
+        configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``.
+        """
+        live = bus_or_404(self._live, bus)
+        for unit in units_named(action):
+            unit_or_404(self._live, bus, unit)
+        kept = self._kept.get(id) if id is not None else None
+        if kept is None:
+            wish = Wish(
+                id or uuid.uuid4().hex, person, bus, action, self._now() + timeout_s, origin, listener
+            )
+            await self._check(wish, live, confirm)
+            kept = self._start(wish)
+        if (kept.bus, kept.action) != (bus, action):
+            raise Problem(
+                422, "invalid", f"the id {id!r} was used for another command; nothing was sent", id=id
+            )
+        return await asyncio.shield(kept.fate)
+
+    async def cancel(self, bus: str, id: str) -> None:
+        """Give a command up where nothing is half done; its fate still comes to whoever waits."""
+        bus_or_404(self._live, bus)
+        await self._channels[bus].cancel(id)
+
+    def check(self, person: Person, bus: str, action: Action, *, confirm: bool = False) -> None:
+        """The checks of :meth:`ask` alone, for a review. Raises the same Problems."""
+        live = bus_or_404(self._live, bus)
+        for unit in units_named(action):
+            unit_or_404(self._live, bus, unit)
+        self._object(person, bus, action, live, confirm)
+
+    async def _check(self, wish: Wish, live: BusLive, confirm: bool) -> None:
+        try:
+            self._object(wish.person, wish.bus, wish.action, live, confirm)
+        except Problem as problem:
+            await self._record_rejected(wish, live, problem)
+            raise
+
+    def _object(self, person: Person, bus: str, action: Action, live: BusLive, confirm: bool) -> None:
+        try:
+            if is_write(action):
+                self._control.use(bus, person.name, self._now())
+            check(action, self._circumstances(bus, live, confirm))
+        except ControlledError as error:
+            raise Problem(409, "controlled", f"{error}; nothing was sent", outcome="controlled") from error
+        except ObjectionError as error:
+            raise _problem(error) from error
+
+    def _circumstances(self, bus: str, live: BusLive, confirm: bool) -> Circumstances:
+        return Circumstances(
+            bus=live,
+            limits=lambda unit: self._limits.of(bus, unit),
+            block=lambda unit: self._blocks.of(bus, unit),
+            moved=lambda unit: self._moves.within_a_minute(bus, unit, self._now()),
+            confirm=confirm,
+        )
+
+    def _start(self, wish: Wish) -> _Kept:
+        already = self._kept.get(wish.id)
+        if already is not None:
+            return already
+        fate = asyncio.create_task(self._carry_out(wish), name=f"command {wish.id}")
+        kept = self._kept[wish.id] = _Kept(wish.bus, wish.action, fate)
+        while len(self._kept) > REMEMBERED and next(iter(self._kept.values())).fate.done():
+            self._kept.popitem(last=False)
+        return kept
+
+    async def _carry_out(self, wish: Wish) -> Result:
+        live = self._live.buses[wish.bus]
+        if not is_write(wish.action) and not isinstance(wish.action, ScanBus):
+            return await self._send(wish, live)
+        entry = await self._intend(wish, live)
+        steps = _steps(wish.action, live)
+        result = await self._send(wish, live)
+        if result.outcome in ACTED:
+            for unit, step in steps.items():
+                self._moves.note(wish.bus, unit, step, self._now())
+        await self._conclude(entry, wish, result)
+        return result
+
+    async def _send(self, wish: Wish, live: BusLive) -> Result:
+        if live.link.link == "closed":
+            message = f"{live.link.cause or 'the port is closed'}; nothing was sent"
+            return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=message)
+        command = Command(id=wish.id, deadline=wish.deadline, action=wish.action)
+        return await self._channels[wish.bus].ask(command, wish.listener)
+
+    async def _intend(self, wish: Wish, live: BusLive) -> int:
+        words = wording(wish.action, live)
+        return await self._events.intend(
+            kind="command",
+            who=wish.person.name,
+            origin=wish.origin,
+            bus=wish.bus,
+            unit=_one_unit(wish.action),
+            what=words.what,
+            old=words.old or None,
+            new=words.new or None,
+            old_raw=words.old_raw,
+            new_raw=words.new_raw,
+        )
+
+    async def _conclude(self, entry: int, wish: Wish, result: Result) -> None:
+        frames = [] if writes_secret(wish.action) else result.frames
+        try:
+            await self._events.conclude(entry, result.outcome, result.message, frames)
+        except StoreError as error:
+            log.error(
+                "fate of a command not stored", command=wish.id, outcome=result.outcome, error=str(error)
+            )
+
+    async def _record_rejected(self, wish: Wish, live: BusLive, problem: Problem) -> None:
+        words = wording(wish.action, live)
+        await self._events.record(
+            kind="command",
+            who=wish.person.name,
+            origin=wish.origin,
+            bus=wish.bus,
+            unit=_one_unit(wish.action),
+            what=words.what,
+            old=words.old or None,
+            new=words.new or None,
+            old_raw=words.old_raw,
+            new_raw=words.new_raw,
+            outcome=problem.code,
+            message=problem.detail,
+        )
+
+
+def writes_secret(action: Action) -> bool:
+    """Whether the frames of this action carry what is not to be shown (#21)."""
+    return isinstance(action, WriteParameter) and PARAMETERS[action.number].secret
+
+
+def _one_unit(action: Action) -> int | None:
+    unit = getattr(action, "unit", None)
+    return unit if isinstance(unit, int) else None
+
+
+def _steps(action: Action, live: BusLive) -> dict[int, int]:
+    if isinstance(action, SetSpeed) and not action.execute:
+        return {}
+    present = {unit: commanded_setpoint(live.units[unit], live) for unit in live.units}
+    return {
+        unit: abs(raw - before)
+        for unit, raw in setpoints_of(action, live).items()
+        if (before := present[unit]) is not None
+    }
+
+
+def _problem(objection: ObjectionError) -> Problem:
+    extra: dict[str, object] = {"outcome": objection.code, "unit": objection.unit}
+    if objection.nearest is not None:
+        extra["nearest"] = objection.nearest
+    detail = f"{objection}; nothing was sent"
+    return Problem(STATUS_OF_OBJECTION[objection.code], objection.code, detail, **extra)

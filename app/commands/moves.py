@@ -1,0 +1,27 @@
+"""How far each unit's setpoint was moved lately, for the limit per minute. Pure: the time is passed in."""
+
+from __future__ import annotations
+
+from collections import deque
+
+WINDOW_S = 60.0
+
+
+class Moves:
+    """Steps of the last minute, by bus and unit."""
+
+    def __init__(self) -> None:
+        self._steps: dict[tuple[str, int], deque[tuple[float, int]]] = {}
+
+    def note(self, bus: str, unit: int, step: int, at: float) -> None:
+        """A setpoint was moved by ``step``."""
+        self._steps.setdefault((bus, unit), deque()).append((at, step))
+
+    def within_a_minute(self, bus: str, unit: int, now: float) -> int:
+        """The sum of all steps of the last minute."""
+        steps = self._steps.get((bus, unit))
+        if steps is None:
+            return 0
+        while steps and steps[0][0] <= now - WINDOW_S:
+            steps.popleft()
+        return sum(step for _, step in steps)
