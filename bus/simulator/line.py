@@ -13,7 +13,7 @@ from typing import NamedTuple
 from bus.settings import Dialect
 from bus.simulator.answering import ALL_UNITS, Turn, encode, respond
 from bus.simulator.faults import WHOLE_LINE, Faults, Kind
-from bus.simulator.pacer import ReplyLine, RequestLine, byte_seconds
+from bus.simulator.pacer import ReplyLine, RequestLine, Wake, byte_seconds
 from bus.simulator.plant import STEP_S, Plant
 from bus.simulator.record import Happened, Record
 from bus.simulator.unit import Unit
@@ -73,10 +73,10 @@ class SimulatedLine:
                 self._dispatch(self._arriving.popleft())
         return self._replies.due(now)
 
-    def wake_at(self) -> float:
+    def wake(self) -> Wake:
         """When ``advance`` has something to do next, if the host stays silent."""
-        reply = self._replies.wake_at()
-        inside = self._next_inside()
+        reply = self._replies.wake()
+        inside = Wake(self._next_inside(), sharp=False)
         return inside if reply is None else min(inside, reply)
 
     def unplug(self) -> None:

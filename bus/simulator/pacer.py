@@ -36,11 +36,19 @@ class RequestLine:
 
 
 class Slot(NamedTuple):
-    """One byte on the reply pair, wholly there at ``due``. ``edge``: first or last of a transmission."""
+    """One byte on the reply pair, wholly there at ``due``; its place in what a talker says."""
 
     due: float
     value: int
-    edge: bool
+    first: bool
+    last: bool
+
+
+class Wake(NamedTuple):
+    """When something is due. ``sharp``: the host waits for just that."""
+
+    at: float
+    sharp: bool
 
 
 @dataclass(slots=True)
@@ -58,7 +66,8 @@ class ReplyLine:
         start = max(at, self._free_at.get(talker, 0.0))
         last = len(data) - 1
         slots = [
-            Slot(start + (place + 1) * byte_s, value, place in (0, last)) for place, value in enumerate(data)
+            Slot(start + (place + 1) * byte_s, value, place == 0, place == last)
+            for place, value in enumerate(data)
         ]
         self._free_at[talker] = slots[-1].due
         if not self._slots or self._slots[-1].due <= start:
@@ -74,15 +83,17 @@ class ReplyLine:
             arrived.append(self._slots.popleft().value)
         return bytes(arrived)
 
-    def wake_at(self) -> float | None:
-        """When to look again: at the next edge of a transmission, or after ``WAKE_S`` inside one."""
+    def wake(self) -> Wake | None:
+        """When to look again: at the next first or last byte, or after ``WAKE_S`` between them."""
         if not self._slots:
             return None
         latest = self._slots[0].due + WAKE_S
         for slot in self._slots:
-            if slot.edge or slot.due >= latest:
-                return min(slot.due, latest)
-        return latest
+            if slot.due > latest:
+                break
+            if slot.first or slot.last:
+                return Wake(slot.due, sharp=slot.last)
+        return Wake(latest, sharp=False)
 
     def hush(self) -> None:
         """The cable is gone, and what was on it."""
@@ -95,6 +106,6 @@ class ReplyLine:
             if merged and slot.due - merged[-1].due < byte_s * 0.999:
                 before = merged.pop()
                 value = before.value & slot.value & self._random.randrange(256)
-                slot = Slot(slot.due, value, before.edge or slot.edge)
+                slot = Slot(slot.due, value, before.first or slot.first, before.last or slot.last)
             merged.append(slot)
         return merged

@@ -18,12 +18,15 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from bus.simulator.line import SimulatedLine
+from bus.simulator.pacer import Wake
 from bus.simulator.ports import Port
 
 T = TypeVar("T")
 
-WATCH_S = 60e-6
-"""How long before a byte is due the thread stops sleeping: about what waking up costs."""
+WATCH_S = 150e-6
+"""How long before a frame's last byte is due the thread stops sleeping: what waking up may cost."""
+LISTEN_S = 500e-6
+"""How long after it the thread stays awake for the host's next request, to know when that came."""
 _PR_SET_TIMERSLACK = 29
 
 
@@ -36,6 +39,7 @@ class LineServer:
         self._calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._waked, self._waker = os.pipe()
         self._stopping = False
+        self._listening_until = 0.0
         self._thread = threading.Thread(target=self._run, name="simulated line", daemon=True)
 
     def start(self) -> None:
@@ -93,14 +97,15 @@ class LineServer:
             reply = self.line.advance(time.monotonic())
             if reply:
                 self.port.write(reply)
-            self._wait(self.line.wake_at())
+            self._wait(self.line.wake())
 
-    def _wait(self, until: float) -> None:
-        sleep = max(until - time.monotonic() - WATCH_S, 0.0)
-        ready, _, _ = select.select([self._waked, *self.port.descriptors()], [], [], sleep)
+    def _wait(self, wake: Wake) -> None:
+        now = time.monotonic()
+        sleep = 0.0 if now < self._listening_until else wake.at - now - WATCH_S * wake.sharp
+        ready, _, _ = select.select([self._waked, *self.port.descriptors()], [], [], max(sleep, 0.0))
         if not ready:
-            while time.monotonic() < until:
-                pass
+            if wake.sharp and sleep > 0.0:
+                self._watch(wake.at)
             return
         if self._waked in ready:
             os.read(self._waked, 64)
@@ -110,6 +115,11 @@ class LineServer:
             now, data = time.monotonic(), self.port.read()
             if data:
                 self.line.receive(now, data, self.port.host_baud())
+
+    def _watch(self, until: float) -> None:
+        while time.monotonic() < until:
+            pass
+        self._listening_until = until + LISTEN_S
 
 
 def _sharpen_timer() -> None:
