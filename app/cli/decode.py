@@ -1,0 +1,93 @@
+"""``lineside decode``: what the frames in some bytes say."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.cli.ending import ending
+from bus.errors import CallerError
+from bus.settings import Dialect
+from bus.wire.describe import Described, Describer, Rubbish, describe_bytes
+from bus.wire.framing import FrameDecoder
+from bus.wire.trace import TracedFrame, is_trace_line, parse_trace_line
+
+_SEPARATORS = re.compile(r"[\s,;:\[\]]+|0[xX]|\\x")
+_HEX = re.compile(r"(?:[0-9a-fA-F]{2})+")
+_STANDARD_INPUT = "-"
+
+
+def register(cli: typer.Typer) -> None:
+    """Add the command."""
+    cli.command()(decode)
+
+
+def decode(
+    hex_bytes: Annotated[
+        list[str] | None, typer.Argument(metavar="HEX…", help="Bytes as hex; - reads standard input.")
+    ] = None,
+    file: Annotated[Path | None, typer.Option(help="A trace file, or a file of hex.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="A list of frames as JSON.")] = False,
+) -> None:
+    """Say what frames mean. Exit 0, or 1 when no frame is valid, or 2 when the bytes are not hex."""
+    with ending():
+        found = decode_text(_given_text(hex_bytes or [], file))
+    frames = [item for item in found if isinstance(item, Described)]
+    if as_json:
+        typer.echo(json.dumps([frame.as_json() for frame in frames]))
+    else:
+        for item in found:
+            typer.echo(f"{item.wire.hex(' ').upper()}\n    {item.words}")
+    if not any(frame.checksum_ok for frame in frames):
+        typer.echo("lineside: no valid frame in these bytes; a frame is 10 02 … 10 03 checksum.", err=True)
+        raise typer.Exit(1)
+
+
+def decode_text(text: str) -> list[Described | Rubbish]:
+    """What a trace or a run of hex says. Raises CallerError when it is neither."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    if any(is_trace_line(line) for line in lines):
+        return _decode_trace([parse_trace_line(line) for line in lines])
+    return describe_bytes(parse_hex(text))
+
+
+def parse_hex(text: str) -> bytes:
+    """Bytes from hex in any case, with or without 0x, blanks, commas, brackets.
+
+    Raises CallerError naming what is not hex.
+    """
+    tokens = [token for token in _SEPARATORS.split(text) if token]
+    if not tokens:
+        raise CallerError("no bytes given; write them as hex, for example 10 02 04 81 10 03 7B")
+    for token in tokens:
+        if not _HEX.fullmatch(token):
+            raise CallerError(f"{token[:40]!r} is not hex in pairs of digits, like 10 02 04 81 10 03 7B")
+    return bytes.fromhex("".join(tokens))
+
+
+def _decode_trace(traced: list[TracedFrame]) -> list[Described | Rubbish]:
+    """Each direction is a stream of its own; an answer is read in the light of the request before it."""
+    dialect = Dialect()
+    describer = Describer(dialect)
+    streams = {"out": FrameDecoder(dialect), "in": FrameDecoder(dialect)}
+    described = [
+        item for frame in traced for item in describer.describe(streams[frame.direction].feed(frame.data))
+    ]
+    for stream in streams.values():
+        described += describer.describe(stream.flush())
+    return described
+
+
+def _given_text(hex_bytes: list[str], file: Path | None) -> str:
+    if file is not None:
+        if hex_bytes:
+            raise CallerError("give bytes or --file, not both")
+        return file.read_text(encoding="utf-8", errors="replace")
+    if hex_bytes == [_STANDARD_INPUT]:
+        return sys.stdin.read()
+    return " ".join(hex_bytes)
