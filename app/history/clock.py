@@ -1,0 +1,18 @@
+"""Notice when this machine's clock was set. Pure: both clocks' times are passed in."""
+
+from __future__ import annotations
+
+LEAST_STEP_S = 1.0
+
+
+class ClockWatch:
+    """Compares the wall clock with one that only runs. A slow correction is no step."""
+
+    def __init__(self, wall: float, running: float) -> None:
+        self._difference = wall - running
+
+    def step(self, wall: float, running: float) -> float:
+        """By how many seconds the wall clock was set since the last look; 0.0 when it was not."""
+        before, self._difference = self._difference, wall - running
+        moved = self._difference - before
+        return moved if abs(moved) >= LEAST_STEP_S else 0.0

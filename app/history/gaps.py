@@ -1,0 +1,58 @@
+"""When two neighbouring readings have a hole between them. An unchanged value is no hole.
+
+A hole is where the worker said that the unit or its port fell silent. Where nobody could say it
+(the worker itself was gone, its buffer ran over) the length of the silence tells.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass
+from operator import sub
+from statistics import median_low
+
+from app.history.runs import SECOND
+
+LONG_SILENCE = 10 * SECOND
+MANY_INTERVALS = 10
+"""A silence longer than both is a hole, whoever was there to say so."""
+SHORT_SILENCE = SECOND
+FEW_INTERVALS = 3
+"""A silence longer than both is a hole when the unit or port was found again at its end."""
+_SAMPLE = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class Marks:
+    """What was said of a unit and its port, as times in µs, in order."""
+
+    lost: Sequence[int] = ()
+    found: Sequence[int] = ()
+
+
+def usual_interval(differences: Sequence[int]) -> int:
+    """How often a unit is heard, µs, from the times between readings; 0 when there are too few."""
+    sample = differences[:: max(1, len(differences) // _SAMPLE)]
+    return median_low(sample) if sample else 0
+
+
+def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> list[int]:
+    """Positions ``i`` with a hole between ``times[i]`` and ``times[i + 1]`` (in order).
+
+    ``width``: a time stands for all readings within so many µs after it; neighbouring
+    buckets then have no hole between them.
+    """
+    differences = list(map(sub, times[1:], times))
+    limit = width + max(LONG_SILENCE, MANY_INTERVALS * usual)
+    found = {i for i, silent in enumerate(differences) if silent > limit}
+    found |= {i for i in _before(times, marks.lost) if differences[i] > width}
+    short = width + max(SHORT_SILENCE, FEW_INTERVALS * usual)
+    early = [mark - usual for mark in marks.found]
+    found |= {i for i in _before(times, [*marks.found, *early]) if differences[i] > short}
+    return sorted(found)
+
+
+def _before(times: Sequence[int], marks: Sequence[int]) -> set[int]:
+    positions = {bisect_left(times, mark) - 1 for mark in marks}
+    return {i for i in positions if 0 <= i < len(times) - 1}

@@ -1,0 +1,118 @@
+"""One value over one span in at most so many points: which fineness answers, and with what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from app.history import reading, store
+from app.history.gaps import Marks
+from app.history.intake import BUS
+from app.history.intervals import intervals
+from app.history.runs import HOUR, MINUTE
+from app.history.scaling import Scaling, scaling
+from app.history.tail import Tail
+from app.history.thinning import Points, Series, grid, holes_in, series, thin
+from app.history.values import Value
+from bus.settings import BusSettings
+
+MOST_READINGS = 100_000
+"""More readings than this are not unpacked for one picture: minutes answer."""
+MOST_INTERVALS = 50_000
+MARGIN = MINUTE
+Resolution = Literal["readings", "minutes", "hours"]
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One value of one unit over a span (µs), in at most ``most`` points."""
+
+    bus: BusSettings
+    unit: int
+    value: Value
+    start: int
+    end: int
+    most: int
+
+
+@dataclass(slots=True)
+class Answer:
+    """``bucket``: how long a stretch each point stands for, µs; 0: every reading itself.
+    ``decimals``: of the newest point; None when not known or not fixed."""
+
+    series: Series
+    resolution: Resolution = "readings"
+    bucket: int = 0
+    decimals: int | None = None
+
+
+def answer(connection: store.Connection, tail: Tail, question: Question) -> Answer:
+    """Read from the store and the tail. Raises ValueError where a block is damaged."""
+    key = store.find_unit(connection, question.bus.name, question.unit)
+    if key is None:
+        return Answer(Series())
+    recent = tail.runs(key, question.start, question.end)
+    connection.execute("BEGIN")
+    try:
+        return _answer(reading.Source(connection, key, recent), question)
+    finally:
+        connection.execute("ROLLBACK")
+
+
+def _answer(source: reading.Source, question: Question) -> Answer:
+    bus = store.find_unit(source.connection, question.bus.name, BUS)
+    keys = [source.unit] if bus is None else [source.unit, bus]
+    marks = store.link_marks(source.connection, keys, question.start - MARGIN, question.end)
+    resolution, points = _points(source, question, marks)
+    scales = scale_of(source, question)
+    decimals = scales.at(question.end).decimals
+    return Answer(series(points, marks, scales), resolution, points.width, decimals)
+
+
+def scale_of(source: reading.Source, question: Question) -> Scaling:
+    """The scales of a value over all time."""
+    steps = store.parameter_steps(source.connection, source.unit)
+    ratio = question.bus.follower_speed == "ratio"
+    return scaling(question.value, steps, ratio=ratio, estop_healthy=question.bus.estop_healthy)
+
+
+def _points(source: reading.Source, question: Question, marks: Marks) -> tuple[Resolution, Points]:
+    value, start, end, most = question.value, question.start, question.end, question.most
+    exact: Points | None = None
+    if value.kind == "bit":
+        exact = _exact_bits(source, question, marks)
+        if exact is not None and _fits(exact, marks, most):
+            return "readings", exact
+    if _has_raw(source, start) and reading.estimate(source, start, end) <= MOST_READINGS:
+        raw = reading.readings(source, value, start, end)
+        if _fits(raw, marks, most):
+            return "readings", raw
+        if grid(start, end, most)[0] < MINUTE or not _rolled_up(source, start, end):
+            return "readings", thin(raw, start, end, most)
+    if grid(start, end, most)[0] >= HOUR:
+        return "hours", thin(reading.rollups(source, "hours", value, start, end), start, end, most)
+    if exact is not None and grid(start, end, most)[0] < MINUTE:
+        return "readings", thin(exact, start, end, most)
+    return "minutes", thin(reading.rollups(source, "minutes", value, start, end), start, end, most)
+
+
+def _fits(points: Points, marks: Marks, most: int) -> bool:
+    return len(points.at) + len(holes_in(points, marks)) <= most
+
+
+def _exact_bits(source: reading.Source, question: Question, marks: Marks) -> Points | None:
+    if store.count_bits(source.connection, source.unit, question.start, question.end) > MOST_INTERVALS:
+        return None
+    parts = reading.bit_intervals(source, question.value.bit, question.start, question.end)
+    return reading.interval_points(intervals(parts, marks), question.start, question.end)
+
+
+def _has_raw(source: reading.Source, start: int) -> bool:
+    """Whether the readings of the whole span are still there."""
+    given_up = store.raw_from(source.connection)
+    return start >= given_up or not _rolled_up(source, start, given_up)
+
+
+def _rolled_up(source: reading.Source, start: int, end: int) -> bool:
+    query = "SELECT 1 FROM minutes WHERE unit = ? AND start > ? AND start < ? LIMIT 1"
+    return source.connection.execute(query, (source.unit, start - HOUR, end)).fetchone() is not None

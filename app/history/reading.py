@@ -1,0 +1,184 @@
+"""The columns that a picture needs, from the store and the tail, at one of three finenesses."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, pairwise
+from statistics import median_low
+
+from app.history import columns, store
+from app.history.gaps import usual_interval
+from app.history.intervals import Interval
+from app.history.rollup import FIELDS, Rollup, rollup
+from app.history.runs import HOUR, MINUTE, Run, merge, unpack_columns, unpack_runs
+from app.history.thinning import Points, in_order
+from app.history.values import Value
+
+RawRow = tuple[int, int, int, int]
+"""at, until, count and one raw value of a run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where the readings of one unit are: its key, and its runs in the tail over the span asked for.
+
+    The tail is read before the store, so that a minute which is folded meanwhile is there twice, not never.
+    """
+
+    connection: store.Connection
+    unit: int
+    tail: Sequence[Run]
+
+
+def estimate(source: Source, start: int, end: int) -> int:
+    """About how many points the readings themselves would be."""
+    rows = source.connection.execute(
+        "SELECT start, span, points FROM raw WHERE unit = ? AND start > ? AND start < ?",
+        (source.unit, start - HOUR, end),
+    )
+    stored = sum(
+        points * max(0, min(end, begin + span) - max(start, begin)) // span for begin, span, points in rows
+    )
+    return int(stored) + 2 * len(source.tail)
+
+
+def readings(source: Source, value: Value, start: int, end: int) -> Points:
+    """Every reading between two times, µs: a run as its first and, if it lasted, its last one."""
+    rows = [
+        row
+        for part in chain(_stored(source, value.column, start, end), [_tail(source, value.column)])
+        for row in part
+    ]
+    if not source.tail or _rising(rows):
+        ordered: Iterable[RawRow] = rows
+    else:
+        ordered = sorted(set(rows))
+    return _points(_clip(ordered, start, end), value.bit)
+
+
+def _stored(source: Source, column: str, start: int, end: int) -> Iterator[list[RawRow]]:
+    query = (
+        "SELECT start, span, data FROM raw WHERE unit = ? AND start > ? AND start < ? ORDER BY start, span"
+    )
+    for begin, span, data in source.connection.execute(query, (source.unit, start - HOUR, end)):
+        if begin + span <= start:
+            continue
+        at, until, count, values = unpack_columns(data, begin, ("at", "until", "heard", column))
+        rows = list(zip(at, until, count, values, strict=True))
+        first = max(0, bisect_left(at, start - MINUTE))
+        yield rows[first : bisect_left(at, end)]
+
+
+def _tail(source: Source, column: str) -> list[RawRow]:
+    return [(run.at, run.until, run.heard, getattr(run, column)) for run in source.tail]
+
+
+def _rising(rows: Sequence[RawRow]) -> bool:
+    return all(a[0] <= b[0] for a, b in pairwise(rows))
+
+
+def _clip(rows: Iterable[RawRow], start: int, end: int) -> Iterator[RawRow]:
+    for at, until, count, value in rows:
+        if until >= start and at < end:
+            yield max(at, start), min(until, end), count, value
+
+
+def _points(rows: Iterable[RawRow], bit: int) -> Points:
+    points = Points()
+    between: list[int] = []
+    before: int | None = None
+    for since, until, count, raw in rows:
+        value = raw if bit < 0 else raw >> bit & 1
+        if before is not None:
+            between.append(since - before)
+        before = until
+        lasting = until > since
+        points.at.append(since)
+        points.least.append(value)
+        points.weight.append(max(1, count - lasting))
+        points.solid.append(lasting)
+        if lasting:
+            points.at.append(until)
+            points.least.append(value)
+            points.weight.append(1)
+            points.solid.append(False)
+    points.greatest = points.least
+    points.total = [v * n for v, n in zip(points.least, points.weight, strict=True)]
+    points.usual = usual_interval(between)
+    return in_order(points)
+
+
+def rollups(source: Source, tier: store.Tier, value: Value, start: int, end: int) -> Points:
+    """Minutes or hours that touch a span, each with what is in the tail of it."""
+    wanted = _wanted(value)
+    found = Points(width=store.STEP[tier])
+    query = f"SELECT start, data FROM {tier} WHERE unit = ? AND start > ? AND start < ? ORDER BY start"
+    since = start - start % store.STEP[tier]
+    for begin, data in source.connection.execute(query, (source.unit, since - store.ROW_SPAN[tier], end)):
+        starts, count, *rest = columns.unpack(data, wanted)
+        _extend(found, [begin + at for at in starts], count, rest, value.bit, (since, end))
+    for row in _tail_rollups(source, store.STEP[tier]):
+        flat = [*row[:-1], *row.on]
+        _extend(found, [row.start], [row.heard], [[flat[i]] for i in wanted[2:]], value.bit, (since, end))
+    found.solid = [False] * len(found.at)
+    if found.weight:
+        found.usual = found.width // max(1, median_low(found.weight))
+    return in_order(found)
+
+
+def _wanted(value: Value) -> list[int]:
+    if value.bit < 0:
+        names = [f"{value.column}_{part}" for part in ("min", "max", "sum")]
+    else:
+        names = ["word_and", "word_or", f"on_{value.bit}"]
+    return [FIELDS[name] for name in ("start", "heard", *names)]
+
+
+def _tail_rollups(source: Source, step: int) -> list[Rollup]:
+    by_start: dict[int, list[Run]] = {}
+    for run in merge((), source.tail):
+        by_start.setdefault(run.at - run.at % step, []).append(run)
+    return [rollup(runs, start) for start, runs in sorted(by_start.items())]
+
+
+def _extend(
+    points: Points,
+    at: Sequence[int],
+    count: Sequence[int],
+    reach: Sequence[Sequence[int]],
+    bit: int,
+    within: tuple[int, int],
+) -> None:
+    first, last = bisect_left(at, within[0]), bisect_left(at, within[1])
+    least, greatest, total = (column[first:last] for column in reach)
+    if bit >= 0:
+        least, greatest = [v >> bit & 1 for v in least], [v >> bit & 1 for v in greatest]
+    points.at += at[first:last]
+    points.least += least
+    points.greatest += greatest
+    points.total += total
+    points.weight += count[first:last]
+
+
+def bit_intervals(source: Source, bit: int, start: int, end: int) -> list[Interval]:
+    """One bit as intervals over a span, neighbours that are equal still apart."""
+    stored = store.bits_around(source.connection, source.unit, start, end)
+    recent = [Interval(run.at, run.until, run.word) for run in source.tail]
+    touching = (part for part in chain(stored, recent) if part.until >= start and part.at < end)
+    return [part._replace(word=part.word >> bit & 1) for part in touching]
+
+
+def interval_points(parts: Iterable[Interval], start: int, end: int) -> Points:
+    """Intervals as points at both their ends."""
+    rows = ((part.at, part.until, 2, part.word) for part in parts)
+    return _points(_clip(rows, start, end), -1)
+
+
+def runs_between(source: Source, start: int, end: int) -> list[Run]:
+    """Whole runs, for an export: those that begin within a span, in order of time."""
+    query = "SELECT start, data FROM raw WHERE unit = ? AND start > ? AND start < ? ORDER BY start"
+    stored = source.connection.execute(query, (source.unit, start - HOUR, end))
+    found = [run for begin, data in stored for run in unpack_runs(data, begin)]
+    return [run for run in merge(found, source.tail) if start <= run.at < end]

@@ -1,0 +1,109 @@
+"""From updates to disk: commits about twice a second, minutes that are over into their blocks.
+
+Everything here runs on the one thread that writes (:mod:`app.history.writer`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Sequence
+from itertools import islice
+
+from app.database.connection import Database
+from app.history import store
+from app.history.folding import fold
+from app.history.intake import Delivery, Intake, Taken
+from app.history.runs import MINUTE, SECOND, Run
+from app.history.tail import Tail
+
+GRACE = 2 * SECOND
+"""How long after a minute its last readings are waited for."""
+MOST_IN_TAIL = 400_000
+"""Runs in memory at which even the current minute is folded."""
+AT_ONCE = 16
+"""Minutes of units folded in one transaction."""
+_LOOK_EVERY = 64
+
+
+class Recorder:
+    """Puts deliveries into the journal and the tail, and what is over into blocks."""
+
+    def __init__(self, database: Database, tail: Tail) -> None:
+        self._database = database
+        self._tail = tail
+        self._intake = Intake(tail)
+        self._folding: deque[tuple[int, int]] = deque()
+        self._folded_minute = 0
+        self._commits = 0
+        self.too_late = 0
+        """Readings that came after everything of their time had been given up."""
+
+    def replay(self) -> None:
+        """What the journal holds, into the tail. Raises ValueError where it is damaged."""
+        self._tail.clear()
+        for rows in self._database.read_now(lambda c: list(store.read_journal(c))):
+            self._tail.add(rows)
+
+    def commit(self, deliveries: Sequence[Delivery]) -> None:
+        """These are on disk when this returns. Raises StoreError; then nothing of them is."""
+
+        def write(connection: store.Connection) -> Taken:
+            return self._intake.write(connection, deliveries)
+
+        try:
+            taken = self._database.write_now(write)
+        except BaseException:
+            self._intake.forget()
+            raise
+        self._intake.keep(taken)
+
+    def fold(self, now: int, deadline: float) -> None:
+        """Go on folding what is over at ``now`` (µs) until ``deadline`` (monotonic seconds)."""
+        if not self._folding and self._is_due(now):
+            self._folded_minute = now - now % MINUTE
+            self._folding.extend(self._tail.over(self._folded_minute))
+        while self._folding and time.monotonic() < deadline:
+            self._fold_some(list(islice(self._folding, AT_ONCE)))
+
+    def fold_everything(self) -> None:
+        """The current minute too, at the end."""
+        self._folding = deque(self._tail.over(current=-1))
+        while self._folding:
+            self._fold_some(list(islice(self._folding, AT_ONCE)))
+
+    def _is_due(self, now: int) -> bool:
+        minute = now - now % MINUTE
+        self._commits += 1
+        if self._commits % _LOOK_EVERY == 0 and len(self._tail) > MOST_IN_TAIL:
+            self._folding.extend(self._tail.over(current=-1))
+        return minute != self._folded_minute and now >= minute + GRACE
+
+    def _fold_some(self, keys: Sequence[tuple[int, int]]) -> None:
+        last = len(keys) == len(self._folding)
+        kept: list[tuple[int, Run]] = []
+
+        def write(connection: store.Connection) -> None:
+            buses = self._intake.bus_keys(connection)
+            given_up = store.raw_from(connection)
+            for unit, minute in keys:
+                runs = self._tail.minute(unit, minute)
+                if minute + MINUTE <= given_up:
+                    self.too_late += len(runs)
+                elif runs:
+                    fold(connection, unit, [buses[unit]] if unit in buses else [], minute, runs)
+            if last:
+                store.clear_journal(connection)
+                kept.extend(row for row in self._tail.everything() if _key(row) not in done)
+                if kept:
+                    store.write_journal(connection, kept)
+
+        done = set(keys)
+        self._database.write_now(write)
+        for key in keys:
+            self._tail.drop(*key)
+            self._folding.popleft()
+
+
+def _key(row: tuple[int, Run]) -> tuple[int, int]:
+    return row[0], row[1].at - row[1].at % MINUTE

@@ -1,0 +1,84 @@
+"""The readings of minutes that are not over yet, in memory; the journal on disk holds the same.
+
+One thread adds and drops, any thread reads.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+
+from app.history.runs import MINUTE, SECOND, Run, follows, joined
+
+BREAK = 2 * SECOND
+"""Equal readings further apart than this do not make one run: the silence between may be a hole."""
+
+
+class Tail:
+    """Runs by unit and minute, each list in the order in which they came."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._minutes: dict[tuple[int, int], list[Run]] = {}
+        self._silent: set[int] = set()
+
+    def add(self, rows: Iterable[tuple[int, Run]]) -> None:
+        """Readings or runs of units, in order of arrival."""
+        with self._lock:
+            for unit, run in rows:
+                self._add_one(unit, run)
+
+    def _add_one(self, unit: int, run: Run) -> None:
+        runs = self._minutes.setdefault((unit, run.at - run.at % MINUTE), [])
+        last = runs[-1] if runs else None
+        if last is None or unit in self._silent or run.at - last.until > BREAK or not follows(run, last):
+            runs.append(run)
+            self._silent.discard(unit)
+        else:
+            runs[-1] = joined(last, run)
+
+    def silence(self, units: Iterable[int]) -> None:
+        """These fell silent: their next reading begins a new run, whatever it says."""
+        with self._lock:
+            self._silent.update(units)
+
+    def runs(self, unit: int, start: int, end: int) -> list[Run]:
+        """A unit's runs that touch a span (µs), in order of time."""
+        with self._lock:
+            found = [
+                run
+                for (owner, minute), runs in self._minutes.items()
+                if owner == unit and minute < end and minute + MINUTE > start
+                for run in runs
+            ]
+        return sorted(run for run in found if run.at < end and run.until >= start)
+
+    def minute(self, unit: int, minute: int) -> list[Run]:
+        """All runs of one unit in one minute."""
+        with self._lock:
+            return list(self._minutes.get((unit, minute), ()))
+
+    def over(self, current: int) -> list[tuple[int, int]]:
+        """The units and minutes other than the current one, which is still growing."""
+        with self._lock:
+            return sorted(key for key in self._minutes if key[1] != current)
+
+    def drop(self, unit: int, minute: int) -> None:
+        """Forget what is safe elsewhere."""
+        with self._lock:
+            self._minutes.pop((unit, minute), None)
+
+    def clear(self) -> None:
+        """Forget everything: it is read from the journal again."""
+        with self._lock:
+            self._minutes.clear()
+            self._silent.clear()
+
+    def everything(self) -> list[tuple[int, Run]]:
+        """All of it, unit by unit."""
+        with self._lock:
+            return [(unit, run) for (unit, _), runs in sorted(self._minutes.items()) for run in runs]
+
+    def __len__(self) -> int:
+        with self._lock:
+            return sum(map(len, self._minutes.values()))

@@ -1,0 +1,221 @@
+"""The thread that alone writes the store. It outlives every failure of the disk, and says so."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import structlog
+
+from app.database.connection import Database
+from app.errors import StoreError
+from app.history import store
+from app.history.clock import ClockWatch
+from app.history.disk import Space
+from app.history.intake import Delivery
+from app.history.recorder import Recorder
+from app.history.runs import SECOND, micros
+from app.history.status import WORDS, State, Status
+from app.history.tail import Tail
+from app.history.upkeep import Keep, Upkeep, prepare
+
+MIGRATIONS = Path(__file__).parent / "migrations"
+COMMIT_EVERY_S = 0.5
+"""What is lost when the power goes: this much, and the commit itself."""
+BUSY_S = 0.2
+"""How long folding, and then upkeep, may take between two commits."""
+RETRY_S = 10.0
+LOOK_EVERY_S = 5.0
+GIVE_UP_EVERY_S = 600.0
+MOST_WAITING = 500_000
+"""Updates kept in memory while the store cannot be written; then the oldest are lost."""
+
+log = structlog.get_logger()
+ClockStepped = Callable[[float, float], None]
+"""Called from the writer's thread: by how many seconds, and at what time."""
+
+
+@dataclass(slots=True)
+class _Open:
+    database: Database
+    recorder: Recorder
+    upkeep: Upkeep
+
+
+class Writer:
+    """Owns the store while it runs. ``tail`` is what readers see beside the store."""
+
+    def __init__(self, path: Path, keep: Keep, on_clock_step: ClockStepped) -> None:
+        self._path = path
+        self._keep = keep
+        self._on_clock_step = on_clock_step
+        self.tail = Tail()
+        self._queue: deque[Delivery] = deque()
+        self._waiting = 0
+        self._taken = 0
+        self._lost = 0
+        self._open: _Open | None = None
+        self._status = Status(since=time.time())
+        self._space: Space = "enough"
+        self._clock = ClockWatch(time.time(), time.monotonic())
+        self._retry_at = self._look_at = self._give_up_at = 0.0
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="history-writer", daemon=True)
+
+    # --- any thread --------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Open the store if that can be, and begin."""
+        self._guard(self._open_store)
+        self._thread.start()
+
+    def close(self) -> None:
+        """What was taken in is on disk, then the store is closed."""
+        self._ending.set()
+        self._thread.join()
+
+    def take(self, delivery: Delivery) -> None:
+        """Never waits; only the event loop calls it."""
+        self._queue.append(delivery)
+        self._waiting += len(delivery[1])
+        while self._waiting - self._taken > MOST_WAITING:
+            try:
+                lost = len(self._queue.popleft()[1])
+            except IndexError:
+                return
+            self._lost += lost
+            self._waiting -= lost
+
+    @property
+    def status(self) -> Status:
+        """How it is now."""
+        return replace(self._status, waiting=self._waiting - self._taken, lost=self._lost)
+
+    @property
+    def database(self) -> Database:
+        """For readers. Raises StoreError with the reason when the store cannot be used."""
+        if self._open is None:
+            raise StoreError(self._status.message or WORDS["failed"])
+        return self._open.database
+
+    # --- the writer's thread -----------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._ending.wait(COMMIT_EVERY_S):
+            self._guard(self._tick)
+        self._guard(self._end)
+
+    def _guard(self, work: Callable[[], None]) -> None:
+        """Run, and on any failure of the store go on without it for a while."""
+        try:
+            work()
+        except (StoreError, ValueError, OSError) as error:
+            self._fail(str(error))
+        except Exception as error:
+            log.exception("history")
+            self._fail(f"{type(error).__name__}: {error}")
+
+    def _tick(self) -> None:
+        self._watch_clock()
+        if self._open is None:
+            if time.monotonic() < self._retry_at:
+                return
+            self._open_store()
+        self._watch_disk()
+        if self._space != "none":
+            self._store()
+
+    def _store(self) -> None:
+        opened = self._open
+        assert opened is not None
+        self._commit(opened.recorder)
+        now = micros(time.time())
+        opened.recorder.fold(now, time.monotonic() + BUSY_S)
+        deadline = time.monotonic() + BUSY_S
+        opened.upkeep.sweep(deadline)
+        opened.upkeep.compact(now, deadline)
+        if time.monotonic() >= self._give_up_at:
+            self._give_up_at = time.monotonic() + GIVE_UP_EVERY_S
+            opened.upkeep.give_up_old(now)
+
+    def _commit(self, recorder: Recorder) -> None:
+        deliveries: list[Delivery] = []
+        with suppress(IndexError):
+            for _ in range(len(self._queue)):
+                deliveries.append(self._queue.popleft())
+        if not deliveries:
+            return
+        try:
+            recorder.commit(deliveries)
+        except BaseException:
+            self._queue.extendleft(reversed(deliveries))
+            raise
+        self._taken += sum(len(updates) for _, updates in deliveries)
+
+    def _end(self) -> None:
+        if self._open is None:
+            return
+        try:
+            self._commit(self._open.recorder)
+            self._open.recorder.fold_everything()
+        finally:
+            self._open.database.close()
+
+    def _open_store(self) -> None:
+        prepare(self._path)
+        database = Database(self._path, MIGRATIONS, synchronous="FULL")
+        recorder = Recorder(database, self.tail)
+        try:
+            recorder.replay()
+        except ValueError as error:
+            log.error("history journal", error=str(error))
+        database.write_now(lambda c: store.write_raw_from(c, store.raw_from(c)))
+        self._open = _Open(database, recorder, Upkeep(database, self._keep))
+        self._look_at = 0.0
+        self._set_state("ok", "")
+
+    def _fail(self, why: str) -> None:
+        self._retry_at = time.monotonic() + RETRY_S
+        self._set_state("failed", f"{WORDS['failed']}: {why}")
+        opened, self._open = self._open, None
+        if opened is not None:
+            opened.database.close()
+
+    def _watch_clock(self) -> None:
+        now = time.time()
+        step = self._clock.step(now, time.monotonic())
+        if not step:
+            return
+        self._on_clock_step(step, now)
+        if self._open is not None:
+            self._open.upkeep.clock_stepped()
+            self._open.database.write_now(lambda c: store.write_clock_step(c, micros(now), step))
+
+    def _watch_disk(self) -> None:
+        opened = self._open
+        if opened is None or time.monotonic() < self._look_at:
+            return
+        self._look_at = time.monotonic() + LOOK_EVERY_S
+        free, self._space = opened.upkeep.look()
+        if self._space in ("scarce", "none"):
+            opened.upkeep.shed()
+        oldest = opened.database.read_now(store.oldest_raw)
+        state: dict[Space, State] = {"enough": "ok", "low": "low", "scarce": "scarce", "none": "paused"}
+        self._set_state(state[self._space], WORDS[state[self._space]])
+        self._status = replace(
+            self._status,
+            free_bytes=free,
+            size_bytes=self._path.stat().st_size,
+            oldest_reading=None if oldest is None else oldest / SECOND,
+        )
+
+    def _set_state(self, state: State, message: str) -> None:
+        if (state, message) == (self._status.state, self._status.message):
+            return
+        log.log(30 if message else 20, "history", state=state, message=message)
+        self._status = replace(self._status, state=state, message=message, since=time.time())
