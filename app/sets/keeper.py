@@ -64,8 +64,12 @@ class SetKeeper:
 
         Raises Problem 504 or 503 when one does not answer; nothing is kept then.
         """
-        rows = [await self._reader.read_unit(person, bus, unit) for unit in units]
-        return await self._keep(person, bus, rows, name, comment, origin)
+        rows = [await self.read(person, bus, unit) for unit in units]
+        return await self.keep(person, bus, rows, name, comment, origin)
+
+    async def read(self, person: Person, bus: str, unit: int) -> UnitRows:
+        """All parameters of a unit, read in the gaps of the scan. Raises Problem 504 or 503."""
+        return await self._reader.read_unit(person, bus, unit)
 
     async def keep_known(self, person: Person, bus: str, unit: int) -> None:
         """Before the first write to a unit on a day: keep what it was, as it was last read."""
@@ -73,7 +77,7 @@ class SetKeeper:
         midnight = self._clock().replace(hour=0, minute=0, second=0, microsecond=0).timestamp()
         if not live.parameters or await self.store.has_set_since(bus, unit, midnight):
             return
-        await self._keep(person, bus, [known_rows(live)], "", "", "before the first write of the day")
+        await self.keep(person, bus, [known_rows(live)], "", "", "before the first write of the day")
 
     async def mark_golden(self, person: Person, set_id: int, unit: int) -> None:
         """From now on the unit ought to be as this set says. Raises Problem 404 where it does not hold it."""
@@ -121,9 +125,10 @@ class SetKeeper:
                     "a scheduled parameter set was not taken", bus=bus, unit=unit, why=problem.detail
                 )
 
-    async def _keep(
+    async def keep(
         self, person: Person, bus: str, rows: Sequence[UnitRows], name: str, comment: str, origin: Origin
     ) -> ParameterSet:
+        """Store what was read as a set, with an event."""
         kept = await self.store.save(
             ParameterSet(bus, time.time(), person.name, origin, tuple(rows), name=name, comment=comment)
         )

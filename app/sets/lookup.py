@@ -19,14 +19,22 @@ async def wanted_rows(
         raise Problem(422, "invalid", "give either set (a stored one) or document (a TOML file)")
     if set_id is not None:
         return unit_rows_or_404(await set_or_404(keeper, set_id), from_unit or unit)
+    return document_rows(document_text or "", "the document", unit, from_unit)
+
+
+def document_rows(text: str, source: str, unit: int, from_unit: int | None = None) -> UnitRows:
+    """The rows of a TOML file meant for a unit: of ``from_unit`` where given, its own, or the only ones.
+
+    Raises Problem 422 in words.
+    """
     try:
-        document = read_document(document_text or "", "the document")
+        document = read_document(text, source)
     except DocumentError as error:
         raise Problem(422, "invalid", str(error)) from error
-    lone = document.units[0] if len(document.units) == 1 else None
-    rows = document.unit(from_unit or unit) or (lone if from_unit is None else None)
+    lone = document.units[0] if len(document.units) == 1 and from_unit is None else None
+    rows = document.unit(from_unit or unit) or lone
     if rows is None:
-        raise Problem(422, "invalid", f"the document does not hold unit {from_unit or unit}")
+        raise Problem(422, "invalid", f"{source} does not hold unit {from_unit or unit}")
     return rows
 
 

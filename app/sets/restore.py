@@ -15,6 +15,7 @@ from typing import Literal
 from app.audit.log import EventLog
 from app.commands.desk import Desk
 from app.errors import Problem
+from app.sets.background import Background
 from app.sets.compare import Compared, differences
 from app.sets.model import UnitRows
 from app.sets.plan import LeftOut, RestorePlan, Write, plan_restore
@@ -90,7 +91,7 @@ class RestoreDesk:
         self._desk = desk
         self._events = events
         self._restores: dict[str, Restore] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._background = Background()
 
     def get(self, restore_id: str) -> Restore | None:
         """A restore planned or run since the server started."""
@@ -132,15 +133,11 @@ class RestoreDesk:
         ):
             raise Problem(409, "busy", f"unit {restore.unit} is being restored by another; wait for its end")
         restore.state = "running"
-        task = asyncio.create_task(self._run(person, restore), name=f"restore {restore.id}")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._background.begin(self._run(person, restore), f"restore {restore.id}")
 
     async def close(self) -> None:
         """End what runs; the rows keep what was done."""
-        for task in tuple(self._tasks):
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._background.close()
 
     async def _run(self, person: Person, restore: Restore) -> None:
         try:

@@ -157,7 +157,12 @@ def _summaries(connection: sqlite3.Connection, bus: str | None, unit: int | None
         " ORDER BY taken_at DESC, id DESC",
         {"bus": bus, "unit": unit},
     )
-    return [SetSummary(*row[:7], _numbers(row[7]), _numbers(row[8])) for row in found]
+    return [
+        SetSummary(
+            set_id, of_bus, name, comment, taken_at, who, origin, _numbers(units), _numbers(golden_for)
+        )
+        for set_id, of_bus, name, comment, taken_at, who, origin, units, golden_for in found
+    ]
 
 
 def _numbers(joined: str | None) -> tuple[int, ...]:

@@ -1,0 +1,262 @@
+"""The pages of parameter sets: list, one set, comparison, restore with its proof."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Form, Request, Response, UploadFile
+
+from app.errors import Problem
+from app.live.lookup import bus_or_404, unit_or_404
+from app.sets.api import Keeper, Live, Restores
+from app.sets.compare import compare
+from app.sets.keeper import SetKeeper
+from app.sets.lookup import document_rows, is_running, restore_or_404, set_or_404, unit_rows_or_404
+from app.sets.model import UnitRows
+from app.sets.sides import side
+from app.sets.taking import Taking, Takings
+from app.sets.view import compared_json, restore_json, set_json
+from app.web.access import Engineer, Viewer
+from app.web.templating import render
+from bus.catalogue.parameters import PARAMETERS
+
+router = APIRouter(include_in_schema=False)
+
+_LONGEST_DOCUMENT = 2_000_000
+
+
+def takings_of(request: Request) -> Takings:
+    """The app's one desk of readings."""
+    takings: Takings = request.app.state.services.takings
+    return takings
+
+
+Readings = Annotated[Takings, Depends(takings_of)]
+
+
+@router.get("/sets")
+async def list_page(
+    request: Request, _: Viewer, keeper: Keeper, live: Live, bus: str = "", unit: int | None = None
+) -> Response:
+    """All sets, of one bus or unit where asked, and the form to take one."""
+    return render(
+        request,
+        "sets/page.html",
+        buses=live.buses,
+        sets=await keeper.store.summaries(bus or None, unit),
+        schedule=await keeper.store.schedule(),
+        bus=bus,
+        unit=unit,
+    )
+
+
+@router.post("/sets/take")
+async def take(
+    person: Engineer,
+    live: Live,
+    readings: Readings,
+    bus: Annotated[str, Form()],
+    unit: Annotated[list[int] | None, Form()] = None,
+    name: Annotated[str, Form(max_length=80)] = "",
+    comment: Annotated[str, Form(max_length=1000)] = "",
+) -> Response:
+    """Begin to read the units."""
+    units = unit or list(bus_or_404(live, bus).units)
+    for number in units:
+        unit_or_404(live, bus, number)
+    taking = readings.begin(person, bus, units, name, comment)
+    return _go_to(f"/sets/taking/{taking.id}")
+
+
+@router.get("/sets/taking/{taking_id}")
+async def taking_page(request: Request, _: Viewer, readings: Readings, taking_id: str) -> Response:
+    """How far a reading is."""
+    taking = _taking_or_404(readings, taking_id)
+    template = "sets/_taking.html" if request.headers.get("hx-request") else "sets/taking.html"
+    return render(request, template, taking=taking)
+
+
+@router.post("/sets/schedule")
+async def schedule(
+    person: Engineer,
+    keeper: Keeper,
+    live: Live,
+    bus: Annotated[str, Form()],
+    at: Annotated[str, Form(pattern=r"^([01]\d|2[0-3]):[0-5]\d$|^$")] = "",
+) -> Response:
+    """Read a bus daily at a time of the day, or no longer (empty)."""
+    bus_or_404(live, bus)
+    hour, _, minute = at.partition(":")
+    await keeper.set_schedule(person, bus, int(hour) * 60 + int(minute) if at else None)
+    return _go_to("/sets")
+
+
+@router.get("/sets/compare")
+async def compare_page(
+    request: Request,
+    _: Viewer,
+    keeper: Keeper,
+    live: Live,
+    left: str,
+    right: str,
+    tolerance: int = 0,
+    everything: bool = False,
+) -> Response:
+    """Two sides row by row; equal rows only when asked for."""
+    one, other = await side(left, keeper, live), await side(right, keeper, live)
+    rows = compare(one.rows, other.rows, max(0, tolerance))
+    return render(
+        request,
+        "sets/compare.html",
+        left=left,
+        right=right,
+        one=one,
+        other=other,
+        tolerance=tolerance,
+        everything=everything,
+        equal=sum(row.kind == "equal" for row in rows),
+        rows=[row for row in rows if everything or row.kind != "equal"],
+        PARAMETERS=PARAMETERS,
+    )
+
+
+@router.get("/sets/{set_id}")
+async def one_page(request: Request, _: Viewer, keeper: Keeper, live: Live, set_id: int) -> Response:
+    """A stored set, each value with its evidence."""
+    stored = await set_or_404(keeper, set_id)
+    others = await keeper.store.summaries(stored.bus)
+    return render(
+        request,
+        "sets/one.html",
+        stored=set_json(stored),
+        times={row.number: row.read_at for unit in stored.units for row in unit.rows.values()},
+        taken_at=stored.taken_at,
+        others=[summary for summary in others if summary.id != set_id],
+        configured=live.buses[stored.bus].units if stored.bus in live.buses else {},
+    )
+
+
+@router.post("/sets/{set_id}/golden")
+async def golden(person: Engineer, keeper: Keeper, set_id: int, unit: Annotated[int, Form()]) -> Response:
+    """Mark it as what the unit ought to be."""
+    await keeper.mark_golden(person, set_id, unit)
+    return _go_to(f"/sets/{set_id}")
+
+
+@router.get("/units/{bus}/{unit}/restore")
+async def restore_page(
+    request: Request, _: Engineer, keeper: Keeper, live: Live, bus: str, unit: int
+) -> Response:
+    """Choose what the unit shall become."""
+    live_unit = unit_or_404(live, bus, unit)
+    own = await keeper.store.summaries(bus, unit)
+    every = await keeper.store.summaries(bus)
+    return render(
+        request,
+        "sets/restore.html",
+        bus=bus,
+        unit=live_unit,
+        sets=[*own, *(summary for summary in every if summary not in own)],
+    )
+
+
+@router.post("/units/{bus}/{unit}/restore")
+async def plan_page(
+    person: Engineer,
+    keeper: Keeper,
+    restores: Restores,
+    live: Live,
+    bus: str,
+    unit: int,
+    source: Annotated[str, Form()] = "",
+    file: UploadFile | None = None,
+    tick: Annotated[list[int] | None, Form()] = None,
+) -> Response:
+    """Read the unit, say what would be written. Nothing is."""
+    unit_or_404(live, bus, unit)
+    rows = await _wanted(keeper, unit, source, file)
+    running = is_running(live.buses[bus], unit)
+    restore = await restores.plan(person, bus, unit, rows, running=running, ticked=frozenset(tick or ()))
+    return _go_to(f"/restores/{restore.id}")
+
+
+@router.get("/restores/{restore_id}")
+async def restore_progress(
+    request: Request, _: Engineer, restores: Restores, live: Live, restore_id: str
+) -> Response:
+    """The plan before, the progress during, the proof after."""
+    restore = restore_or_404(restores, restore_id)
+    template = "sets/_restore.html" if request.headers.get("hx-request") else "sets/restoring.html"
+    dangerous = {left.number for left in restore.left_out if PARAMETERS[left.number].dangerous}
+    return render(
+        request,
+        template,
+        restore=restore_json(restore),
+        planned_at=restore.planned_at,
+        name=live.buses[restore.bus].units[restore.unit].settings.name,
+        tickable=dangerous,
+        proven=_proof(restore.wanted, restore.proven),
+    )
+
+
+@router.post("/restores/{restore_id}/tick")
+async def tick_danger(
+    person: Engineer,
+    restores: Restores,
+    live: Live,
+    restore_id: str,
+    tick: Annotated[list[int] | None, Form()] = None,
+) -> Response:
+    """Plan again with dangerous rows that a person has confirmed one by one."""
+    old = restore_or_404(restores, restore_id)
+    running = is_running(live.buses[old.bus], old.unit)
+    ticked = frozenset(tick or ())
+    fresh = await restores.plan(person, old.bus, old.unit, old.wanted, running=running, ticked=ticked)
+    return _go_to(f"/restores/{fresh.id}")
+
+
+@router.post("/restores/{restore_id}/start")
+async def start(person: Engineer, restores: Restores, restore_id: str) -> Response:
+    """Write what the plan says."""
+    restores.start(person, restore_or_404(restores, restore_id))
+    return _go_to(f"/restores/{restore_id}")
+
+
+@router.post("/restores/{restore_id}/cancel")
+async def cancel(_: Engineer, restores: Restores, restore_id: str) -> Response:
+    """Leave off after the row in hand."""
+    restore_or_404(restores, restore_id).cancel()
+    return _go_to(f"/restores/{restore_id}")
+
+
+def _go_to(path: str) -> Response:
+    """The page to go on with after a form."""
+    return Response(status_code=303, headers={"Location": path})
+
+
+def _taking_or_404(readings: Takings, taking_id: str) -> Taking:
+    taking = readings.get(taking_id)
+    if taking is None:
+        raise Problem(404, "unknown_taking", "no such reading; the server may have been started anew")
+    return taking
+
+
+async def _wanted(keeper: SetKeeper, unit: int, source: str, file: UploadFile | None) -> UnitRows:
+    if file is not None and file.filename:
+        return await _uploaded(unit, file)
+    number, _, of_unit = source.partition(":")
+    if not number.isdecimal() or not of_unit.isdecimal():
+        raise Problem(422, "invalid", "choose a stored set or a file")
+    return unit_rows_or_404(await set_or_404(keeper, int(number)), int(of_unit))
+
+
+async def _uploaded(unit: int, file: UploadFile) -> UnitRows:
+    content = await file.read(_LONGEST_DOCUMENT + 1)
+    if len(content) > _LONGEST_DOCUMENT:
+        raise Problem(422, "invalid", f"{file.filename} is too long for a parameter set")
+    return document_rows(content.decode("utf-8", "replace"), file.filename or "the file", unit)
+
+
+def _proof(wanted: UnitRows, proven: UnitRows | None) -> list[dict[str, Any]]:
+    """All 40 rows as wanted and as read afterwards."""
+    return [compared_json(row) for row in compare(wanted, proven)] if proven is not None else []

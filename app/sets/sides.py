@@ -1,0 +1,49 @@
+"""The two sides of a comparison as an address can name them: a stored set, a golden one, a live unit.
+
+``set:12:3`` is unit 3 of set 12, ``golden:dry-end:3`` what unit 3 ought to be, ``live:dry-end:3`` what it
+said when it was last read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from app.errors import Problem
+from app.live.lookup import unit_or_404
+from app.live.state import LiveState
+from app.sets.keeper import SetKeeper
+from app.sets.lookup import set_or_404, unit_rows_or_404
+from app.sets.model import UnitRows
+from app.sets.reading import known_rows
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One side. ``kind``: set, golden or live; ``of``: the set's number or the bus."""
+
+    kind: str
+    of: str
+    unit: int
+    rows: UnitRows
+
+
+async def side(text: str, keeper: SetKeeper, live: LiveState) -> Side:
+    """Find what ``text`` names. Raises Problem 404 or 422 in words."""
+    kind, _, rest = text.partition(":")
+    of, _, number = rest.rpartition(":")
+    if kind not in ("set", "golden", "live") or not of or not number.isdecimal():
+        raise Problem(422, "invalid", f"{text!r} names no side; give set:12:3, golden:BUS:3 or live:BUS:3")
+    return Side(kind, of, int(number), await _rows(kind, of, int(number), keeper, live))
+
+
+async def _rows(kind: str, of: str, unit: int, keeper: SetKeeper, live: LiveState) -> UnitRows:
+    if kind == "set":
+        if not of.isdecimal():
+            raise Problem(422, "invalid", f"{of!r} is no number of a set")
+        return unit_rows_or_404(await set_or_404(keeper, int(of)), unit)
+    if kind == "live":
+        return known_rows(unit_or_404(live, of, unit))
+    golden = keeper.golden(of, unit)
+    if golden is None:
+        raise Problem(404, "unknown_set", f"no set of unit {unit} on {of} is marked golden")
+    return golden

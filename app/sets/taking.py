@@ -1,0 +1,76 @@
+"""Reading many units for one set: takes the gaps of the scan, so it goes on in the background."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from app.errors import Problem
+from app.sets.background import Background
+from app.sets.keeper import SetKeeper
+from app.sets.model import UnitRows
+from app.web.access import Person
+
+_KEEP = 20
+
+
+@dataclass(slots=True)
+class Taking:
+    """A set being read. ``set_id`` once it is kept; ``silent`` the units that did not answer, with why."""
+
+    id: str
+    bus: str
+    units: tuple[int, ...]
+    name: str
+    comment: str
+    state: Literal["reading", "kept", "failed"] = "reading"
+    read: list[UnitRows] = field(default_factory=list)
+    silent: dict[int, str] = field(default_factory=dict)
+    set_id: int | None = None
+
+    @property
+    def done(self) -> int:
+        """How many units were asked."""
+        return len(self.read) + len(self.silent)
+
+
+class Takings:
+    """Begins readings and remembers how they went."""
+
+    def __init__(self, keeper: SetKeeper) -> None:
+        self._keeper = keeper
+        self._takings: dict[str, Taking] = {}
+        self._background = Background()
+
+    def get(self, taking_id: str) -> Taking | None:
+        """A reading begun since the server started."""
+        return self._takings.get(taking_id)
+
+    def begin(self, person: Person, bus: str, units: Sequence[int], name: str, comment: str) -> Taking:
+        """Read the units one after another and keep what they say as one set."""
+        taking = Taking(secrets.token_hex(8), bus, tuple(units), name, comment)
+        self._takings[taking.id] = taking
+        for old in list(self._takings)[:-_KEEP]:
+            del self._takings[old]
+        self._background.begin(self._run(person, taking), f"parameter set {taking.id}")
+        return taking
+
+    async def close(self) -> None:
+        """End what runs; nothing is kept of it."""
+        await self._background.close()
+
+    async def _run(self, person: Person, taking: Taking) -> None:
+        for unit in taking.units:
+            try:
+                taking.read.append(await self._keeper.read(person, taking.bus, unit))
+            except Problem as problem:
+                taking.silent[unit] = problem.detail
+        if not taking.read:
+            taking.state = "failed"
+            return
+        kept = await self._keeper.keep(
+            person, taking.bus, taking.read, taking.name, taking.comment, "by hand"
+        )
+        taking.set_id, taking.state = kept.id, "kept"
