@@ -201,7 +201,12 @@ port = {json.dumps(made.line.port)}
 turnaround_ms = 50
 {bus_toml}
 """
-    return head + "".join(_unit_table(unit) for unit in demo_line(made.units).settings)
+    return head + unit_tables(made.units)
+
+
+def unit_tables(units: int) -> str:
+    """The demo's units as they stand in lineside.toml."""
+    return "".join(_unit_table(unit) for unit in demo_line(units).settings)
 
 
 def _unit_table(unit: Any) -> str:

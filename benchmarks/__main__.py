@@ -1,0 +1,28 @@
+"""Run the tables named on the command line, or all of them."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+TABLES = {
+    "wire": "the wire: polls, gaps, a dead unit",
+    "commands": "a wish: from the request to the wire, and many units as one",
+    "screen": "the screen: from the wire to the pixel, with many browsers",
+    "start": "the start: from nothing to the first live value",
+}
+
+
+def main(wanted: list[str]) -> int:
+    """Exit 2 when a table is not known."""
+    unknown = [name for name in wanted if name not in TABLES]
+    if unknown:
+        known = "".join(f"\n  {name:10} {meaning}" for name, meaning in TABLES.items())
+        print(f"no table {', '.join(unknown)}; there are{known}", file=sys.stderr)
+        return 2
+    for name in wanted or TABLES:
+        importlib.import_module(f"benchmarks.{name}").run()
+    return 0
+
+
+sys.exit(main(sys.argv[1:]))

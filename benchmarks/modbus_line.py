@@ -1,0 +1,59 @@
+"""Modbus RTU units behind the simulator's paced port, so that Modbus hosts meet the very same wire.
+
+A request has 8 bytes and an answer 17: together 25, as with READ SPEED AND STATUS.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from bus.simulator.pacer import ReplyLine, RequestLine, Wake, byte_seconds
+from bus.simulator.record import Happened, Record
+
+REGISTERS = 6
+_REQUEST_BYTES = 8
+_IDLE_S = 0.05
+
+
+@dataclass
+class ModbusLine:
+    """Answers every read of holding registers at once; ``LineServer`` takes it for a ``SimulatedLine``."""
+
+    baud: int = 9600
+    record: Record = field(default_factory=Record)
+
+    def __post_init__(self) -> None:
+        self._requests = RequestLine()
+        self._replies = ReplyLine()
+        self._pending = bytearray()
+        self._woken = 0.0
+
+    def receive(self, now: float, data: bytes, _host_baud: int | None = None) -> None:
+        self.record.add(now, Happened.CAME, 0, data)
+        byte_s = byte_seconds(self.baud)
+        arrivals = self._requests.carry(now, len(data), byte_s)
+        self._pending += data
+        while len(self._pending) >= _REQUEST_BYTES:
+            request = bytes(self._pending[:_REQUEST_BYTES])
+            del self._pending[:_REQUEST_BYTES]
+            answer = with_crc(bytes((request[0], 3, 2 * REGISTERS)) + bytes(2 * REGISTERS))
+            self.record.add(arrivals[-1], Happened.SAID, request[0], answer)
+            ends = self._replies.transmit(request[0], arrivals[-1], answer, byte_s)
+            self.record.add(ends, Happened.SENT, 0, answer)
+
+    def advance(self, now: float) -> bytes:
+        self._woken = now
+        return self._replies.due(now)
+
+    def wake(self) -> Wake:
+        return self._replies.wake() or Wake(self._woken + _IDLE_S, sharp=False)
+
+
+def with_crc(data: bytes) -> bytes:
+    """Modbus CRC-16 appended, low byte first."""
+    crc = 0xFFFF
+    for value in data:
+        crc ^= value
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
+    return data + crc.to_bytes(2, "little")

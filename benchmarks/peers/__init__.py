@@ -1,0 +1,1 @@
+"""Hosts to compare with. Each is a process: ``python -m benchmarks.peers.NAME PORT UNITS``."""

@@ -1,0 +1,113 @@
+"""How much of a 9600 baud wire each host uses, and what a dead unit costs the others."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from benchmarks.modbus_line import ModbusLine
+from benchmarks.processes import cpu_seconds, family, memory_mib
+from benchmarks.served import served_line
+from benchmarks.tables import microseconds, show
+from benchmarks.witness import Seen, look
+from bus.settings import BITS_PER_BYTE
+from bus.simulator.demo import demo_line
+from bus.simulator.faults import Faults, Kind
+from bus.simulator.line import SimulatedLine
+from bus.simulator.ports import PtyPort
+from bus.simulator.serve import LineServer
+from tests.e2e.site import end
+
+UNITS = 8
+BAUD = 9600
+POLL_BYTES = 25
+WIRE_ITSELF = BAUD / BITS_PER_BYTE / POLL_BYTES
+WARM_UP_S = 15.0
+"""By then the worker has read what it needs beside the polls."""
+MEASURED_S = 20.0
+DEAD = 3
+
+Host = Callable[[str, Path], list[str]]
+
+
+def run() -> None:
+    """Two tables."""
+    _show_rates()
+    _show_dead_unit()
+
+
+def _show_rates() -> None:
+    rows: list[list[object]] = [["the wire itself", f"{WIRE_ITSELF:.1f}", "1.000", "0", "0", "", ""]]
+    for name, host in HOSTS.items():
+        seen, cpu, memory = _measure(host, _line_for(host))
+        gaps = [microseconds(seen.gap_median), microseconds(seen.gap_p99)]
+        part = f"{seen.rate / WIRE_ITSELF:.3f}"
+        rows.append([name, f"{seen.rate:.1f}", part, *gaps, f"{cpu:.1%}", f"{memory:.0f} MiB"])
+    header = ["host", "polls/s", "of the wire", "gap median", "gap p99", "CPU of one core", "memory"]
+    note = "Gap: from the last byte of an answer to the first byte of the next request. No turnaround."
+    show(f"{UNITS} units at {BAUD} baud, polled for {MEASURED_S:g} s", header, rows, note)
+
+
+def _show_dead_unit() -> None:
+    rows = []
+    for name in ("bare asyncio loop", "Lineside, whole"):
+        healthy, _, _ = _measure(HOSTS[name], _simulated(Faults()))
+        faults = Faults()
+        faults.set(Kind.DEAD, 1.0, DEAD)
+        hurt, _, _ = _measure(HOSTS[name], _simulated(faults))
+        others = [hurt.per_unit[unit] / healthy.per_unit[unit] for unit in hurt.per_unit if unit != DEAD]
+        rows.append([name, f"{min(others):.2f}", f"{sum(others) / len(others):.2f}", f"{hurt.rate:.1f}"])
+    header = ["host", "worst of the seven", "mean of the seven", "polls/s"]
+    show(f"One of {UNITS} units is off: what the others keep of their rate", header, rows)
+
+
+def _measure(host: Host, line: Any) -> tuple[Seen, float, float]:
+    """What the line saw of a host, its share of a core, and its memory in MiB."""
+    with tempfile.TemporaryDirectory() as name, _hosted(host, line, Path(name)) as process:
+        time.sleep(WARM_UP_S)
+        members = family(process.pid)
+        begun, used, number = time.monotonic(), cpu_seconds(*members), line.record.count
+        time.sleep(MEASURED_S)
+        seconds = time.monotonic() - begun
+        cpu = (cpu_seconds(*members) - used) / seconds
+        return look(list(line.record.since(number)), seconds), cpu, memory_mib(*members)
+
+
+@contextmanager
+def _hosted(host: Host, line: Any, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    with LineServer(line, PtyPort(baud=BAUD)) as server:
+        process = subprocess.Popen(host(server.port.name, folder), stdout=subprocess.DEVNULL)
+        try:
+            yield process
+        finally:
+            end(process)
+
+
+def _peer(module: str) -> Host:
+    return lambda port, _folder: [sys.executable, "-m", f"benchmarks.peers.{module}", port, str(UNITS)]
+
+
+def _lineside(port: str, folder: Path) -> list[str]:
+    return served_line(folder, port, UNITS)
+
+
+def _line_for(host: Host) -> Any:
+    return ModbusLine(BAUD) if host in (HOSTS["pymodbus"], HOSTS["minimalmodbus"]) else _simulated(Faults())
+
+
+def _simulated(faults: Faults) -> SimulatedLine:
+    return SimulatedLine(demo_line(UNITS, script=False).plant, faults, BAUD)
+
+
+HOSTS: dict[str, Host] = {
+    "bare asyncio loop": _peer("bare"),
+    "pymodbus": _peer("pymodbus_loop"),
+    "minimalmodbus": _peer("minimalmodbus_loop"),
+    "Lineside, whole": _lineside,
+}
