@@ -19,8 +19,9 @@ Step = str | int
 Model = TypeVar("Model", bound=BaseModel)
 
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
-_KEY = re.compile(r"""^\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*=""")
-_PART = re.compile(r"""[A-Za-z0-9_-]+|"[^"]*"|'[^']*'""")
+_NAME = r"""[A-Za-z0-9_-]+|"[^"]*"|'[^']*'"""
+_PART = re.compile(_NAME)
+_KEY = re.compile(rf"^\s*((?:{_NAME})(?:\s*\.\s*(?:{_NAME}))*)\s*=")
 _SYNTAX_PLACE = re.compile(r"\(at (?:line (\d+), column \d+|end of document)\)")
 
 
@@ -75,7 +76,9 @@ def _syntax(path: Path, text: str, error: tomllib.TOMLDecodeError) -> str:
     line = int(place[1]) if place and place[1] else len(text.splitlines())
     said = _SYNTAX_PLACE.sub("", str(error)).strip()
     written = (text.splitlines() or [""])[max(0, line - 1)].strip()
-    return f'{path}:{line}: this is not TOML: {said}; it says {written!r}, write key = value, text in "quotes"'
+    return (
+        f'{path}:{line}: this is not TOML: {said}; it says {written!r}, write key = value, text in "quotes"'
+    )
 
 
 class Lines:
@@ -187,5 +190,3 @@ def _keys(annotation: Any, place: tuple[Step, ...]) -> list[str]:
             return list(fields)
         return _keys(fields[str(place[0])].annotation, place[1:])
     return _keys(get_args(annotation)[0], place[1:])
-
-

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import AsyncIterator
 from datetime import UTC, datetime
 from typing import Annotated, Any, cast
@@ -22,6 +23,7 @@ router = APIRouter(prefix="/api/v1", tags=["events"])
 MOST = 1000
 """How many events one page may hold."""
 
+_NUMBER = re.compile(r"-?[\d.,]+")
 COLUMNS = (
     *("id", "time", "kind", "who", "origin", "bus", "unit", "what"),
     *("old", "new", "old_raw", "new_raw", "outcome", "message"),
@@ -84,8 +86,9 @@ async def wanted_events(
     search: Annotated[str, Query(max_length=200)] = "",
 ) -> Filter:
     """The filter that the query says."""
-    moments = (since and since.timestamp(), until and until.timestamp())
-    return Filter(before, kind or None, bus or None, unit, who or None, *moments, search)
+    begin = since.timestamp() if since else None
+    end = until.timestamp() if until else None
+    return Filter(before, kind or None, bus or None, unit, who or None, begin, end, search)
 
 
 Wanted = Annotated[Filter, Depends(wanted_events)]
@@ -128,7 +131,7 @@ async def _csv(events: EventLog, wanted: Filter) -> AsyncIterator[str]:
 def _cell(value: object) -> str:
     """Text that a spreadsheet would take for a formula is kept text (OWASP, CSV injection)."""
     text = "" if value is None else str(value)
-    return f"'{text}" if isinstance(value, str) and text.startswith(("=", "+", "-", "@")) else text
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) and not _NUMBER.fullmatch(text) else text
 
 
 def _lines(rows: list[list[str]]) -> str:

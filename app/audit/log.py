@@ -80,10 +80,14 @@ class EventLog:
         new_raw: int | None = None,
         outcome: str | None = None,
         message: str = "",
+        at: float | None = None,
     ) -> int:
-        """Something that happened, whole. Returns the event's number."""
-        said = {"bus": bus, "unit": unit, "old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
+        """Something that happened, whole; ``at`` when, if not just now. Returns the event's number."""
+        said: dict[str, Any] = {"bus": bus, "unit": unit}
+        said |= {"old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
         words = {"what": what, "outcome": outcome, "message": message}
+        if at is not None:
+            said["time"] = at
         return await self._append(kind=kind, who=who, origin=origin, **words, **said)
 
     async def close_open_intents(self) -> int:

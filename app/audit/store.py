@@ -10,8 +10,7 @@ from typing import Any
 from app.audit.chain import FIELDS, Head, Verdict, entry_hash, verify
 
 _INSERT = (
-    f"INSERT INTO events ({', '.join(FIELDS)}, previous, hash) "
-    f"VALUES ({', '.join('?' * (len(FIELDS) + 2))})"
+    f"INSERT INTO events ({', '.join(FIELDS)}, previous, hash) VALUES ({', '.join('?' * (len(FIELDS) + 2))})"
 )
 _NOTE_HEAD = (
     "INSERT INTO events_head (only, id, hash) VALUES (1, ?, ?) "

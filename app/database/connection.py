@@ -55,9 +55,7 @@ def transact(connection: sqlite3.Connection, work: Callable[[sqlite3.Connection]
 class Database:
     """One store. Opening brings it up to date and raises StoreError in words when it cannot be used."""
 
-    def __init__(
-        self, path: Path, migrations: Path = MIGRATIONS, synchronous: Synchronous = "FULL"
-    ) -> None:
+    def __init__(self, path: Path, migrations: Path = MIGRATIONS, synchronous: Synchronous = "FULL") -> None:
         self.path = path
         with in_words(path):
             self._connection = open_for_writing(path, synchronous)

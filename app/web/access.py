@@ -52,7 +52,6 @@ class Person:
     home: str = "/"
 
 
-
 def person_of(connection: HTTPConnection) -> Person | None:
     """Who asks, None when nobody is signed in."""
     person: Person | None = connection.scope.get("person")
@@ -71,7 +70,9 @@ class Requires:
         if person is None:
             raise not_signed_in()
         if not person.role.includes(self.role):
-            raise Problem(403, "forbidden", f"this needs the role {self.role}; {person.name} is {person.role}")
+            raise Problem(
+                403, "forbidden", f"this needs the role {self.role}; {person.name} is {person.role}"
+            )
         return person
 
     def __hash__(self) -> int:

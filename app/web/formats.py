@@ -10,7 +10,7 @@ from babel import Locale
 from babel.dates import format_date, format_datetime, format_time
 from babel.numbers import format_decimal, get_decimal_symbol
 
-UNKNOWN = "–"
+UNKNOWN = "\N{EN DASH}"
 """What stands where a value was never read."""
 
 

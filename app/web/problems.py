@@ -13,6 +13,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import JSONResponse, Response
+from starlette.websockets import WebSocket
 
 from app.errors import Problem, StoreError
 from app.web.templating import render
@@ -50,6 +51,14 @@ def problem_json(problem: Problem) -> JSONResponse:
     return JSONResponse(content, problem.status, problem.headers, "application/problem+json")
 
 
+async def refuse_socket(socket: WebSocket, problem: Problem) -> None:
+    """Refuse a handshake by an HTTP answer where the server can, else by a close code 4000 + status."""
+    if "websocket.http.response" in socket.scope.get("extensions", {}):
+        await socket.send_denial_response(problem_json(problem))
+    else:
+        await socket.close(4000 + problem.status, problem.code)
+
+
 def respond(request: Request, problem: Problem) -> Response:
     """The problem in the form that whoever asks can read."""
     if wants_json(request):
@@ -71,8 +80,11 @@ def invalid(errors: Sequence[Any]) -> Problem:
     return Problem(422, "invalid", f"{words}; nothing was sent", errors=faults)
 
 
-async def _on_problem(request: Request, error: Exception) -> Response:
+async def _on_problem(request: Request | WebSocket, error: Exception) -> Response | None:
     assert isinstance(error, Problem)
+    if isinstance(request, WebSocket):
+        await refuse_socket(request, error)
+        return None
     return respond(request, error)
 
 
@@ -113,7 +125,7 @@ async def _on_anything(request: Request, error: Exception) -> Response:
 
 def install(app: FastAPI) -> None:
     """Every kind of failure gets its answer."""
-    app.add_exception_handler(Problem, _on_problem)
+    app.exception_handler(Problem)(_on_problem)
     app.add_exception_handler(HTTPException, _on_http)
     app.add_exception_handler(RequestValidationError, _on_invalid)
     app.add_exception_handler(CallerError, _on_caller)

@@ -12,9 +12,10 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocket
 
 from app.errors import Problem
-from app.web.problems import problem_json
+from app.web.problems import problem_json, refuse_socket
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 CONTENT_POLICY = (
@@ -60,20 +61,10 @@ def is_foreign(scope: Scope) -> bool:
 
 async def refuse(scope: Scope, receive: Receive, send: Send, problem: Problem) -> None:
     """Answer a request or a WebSocket handshake with a problem before anything else sees it."""
-    response = problem_json(problem)
-    if scope["type"] == "http":
-        await response(scope, receive, send)
-    elif "websocket.http.response" in scope.get("extensions", {}):
-        await response(scope, receive, _as_denial(send))
+    if scope["type"] == "websocket":
+        await refuse_socket(WebSocket(scope, receive, send), problem)
     else:
-        await send({"type": "websocket.close", "code": 4000 + problem.status, "reason": problem.code})
-
-
-def _as_denial(send: Send) -> Send:
-    async def denial(message: Message) -> None:
-        await send({**message, "type": f"websocket.{message['type'].removeprefix('websocket.')}"})
-
-    return denial
+        await problem_json(problem)(scope, receive, send)
 
 
 class SecurityHeaders:

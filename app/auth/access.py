@@ -1,0 +1,106 @@
+"""Deny by default: every request and every handshake gets its person here, or is refused here."""
+
+from __future__ import annotations
+
+from urllib.parse import quote, urlsplit
+
+from starlette.requests import HTTPConnection
+from starlette.responses import RedirectResponse, Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from app.auth.signin import SignIn
+from app.errors import Problem, StoreError
+from app.web.access import Person, Role, not_signed_in
+from app.web.problems import is_fragment, problem_json, wants_json
+from app.web.security import refuse
+
+COOKIE = "lineside_session"
+PUBLIC_PATHS = frozenset(
+    {"/healthz", "/login", "/login/panel", "/manifest.webmanifest", "/offline", "/sw.js", "/favicon.ico"}
+)
+PUBLIC_PREFIX = "/static/"
+_LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})
+
+
+class Identify:
+    """Puts ``person`` into the scope. Nobody passes except to the public paths; a token or a cookie
+    that is not good is refused even where nobody would be let in by the demo."""
+
+    def __init__(self, app: ASGIApp, sign_in: SignIn, *, demo: bool = False) -> None:
+        self._app = app
+        self._sign_in = sign_in
+        self._demo = demo
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        connection = HTTPConnection(scope)
+        try:
+            person = await self._person(connection)
+        except Problem as problem:
+            await refuse(scope, receive, send, problem)
+            return
+        except StoreError as error:
+            await refuse(scope, receive, send, Problem(503, "store", str(error)))
+            return
+        if person is None and not _is_public(scope["path"]):
+            await _turn_away(connection, receive, send)
+            return
+        scope["person"] = person
+        await self._app(scope, receive, send)
+
+    async def _person(self, connection: HTTPConnection) -> Person | None:
+        scheme, _, bearer = connection.headers.get("authorization", "").partition(" ")
+        if scheme.lower() == "bearer":
+            return await self._by_bearer(bearer.strip())
+        cookie = connection.cookies.get(COOKIE)
+        person = await self._sign_in.by_cookie(cookie) if cookie else None
+        if person is None and self._demo and _is_loopback(connection):
+            return Person("demo", Role.ADMIN, "demo")
+        return person
+
+    async def _by_bearer(self, bearer: str) -> Person:
+        person = await self._sign_in.by_token(bearer)
+        if person is None:
+            raise not_signed_in()
+        return person
+
+
+async def _turn_away(connection: HTTPConnection, receive: Receive, send: Send) -> None:
+    if connection.scope["type"] == "websocket" or wants_json(connection):
+        await refuse(connection.scope, receive, send, not_signed_in())
+    else:
+        await to_login(connection)(connection.scope, receive, send)
+
+
+def to_login(connection: HTTPConnection) -> Response:
+    """Send a person to the login and from there back; htmx is told to move the whole page."""
+    if is_fragment(connection):
+        answer = problem_json(not_signed_in())
+        answer.headers["HX-Redirect"] = _login_url(_page_of(connection))
+        return answer
+    is_page = connection.scope["method"] in ("GET", "HEAD")
+    query = connection.url.query
+    where = connection.url.path + (f"?{query}" if query else "")
+    return RedirectResponse(_login_url(where if is_page else "/"), 303)
+
+
+def _page_of(connection: HTTPConnection) -> str:
+    """The page that htmx asks from."""
+    parts = urlsplit(connection.headers.get("hx-current-url", "/"))
+    return parts.path + (f"?{parts.query}" if parts.query else "")
+
+
+def _login_url(next_page: str) -> str:
+    return "/login" if next_page == "/" else f"/login?next={quote(next_page)}"
+
+
+def _is_public(path: str) -> bool:
+    return path in PUBLIC_PATHS or path.startswith(PUBLIC_PREFIX)
+
+
+def _is_loopback(connection: HTTPConnection) -> bool:
+    """From this machine and under its own name: a foreign name for 127.0.0.1 is somebody's trick."""
+    client = connection.client.host if connection.client else ""
+    return client in _LOOPBACK and connection.url.hostname in _LOOPBACK

@@ -1,0 +1,186 @@
+"""Signing in and out, and what one may change about oneself."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, cast
+
+from fastapi import APIRouter, Depends, Form
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import HTMLResponse, RedirectResponse, Response
+
+from app.auth import rules
+from app.auth.access import COOKIE
+from app.auth.accounts import Accounts
+from app.auth.signin import SignIn
+from app.errors import Problem
+from app.web.access import Viewer, person_of, public
+from app.web.templating import render, templates_of
+from bus.errors import CallerError
+
+router = APIRouter(include_in_schema=False)
+
+
+def sign_in_of(connection: HTTPConnection) -> SignIn:
+    """The app's sign-in."""
+    return cast(SignIn, connection.app.state.services.sign_in)
+
+
+def accounts_of(connection: HTTPConnection) -> Accounts:
+    """The app's users and tokens."""
+    return cast(Accounts, connection.app.state.services.accounts)
+
+
+SigningIn = Annotated[SignIn, Depends(sign_in_of)]
+Keeping = Annotated[Accounts, Depends(accounts_of)]
+Text = Annotated[str, Form()]
+
+
+def address_of(connection: HTTPConnection) -> str:
+    """Where somebody asks from."""
+    return connection.client.host if connection.client else ""
+
+
+@router.get("/login", dependencies=[Depends(public)])
+async def login_page(request: Request, sign_in: SigningIn, next: str = "/", panel: bool = False) -> Response:
+    """The form; whoever is signed in already goes on."""
+    if person_of(request):
+        return RedirectResponse(_own(next), 303)
+    return await _login_form(request, sign_in, next, panel)
+
+
+@router.post("/login", dependencies=[Depends(public)])
+async def log_in(
+    request: Request, sign_in: SigningIn, name: Text = "", password: Text = "", next: Text = "/"
+) -> Response:
+    """A person, by password."""
+    return await _sign_in(request, sign_in, name.strip(), password, next, panel=False)
+
+
+@router.post("/login/panel", dependencies=[Depends(public)])
+async def log_panel_in(
+    request: Request, sign_in: SigningIn, name: Text = "", pin: Text = "", next: Text = "/"
+) -> Response:
+    """A panel on the wall, by PIN."""
+    return await _sign_in(request, sign_in, name.strip(), pin, next, panel=True)
+
+
+@router.post("/logout")
+async def log_out(request: Request, person: Viewer, sign_in: SigningIn) -> Response:
+    """End the session and forget the cookie."""
+    cookie = request.cookies.get(COOKIE)
+    if cookie:
+        await sign_in.sign_out(cookie, person, address_of(request))
+    response = RedirectResponse("/login", 303)
+    response.delete_cookie(COOKIE, path="/")
+    return response
+
+
+@router.get("/account")
+async def account_page(request: Request, person: Viewer, done: str = "") -> HTMLResponse:
+    """One's own language and password."""
+    return _account(request, done=done)
+
+
+@router.post("/account/language")
+async def choose_language(
+    request: Request, person: Viewer, accounts: Keeping, language: Text = ""
+) -> Response:
+    """Empty: what the browser asks for."""
+    if language and language not in templates_of(request).languages:
+        raise Problem(422, "invalid", f"there is no language {language!r}")
+    _refuse_programs(person.via)
+    await accounts.set_language(person.name, language)
+    return RedirectResponse("/account?done=language", 303)
+
+
+@router.post("/account/password")
+async def change_password(
+    request: Request,
+    person: Viewer,
+    accounts: Keeping,
+    sign_in: SigningIn,
+    present: Text = "",
+    password: Text = "",
+    again: Text = "",
+) -> Response:
+    """Every session of the user ends; this browser signs in again with the new password."""
+    _refuse_programs(person.via)
+    if person.panel:
+        raise Problem(403, "forbidden", "the PIN of a panel is changed by an admin")
+    fault = await _password_fault(sign_in, person.name, present, password, again)
+    if fault:
+        return _account(request, status=422, fault=fault)
+    await accounts.set_password(person.name, password, by=person.name, origin=address_of(request))
+    return _with_cookie(
+        request,
+        RedirectResponse("/account?done=password", 303),
+        await sign_in.sign_in(person.name, password, address_of(request)),
+        rules.PERSON_LIFETIME,
+    )
+
+
+async def _sign_in(
+    request: Request, sign_in: SignIn, name: str, secret: str, next: str, *, panel: bool
+) -> Response:
+    try:
+        cookie = await sign_in.sign_in(name, secret, address_of(request), panel=panel)
+    except Problem as problem:
+        return await _login_form(request, sign_in, next, panel, problem=problem, name=name)
+    lifetime = rules.PANEL_LIFETIME if panel else rules.PERSON_LIFETIME
+    person = await sign_in.by_cookie(cookie)
+    home = person.home if person and next == "/" else next
+    return _with_cookie(request, RedirectResponse(_own(home), 303), cookie, lifetime)
+
+
+def _with_cookie(request: Request, response: Response, cookie: str, lifetime: rules.Lifetime) -> Response:
+    """Lax, so that a link to a page that somebody sends opens signed in; what changes something is
+    guarded by its Origin (`app.web.security`). Not Secure on plain HTTP, which plants use."""
+    is_https = request.url.scheme == "https"
+    response.set_cookie(
+        COOKIE, cookie, max_age=int(lifetime.whole_s), httponly=True, samesite="lax", secure=is_https
+    )
+    return response
+
+
+async def _login_form(
+    request: Request,
+    sign_in: SignIn,
+    next: str,
+    panel: bool,
+    problem: Problem | None = None,
+    name: str = "",
+) -> HTMLResponse:
+    context: dict[str, Any] = {"next": _own(next), "panel": panel, "problem": problem, "name": name}
+    return render(
+        request,
+        "auth/login.html",
+        status=problem.status if problem else 200,
+        headers=problem.headers if problem else None,
+        nobody_yet=await sign_in.nobody_can_sign_in(),
+        **context,
+    )
+
+
+def _account(request: Request, *, status: int = 200, done: str = "", fault: str = "") -> HTMLResponse:
+    return render(request, "auth/account.html", status=status, done=done, fault=fault)
+
+
+async def _password_fault(sign_in: SignIn, name: str, present: str, password: str, again: str) -> str:
+    try:
+        rules.check_password(password)
+    except CallerError as error:
+        return str(error)
+    if password != again:
+        return "the two new passwords differ; nothing was changed"
+    if not await sign_in.is_secret_of(name, present):
+        return "the present password is not right; nothing was changed"
+    return ""
+
+
+def _refuse_programs(via: str) -> None:
+    if via != "session":
+        raise Problem(403, "forbidden", "only somebody who signed in has an account to change")
+
+
+def _own(path: str) -> str:
+    return path if rules.is_own_path(path) else "/"

@@ -1,0 +1,137 @@
+"""Signing in and out, and who a cookie or a bearer token stands for."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import time
+from collections.abc import Callable
+
+from limits import RateLimitItemPerMinute
+from limits.storage import MemoryStorage
+from limits.strategies import MovingWindowRateLimiter
+
+from app.audit.log import EventLog
+from app.auth import rules, store
+from app.auth.passwords import Passwords
+from app.auth.store import Session, User
+from app.database import Database
+from app.errors import Problem
+from app.web.access import Person, Role
+
+PER_NAME = RateLimitItemPerMinute(10, 5)
+PER_PANEL = RateLimitItemPerMinute(5, 5)
+"""A PIN has few digits."""
+PER_ADDRESS = RateLimitItemPerMinute(30, 5)
+RETRY_AFTER_S = "300"
+
+
+class SignIn:
+    """Sessions of people and panels, tokens of programs."""
+
+    def __init__(
+        self,
+        database: Database,
+        passwords: Passwords,
+        events: EventLog,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self._database = database
+        self._passwords = passwords
+        self._events = events
+        self._clock = clock
+        self._failures = MovingWindowRateLimiter(MemoryStorage())
+        self._one_at_a_time = asyncio.Lock()
+        self.worker_token = rules.new_secret()
+        """For the workers that this server starts itself; it ends with the server."""
+
+    async def sign_in(self, name: str, secret: str, address: str, *, panel: bool = False) -> str:
+        """The cookie of a new session. Raises Problem 401, and 429 after too many failures."""
+        async with self._one_at_a_time:
+            await self._refuse_too_many(name, address, panel)
+            user = await self._verified(name, secret, panel)
+            if user is None:
+                await self._failed(name, address, panel)
+                raise Problem(401, "unauthorized", "the name or the password is not right")
+        self._failures.clear(PER_PANEL if panel else PER_NAME, name)
+        return await self._begin(user, address)
+
+    async def sign_out(self, cookie: str, person: Person, address: str) -> None:
+        """End the session."""
+        hash_ = rules.secret_hash(cookie)
+        await self._database.write(lambda connection: store.end_session(connection, hash_))
+        await self._events.record(kind="logout", what="signed out", who=person.name, origin=address)
+
+    async def is_secret_of(self, name: str, secret: str) -> bool:
+        """Whether it is the user's present password."""
+        return await self._verified(name, secret, panel=False) is not None
+
+    async def nobody_can_sign_in(self) -> bool:
+        """Whether there is no user yet."""
+        return not await self._database.read(store.users)
+
+    async def by_cookie(self, cookie: str) -> Person | None:
+        """Who a session cookie stands for; None when it is over or was never good."""
+        hash_ = rules.secret_hash(cookie)
+        session = await self._database.read(lambda connection: store.session(connection, hash_))
+        now = self._clock()
+        if session is None or session.expires_at <= now or session.user.disabled:
+            return None
+        await self._note_use(hash_, session, now)
+        user = session.user
+        return Person(user.name, user.role, "session", user.language, user.panel, user.home)
+
+    async def by_token(self, bearer: str) -> Person | None:
+        """Who a bearer token stands for."""
+        if hmac.compare_digest(bearer.encode(), self.worker_token.encode()):
+            return Person("worker", Role.WORKER, "worker")
+        hash_ = rules.secret_hash(bearer)
+        token = await self._database.read(lambda connection: store.token(connection, hash_))
+        if token is None:
+            return None
+        now = self._clock()
+        if token.used_at is None or now - token.used_at > rules.USE_NOTED_EVERY_S:
+            number = token.id
+            await self._database.write(lambda connection: store.note_token_used(connection, number, now))
+        return Person(token.name, token.role, "token")
+
+    async def _verified(self, name: str, secret: str, panel: bool) -> User | None:
+        found = await self._database.read(lambda connection: store.user(connection, name))
+        user, stored = found if found else (None, None)
+        if not await self._passwords.verify(stored, secret[: rules.LONGEST_PASSWORD + 1]):
+            return None
+        return user if user and user.panel is panel and not user.disabled else None
+
+    async def _begin(self, user: User, address: str) -> str:
+        cookie, now = rules.new_secret(), self._clock()
+        hash_, ends = rules.secret_hash(cookie), _lifetime(user).ends_at(now, now)
+        await self._database.write(
+            lambda connection: store.begin_session(connection, hash_, user.name, now, ends)
+        )
+        await self._events.record(kind="login", what="signed in", who=user.name, origin=address)
+        return cookie
+
+    async def _note_use(self, hash_: bytes, session: Session, now: float) -> None:
+        if now - session.used_at < rules.USE_NOTED_EVERY_S:
+            return
+        ends = _lifetime(session.user).ends_at(session.created_at, now)
+        await self._database.write(lambda connection: store.prolong_session(connection, hash_, now, ends))
+
+    async def _refuse_too_many(self, name: str, address: str, panel: bool) -> None:
+        per_name = PER_PANEL if panel else PER_NAME
+        if self._failures.test(per_name, name) and self._failures.test(PER_ADDRESS, address):
+            return
+        problem = Problem(429, "too_many", "too many sign-ins failed; try again in five minutes")
+        raise problem.with_headers(Retry_After=RETRY_AFTER_S)
+
+    async def _failed(self, name: str, address: str, panel: bool) -> None:
+        self._failures.hit(PER_PANEL if panel else PER_NAME, name)
+        self._failures.hit(PER_ADDRESS, address)
+        known = await self._database.read(lambda connection: store.user(connection, name))
+        # A password typed into the field for the name must not end up in the log.
+        who = name if known else "unknown name"
+        await self._events.record(kind="login_refused", what="sign-in refused", who=who, origin=address)
+
+
+def _lifetime(user: User) -> rules.Lifetime:
+    return rules.PANEL_LIFETIME if user.panel else rules.PERSON_LIFETIME

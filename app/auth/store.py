@@ -1,0 +1,184 @@
+"""The tables of users, sessions and tokens."""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import dataclass
+
+from app.web.access import Role
+
+
+@dataclass(frozen=True)
+class User:
+    """Somebody, or a panel, who may sign in."""
+
+    name: str
+    role: Role
+    panel: bool
+    home: str
+    language: str
+    disabled: bool
+    created_at: float
+    seen_at: float | None
+
+
+@dataclass(frozen=True)
+class Session:
+    """Somebody's sign-in."""
+
+    user: User
+    created_at: float
+    used_at: float
+    expires_at: float
+
+
+@dataclass(frozen=True)
+class Token:
+    """A program's key; what it is was shown once and is not stored."""
+
+    id: int
+    name: str
+    role: Role
+    created_by: str
+    created_at: float
+    used_at: float | None
+
+
+_USER = "u.name, u.role, u.panel, u.home, u.language, u.disabled, u.created_at, u.seen_at"
+_TOKEN = "id, name, role, created_by, created_at, used_at"
+
+
+def _user(row: sqlite3.Row) -> User:
+    return User(
+        row["name"],
+        Role(row["role"]),
+        bool(row["panel"]),
+        row["home"],
+        row["language"],
+        bool(row["disabled"]),
+        row["created_at"],
+        row["seen_at"],
+    )
+
+
+def _token(row: sqlite3.Row) -> Token:
+    return Token(
+        row["id"], row["name"], Role(row["role"]), row["created_by"], row["created_at"], row["used_at"]
+    )
+
+
+def users(connection: sqlite3.Connection) -> list[User]:
+    """All of them by name."""
+    return [_user(row) for row in connection.execute(f"SELECT {_USER} FROM users u ORDER BY u.name")]
+
+
+def user(connection: sqlite3.Connection, name: str) -> tuple[User, str] | None:
+    """A user with the hash of the password or PIN."""
+    query = f"SELECT {_USER}, u.secret_hash FROM users u WHERE u.name = ?"
+    row = connection.execute(query, (name,)).fetchone()
+    return (_user(row), row["secret_hash"]) if row else None
+
+
+def add_user(connection: sqlite3.Connection, user: User, secret_hash: str) -> None:
+    """Raises sqlite3.IntegrityError for a name that is there."""
+    connection.execute(
+        "INSERT INTO users (name, role, secret_hash, panel, home, created_at) VALUES (?, ?, ?, ?, ?, ?)",
+        (user.name, user.role, secret_hash, user.panel, user.home, user.created_at),
+    )
+
+
+def set_role(connection: sqlite3.Connection, name: str, role: Role) -> bool:
+    """Whether there is such a user."""
+    return connection.execute("UPDATE users SET role = ? WHERE name = ?", (role, name)).rowcount == 1
+
+
+def set_secret(connection: sqlite3.Connection, name: str, secret_hash: str) -> bool:
+    """A new password or PIN; every session of the user ends. Whether there is such a user."""
+    end_sessions_of(connection, name)
+    change = "UPDATE users SET secret_hash = ? WHERE name = ?"
+    return connection.execute(change, (secret_hash, name)).rowcount == 1
+
+
+def set_disabled(connection: sqlite3.Connection, name: str, disabled: bool) -> bool:
+    """Refuse or admit a user again; sessions end. Whether there is such a user."""
+    end_sessions_of(connection, name)
+    change = "UPDATE users SET disabled = ? WHERE name = ?"
+    return connection.execute(change, (disabled, name)).rowcount == 1
+
+
+def set_language(connection: sqlite3.Connection, name: str, language: str) -> None:
+    """The user's own wish; empty: what the browser asks for."""
+    connection.execute("UPDATE users SET language = ? WHERE name = ?", (language, name))
+
+
+def remove_user(connection: sqlite3.Connection, name: str) -> bool:
+    """Whether there was such a user. What the user did stays in the events."""
+    return connection.execute("DELETE FROM users WHERE name = ?", (name,)).rowcount == 1
+
+
+def admins_left(connection: sqlite3.Connection) -> int:
+    """How many admins can sign in."""
+    query = "SELECT count(*) FROM users WHERE role = 'admin' AND NOT disabled"
+    return int(connection.execute(query).fetchone()[0])
+
+
+def begin_session(connection: sqlite3.Connection, hash_: bytes, name: str, now: float, ends: float) -> None:
+    """Store a sign-in and forget the sessions that are over."""
+    connection.execute("DELETE FROM sessions WHERE expires_at <= ?", (now,))
+    connection.execute("INSERT INTO sessions VALUES (?, ?, ?, ?, ?)", (hash_, name, now, now, ends))
+    connection.execute("UPDATE users SET seen_at = ? WHERE name = ?", (now, name))
+
+
+def session(connection: sqlite3.Connection, hash_: bytes) -> Session | None:
+    """The sign-in that a cookie stands for."""
+    query = (
+        f"SELECT {_USER}, s.created_at AS begun_at, s.used_at, s.expires_at "
+        "FROM sessions s JOIN users u USING (name) WHERE s.hash = ?"
+    )
+    row = connection.execute(query, (hash_,)).fetchone()
+    return Session(_user(row), row["begun_at"], row["used_at"], row["expires_at"]) if row else None
+
+
+def prolong_session(connection: sqlite3.Connection, hash_: bytes, now: float, ends: float) -> None:
+    """Note that a session is used."""
+    change = "UPDATE sessions SET used_at = ?, expires_at = ? WHERE hash = ?"
+    connection.execute(change, (now, ends, hash_))
+
+
+def end_session(connection: sqlite3.Connection, hash_: bytes) -> None:
+    """Sign out."""
+    connection.execute("DELETE FROM sessions WHERE hash = ?", (hash_,))
+
+
+def end_sessions_of(connection: sqlite3.Connection, name: str) -> None:
+    """Sign a user out everywhere."""
+    connection.execute("DELETE FROM sessions WHERE name = ?", (name,))
+
+
+def tokens(connection: sqlite3.Connection) -> list[Token]:
+    """All of them by name."""
+    return [_token(row) for row in connection.execute(f"SELECT {_TOKEN} FROM tokens ORDER BY name")]
+
+
+def token(connection: sqlite3.Connection, hash_: bytes) -> Token | None:
+    """The token that a bearer stands for."""
+    row = connection.execute(f"SELECT {_TOKEN} FROM tokens WHERE hash = ?", (hash_,)).fetchone()
+    return _token(row) if row else None
+
+
+def add_token(connection: sqlite3.Connection, hash_: bytes, token: Token) -> None:
+    """Raises sqlite3.IntegrityError for a name that is there."""
+    connection.execute(
+        "INSERT INTO tokens (hash, name, role, created_by, created_at) VALUES (?, ?, ?, ?, ?)",
+        (hash_, token.name, token.role, token.created_by, token.created_at),
+    )
+
+
+def note_token_used(connection: sqlite3.Connection, number: int, now: float) -> None:
+    """For the list of tokens."""
+    connection.execute("UPDATE tokens SET used_at = ? WHERE id = ?", (now, number))
+
+
+def revoke_token(connection: sqlite3.Connection, name: str) -> bool:
+    """Whether there was such a token."""
+    return connection.execute("DELETE FROM tokens WHERE name = ?", (name,)).rowcount == 1
