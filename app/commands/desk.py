@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import structlog
 
 from app.audit.log import EventLog
-from app.commands.blocks import BlockStore
-from app.commands.control import Control, ControlledError
-from app.commands.limits import LimitsStore
+from app.commands.control import ControlledError
 from app.commands.moves import Moves
 from app.commands.objection import Circumstances, ObjectionError
 from app.commands.rules import check, is_write, setpoints_of, units_named
+from app.commands.safeguards import Safeguards
 from app.commands.setpoints import commanded_setpoint
 from app.commands.words import wording
 from app.errors import Problem, StoreError
@@ -65,17 +64,13 @@ class Desk:
         live: LiveState,
         channels: Mapping[str, Channel],
         events: EventLog,
-        limits: LimitsStore,
-        blocks: BlockStore,
-        control: Control,
+        guards: Safeguards,
         now: Callable[[], float] = time.time,
     ) -> None:
         self._live = live
         self._channels = channels
         self._events = events
-        self._limits = limits
-        self._blocks = blocks
-        self._control = control
+        self._guards = guards
         self._now = now
         self._moves = Moves()
         self._kept: OrderedDict[str, _Kept] = OrderedDict()
@@ -135,7 +130,7 @@ class Desk:
     def _object(self, person: Person, bus: str, action: Action, live: BusLive, confirm: bool) -> None:
         try:
             if is_write(action):
-                self._control.use(bus, person.name, self._now())
+                self._guards.control.use(bus, person.name, self._now())
             check(action, self._circumstances(bus, live, confirm))
         except ControlledError as error:
             raise Problem(409, "controlled", f"{error}; nothing was sent", outcome="controlled") from error
@@ -145,8 +140,8 @@ class Desk:
     def _circumstances(self, bus: str, live: BusLive, confirm: bool) -> Circumstances:
         return Circumstances(
             bus=live,
-            limits=lambda unit: self._limits.of(bus, unit),
-            block=lambda unit: self._blocks.of(bus, unit),
+            limits=lambda unit: self._guards.limits.of(bus, unit),
+            block=lambda unit: self._guards.blocks.of(bus, unit),
             moved=lambda unit: self._moves.within_a_minute(bus, unit, self._now()),
             confirm=confirm,
         )

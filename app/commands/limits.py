@@ -24,11 +24,18 @@ class Limits:
     largest_step: int | None = None
     per_minute: int | None = None
 
-    @property
-    def bounds(self) -> tuple[int, int]:
-        """Lowest and highest setpoint, as far as the protocol has one at all."""
-        lowest = 0 if self.lowest is None else self.lowest
-        return lowest, HIGHEST_SETPOINT if self.highest is None else self.highest
+    def __str__(self) -> str:
+        said = [
+            f"{name} {limit}"
+            for name, limit in (
+                ("lowest", self.lowest),
+                ("highest", self.highest),
+                ("largest step", self.largest_step),
+                ("within a minute", self.per_minute),
+            )
+            if limit is not None
+        ]
+        return ", ".join(said) or "none"
 
 
 NO_LIMITS = Limits()

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import cast
 
-from fastapi import WebSocket
+from fastapi import APIRouter, WebSocket
+from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from app.feed.ingest import MalformedSpeechError
+from app.feed.workers import Workers
+from app.web.access import Worker
 from bus.contract import AppMessage, encode
+
+router = APIRouter()
 
 POLICY_VIOLATION = 1008
 REASON_BYTES = 123
@@ -47,3 +53,15 @@ class WorkerSocket:
         short = reason.encode()[:REASON_BYTES].decode(errors="ignore")
         with suppress(WebSocketDisconnect, RuntimeError):
             await self._websocket.close(POLICY_VIOLATION, short)
+
+
+def workers_of(connection: HTTPConnection) -> Workers:
+    """Every worker's connection."""
+    return cast(Workers, connection.app.state.services.workers)
+
+
+@router.websocket("/feed")
+async def feed(websocket: WebSocket, _: Worker) -> None:
+    """One worker from its hello to its end."""
+    await websocket.accept()
+    await workers_of(websocket).serve(WorkerSocket(websocket))

@@ -36,6 +36,7 @@ class Workers:
         self._now = now
         self._heard: dict[str, Heard] = {}
         self._sockets: dict[str, Socket] = {}
+        self._wishes: set[asyncio.Task[None]] = set()
 
     async def serve(self, socket: Socket) -> None:
         """One connection from its hello to its end. Raises nothing that a worker could cause."""
@@ -53,6 +54,12 @@ class Workers:
             return
         await self._replace(hello.bus, socket)
         await self._follow(hello, socket)
+
+    def watch(self, bus: str, units: list[int], trace: bool) -> None:
+        """Tell a worker which units are on an open page, and whether someone follows its trace."""
+        wish = asyncio.create_task(self.channels[bus].watch(units, trace=trace))
+        self._wishes.add(wish)
+        wish.add_done_callback(self._wishes.discard)
 
     async def _welcomed(self, hello: Hello, socket: Socket) -> bool:
         heard = self._heard_of(hello)

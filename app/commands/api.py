@@ -1,0 +1,176 @@
+"""The commands over HTTP; each answers once its fate is known."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, cast
+
+from fastapi import APIRouter, Depends, Header, Query
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import Response
+
+from app.commands.answers import answer
+from app.commands.bodies import (
+    DEFAULT_TIMEOUT_S,
+    AnalogOutputBody,
+    Body,
+    OutputBody,
+    ParameterBody,
+    SetpointsBody,
+    SpeedBody,
+)
+from app.commands.desk import Desk, writes_secret
+from app.commands.typed import Typed
+from app.errors import Problem
+from app.live.api import Live
+from app.live.lookup import bus_or_404, unit_or_404
+from app.live.state import LiveState
+from app.live.view import parameter_json
+from app.web.access import Engineer, Operator, Person, Viewer
+from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.status import OUTPUT_NUMBERS
+from bus.contract import (
+    Action,
+    ExecuteAll,
+    ExecuteSpeed,
+    ReadParameters,
+    SetLine,
+    SetSpeed,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+
+router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"])
+READ_TIMEOUT_S = 30.0
+
+
+def desk_of(connection: HTTPConnection) -> Desk:
+    """The way to the wire."""
+    return cast(Desk, connection.app.state.services.desk)
+
+
+class Asking:
+    """What every command's request carries beside its body: the key and the time."""
+
+    def __init__(
+        self,
+        request: Request,
+        live: Live,
+        desk: Annotated[Desk, Depends(desk_of)],
+        bus: str,
+        timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
+        key: Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)] = None,
+    ) -> None:
+        self.request = request
+        self.live: LiveState = live
+        self.desk = desk
+        self.bus = bus
+        self.key = key
+        self._timeout_s = timeout_s
+
+    def timeout_s(self, body: Body) -> float:
+        """The body's word, else the query's, else two seconds."""
+        given = body.timeout_s if body.timeout_s is not None else self._timeout_s
+        return DEFAULT_TIMEOUT_S if given is None else given
+
+    def typed(self, person: Person, unit: int, body: Body) -> Typed:
+        """Conversion of typed values for a unit. Raises Problem 404."""
+        found = unit_or_404(self.live, self.bus, unit)
+        return Typed(self.desk, person, self.bus, found, self.timeout_s(body))
+
+    async def ask(
+        self, person: Person, action: Action, body: Body, unit: int | None = None, left_s: float | None = None
+    ) -> Response:
+        """The fate of ``action`` as an answer."""
+        timeout_s = self.timeout_s(body) if left_s is None else left_s
+        result = await self.desk.ask(
+            person, self.bus, action, timeout_s=timeout_s, confirm=body.confirm, id=self.key
+        )
+        secret = writes_secret(action)
+        return answer(self.request, bus_or_404(self.live, self.bus), result, unit, secret=secret)
+
+
+Ask = Annotated[Asking, Depends(Asking)]
+
+
+@router.post("/units/{unit:int}/speed")
+async def set_speed(person: Operator, ask: Ask, unit: int, body: SpeedBody) -> Response:
+    """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
+    typed = ask.typed(person, unit, body)
+    action = SetSpeed(unit=unit, raw=await typed.setpoint(body), execute=body.execute)
+    return await ask.ask(person, action, body, unit, typed.left_s)
+
+
+@router.post("/units/{unit:int}/execute")
+async def execute(person: Operator, ask: Ask, unit: int, body: Body | None = None) -> Response:
+    """83h to one unit: its staged speed becomes its commanded speed."""
+    return await ask.ask(person, ExecuteSpeed(unit=unit), body or Body(), unit)
+
+
+@router.post("/execute")
+async def execute_all(person: Operator, ask: Ask, body: Body | None = None) -> Response:
+    """83h to all, then the proof from every unit."""
+    return await ask.ask(person, ExecuteAll(), body or Body())
+
+
+@router.post("/speeds")
+async def set_speeds(person: Operator, ask: Ask, body: SetpointsBody) -> Response:
+    """Stage all, require every acknowledgement, broadcast, prove: all of them or none."""
+    bus_or_404(ask.live, ask.bus)
+    setpoints: dict[int, int] = {}
+    left_s = ask.timeout_s(body)
+    for key, quantity in body.setpoints.items():
+        typed = ask.typed(person, int(key), body)
+        setpoints[int(key)] = await typed.setpoint(quantity)
+        left_s = min(left_s, typed.left_s)
+    return await ask.ask(person, SetLine(setpoints=setpoints), body, left_s=left_s)
+
+
+@router.put("/units/{unit:int}/outputs/{number:int}")
+async def write_output(person: Operator, ask: Ask, unit: int, number: int, body: OutputBody) -> Response:
+    """87h, proven by the bit in ST2."""
+    unit_or_404(ask.live, ask.bus, unit)
+    if number not in OUTPUT_NUMBERS:
+        raise Problem(404, "unknown_output", "a unit has the auxiliary outputs 1 to 6", unit=unit)
+    return await ask.ask(person, WriteOutput(unit=unit, number=number, on=body.on), body, unit)
+
+
+@router.put("/units/{unit:int}/analog-output")
+async def write_analog_output(person: Engineer, ask: Ask, unit: int, body: AnalogOutputBody) -> Response:
+    """88h: acknowledged at best, for there is nothing to read back."""
+    return await ask.ask(person, WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
+
+
+@router.get("/units/{unit:int}/parameters")
+async def get_parameters(
+    person: Viewer,
+    ask: Ask,
+    unit: int,
+    refresh: bool = False,
+) -> list[dict[str, Any]]:
+    """All 40 as last read, or with ``refresh`` as the unit gives them now. #21 is masked."""
+    found = unit_or_404(ask.live, ask.bus, unit)
+    if refresh:
+        action = ReadParameters(unit=unit, numbers=list(PARAMETERS))
+        result = await ask.desk.ask(person, ask.bus, action, timeout_s=READ_TIMEOUT_S)
+        if len(result.values) < len(PARAMETERS):
+            status = 503 if result.outcome in ("bus_closed", "not_sent") else 504
+            code = result.outcome if status == 503 else "unverified"
+            said = result.message or "no answer"
+            detail = (
+                f"unit {unit}: {len(result.values)} of {len(PARAMETERS)} parameters were read, then: {said}"
+            )
+            raise Problem(status, code, detail, outcome=code, unit=unit)
+    return [parameter_json(found, number) for number in PARAMETERS]
+
+
+@router.put("/units/{unit:int}/parameters/{number:int}")
+async def write_parameter(
+    person: Engineer, ask: Ask, unit: int, number: int, body: ParameterBody
+) -> Response:
+    """86h, read back by 85h. What can cut the link off needs ``confirm``."""
+    typed = ask.typed(person, unit, body)
+    if number not in PARAMETERS:
+        raise Problem(404, "unknown_parameter", "a unit has the parameters 1 to 40", unit=unit)
+    raw = await typed.parameter(number, body)
+    return await ask.ask(person, WriteParameter(unit=unit, number=number, raw=raw), body, unit, typed.left_s)

@@ -1,0 +1,75 @@
+"""What the API accepts in the body of a command: strict, nothing unknown, nothing converted."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+
+TimeoutS = Annotated[float, Field(ge=0.05, le=30)]
+"""How long a write may wait for the wire, seconds; after that it is dropped."""
+DEFAULT_TIMEOUT_S = 2.0
+UnitKey = Annotated[str, StringConstraints(pattern=r"^[1-9][0-9]{0,2}$")]
+TypedValue = str | int | float
+
+
+class Body(BaseModel):
+    """Of any command."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    timeout_s: TimeoutS | None = None
+    confirm: bool = False
+
+
+class Quantity(BaseModel):
+    """A raw integer of the wire, or what a person would type, not both."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    raw: int | None = None
+    value: TypedValue | None = None
+
+    @model_validator(mode="after")
+    def _is_given_once(self) -> Quantity:
+        if (self.raw is None) == (self.value is None):
+            raise ValueError("give either raw (the integer on the wire) or value (as shown)")
+        if isinstance(self.value, bool):
+            raise ValueError("value is a number as shown")
+        return self
+
+    @property
+    def typed(self) -> str:
+        """The value as a person would type it; empty when ``raw`` is given."""
+        if isinstance(self.value, float):
+            return f"{Decimal(repr(self.value)).normalize():f}"
+        return "" if self.value is None else str(self.value)
+
+
+class SpeedBody(Body, Quantity):
+    """``execute`` true: 84h, at once; false: 82h, staged until executed."""
+
+    execute: bool = True
+
+
+class ParameterBody(Body, Quantity):
+    """The new value of a parameter."""
+
+
+class OutputBody(Body):
+    """The state that an auxiliary output shall have."""
+
+    on: bool
+
+
+class AnalogOutputBody(Body):
+    """The value of 88h, #29 to #30."""
+
+    raw: int
+
+
+class SetpointsBody(Body):
+    """The setpoints of one change, by unit."""
+
+    setpoints: Annotated[dict[UnitKey, Quantity], Field(min_length=1)]

@@ -1,0 +1,122 @@
+"""Limits, blocks and control: what keeps a wish from being sent. Every change of them is an event."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from app.audit.log import EventLog
+from app.commands.blocks import Block, BlockStore
+from app.commands.control import Control, ControlledError, Holding
+from app.commands.limits import Limits, LimitsStore
+from app.database import Database
+from app.errors import Problem
+from app.web.access import Person, Role
+
+Changed = Callable[[str, int], None]
+"""Told of the bus and the unit that was blocked or freed."""
+
+
+class Safeguards:
+    """Of every line. Call :meth:`load` once before the first command."""
+
+    def __init__(
+        self,
+        database: Database,
+        events: EventLog,
+        *,
+        control_required: bool,
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        self.limits = LimitsStore(database)
+        self.blocks = BlockStore(database)
+        self.control = Control(required=control_required)
+        self.on_block: Changed = lambda bus, unit: None
+        self._events = events
+        self._now = now
+
+    async def load(self) -> None:
+        """Read what is stored."""
+        await self.limits.load()
+        await self.blocks.load()
+
+    def block_reason(self, bus: str, unit: int) -> str:
+        """Why a unit is blocked and by whom, as a page shows it; empty when it is not."""
+        block = self.blocks.of(bus, unit)
+        return f"{block.reason} ({block.set_by})" if block is not None else ""
+
+    async def set_limits(self, person: Person, bus: str, unit: int, limits: Limits) -> None:
+        """Replace the limits of a unit."""
+        before = self.limits.of(bus, unit)
+        await self.limits.put(bus, unit, limits, person.name, self._now())
+        await self._record("limits", person, bus, unit, "limits of the speed", str(before), str(limits))
+
+    async def block(self, person: Person, bus: str, unit: int, reason: str) -> None:
+        """Refuse every write to a unit from now on."""
+        before = self.blocks.of(bus, unit)
+        await self.blocks.put(bus, unit, Block(reason, person.name, self._now()))
+        self.on_block(bus, unit)
+        old = before.reason if before is not None else None
+        await self._record("block", person, bus, unit, "unit blocked", old, reason)
+
+    async def lift(self, person: Person, bus: str, unit: int) -> None:
+        """Free a unit. Nothing happens to one that is free."""
+        before = self.blocks.of(bus, unit)
+        if before is None:
+            return
+        await self.blocks.lift(bus, unit)
+        self.on_block(bus, unit)
+        await self._record("block", person, bus, unit, "block lifted", before.reason, None)
+
+    def holding(self, bus: str) -> Holding | None:
+        """Who holds control of a line now, if anybody."""
+        return self.control.holding(bus, self._now())
+
+    async def take(self, person: Person, bus: str) -> Holding:
+        """Take control that nobody else holds. Raises Problem 409."""
+        before = self.holding(bus)
+        try:
+            holding = self.control.take(bus, person.name, self._now())
+        except ControlledError as error:
+            raise _controlled(error) from error
+        if before is None:
+            await self._record("control", person, bus, None, "control taken", None, person.name)
+        return holding
+
+    async def hand_over(self, person: Person, bus: str, to: str) -> Holding:
+        """Give control to somebody else; an admin may without holding it. Raises Problem 409."""
+        before = self.holding(bus)
+        by_force = person.role.includes(Role.ADMIN)
+        try:
+            holding = self.control.hand_over(bus, person.name, to, self._now(), by_force=by_force)
+        except ControlledError as error:
+            raise _controlled(error) from error
+        old = before.holder if before is not None else None
+        await self._record("control", person, bus, None, "control handed over", old, to)
+        return holding
+
+    async def release(self, person: Person, bus: str) -> None:
+        """Give control back. Raises Problem 409."""
+        try:
+            self.control.release(bus, person.name, self._now())
+        except ControlledError as error:
+            raise _controlled(error) from error
+        await self._record("control", person, bus, None, "control given back", person.name, None)
+
+    async def _record(
+        self,
+        kind: str,
+        person: Person,
+        bus: str,
+        unit: int | None,
+        what: str,
+        old: str | None,
+        new: str | None,
+    ) -> None:
+        await self._events.record(
+            kind=kind, who=person.name, origin=person.via, bus=bus, unit=unit, what=what, old=old, new=new
+        )
+
+
+def _controlled(error: ControlledError) -> Problem:
+    return Problem(409, "controlled", f"{error}", outcome="controlled")

@@ -1,0 +1,77 @@
+"""``GET /buses/{bus}/trace``: the frames that a worker has kept, decoded, as JSON or as a file.
+
+Whoever sees the frames sees every value that passed, so this needs an engineer.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator
+from datetime import UTC, datetime
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query
+from starlette.responses import JSONResponse, Response, StreamingResponse
+
+from app.commands.answers import frame_json
+from app.commands.api import desk_of
+from app.commands.desk import Desk
+from app.errors import Problem
+from app.web.access import Engineer, Person
+from bus.contract import Frame, ReadTrace
+
+router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["trace"])
+HOUR_S = 3600.0
+RECENT_S = 60.0
+PIECE = 2000
+
+
+@router.get("/trace")
+async def get_trace(
+    person: Engineer,
+    desk: Annotated[Desk, Depends(desk_of)],
+    bus: str,
+    seconds: Annotated[float | None, Query(gt=0, le=HOUR_S)] = None,
+    limit: Annotated[int, Query(ge=1, le=PIECE)] = 200,
+) -> Response:
+    """The last ``limit`` frames as JSON; with ``seconds`` all of that time as a text file, one frame a
+    line, which ``lineside decode`` reads back."""
+    now = time.time()
+    if seconds is None:
+        frames = [frame async for piece in _pieces(desk, person, bus, now - RECENT_S) for frame in piece]
+        return JSONResponse({"bus": bus, "frames": [frame_json(frame) for frame in frames[-limit:]]})
+    pieces = _pieces(desk, person, bus, now - seconds)
+    first = await anext(pieces, [])
+    name = f"{bus}-{datetime.fromtimestamp(now, UTC):%Y%m%dT%H%M%SZ}.trace.txt"
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return StreamingResponse(_lines(first, pieces), headers=headers, media_type="text/plain; charset=utf-8")
+
+
+async def _pieces(desk: Desk, person: Person, bus: str, since: float) -> AsyncIterator[list[Frame]]:
+    while True:
+        result = await desk.ask(person, bus, ReadTrace(since=since, limit=PIECE))
+        if result.outcome not in ("verified", "acknowledged"):
+            raise Problem(503, result.outcome, result.message, outcome=result.outcome)
+        frames = [frame for frame in result.frames if frame.at > since]
+        if frames:
+            yield frames
+        if len(result.frames) < PIECE:
+            return
+        since = frames[-1].at
+
+
+async def _lines(first: list[Frame], pieces: AsyncIterator[list[Frame]]) -> AsyncIterator[str]:
+    yield _text(first)
+    async for frames in pieces:
+        yield _text(frames)
+
+
+def _text(frames: list[Frame]) -> str:
+    return "".join(f"{trace_line(frame)}\n" for frame in frames)
+
+
+def trace_line(frame: Frame) -> str:
+    """Time, direction, bytes and meaning between tabs (``bus.wire.trace`` reads it back)."""
+    at = datetime.fromtimestamp(frame.at, UTC).isoformat(timespec="microseconds")
+    meaning = " ".join(frame.meaning.split())
+    return f"{at}\t{frame.direction}\t{frame.data.hex(' ').upper()}\t{meaning}"

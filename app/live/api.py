@@ -1,0 +1,71 @@
+"""``GET /line``, the buses and the units: what is now."""
+
+from __future__ import annotations
+
+import time
+from typing import Annotated, Any, cast
+
+import msgspec
+from fastapi import APIRouter, Depends
+from starlette.requests import HTTPConnection
+
+from app.live.lookup import bus_or_404, unit_or_404
+from app.live.state import LiveState
+from app.live.view import bus_json, line_json, unit_json
+from app.web.access import Viewer
+from bus.errors import unit_error_name
+
+router = APIRouter(prefix="/api/v1", tags=["line"])
+
+
+def live_of(connection: HTTPConnection) -> LiveState:
+    """The present state of every bus."""
+    return cast(LiveState, connection.app.state.services.live)
+
+
+def site_name_of(connection: HTTPConnection) -> str:
+    """The plant as people call it."""
+    return cast(str, connection.app.state.services.settings.site.name)
+
+
+Live = Annotated[LiveState, Depends(live_of)]
+SiteName = Annotated[str, Depends(site_name_of)]
+
+
+@router.get("/line")
+async def get_line(_: Viewer, live: Live, site: SiteName) -> dict[str, Any]:
+    """Every bus and every unit, now."""
+    return line_json(site, live, time.time())
+
+
+@router.get("/buses/{bus}")
+async def get_bus(_: Viewer, live: Live, bus: str) -> dict[str, Any]:
+    """One bus with its units."""
+    return bus_json(bus_or_404(live, bus), time.time())
+
+
+@router.get("/buses/{bus}/units/{unit:int}")
+async def get_unit(_: Viewer, live: Live, bus: str, unit: int) -> dict[str, Any]:
+    """One unit, with the age of what it said."""
+    found = unit_or_404(live, bus, unit)
+    return unit_json(live.buses[bus], found, time.time())
+
+
+@router.get("/buses/{bus}/figures")
+async def get_figures(_: Viewer, live: Live, bus: str) -> dict[str, Any]:
+    """What the wire of a bus carries, and the counters of each unit since its worker started."""
+    figures = bus_or_404(live, bus).figures
+    if figures is None:
+        return {"bus": bus, "measured": False, "units": []}
+    counted = cast(dict[str, Any], msgspec.to_builtins(figures, str_keys=True))
+    units = [
+        {
+            **cast(dict[str, Any], msgspec.to_builtins(unit, str_keys=True)),
+            "naks": [
+                {"unit_error": code, "unit_error_name": unit_error_name(code), "count": count}
+                for code, count in sorted(unit.naks.items())
+            ],
+        }
+        for unit in figures.units
+    ]
+    return {"bus": bus, "measured": True, **counted, "units": units}
