@@ -1,0 +1,321 @@
+"""The UART's timetable and the whole line on a clock of the test's own."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus.settings import Dialect
+from bus.simulator.demo import demo_line
+from bus.simulator.faults import Faults, Kind
+from bus.simulator.line import SimulatedLine
+from bus.simulator.memory import Mode, Prm
+from bus.simulator.pacer import WAKE_S, ReplyLine, RequestLine, byte_seconds
+from bus.simulator.record import Happened
+from bus.simulator.unit import ORDINARY, Traits
+from bus.wire.commands import (
+    ExecuteSpeed,
+    ReadStatus,
+    Request,
+    SetAndExecuteSpeed,
+    StageSpeed,
+    WriteParameter,
+    encode_request,
+)
+from bus.wire.framing import FrameDecoder, ReceivedFrame
+
+PLAIN = Dialect()
+BYTE_S = 10 / 9600
+
+
+class Host:
+    """Writes requests and keeps what comes, with times; the clock moves from wake to wake."""
+
+    def __init__(self, line: SimulatedLine, baud: int | None = 9600) -> None:
+        self.line, self.baud = line, baud
+        self.now = 100.0
+        self.line.advance(self.now)
+        self.got: list[tuple[float, bytes]] = []
+
+    def write(self, *requests: Request) -> None:
+        self.line.receive(self.now, b"".join(encode_request(each, PLAIN) for each in requests), self.baud)
+
+    def wait(self, seconds: float) -> None:
+        until = self.now + seconds
+        while (wake := self.line.wake()).at <= until:
+            self.now = wake.at
+            if data := self.line.advance(self.now):
+                self.got.append((self.now, data))
+        self.now = until
+
+    @property
+    def data(self) -> bytes:
+        return b"".join(data for _, data in self.got)
+
+    def bodies(self) -> list[bytes]:
+        events = FrameDecoder(PLAIN).feed(self.data)
+        return [event.body for event in events if isinstance(event, ReceivedFrame)]
+
+    def ask(self, *requests: Request, seconds: float = 1.0) -> list[bytes]:
+        self.got.clear()
+        self.write(*requests)
+        self.wait(seconds)
+        return self.bodies()
+
+
+def host(units: int = 3, *, traits: Traits = ORDINARY, speedup: float = 1.0, seed: int = 1) -> Host:
+    plant = demo_line(units, seed=seed, traits=traits, script=False).plant
+    return Host(SimulatedLine(plant, Faults(seed), speedup=speedup))
+
+
+# --- the timetable --------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.tuples(st.floats(0, 0.05), st.integers(1, 20)), min_size=1, max_size=20),
+    st.sampled_from([300, 1200, 9600]),
+)
+def test_request_bytes_arrive_at_baud_pace_and_never_overtake(
+    writes: list[tuple[float, int]], baud: int
+) -> None:
+    line, byte_s, now = RequestLine(), byte_seconds(baud), 0.0
+    arrivals: list[float] = []
+    for pause, count in writes:
+        now += pause
+        times = line.carry(now, count, byte_s)
+        assert times[0] >= now + byte_s * 0.999999
+        arrivals += times
+    gaps = [after - before for before, after in itertools.pairwise(arrivals)]
+    assert all(gap >= byte_s * 0.999999 for gap in gaps)
+
+
+@given(st.binary(min_size=1, max_size=40), st.floats(0, 10), st.sampled_from([300, 9600]))
+def test_no_reply_byte_comes_before_its_time_and_all_come(data: bytes, at: float, baud: int) -> None:
+    line, byte_s = ReplyLine(), byte_seconds(baud)
+    assert line.transmit(1, at, data, byte_s) == pytest.approx(at + len(data) * byte_s)
+    got = b""
+    while wake := line.wake():
+        got += line.due(wake.at)
+        whole = int((wake.at - at) / byte_s + 1e-6)
+        assert len(got) <= whole
+        assert len(got) >= whole - WAKE_S / byte_s - 1
+    assert got == data
+
+
+def test_the_last_byte_is_a_sharp_moment_and_the_middle_is_not() -> None:
+    line = ReplyLine()
+    line.transmit(1, 0.0, bytes(18), BYTE_S)
+    wakes = []
+    while wake := line.wake():
+        wakes.append(wake)
+        line.due(wake.at)
+    assert wakes[0].at == pytest.approx(BYTE_S)
+    assert wakes[-1].at == pytest.approx(18 * BYTE_S)
+    assert [wake.sharp for wake in wakes] == [False] * (len(wakes) - 1) + [True]
+
+
+def test_a_talker_speaks_in_order_and_two_at_once_garble_each_other() -> None:
+    line = ReplyLine()
+    line.transmit(1, 0.0, b"\xff\xff", 1.0)
+    line.transmit(1, 0.0, b"\xee", 1.0)
+    assert line.due(3.0) == b"\xff\xff\xee"
+    line.transmit(1, 10.0, b"\xaa" * 4, 1.0)
+    line.transmit(2, 11.5, b"\x55" * 4, 1.0)
+    garbled = line.due(20.0)
+    assert garbled.startswith(b"\xaa")
+    assert garbled != b"\xaa" * 4 + b"\x55" * 4
+    assert len(garbled) < 8
+
+
+# --- the line -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("baud", "turnaround_s"), [(9600, 0.0), (9600, 0.005), (300, 0.0)])
+def test_an_exchange_takes_its_bytes_and_the_turnaround(baud: int, turnaround_s: float) -> None:
+    there = host(traits=Traits(turnaround_s=turnaround_s, turnaround_jitter=0.0))
+    there.baud = baud
+    for unit in there.line.plant.units:
+        unit.baud = baud
+    began = there.now
+    there.ask(ReadStatus(2))
+    wire_bytes = 7 + len(there.data)
+    assert there.got[-1][0] - began == pytest.approx(wire_bytes * 10 / baud + turnaround_s)
+
+
+def test_lateness_does_not_add_up_over_a_thousand_exchanges() -> None:
+    """Requests queued at once are answered one per request time, however the clock was read."""
+    there = host()
+    began = there.now
+    there.ask(*[ReadStatus(1)] * 50, seconds=3.0)
+    sent = list(there.line.record.since(0, Happened.SENT))
+    assert len(sent) == 50
+    total = sum(len(entry.data) for entry in sent)
+    assert sent[-1].at - began == pytest.approx(7 * BYTE_S + total * BYTE_S)
+    assert there.got[-1][0] >= sent[-1].at
+
+
+def test_speedup_shortens_the_wire() -> None:
+    there = host(speedup=10)
+    began = there.now
+    there.ask(ReadStatus(1))
+    assert there.got[-1][0] - began == pytest.approx((7 + len(there.data)) * BYTE_S / 10)
+
+
+def test_every_unit_hears_the_broadcast_and_none_answers() -> None:
+    there = host()
+    assert len(there.ask(StageSpeed(1, 500), StageSpeed(2, 600), StageSpeed(3, 700))) == 3
+    assert there.ask(ExecuteSpeed(0)) == []
+    assert [unit.commanded for unit in there.line.plant.units] == [500, 600, 700]
+
+
+def test_a_host_at_another_speed_is_not_heard_until_the_unit_has_changed_too() -> None:
+    there = host(traits=Traits(baud_changes="at once"))
+    assert there.ask(WriteParameter(2, 18, 48)) == [bytes((2, 6))]
+    assert there.ask(ReadStatus(2)) == []
+    assert len(there.ask(ReadStatus(1))) == 1
+    there.baud = 4800
+    assert len(there.ask(ReadStatus(2))) == 1
+    assert there.ask(ReadStatus(1)) == []
+
+
+def test_an_unknown_host_speed_is_taken_for_the_right_one() -> None:
+    there = host()
+    there.baud = None
+    there.line.plant.units[0].baud = 4800
+    assert len(there.ask(ReadStatus(1))) == 1
+
+
+def test_a_frame_in_pieces_and_after_rubbish_is_still_heard() -> None:
+    there = host()
+    frame = encode_request(ReadStatus(1), PLAIN)
+    there.line.receive(there.now, b"\x10\x02\x99" + frame[:3], 9600)
+    there.wait(1.0)
+    there.line.receive(there.now, frame[3:], 9600)
+    there.wait(1.0)
+    assert len(there.bodies()) == 1
+
+
+def test_a_bad_checksum_is_met_with_silence() -> None:
+    there = host()
+    frame = bytearray(encode_request(ReadStatus(1), PLAIN))
+    frame[-1] ^= 1
+    there.line.receive(there.now, bytes(frame), 9600)
+    there.wait(1.0)
+    assert there.data == b""
+
+
+def test_two_units_at_one_address_garble_each_other() -> None:
+    there = host(traits=Traits(turnaround_s=0.005))
+    there.line.plant.units[1].memory[Prm.ADDRESS] = 1
+    for unit in there.line.plant.units:
+        unit.setpoint = 100 * unit.address + unit.measured.actual
+    assert there.ask(ReadStatus(1)) == []
+    assert there.data
+
+
+# --- faults on the line ---------------------------------------------------------------------------
+
+
+def test_a_dead_unit_neither_hears_nor_acts() -> None:
+    there = host()
+    there.line.faults.set(Kind.DEAD, 1.0, unit=2)
+    assert there.ask(SetAndExecuteSpeed(2, 500)) == []
+    assert there.line.plant.unit(2).commanded != 500
+    assert len(there.ask(ReadStatus(1))) == 1
+
+
+def test_a_nak_out_of_nowhere_means_that_nothing_was_done() -> None:
+    there = host()
+    there.line.faults.set(Kind.NAK, 1.0, unit=1)
+    [body] = there.ask(SetAndExecuteSpeed(1, 500))
+    assert body[:2] == bytes((1, 0x15))
+    assert there.line.plant.unit(1).commanded != 500
+
+
+def test_a_lost_answer_was_a_write_all_the_same() -> None:
+    there = host()
+    there.line.faults.set(Kind.LOST, 1.0)
+    assert there.ask(SetAndExecuteSpeed(1, 500)) == []
+    assert there.line.plant.unit(1).commanded == 500
+
+
+def test_a_unit_may_take_every_address_for_its_own() -> None:
+    there = host(1)
+    there.line.faults.set(Kind.EVERYBODY, 1.0, unit=1)
+    assert [body[0] for body in there.ask(ReadStatus(9), ReadStatus(77))] == [9, 77]
+
+
+def test_an_echoing_adapter_gives_the_request_back_before_the_answer() -> None:
+    there = host()
+    there.line.faults.set(Kind.ECHO, 1.0)
+    echo, answer = there.ask(ReadStatus(2))
+    assert echo == bytes((2, 0x81))
+    assert answer[:2] == bytes((2, 6))
+
+
+def test_a_late_answer_comes_before_any_later_answer_of_that_unit() -> None:
+    there = host()
+    there.line.faults.set(Kind.LATE, 1.0, unit=1)
+    there.write(ReadStatus(1))
+    there.wait(0.1)
+    assert there.data == b""
+    there.line.faults.clear()
+    assert [len(body) for body in there.ask(WriteParameter(1, 6, 50))] == [13, 2]
+
+
+def test_a_flood_never_frames_and_ends() -> None:
+    there = host()
+    there.line.faults.set(Kind.FLOOD, 1.0)
+    there.wait(1.0)
+    assert len(there.data) == pytest.approx(960, abs=110)
+    assert there.bodies() == []
+    there.line.faults.clear()
+    there.wait(0.2)
+    assert len(there.ask(ReadStatus(1))) == 1
+
+
+def test_a_pulled_cable_takes_with_it_what_was_under_way() -> None:
+    there = host()
+    there.write(SetAndExecuteSpeed(1, 500))
+    there.line.unplug()
+    there.wait(1.0)
+    assert there.data == b""
+    assert there.line.plant.unit(1).commanded != 500
+    assert len(there.ask(ReadStatus(1))) == 1
+
+
+# --- the record and the seed ----------------------------------------------------------------------
+
+
+def test_the_record_tells_what_was_asked_done_said_and_sent() -> None:
+    there = host()
+    there.line.plant.unit(2).memory[Prm.MODE] = Mode.LOCAL
+    there.ask(SetAndExecuteSpeed(1, 500), SetAndExecuteSpeed(2, 500), ReadStatus(9))
+    entries = [(entry.what, entry.unit) for entry in there.line.record.since()]
+    assert entries[0] == (Happened.CAME, 0)
+    assert [entry for entry in entries if entry[0] is Happened.HEARD] == [
+        (Happened.HEARD, unit) for unit in (1, 2, 0)
+    ]
+    assert [entry for entry in entries if entry[0] is Happened.ACTED] == [(Happened.ACTED, 1)]
+    said = {entry.unit: entry.data for entry in there.line.record.since(0, Happened.SAID)}
+    assert said == {1: bytes((1, 6)), 2: bytes((2, 0x15, 0x80))}
+    numbers = [entry.number for entry in there.line.record.since()]
+    assert numbers == list(range(1, there.line.record.count + 1))
+    assert list(there.line.record.since(there.line.record.count)) == []
+
+
+def test_the_same_seed_gives_the_same_bytes_at_the_same_times() -> None:
+    def course(seed: int) -> list[tuple[float, bytes]]:
+        there = host(4, seed=seed, traits=Traits(turnaround_s=0.003))
+        for kind in Kind:
+            there.line.faults.set(kind, 0.05)
+        for round_ in range(40):
+            there.write(ReadStatus(round_ % 4 + 1), StageSpeed(round_ % 4 + 1, round_))
+            there.wait(0.2)
+        return there.got
+
+    assert course(1) == course(1)
+    assert course(1) != course(2)

@@ -1,0 +1,219 @@
+"""The simulated line at real ports: pseudo-terminal and TCP, pulled and plugged, driven from outside."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import serial
+
+from bus.settings import Dialect
+from bus.simulator.control import Control, Remote
+from bus.simulator.demo import demo_line
+from bus.simulator.line import SimulatedLine
+from bus.simulator.ports import Port, PtyPort, TcpPort
+from bus.simulator.record import Happened
+from bus.simulator.serve import LineServer
+from bus.wire.commands import (
+    Ack,
+    Nak,
+    ReadStatus,
+    Reply,
+    Request,
+    SetAndExecuteSpeed,
+    StatusReply,
+    encode_request,
+    parse_reply,
+)
+from bus.wire.framing import FrameDecoder, ReceivedFrame
+
+PLAIN = Dialect()
+PATIENCE_S = 10.0
+
+
+def ask(port: serial.SerialBase, request: Request, patience_s: float = PATIENCE_S) -> Reply | None:
+    """One exchange of a plain blocking host; None when nothing came in time."""
+    port.write(encode_request(request, PLAIN))
+    decoder, until = FrameDecoder(PLAIN), time.monotonic() + patience_s
+    while time.monotonic() < until:
+        for event in decoder.feed(port.read(1)):
+            if isinstance(event, ReceivedFrame):
+                return parse_reply(request, event.body, PLAIN)
+    return None
+
+
+def opened(name: str, baud: int = 9600) -> serial.SerialBase:
+    return serial.serial_for_url(name, baud, timeout=0.05)
+
+
+def use_until_it_fails(host: serial.SerialBase) -> None:
+    while True:
+        ask(host, ReadStatus(1), patience_s=0.1)
+
+
+def hang_up(host: serial.SerialBase) -> None:
+    """pySerial leaves a socket open that the other side has closed first."""
+    getattr(host, "_socket", host).close()
+
+
+def served(port: Port, units: int = 2) -> LineServer:
+    return LineServer(SimulatedLine(demo_line(units, script=False).plant, speedup=50), port)
+
+
+@pytest.fixture(params=["pty", "tcp"])
+def line(request: pytest.FixtureRequest) -> Iterator[LineServer]:
+    with served(PtyPort() if request.param == "pty" else TcpPort()) as server:
+        yield server
+
+
+def test_a_host_reads_and_writes_and_may_come_back(line: LineServer) -> None:
+    for raw in (500, 600):
+        with opened(line.port.name) as host:
+            assert ask(host, SetAndExecuteSpeed(1, raw)) == Ack(1)
+            reply = ask(host, ReadStatus(1))
+            assert isinstance(reply, StatusReply)
+            assert reply.commanded == raw
+
+
+def test_every_byte_value_passes_the_port_unchanged(line: LineServer) -> None:
+    """No echo, no line discipline: 0Ah, 0Dh, 03h, 11h, 13h and 1Ah are data like any other."""
+    with opened(line.port.name) as host:
+        for raw in (0x0A0D, 0x0311, 0x131A, 0x0410, 0x1C7F):
+            line.call(lambda line, raw=raw: line.plant.unit(1).memory.values.update({2: 99999, 20: raw}))
+            reply = ask(host, ReadStatus(1))
+            assert isinstance(reply, StatusReply)
+            assert reply.commanded == raw
+        written = line.call(lambda line: [entry.data for entry in line.record.since(0, Happened.CAME)])
+        assert b"".join(written) == encode_request(ReadStatus(1), PLAIN) * 5
+
+
+def test_a_pulled_cable_is_felt_and_comes_back(line: LineServer) -> None:
+    host = opened(line.port.name)
+    assert ask(host, ReadStatus(1))
+    line.unplug()
+    with pytest.raises((serial.SerialException, OSError)):
+        use_until_it_fails(host)
+    line.plug()
+    hang_up(host)
+    with opened(line.port.name) as again:
+        assert ask(again, ReadStatus(1))
+
+
+def test_a_pulled_adapter_comes_back_as_another_device_behind_the_same_link(tmp_path: Path) -> None:
+    link = tmp_path / "by-id"
+    port = PtyPort(link)
+    with served(port) as line:
+        devices = [port.device]
+        assert link.resolve() == Path(devices[0])
+        for _ in range(3):
+            line.unplug()
+            assert not link.exists()
+            line.plug()
+            assert port.device != devices[-1]
+            devices.append(port.device)
+            with opened(str(link)) as host:
+                assert ask(host, ReadStatus(1))
+    assert not link.is_symlink()
+
+
+def test_a_host_at_the_wrong_speed_hears_nothing() -> None:
+    with served(PtyPort()) as line, opened(line.port.name, 4800) as host:
+        assert ask(host, ReadStatus(1), patience_s=0.3) is None
+        host.baudrate = 9600
+        assert ask(host, ReadStatus(1))
+
+
+def test_the_hosts_speed_can_be_left_out_of_it() -> None:
+    with served(PtyPort(follow_speed=False)) as line, opened(line.port.name, 4800) as host:
+        assert ask(host, ReadStatus(1))
+
+
+def test_a_host_that_sets_no_speed_is_heard() -> None:
+    with served(PtyPort()) as line:
+        host = os.open(line.port.name, os.O_RDWR | os.O_NOCTTY)
+        os.write(host, encode_request(ReadStatus(1), PLAIN))
+        assert os.read(host, 1) == b"\x10"
+        os.close(host)
+
+
+def test_a_tcp_port_serves_one_host_at_a_time() -> None:
+    with served(TcpPort()) as line, opened(line.port.name) as first:
+        assert ask(first, ReadStatus(1))
+        second = opened(line.port.name)
+        with pytest.raises(serial.SerialException):
+            use_until_it_fails(second)
+        hang_up(second)
+        assert ask(first, ReadStatus(1))
+
+
+def test_an_error_in_a_call_comes_back_to_the_caller_and_the_line_lives() -> None:
+    with served(PtyPort()) as line:
+        with pytest.raises(KeyError):
+            line.call(lambda line: line.plant.unit(99))
+        with opened(line.port.name) as host:
+            assert ask(host, ReadStatus(1))
+
+
+def test_hands_from_outside() -> None:
+    with served(PtyPort()) as line, opened(line.port.name) as host:
+        control = Control(line)
+        hands = Remote(control.port)
+        try:
+            assert hands.do("port") == line.port.name
+            hands.do("mode", unit=1, to="local")
+            assert ask(host, SetAndExecuteSpeed(1, 500)) == Nak(1, 0x80)
+            hands.do("mode", unit=1, to="remote")
+            assert ask(host, SetAndExecuteSpeed(1, 500)) == Ack(1)
+            assert hands.do("state", unit=1)["setpoint"] == 500
+            hands.do("input", unit=1, input="estop", on=True)
+            reply = ask(host, ReadStatus(1))
+            assert isinstance(reply, StatusReply)
+            assert not reply.inputs & 2
+            assert hands.do("parameter", unit=1, number=6, raw=77) == 77
+            hands.do("fault", kind="dead", rate=1, unit=1)
+            assert ask(host, ReadStatus(1), patience_s=0.3) is None
+            hands.do("clear")
+            assert ask(host, ReadStatus(1))
+            acted = hands.do("record", kinds=["acted"])
+            assert [(entry["unit"], entry["hex"]) for entry in acted] == [(1, "01 84 00 00 01 f4")]
+            assert hands.do("record", kinds=["acted"], since=acted[-1]["number"]) == []
+            hands.do("unplug")
+            hands.do("plug")
+            for wish in ({"do": "fly"}, {"do": "mode", "unit": 99, "to": "local"}):
+                with pytest.raises(RuntimeError):
+                    hands.do(wish.pop("do"), **wish)
+        finally:
+            hands.close()
+            control.close()
+
+
+@pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGINT])
+def test_the_command_prints_the_port_first_and_ends_cleanly(tmp_path: Path, ending: signal.Signals) -> None:
+    link = tmp_path / "line"
+    code = "import typer, app.cli.simulate as s; c = typer.Typer(); s.register(c); c()"
+    call = [sys.executable, "-c", code, "--units", "3", "--link", str(link), "--control", "0"]
+    with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().strip() == str(link)
+        hands = Remote(int(process.stdout.readline().rsplit(":", 1)[1]))
+        assert hands.do("state", unit=3)["mode"] == "remote"
+        hands.close()
+        with opened(str(link)) as host:
+            assert ask(host, ReadStatus(3))
+        process.send_signal(ending)
+        assert process.wait(PATIENCE_S) == 0
+    assert not link.is_symlink()
+
+
+@pytest.mark.parametrize("wrong", [["--baud", "1234"], ["--units", "256"], ["--tcp", "0", "--link", "x"]])
+def test_wrong_use_is_refused_in_words(wrong: list[str]) -> None:
+    code = "import typer, app.cli.simulate as s; c = typer.Typer(); s.register(c); c()"
+    done = subprocess.run([sys.executable, "-c", code, *wrong], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert wrong[-2] in done.stderr

@@ -1,0 +1,359 @@
+"""The rules of one simulated unit: modes, staging, ranges, refusals, and what it says of itself."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus.catalogue.parameters import PARAMETERS
+from bus.errors import UnitErrorCode as Code
+from bus.settings import Dialect
+from bus.simulator.answering import encode, respond
+from bus.simulator.memory import Memory, Mode, Prm
+from bus.simulator.unit import Inputs, Traits, Unit
+from bus.wire.commands import (
+    Ack,
+    ExecuteSpeed,
+    Nak,
+    ParameterReply,
+    ReadParameter,
+    ReadStatus,
+    Reply,
+    Request,
+    SetAndExecuteSpeed,
+    StageSpeed,
+    StatusReply,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+    encode_request,
+    is_write,
+    parse_reply,
+)
+from bus.wire.framing import FrameDecoder, ReceivedFrame
+
+PLAIN = Dialect()
+raw_values = st.integers(0, 99999)
+writes = st.one_of(
+    st.builds(StageSpeed, st.just(1), raw_values),
+    st.builds(ExecuteSpeed, st.just(1)),
+    st.builds(SetAndExecuteSpeed, st.just(1), raw_values),
+    st.builds(WriteParameter, st.just(1), st.integers(1, 60), raw_values),
+    st.builds(WriteOutput, st.just(1), st.integers(1, 6), st.booleans()),
+    st.builds(WriteAnalogOutput, st.just(1), raw_values),
+)
+reads = st.one_of(st.builds(ReadStatus, st.just(1)), st.builds(ReadParameter, st.just(1), st.integers(1, 60)))
+
+
+def body_of(request: Request, dialect: Dialect = PLAIN) -> bytes:
+    [frame] = FrameDecoder(dialect).feed(encode_request(request, dialect))
+    assert isinstance(frame, ReceivedFrame)
+    return frame.body
+
+
+def ask(unit: Unit, request: Request, dialect: Dialect = PLAIN) -> Reply | None:
+    """Over the wire and back: the request as the host encodes it, the answer as the host reads it."""
+    answer = encode(unit, respond(unit, body_of(request, dialect)))
+    if not answer:
+        return None
+    frame = FrameDecoder(dialect).feed(answer)[0]
+    assert isinstance(frame, ReceivedFrame)
+    return parse_reply(request, frame.body, dialect)
+
+
+def state(unit: Unit) -> tuple[object, ...]:
+    return dict(unit.memory.values), unit.entered, list(unit.outputs), unit.analog_output
+
+
+def stopped(unit: Unit) -> Unit:
+    unit.inputs.run = False
+    return unit
+
+
+def status(unit: Unit) -> StatusReply:
+    reply = ask(unit, ReadStatus(1))
+    assert isinstance(reply, StatusReply)
+    return reply
+
+
+@pytest.mark.parametrize("mode", [Mode.LOCAL, Mode.KEYLOCK])
+@given(request=writes)
+def test_writes_need_remote(mode: Mode, request: Request) -> None:
+    unit = Unit()
+    unit.memory[Prm.MODE] = mode
+    before = state(unit)
+    assert ask(unit, request) == Nak(1, Code.NOT_REMOTE)
+    assert state(unit) == before
+
+
+@given(request=reads, mode=st.sampled_from(Mode))
+def test_reads_are_answered_in_every_mode_and_change_nothing(request: Request, mode: Mode) -> None:
+    unit = Unit()
+    unit.memory[Prm.MODE] = mode
+    before = state(unit)
+    assert not isinstance(ask(unit, request), Nak) or request == ReadParameter(1, max(41, request.number))
+    assert state(unit) == before
+
+
+@given(st.lists(writes, max_size=30))
+def test_no_sequence_of_writes_leads_out_of_the_rules(requests: list[Request]) -> None:
+    """Every parameter stays in its printed range, the address stays, and locked out stays locked out."""
+    unit = Unit()
+    for request in requests:
+        locked = unit.mode is not Mode.REMOTE
+        turn = respond(unit, body_of(request))
+        assert turn.acted != isinstance(turn.reply, Nak)
+        assert not (locked and turn.acted)
+        assert unit.address == 1
+        for number, parameter in PARAMETERS.items():
+            assert parameter.minimum <= unit.memory[number] <= parameter.maximum, number
+
+
+@given(request=writes)
+def test_sending_a_write_twice_is_as_good_as_once(request: Request) -> None:
+    """Every write is absolute (manual: "output will not change state if it is in the state commanded")."""
+    once, twice = Unit(), Unit()
+    respond(once, body_of(request))
+    respond(twice, body_of(request))
+    respond(twice, body_of(request))
+    assert state(once) == state(twice)
+
+
+def test_a_staged_speed_shows_only_once_executed() -> None:
+    unit = Unit()
+    assert ask(unit, StageSpeed(1, 528)) == Ack(1)
+    assert status(unit).commanded == 0
+    assert ask(unit, ExecuteSpeed(1)) == Ack(1)
+    assert status(unit).commanded == 528
+
+
+def test_the_broadcast_is_carried_out_and_not_answered() -> None:
+    unit = Unit()
+    ask(unit, StageSpeed(1, 528))
+    turn = respond(unit, bytes.fromhex("00 83"))
+    assert (turn.reply, turn.acted, unit.commanded) == (None, True, 528)
+
+
+def test_a_local_unit_ignores_the_broadcast() -> None:
+    unit = Unit()
+    ask(unit, StageSpeed(1, 528))
+    unit.memory[Prm.MODE] = Mode.LOCAL
+    turn = respond(unit, bytes.fromhex("00 83"))
+    assert (turn.reply, turn.acted, unit.commanded) == (None, False, 0)
+
+
+@pytest.mark.parametrize("body", ["00 84 00 00 02 10", "00 81", "00 99"])
+def test_nothing_but_execute_goes_to_all(body: str) -> None:
+    unit = Unit()
+    turn = respond(unit, bytes.fromhex(body))
+    assert (turn.reply, turn.acted, unit.commanded) == (None, False, 0)
+
+
+def test_execute_after_power_up_does_not_bring_back_an_old_stage() -> None:
+    unit = Unit()
+    ask(unit, SetAndExecuteSpeed(1, 300))
+    ask(unit, StageSpeed(1, 900))
+    unit.power_up()
+    ask(unit, ExecuteSpeed(1))
+    assert unit.commanded == 300
+
+
+@pytest.mark.parametrize("command", [StageSpeed, SetAndExecuteSpeed])
+def test_a_speed_ends_at_the_maximum_display_value(command: type[StageSpeed | SetAndExecuteSpeed]) -> None:
+    unit = Unit()
+    assert ask(unit, command(1, 2000)) == Ack(1)
+    assert ask(unit, command(1, 2001)) == Nak(1, Code.ILLEGAL_SPEED)
+    assert unit.entered == 2000
+
+
+@pytest.mark.parametrize(("raw", "taken"), [(4999, False), (5000, True), (20000, True), (20001, False)])
+def test_a_follower_takes_a_ratio_between_its_limits(raw: int, taken: bool) -> None:
+    unit = Unit()
+    unit.memory[Prm.FOLLOWING] = 1
+    expected = Ack(1) if taken else Nak(1, Code.ILLEGAL_SPEED)
+    assert ask(unit, SetAndExecuteSpeed(1, raw)) == expected
+    assert (unit.memory[Prm.RATIO] == raw) == taken
+
+
+@pytest.mark.parametrize(
+    ("number", "raw", "refusal"),
+    [
+        (17, 5, Code.ILLEGAL_PARAMETER_VALUE),
+        (17, 1, Code.ILLEGAL_PARAMETER_VALUE),
+        (41, 0, Code.ILLEGAL_PARAMETER_NUMBER),
+        (3, 5, Code.ILLEGAL_PARAMETER_VALUE),
+        (15, 0, Code.ILLEGAL_PARAMETER_VALUE),
+        (18, 7, Code.ILLEGAL_PARAMETER_VALUE),
+        (31, 80000, Code.ILLEGAL_PARAMETER_VALUE),
+        (20, 2001, Code.ILLEGAL_PARAMETER_VALUE),
+        (37, 4999, Code.ILLEGAL_PARAMETER_VALUE),
+    ],
+)
+def test_what_a_parameter_refuses(number: int, raw: int, refusal: Code) -> None:
+    unit = stopped(Unit())
+    assert ask(unit, WriteParameter(1, number, raw)) == Nak(1, refusal)
+
+
+def test_the_mode_of_following_waits_for_the_drive_to_be_off() -> None:
+    unit = Unit()
+    assert ask(unit, WriteParameter(1, 8, 1)) == Nak(1, Code.ILLEGAL_PARAMETER_VALUE)
+    assert ask(stopped(unit), WriteParameter(1, 8, 1)) == Ack(1)
+    assert unit.follows
+
+
+def test_setup_during_run_can_be_locked_while_the_speed_stays_free() -> None:
+    unit = Unit()
+    unit.memory[Prm.SETUP_DURING_RUN] = 0
+    assert ask(unit, WriteParameter(1, 6, 50)) == Nak(1, Code.ILLEGAL_PARAMETER_VALUE)
+    assert ask(unit, WriteParameter(1, 20, 50)) == Ack(1)
+    assert ask(stopped(unit), WriteParameter(1, 6, 50)) == Ack(1)
+
+
+@pytest.mark.parametrize(("number", "bytes_in_answer"), [(3, 1), (1, 2), (2, 4)])
+def test_a_parameter_is_answered_in_the_width_of_its_type(number: int, bytes_in_answer: int) -> None:
+    reply = ask(Unit(), ReadParameter(1, number))
+    assert reply == ParameterReply(1, Unit().memory[number], bytes_in_answer)
+
+
+def test_or_always_in_four_bytes() -> None:
+    unit = Unit(traits=Traits(Dialect(parameter_reply_bytes=4)))
+    assert ask(unit, ReadParameter(1, 3)) == ParameterReply(1, 1, 4)
+
+
+def test_an_old_firmware_ends_at_twenty() -> None:
+    unit = Unit(traits=Traits(last_parameter=20))
+    assert ask(unit, ReadParameter(1, 20)) == ParameterReply(1, 0, 4)
+    assert ask(unit, ReadParameter(1, 21)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
+    assert ask(unit, WriteParameter(1, 21, 0)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
+
+
+def test_a_unit_that_counts_in_bcd_answers_eleven_for_11h() -> None:
+    unit = Unit(Memory(dict(Memory().values) | {11: 77}), Traits(Dialect(parameter_numbers="bcd")))
+    assert ask(unit, ReadParameter(1, 0x11)) == ParameterReply(1, 77, 4)
+    assert ask(unit, ReadParameter(1, 0x1A)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
+
+
+def test_a_written_value_may_come_back() -> None:
+    assert ask(Unit(), WriteParameter(1, 6, 50)) == Ack(1)
+    talkative = Unit(traits=Traits(answers_written_value=True))
+    assert ask(talkative, WriteParameter(1, 6, 50)) == Ack(1, bytes((0, 0, 0, 50)))
+
+
+@pytest.mark.parametrize(("when", "at_once"), [("at once", True), ("at power-up", False)])
+def test_a_new_baud_counts_at_once_or_after_power_up(when: str, at_once: bool) -> None:
+    unit = Unit(traits=Traits(baud_changes=when))  # type: ignore[arg-type]
+    assert ask(unit, WriteParameter(1, 18, 48)) == Ack(1)
+    assert unit.baud == (4800 if at_once else 9600)
+    unit.power_up()
+    assert unit.baud == 4800
+
+
+@pytest.mark.parametrize("source", [0, 1, 3])
+def test_the_analog_output_needs_the_link_as_its_source(source: int) -> None:
+    unit = Unit()
+    unit.memory[Prm.ANALOG_SOURCE] = source
+    assert ask(unit, WriteAnalogOutput(1, 100)) == Nak(1, Code.ANALOG_OUTPUT_NOT_COMMANDED_BY_LINK)
+
+
+@pytest.mark.parametrize(("raw", "taken"), [(99, False), (100, True), (2000, True), (2001, False)])
+def test_the_analog_output_has_limits(raw: int, taken: bool) -> None:
+    unit = Unit()
+    unit.memory[Prm.ANALOG_LOW] = 100
+    assert ask(unit, WriteAnalogOutput(1, raw)) == (Ack(1) if taken else Nak(1, Code.ILLEGAL_ANALOG_VALUE))
+
+
+@pytest.mark.parametrize(
+    ("body", "refusal"),
+    [
+        ("01 80", Code.ILLEGAL_COMMAND),
+        ("01 89", Code.ILLEGAL_COMMAND),
+        ("01 81 00", Code.ILLEGAL_COMMAND),
+        ("01 84 00 02", Code.ILLEGAL_COMMAND),
+        ("01 87 07 01", Code.ILLEGAL_OUTPUT_NUMBER),
+        ("01 87 00 01", Code.ILLEGAL_OUTPUT_NUMBER),
+        ("01 87 01 02", Code.ILLEGAL_OUTPUT_VALUE),
+        ("01 84 00 01 86 A0", Code.ILLEGAL_SPEED),
+    ],
+)
+def test_what_is_no_command_is_said_to_be_none(body: str, refusal: Code) -> None:
+    assert respond(Unit(), bytes.fromhex(body)).reply == Nak(1, refusal)
+
+
+def test_a_local_unit_names_the_mode_before_the_value() -> None:
+    unit = Unit()
+    unit.memory[Prm.MODE] = Mode.LOCAL
+    assert respond(unit, bytes.fromhex("01 87 01 02")).reply == Nak(1, Code.NOT_REMOTE)
+    assert respond(unit, bytes.fromhex("01 80")).reply == Nak(1, Code.ILLEGAL_COMMAND)
+
+
+@pytest.mark.parametrize("healthy", [0, 1])
+@given(
+    inputs=st.builds(Inputs, *[st.booleans()] * 6), outputs=st.lists(st.booleans(), min_size=6, max_size=6)
+)
+def test_the_status_bits_are_where_the_manual_puts_them(
+    healthy: int, inputs: Inputs, outputs: list[bool]
+) -> None:
+    unit = Unit(traits=Traits(Dialect(estop_healthy=healthy)))  # type: ignore[arg-type]
+    unit.inputs, unit.outputs = inputs, outputs
+    reply = status(unit)
+    contacts = (
+        inputs.run,
+        inputs.estop ^ bool(healthy),
+        inputs.preset,
+        inputs.reverse,
+        inputs.up,
+        inputs.down,
+    )
+    assert reply.inputs == sum(on << bit for bit, on in enumerate(contacts))
+    assert reply.outputs & 0x3F == sum(on << bit for bit, on in enumerate(outputs))
+    assert reply.outputs & 0x40
+
+
+def test_the_remote_bit_is_off_in_keylock() -> None:
+    unit = Unit()
+    unit.memory[Prm.MODE] = Mode.KEYLOCK
+    assert not status(unit).outputs & 0x40
+
+
+@pytest.mark.parametrize(
+    ("contacts", "commanded"),
+    [
+        (Inputs(), 500),
+        (Inputs(preset=True), 200),
+        (Inputs(up=True), 505),
+        (Inputs(down=True), 495),
+        (Inputs(preset=True, up=True), 200),
+    ],
+)
+def test_contacts_at_the_terminals_change_what_is_commanded(contacts: Inputs, commanded: int) -> None:
+    unit = Unit(inputs=contacts)
+    ask(unit, SetAndExecuteSpeed(1, 500))
+    assert status(unit).commanded == commanded
+    assert unit.setpoint == 500
+
+
+@given(st.floats(0.001, 1), st.floats(0, 0.9), st.integers(0, 2**32))
+def test_turnaround_stays_within_its_jitter_and_comes_from_the_seed(
+    base: float, jitter: float, seed: int
+) -> None:
+    drawn = []
+    for _ in range(2):
+        unit = Unit(traits=Traits(turnaround_s=base, turnaround_jitter=jitter))
+        unit.random.seed(seed)
+        drawn.append([unit.turnaround() for _ in range(5)])
+    assert drawn[0] == drawn[1]
+    assert all(base * (1 - jitter) <= value <= base * (1 + jitter) for value in drawn[0])
+
+
+def test_every_write_has_a_rule() -> None:
+    """A unit in its delivered state takes one of each."""
+    taken = [
+        StageSpeed(1, 1),
+        ExecuteSpeed(1),
+        SetAndExecuteSpeed(1, 1),
+        WriteParameter(1, 6, 1),
+        WriteOutput(1, 1, True),
+        WriteAnalogOutput(1, 1),
+    ]
+    assert all(is_write(request) and ask(Unit(), request) == Ack(1) for request in taken)
