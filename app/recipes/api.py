@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Request
+from fastapi import APIRouter, Depends, Header, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from app.commands.answers import answer
 from app.errors import Problem
 from app.live.lookup import bus_or_404
 from app.live.state import LiveState
@@ -89,15 +90,18 @@ async def try_recipe(person: Viewer, book: Book, recipe_id: int) -> dict[str, An
 
 @router.post("/recipes/{recipe_id}/load")
 async def load_recipe(
+    request: Request,
     person: Operator,
     book: Book,
+    live: Live,
     recipe_id: int,
     wanted: LoadRecipe,
     idempotency_key: Annotated[str | None, Header()] = None,
-) -> Any:
+) -> Response:
     """Stage every unit, broadcast once, prove each."""
     recipe = await recipe_or_404(book, recipe_id)
-    return answer(await book.load(person, recipe, confirm=wanted.confirm, command_id=idempotency_key))
+    result = await book.load(person, recipe, confirm=wanted.confirm, command_id=idempotency_key)
+    return answer(request, bus_or_404(live, recipe.bus), result, None, secret=False)
 
 
 @router.get("/buses/{bus}/recipe")

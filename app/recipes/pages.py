@@ -1,0 +1,115 @@
+"""The pages of recipes: list, one with its dry run, save, load."""
+
+from __future__ import annotations
+
+import uuid
+from typing import Annotated
+
+from fastapi import APIRouter, Form, Request, Response
+
+from app.errors import Problem
+from app.live.lookup import bus_or_404
+from app.live.state import BusLive
+from app.recipes.api import Book, Live, recipe_or_404
+from app.recipes.rules import Setpoint, present_raw, setpoint_kind, setpoint_text
+from app.web.access import Engineer, Operator, Viewer
+from app.web.templating import render
+from bus.catalogue.values import ratio_raw, speed_raw
+from bus.errors import CallerError
+
+router = APIRouter(include_in_schema=False)
+_DECIMALS = 3
+
+
+@router.get("/recipes")
+async def list_page(request: Request, _: Viewer, book: Book, live: Live) -> Response:
+    """Every recipe in use, which one is loaded, and the form to save the line as it is."""
+    return render(
+        request,
+        "recipes/page.html",
+        buses=live.buses,
+        recipes=await book.store.newest(),
+        loaded={name: book.loaded(name) for name in live.buses},
+        departed={name: book.departed(name) for name in live.buses},
+        setpoints={name: _present(bus) for name, bus in live.buses.items()},
+    )
+
+
+@router.post("/recipes/save")
+async def save(request: Request, person: Engineer, book: Book, live: Live) -> Response:
+    """A new version with the typed setpoints; a unit left empty is not part of it."""
+    form = await request.form()
+    bus = bus_or_404(live, str(form.get("bus", "")))
+    name = str(form.get("name", "")).strip()
+    if not 1 <= len(name) <= 80:
+        raise Problem(422, "invalid", "a recipe has a name of 1 to 80 characters; nothing was saved")
+    typed = {unit: str(form.get(f"unit-{unit}", "")).strip() for unit in bus.units}
+    setpoints = {unit: _raw(bus, unit, text) for unit, text in typed.items() if text}
+    if not setpoints:
+        raise Problem(422, "invalid", "no setpoint was given; nothing was saved")
+    saved = await book.save(person, bus.settings.name, name, str(form.get("comment", ""))[:1000], setpoints)
+    return Response(status_code=303, headers={"Location": f"/recipes/{saved.id}"})
+
+
+@router.get("/recipes/{recipe_id}")
+async def one_page(request: Request, person: Viewer, book: Book, recipe_id: int) -> Response:
+    """One version, what loading it now would do, and its other versions."""
+    recipe = await recipe_or_404(book, recipe_id)
+    return render(
+        request,
+        "recipes/one.html",
+        recipe=recipe,
+        run=book.try_out(person, recipe),
+        versions=await book.store.versions(recipe.bus, recipe.name),
+    )
+
+
+@router.get("/recipes/{recipe_id}/review")
+async def review(request: Request, person: Operator, book: Book, recipe_id: int) -> Response:
+    """The second step before loading."""
+    recipe = await recipe_or_404(book, recipe_id)
+    run = book.try_out(person, recipe)
+    return render(request, "recipes/_review.html", recipe=recipe, run=run, command_id=uuid.uuid4().hex)
+
+
+@router.post("/recipes/{recipe_id}/load")
+async def load(
+    request: Request, person: Operator, book: Book, recipe_id: int, id: Annotated[str, Form(min_length=8)]
+) -> Response:
+    """Stage every unit, broadcast once, prove each."""
+    recipe = await recipe_or_404(book, recipe_id)
+    result = await book.load(person, recipe, confirm=True, command_id=id)
+    return render(request, "recipes/_loaded.html", recipe=recipe, result=result)
+
+
+@router.post("/recipes/retire")
+async def retire(
+    person: Engineer, book: Book, bus: Annotated[str, Form()], name: Annotated[str, Form()]
+) -> Response:
+    """Take a recipe out of the list."""
+    await book.retire(person, bus, name)
+    return Response(status_code=303, headers={"Location": "/recipes"})
+
+
+def _present(bus: BusLive) -> dict[int, str]:
+    """The present setpoint of each unit as it shows it; empty where it is not known."""
+    shown: dict[int, str] = {}
+    for number, unit in bus.units.items():
+        kind = setpoint_kind(unit)
+        raw = None if kind is None else present_raw(unit, kind)
+        known = kind is not None and raw is not None
+        shown[number] = setpoint_text(unit, Setpoint(number, raw or 0, kind)) if known and kind else ""
+    return shown
+
+
+def _raw(bus: BusLive, number: int, text: str) -> int:
+    unit = bus.units[number]
+    kind, decimals = setpoint_kind(unit), unit.parameter_raw(_DECIMALS)
+    if kind is None or decimals is None:
+        raise Problem(
+            422, "invalid", f"{unit.settings.name} has not told its decimals (#3) and mode (#8) yet"
+        )
+    try:
+        return ratio_raw(text) if kind == "ratio" else speed_raw(text, decimals)
+    except CallerError as error:
+        raise Problem(422, "invalid", f"{unit.settings.name}: {error}; nothing was saved") from error

@@ -1,0 +1,92 @@
+"""One parameter over many units: reviewed as a table, written unit by unit, a result for each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from app.commands.desk import Desk
+from app.errors import Problem
+from app.live.state import BusLive, UnitLive
+from app.sets.compare import with_unit
+from app.sets.reading import known_rows
+from app.web.access import Person
+from bus.catalogue.parameter import check_writable_value
+from bus.catalogue.parameters import PARAMETERS, Parameter
+from bus.catalogue.values import parameter_raw
+from bus.contract import WriteParameter
+from bus.errors import CallerError
+
+_DECIMALS, _MODE = 3, 8
+
+
+@dataclass(frozen=True, slots=True)
+class BatchRow:
+    """One unit of a batch. ``wanted`` None: left as it is. ``fault``: why what was typed cannot be written."""
+
+    unit: int
+    name: str
+    present: str
+    present_raw: int | None
+    typed: str = ""
+    wanted: int | None = None
+    shown: str = ""
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BatchResult:
+    """The fate at one unit; ``outcome`` as of any command, or the code of the refusal."""
+
+    unit: int
+    name: str
+    outcome: str
+    message: str
+
+
+def rows_of_batch(bus: BusLive, number: int, typed: Mapping[int, str]) -> list[BatchRow]:
+    """Every unit of the bus with its present value, and what was typed for it."""
+    return [_row(unit, PARAMETERS[number], typed.get(key, "").strip()) for key, unit in bus.units.items()]
+
+
+async def write_batch(
+    desk: Desk, person: Person, bus: str, number: int, rows: list[BatchRow], *, confirm: bool
+) -> list[BatchResult]:
+    """Write the rows that change something, one after another; a refusal does not end the rest."""
+    return [
+        await _write(desk, person, bus, number, row, confirm=confirm)
+        for row in rows
+        if row.wanted is not None and row.wanted != row.present_raw
+    ]
+
+
+def _row(unit: UnitLive, parameter: Parameter, typed: str) -> BatchRow:
+    known = known_rows(unit)
+    raw = unit.parameter_raw(parameter.number)
+    present = "–" if raw is None else "hidden" if parameter.secret else with_unit(parameter, raw, known)
+    row = BatchRow(unit.settings.id, unit.settings.name, present, raw, typed)
+    if not typed:
+        return row
+    try:
+        wanted = parameter_raw(
+            parameter,
+            typed,
+            unit.parameter_raw(_DECIMALS),
+            follower=unit.parameter_raw(_MODE) in (1, 2),
+        )
+        check_writable_value(parameter, wanted)
+    except CallerError as error:
+        return BatchRow(row.unit, row.name, present, raw, typed, fault=str(error))
+    shown = "hidden" if parameter.secret else with_unit(parameter, wanted, known)
+    return BatchRow(row.unit, row.name, present, raw, typed, wanted, shown)
+
+
+async def _write(
+    desk: Desk, person: Person, bus: str, number: int, row: BatchRow, *, confirm: bool
+) -> BatchResult:
+    action = WriteParameter(unit=row.unit, number=number, raw=row.wanted or 0)
+    try:
+        result = await desk.ask(person, bus, action, confirm=confirm, origin="batch edit")
+    except Problem as problem:
+        return BatchResult(row.unit, row.name, problem.code, problem.detail)
+    return BatchResult(row.unit, row.name, result.outcome, result.message)

@@ -1,0 +1,74 @@
+"""The page of a batch edit: choose a parameter, type, review, write, read the result of each unit."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Request, Response
+
+from app.commands.api import desk_of
+from app.commands.desk import Desk
+from app.errors import Problem
+from app.live.lookup import bus_or_404
+from app.sets.api import Live
+from app.sets.batch import rows_of_batch, write_batch
+from app.web.access import Engineer
+from app.web.templating import render
+from bus.catalogue.parameters import PARAMETERS, Parameter
+
+router = APIRouter(include_in_schema=False)
+
+AskDesk = Annotated[Desk, Depends(desk_of)]
+
+
+@router.get("/batch/{bus}")
+async def batch_page(request: Request, _: Engineer, live: Live, bus: str, number: int = 6) -> Response:
+    """The present values of one parameter over all units."""
+    parameter = _writable_or_404(number)
+    rows = rows_of_batch(bus_or_404(live, bus), number, {})
+    return render(
+        request, "sets/batch.html", bus=bus, parameter=parameter, rows=rows, parameters=_choices(), results=[]
+    )
+
+
+@router.post("/batch/{bus}/review")
+async def batch_review(request: Request, _: Engineer, live: Live, bus: str) -> Response:
+    """What would be written, row by row; nothing is."""
+    number, typed = await _typed(request)
+    parameter = _writable_or_404(number)
+    rows = rows_of_batch(bus_or_404(live, bus), number, typed)
+    return render(request, "sets/_batch_review.html", bus=bus, parameter=parameter, rows=rows)
+
+
+@router.post("/batch/{bus}/write")
+async def batch_write(request: Request, person: Engineer, live: Live, desk: AskDesk, bus: str) -> Response:
+    """Write what the review showed."""
+    number, typed = await _typed(request)
+    parameter = _writable_or_404(number)
+    rows = rows_of_batch(bus_or_404(live, bus), number, typed)
+    if any(row.fault for row in rows):
+        raise Problem(422, "invalid", "a value cannot be written; nothing was sent")
+    results = await write_batch(desk, person, bus, number, rows, confirm=bool(parameter.dangerous))
+    return render(request, "sets/_batch_done.html", parameter=parameter, results=results)
+
+
+async def _typed(request: Request) -> tuple[int, dict[int, str]]:
+    form = await request.form()
+    number = str(form.get("number", ""))
+    typed = {
+        int(key.removeprefix("unit-")): str(value)
+        for key, value in form.items()
+        if key.startswith("unit-") and key.removeprefix("unit-").isdecimal()
+    }
+    return int(number) if number.isdecimal() else 0, typed
+
+
+def _choices() -> list[Parameter]:
+    return [parameter for parameter in PARAMETERS.values() if not parameter.never_writable]
+
+
+def _writable_or_404(number: int) -> Parameter:
+    parameter = PARAMETERS.get(number)
+    if parameter is None or parameter.never_writable:
+        raise Problem(404, "unknown_parameter", f"there is no parameter {number} that can be written")
+    return parameter
