@@ -83,11 +83,16 @@ def _points(source: reading.Source, question: Question, marks: Marks) -> tuple[R
         exact = _exact_bits(source, question, marks)
         if exact is not None and _fits(exact, marks, most):
             return "readings", exact
-    if _has_raw(source, start) and reading.estimate(source, start, end) <= MOST_READINGS:
+    if (
+        has_raw(source.connection, source.unit, start)
+        and reading.estimate(source, start, end) <= MOST_READINGS
+    ):
         raw = reading.readings(source, value, start, end)
         if _fits(raw, marks, most):
             return "readings", raw
-        if grid(start, end, most)[0] < MINUTE or not _rolled_up(source, start, end):
+        if grid(start, end, most)[0] < MINUTE or not store.rolled_up(
+            source.connection, source.unit, start, end
+        ):
             return "readings", thin(raw, start, end, most)
     if grid(start, end, most)[0] >= HOUR:
         return "hours", thin(reading.rollups(source, "hours", value, start, end), start, end, most)
@@ -107,12 +112,7 @@ def _exact_bits(source: reading.Source, question: Question, marks: Marks) -> Poi
     return reading.interval_points(intervals(parts, marks), question.start, question.end)
 
 
-def _has_raw(source: reading.Source, start: int) -> bool:
-    """Whether the readings of the whole span are still there."""
-    given_up = store.raw_from(source.connection)
-    return start >= given_up or not _rolled_up(source, start, given_up)
-
-
-def _rolled_up(source: reading.Source, start: int, end: int) -> bool:
-    query = "SELECT 1 FROM minutes WHERE unit = ? AND start > ? AND start < ? LIMIT 1"
-    return source.connection.execute(query, (source.unit, start - HOUR, end)).fetchone() is not None
+def has_raw(connection: store.Connection, unit: int, start: int) -> bool:
+    """Whether every reading of a unit from ``start`` on is still there."""
+    given_up = store.raw_from(connection)
+    return start >= given_up or not store.rolled_up(connection, unit, start, given_up)

@@ -69,6 +69,12 @@ def clear_journal(connection: Connection) -> None:
 # --- readings ----------------------------------------------------------------------------------
 
 
+def extent(connection: Connection) -> tuple[int, int] | None:
+    """From when to when anything is kept, µs; None when nothing is."""
+    row = connection.execute("SELECT min(start), max(start) FROM hours").fetchone()
+    return None if row[0] is None else (row[0], row[1] + DAY)
+
+
 def raw_block(connection: Connection, unit: int, at: int) -> tuple[int, int, list[Run]] | None:
     """Start, span and runs of the block in which a time falls."""
     row = connection.execute(
@@ -140,13 +146,18 @@ def write_rollups(connection: Connection, tier: Tier, unit: int, start: int, row
     connection.execute(query, (unit, start, pack_rollups(rows, start)))
 
 
+def rolled_up(connection: Connection, unit: int, start: int, end: int) -> bool:
+    """Whether a unit has any minute in a span."""
+    query = "SELECT 1 FROM minutes WHERE unit = ? AND start > ? AND start < ? LIMIT 1"
+    return connection.execute(query, (unit, start - HOUR, end)).fetchone() is not None
+
+
 def drop_rollups(connection: Connection, before: int) -> None:
-    """Give up what is older than the longest memory: rollups, bits, links, clock steps."""
+    """Give up what is older than the longest memory: rollups, bits, links."""
     connection.execute("DELETE FROM minutes WHERE start < ?", (before,))
     connection.execute("DELETE FROM hours WHERE start < ?", (before,))
     connection.execute("DELETE FROM bits WHERE until < ?", (before,))
     connection.execute("DELETE FROM link WHERE at < ?", (before,))
-    connection.execute("DELETE FROM clock_step WHERE at < ?", (before,))
 
 
 # --- bits --------------------------------------------------------------------------------------
@@ -186,7 +197,7 @@ def replace_bits(connection: Connection, unit: int, old: Iterable[Interval], new
     )
 
 
-# --- what was said of units, ports, parameters and clocks --------------------------------------
+# --- what was said of units, ports and parameters --------------------------------------
 
 
 def write_link(connection: Connection, unit: int, at: int, state: str, cause: str) -> None:
@@ -219,17 +230,6 @@ def parameter_steps(connection: Connection, unit: int) -> list[ParameterStep]:
     """Every value that the scaling parameters of a unit ever had, oldest first."""
     rows = connection.execute("SELECT at, number, raw FROM parameter WHERE unit = ? ORDER BY at", (unit,))
     return [ParameterStep(*row) for row in rows]
-
-
-def write_clock_step(connection: Connection, at: int, seconds: float) -> None:
-    """This machine's clock was set, by so much."""
-    connection.execute("INSERT OR REPLACE INTO clock_step VALUES (?, ?)", (at, seconds))
-
-
-def clock_steps(connection: Connection, start: int, end: int) -> list[tuple[int, float]]:
-    """When and by how much the clock was set, within a span."""
-    query = "SELECT at, seconds FROM clock_step WHERE at >= ? AND at < ? ORDER BY at"
-    return [(row[0], row[1]) for row in connection.execute(query, (start, end))]
 
 
 # --- facts -------------------------------------------------------------------------------------

@@ -194,7 +194,6 @@ class Writer:
         self._on_clock_step(step, now)
         if self._open is not None:
             self._open.upkeep.clock_stepped()
-            self._open.database.write_now(lambda c: store.write_clock_step(c, micros(now), step))
 
     def _watch_disk(self) -> None:
         opened = self._open

@@ -66,11 +66,6 @@ CREATE TABLE parameter (
     PRIMARY KEY (unit, number, at)
 ) STRICT, WITHOUT ROWID;
 
-CREATE TABLE clock_step (
-    at INTEGER PRIMARY KEY,
-    seconds REAL NOT NULL
-) STRICT;
-
 -- 'raw_from': readings before this time were given up, to age or to a full disk.
 CREATE TABLE fact (
     name TEXT PRIMARY KEY,

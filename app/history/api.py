@@ -1,0 +1,157 @@
+"""``GET /api/v1/history`` and what goes with it. Every request names a span; limits are refused in words."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import Annotated, Any, Literal
+
+import msgspec
+from fastapi import APIRouter, Depends, Query, Response
+from starlette.responses import StreamingResponse
+
+from app.audit.api import events_of
+from app.audit.log import EventLog
+from app.errors import Problem
+from app.history import display, export
+from app.history.export import Format, Resolution
+from app.history.marks import collect_marks
+from app.history.query import Answer, Question
+from app.history.runs import SECOND
+from app.history.service import seconds
+from app.history.spans import (
+    HistoryOf,
+    PointsOf,
+    Span,
+    SpanOf,
+    named_question,
+    question,
+    questions,
+)
+from app.web.access import Viewer
+
+router = APIRouter(prefix="/api/v1/history", tags=["history"])
+SPARK_POINTS = 120
+MOST_SPARKS = 255
+Times = Annotated[Literal["iso", "epoch"], Query(alias="format")]
+Events = Annotated[EventLog, Depends(events_of)]
+
+
+def iso(at: int) -> str:
+    """µs since the epoch as ISO 8601, UTC, milliseconds."""
+    return datetime.fromtimestamp(at / SECOND, UTC).isoformat(timespec="milliseconds")
+
+
+def shown(asked: Question, found: Answer, times: str) -> dict[str, Any]:
+    """An answer as the API gives it."""
+    unit = display.unit_settings(asked.bus, asked.unit)
+    at: list[Any] = [seconds(t) if times == "epoch" else iso(t) for t in found.series.at]
+    return {
+        "bus": asked.bus.name,
+        "unit": asked.unit,
+        "value": asked.value.name,
+        "measure": display.measure(unit, asked.value),
+        "decimals": found.decimals,
+        "from": iso(asked.start),
+        "to": iso(asked.end),
+        "resolution": found.resolution,
+        "bucket_s": found.bucket / SECOND,
+        "t": at,
+        "min": found.series.least,
+        "max": found.series.greatest,
+        "avg": found.series.average,
+    }
+
+
+def json_response(content: object) -> Response:
+    """Long columns as JSON, quickly."""
+    return Response(msgspec.json.encode(content), media_type="application/json")
+
+
+@router.get("", response_class=Response)
+async def get_history(
+    _: Viewer,
+    history: HistoryOf,
+    span: SpanOf,
+    points: PointsOf,
+    bus: str,
+    unit: int,
+    value: str,
+    times: Times = "iso",
+) -> Response:
+    """One value of one unit over a span, in at most ``points`` (1 to 20 000, else 1000) points.
+
+    Columns ``t``, ``min``, ``max``, ``avg`` in display units, with the decimals (#3) and the analog
+    scale (#22, #23) as they were known at that time. Every reading itself (``bucket_s`` 0) where that
+    fits; equal readings one after the other are given as the first and the last. A null between is a
+    hole. ``format=epoch`` gives times in seconds since the epoch.
+    """
+    asked = question(history, bus, unit, value, span, points)
+    (found,) = await history.ask([asked])
+    return json_response(shown(asked, found, times))
+
+
+@router.get("/series", response_class=Response)
+async def get_series(
+    _: Viewer,
+    history: HistoryOf,
+    span: SpanOf,
+    points: PointsOf,
+    series: Annotated[list[str], Query()],
+    times: Times = "iso",
+) -> Response:
+    """Several values at once, each named ``bus/unit/value`` (1 to 32): a list of what GET /history gives."""
+    asked = questions(history, series, span, points)
+    found = await history.ask(asked)
+    return json_response([shown(q, a, times) for q, a in zip(asked, found, strict=True)])
+
+
+@router.get("/sparks", response_class=Response)
+async def get_sparks(
+    _: Viewer, history: HistoryOf, span: SpanOf, series: Annotated[list[str], Query()]
+) -> Response:
+    """Small pictures for many units (up to 255): for each ``bus/unit/value`` the columns ``t`` (seconds
+    since the epoch) and ``avg``, about 120 points."""
+    if len(series) > MOST_SPARKS:
+        raise Problem(422, "invalid", f"series: at most {MOST_SPARKS}, not {len(series)}")
+    asked = [named_question(history, name, span, SPARK_POINTS) for name in series]
+    found = await history.ask(asked)
+    columns = [{"t": [seconds(t) for t in a.series.at], "avg": a.series.average} for a in found]
+    return json_response(dict(zip(series, columns, strict=True)))
+
+
+@router.get("/marks", response_class=Response)
+async def get_marks(
+    _: Viewer,
+    events: Events,
+    span: SpanOf,
+    unit: Annotated[list[str] | None, Query()] = None,
+) -> Response:
+    """What happened over a span, oldest first: events (setpoint changes too) of the site and of each
+    ``bus/unit`` named. At most 500, the newest; ``more`` says that there were more."""
+    marks, more = await collect_marks(events, span, unit or [])
+    return json_response({"marks": marks, "more": more})
+
+
+@router.get("/status")
+async def get_status(_: Viewer, history: HistoryOf) -> dict[str, Any]:
+    """How history is: ``state`` ok, low or scarce (the disk is short), paused or failed; ``message`` says
+    what to do. The rest of Lineside works in every state."""
+    return asdict(history.status)
+
+
+@router.get("/export", response_class=StreamingResponse)
+async def get_export(
+    _: Viewer,
+    history: HistoryOf,
+    span: SpanOf,
+    series: Annotated[list[str], Query()],
+    file: Annotated[Format, Query(alias="format")] = "csv",
+    resolution: Resolution = "auto",
+) -> StreamingResponse:
+    """CSV or Parquet of any span, streamed: ``series`` as often as wanted, each ``bus/unit/value``.
+
+    ``resolution`` auto gives the readings where they are still kept over the whole span, else minutes.
+    """
+    asked = questions(history, series, Span(span.start, span.end), 1)
+    return await export.response(history, asked, file, resolution)
