@@ -22,7 +22,7 @@ _DECIMALS, _MODE = 3, 8
 
 @dataclass(frozen=True, slots=True)
 class BatchRow:
-    """One unit of a batch. ``wanted`` None: left as it is. ``fault``: why what was typed cannot be written."""
+    """One unit of a batch. ``wanted`` None: left as it is; ``fault``: why what was typed is refused."""
 
     unit: int
     name: str
@@ -63,7 +63,9 @@ async def write_batch(
 def _row(unit: UnitLive, parameter: Parameter, typed: str) -> BatchRow:
     known = known_rows(unit)
     raw = unit.parameter_raw(parameter.number)
-    present = "–" if raw is None else "hidden" if parameter.secret else with_unit(parameter, raw, known)
+    present = (
+        "not known" if raw is None else "hidden" if parameter.secret else with_unit(parameter, raw, known)
+    )
     row = BatchRow(unit.settings.id, unit.settings.name, present, raw, typed)
     if not typed:
         return row

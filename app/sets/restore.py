@@ -97,6 +97,11 @@ class RestoreDesk:
         """A restore planned or run since the server started."""
         return self._restores.get(restore_id)
 
+    def newest(self, bus: str, unit: int) -> Restore | None:
+        """The newest restore of a unit since the server started."""
+        of_unit = (known for known in self._restores.values() if (known.bus, known.unit) == (bus, unit))
+        return max(of_unit, key=lambda known: known.planned_at, default=None)
+
     async def plan(
         self,
         person: Person,

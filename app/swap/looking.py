@@ -1,0 +1,46 @@
+"""Looking for the spare: at the section's address and at the factory address, by reading only."""
+
+from __future__ import annotations
+
+from app.commands.desk import Desk
+from app.live.state import LiveState
+from app.sets.restore import Restore
+from app.swap.rules import FACTORY_ADDRESS, Kind, Sight
+from app.web.access import Person
+from bus.catalogue.status import status_bits
+from bus.contract import ScanBus
+
+LOOK_TIMEOUT_S = 10.0
+
+
+async def look(
+    desk: Desk, live: LiveState, person: Person, bus: str, target: int, restore: Restore | None
+) -> Sight:
+    """What the wire shows now. Raises Problem 503 while the bus is closed."""
+    at_target = await _answers(desk, person, bus, target)
+    at_factory: Kind = "silent"
+    if at_target == "silent" and target != FACTORY_ADDRESS:
+        at_factory = await _answers(desk, person, bus, FACTORY_ADDRESS)
+    return Sight(
+        target=target,
+        at_target=at_target,
+        at_factory=at_factory,
+        remote=_remote(live, bus, target) if at_target == "digimax" else None,
+        equal=None if restore is None else restore.state == "equal",
+        configured=frozenset(live.buses[bus].units),
+    )
+
+
+async def _answers(desk: Desk, person: Person, bus: str, address: int) -> Kind:
+    action = ScanBus(first=address, last=address)
+    result = await desk.ask(person, bus, action, timeout_s=LOOK_TIMEOUT_S, origin="unit swap")
+    return next((found.kind for found in result.found if found.unit == address), "silent")
+
+
+def _remote(live: LiveState, bus: str, unit: int) -> bool | None:
+    """REMOTE as the unit itself said since it came back; None while it has not."""
+    known = live.buses[bus].units[unit]
+    if known.reading is None or known.link.link != "online":
+        return None
+    settings = live.buses[bus].settings
+    return status_bits(known.reading.outputs, known.reading.inputs, settings.estop_healthy).remote
