@@ -31,7 +31,7 @@ class Safeguards:
         self.limits = LimitsStore(database)
         self.blocks = BlockStore(database)
         self.control = Control(required=control_required)
-        self.on_block: Changed = lambda bus, unit: None
+        self._block_subscribers: list[Changed] = []
         self._events = events
         self._now = now
 
@@ -39,6 +39,10 @@ class Safeguards:
         """Read what is stored."""
         await self.limits.load()
         await self.blocks.load()
+
+    def on_block(self, subscriber: Changed) -> None:
+        """Call ``subscriber`` when a unit was blocked or freed."""
+        self._block_subscribers.append(subscriber)
 
     def block_reason(self, bus: str, unit: int) -> str:
         """Why a unit is blocked and by whom, as a page shows it; empty when it is not."""
@@ -55,7 +59,7 @@ class Safeguards:
         """Refuse every write to a unit from now on."""
         before = self.blocks.of(bus, unit)
         await self.blocks.put(bus, unit, Block(reason, person.name, self._now()))
-        self.on_block(bus, unit)
+        self._tell_of_block(bus, unit)
         old = before.reason if before is not None else None
         await self._record("block", person, bus, unit, "unit blocked", old, reason)
 
@@ -65,7 +69,7 @@ class Safeguards:
         if before is None:
             return
         await self.blocks.lift(bus, unit)
-        self.on_block(bus, unit)
+        self._tell_of_block(bus, unit)
         await self._record("block", person, bus, unit, "block lifted", before.reason, None)
 
     def holding(self, bus: str) -> Holding | None:
@@ -102,6 +106,10 @@ class Safeguards:
         except ControlledError as error:
             raise _controlled(error) from error
         await self._record("control", person, bus, None, "control given back", person.name, None)
+
+    def _tell_of_block(self, bus: str, unit: int) -> None:
+        for subscriber in self._block_subscribers:
+            subscriber(bus, unit)
 
     async def _record(
         self,

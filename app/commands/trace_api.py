@@ -41,7 +41,7 @@ async def get_trace(
         frames = [frame async for piece in _pieces(desk, person, bus, now - RECENT_S) for frame in piece]
         return JSONResponse({"bus": bus, "frames": [frame_json(frame) for frame in frames[-limit:]]})
     pieces = _pieces(desk, person, bus, now - seconds)
-    first = await anext(pieces, [])
+    first: list[Frame] = await anext(pieces, [])
     name = f"{bus}-{datetime.fromtimestamp(now, UTC):%Y%m%dT%H%M%SZ}.trace.txt"
     headers = {"Content-Disposition": f'attachment; filename="{name}"'}
     return StreamingResponse(_lines(first, pieces), headers=headers, media_type="text/plain; charset=utf-8")

@@ -10,6 +10,7 @@ from typing import Protocol
 
 from app.feed.channel import Channel, Connection
 from app.feed.ingest import Heard, Ingest, MalformedSpeechError, decode, welcome
+from app.live.state import NO_WORKER
 from app.pipeline import Pipeline
 from bus.contract import Hello
 
@@ -88,7 +89,7 @@ class Workers:
         channel = self.channels[hello.bus]
         ingest = Ingest(hello, self._heard[hello.bus], channel, self._pipeline, socket, self._now)
         ticking = asyncio.create_task(_tick(ingest))
-        cause = ""
+        cause = NO_WORKER
         try:
             while self._sockets.get(hello.bus) is socket:
                 await ingest.receive(await socket.receive())

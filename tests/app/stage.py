@@ -1,0 +1,293 @@
+"""The live and command part of the app with a worker that is played: real HTTP, real WebSocket, real store.
+
+The person of a request is named by its role in the header ``X-Role``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import httpx
+import uvicorn
+from fastapi import FastAPI
+from starlette.types import ASGIApp, Receive, Scope, Send
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed
+
+from app.audit.api import router as events_router
+from app.audit.log import EventLog
+from app.commands.api import router as commands_router
+from app.commands.desk import Desk
+from app.commands.safeguards import Safeguards
+from app.commands.safeguards_api import router as safeguards_router
+from app.commands.trace_api import router as trace_router
+from app.database import Database
+from app.feed.socket import router as feed_router
+from app.feed.workers import Workers
+from app.live.api import router as live_router
+from app.live.state import LiveState
+from app.pipeline import Pipeline
+from app.web.access import Person, Role
+from app.web.problems import install
+from bus.contract import (
+    CONTRACT_VERSION,
+    AppMessage,
+    Batch,
+    BusLink,
+    Command,
+    Hello,
+    ParameterValue,
+    Reading,
+    Result,
+    Snapshot,
+    UnitLink,
+    UnitState,
+    Update,
+    Welcome,
+    WorkerMessage,
+    decode_from_app,
+    encode,
+)
+from bus.settings import BusSettings, UnitSettings
+
+REMOTE, HEALTHY = 0b0100_0000, 0b0000_0010
+PARAMETERS = {1: 1750, 2: 20000, 3: 1, 8: 0, 22: 0, 23: 500, 28: 2, 29: 100, 30: 2000, 12: 20}
+Play = Callable[[Command], Awaitable[Sequence[Update]]]
+
+
+def bus_settings(**changes: Any) -> BusSettings:
+    """Three units on one bus."""
+    units = tuple(UnitSettings(id=number, name=f"Unit {number}") for number in (1, 2, 16))
+    return BusSettings(**{"name": "dry-end", "port": "/dev/null", "unit": units, **changes})
+
+
+def reading(unit: int, commanded: int = 1000, **changes: Any) -> Reading:
+    """A fresh answer to 81h."""
+    said: dict[str, Any] = {"actual": commanded, "analog": 51, "outputs": REMOTE, "inputs": HEALTHY}
+    return Reading(unit=unit, at=time.time(), commanded=commanded, **{**said, **changes})
+
+
+def unit_state(unit: int, parameters: dict[int, int] | None = None) -> UnitState:
+    """A unit that answers, with the parameters a page needs."""
+    now = time.time()
+    known = PARAMETERS if parameters is None else parameters
+    values = [ParameterValue(unit=unit, number=number, at=now, raw=raw) for number, raw in known.items()]
+    return UnitState(unit, UnitLink(unit=unit, at=now, link="online"), reading(unit), values)
+
+
+def snapshot(seq: int = 0, units: Sequence[UnitState] | None = None, link: str = "open") -> Snapshot:
+    """The whole state of the three units."""
+    now = time.time()
+    states = [unit_state(number) for number in (1, 2, 16)] if units is None else list(units)
+    port = BusLink(
+        at=now, link="open" if link == "open" else "closed", cause="" if link == "open" else "gone"
+    )
+    return Snapshot(seq=seq, sent_at=now, bus=port, units=states)
+
+
+def hello(worker: str = "w1", bus: str = "dry-end", version: int = CONTRACT_VERSION) -> Hello:
+    """The first word."""
+    now = time.time()
+    return Hello(version, bus, worker, now, "test", "/dev/null", now)
+
+
+class History:
+    """Remembers what it was given."""
+
+    def __init__(self) -> None:
+        self.updates: list[Update] = []
+
+    def append(self, bus: str, updates: Sequence[Update]) -> None:
+        """As the real one."""
+        assert bus
+        self.updates += updates
+
+
+class PlayedWorker:
+    """A worker whose every word is the test's. ``play`` answers commands; ``heard`` is what the app said."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
+        self.seq = 0
+        self.heard: list[AppMessage] = []
+        self.commands: list[Command] = []
+        self.play: Play | None = None
+        self.closed: ConnectionClosed | None = None
+        self._listening = asyncio.create_task(self._listen())
+
+    async def say(self, message: WorkerMessage) -> None:
+        """One message."""
+        await self._socket.send(encode(message))
+
+    async def say_raw(self, data: bytes | str) -> None:
+        """Anything at all."""
+        await self._socket.send(data)
+
+    async def update(self, *updates: Update) -> None:
+        """The next batch."""
+        self.seq += 1
+        await self.say(Batch(seq=self.seq, sent_at=time.time(), updates=list(updates)))
+
+    async def hear(self, kind: type[AppMessage], count: int = 1) -> AppMessage:
+        """Wait until the app said this ``count`` times; the last of them."""
+        await until(lambda: len(self._of(kind)) >= count, f"{count} times {kind.__name__}")
+        return self._of(kind)[count - 1]
+
+    async def gone(self) -> ConnectionClosed:
+        """Wait until the app ended the connection."""
+        await until(lambda: self.closed is not None, "the end of the connection")
+        assert self.closed is not None
+        return self.closed
+
+    async def leave(self) -> None:
+        """End the connection."""
+        await self._socket.close()
+        await self._listening
+
+    def _of(self, kind: type[AppMessage]) -> list[AppMessage]:
+        return [message for message in self.heard if isinstance(message, kind)]
+
+    async def _listen(self) -> None:
+        try:
+            while True:
+                data = await self._socket.recv()
+                assert isinstance(data, bytes)
+                await self._take(decode_from_app(data))
+        except ConnectionClosed as closed:
+            self.closed = closed
+
+    async def _take(self, message: AppMessage) -> None:
+        self.heard.append(message)
+        if isinstance(message, Command):
+            self.commands.append(message)
+            if self.play is not None:
+                await self.update(*await self.play(message))
+
+
+class Stage:
+    """Everything between the browser and the worker. ``http`` asks as a role."""
+
+    def __init__(self, folder: Path, settings: BusSettings, *, control: bool = False) -> None:
+        self.database = Database(folder / "lineside.db")
+        self.events = EventLog(self.database)
+        self.live = LiveState([settings], time.time())
+        self.history = History()
+        self.pipeline = Pipeline(self.live, self.history, self.events)
+        self.workers = Workers([settings.name], self.pipeline)
+        self.guards = Safeguards(self.database, self.events, control_required=control)
+        self.desk = Desk(self.live, self.workers.channels, self.events, self.guards)
+        self.app = FastAPI()
+        self.app.state.services = SimpleNamespace(
+            live=self.live,
+            desk=self.desk,
+            safeguards=self.guards,
+            workers=self.workers,
+            events=self.events,
+            settings=SimpleNamespace(site=SimpleNamespace(name="Test line")),
+        )
+        for router in (
+            *(live_router, commands_router, safeguards_router),
+            *(trace_router, feed_router, events_router),
+        ):
+            self.app.include_router(router)
+        install(self.app)
+        self.url = ""
+        self._people: dict[str, httpx.AsyncClient] = {}
+
+    def http(self, role: str = "admin", name: str = "") -> httpx.AsyncClient:
+        """A client signed in as somebody with this role."""
+        key = f"{role}:{name or role}"
+        if key not in self._people:
+            self._people[key] = httpx.AsyncClient(
+                base_url=f"http://{self.url}", headers={"X-Role": role, "X-Name": name or role}, timeout=30
+            )
+        return self._people[key]
+
+    async def ask(
+        self, method: str, path: str, body: Any = None, role: str = "admin", **more: Any
+    ) -> httpx.Response:
+        """One call of the API on the bus of the test."""
+        url = f"/api/v1/buses/dry-end{path}"
+        return await self.http(role, more.pop("name", "")).request(method, url, json=body, **more)
+
+    async def worker(self, first: Hello | None = None, state: Snapshot | None = None) -> PlayedWorker:
+        """A worker that said hello and, unless ``state`` is told otherwise, its whole state."""
+        played = await self.connect()
+        await played.say(first or hello())
+        welcome = await played.hear(Welcome)
+        assert isinstance(welcome, Welcome)
+        assert welcome.refused == ""
+        whole = state or snapshot()
+        played.seq = whole.seq
+        before = self.live.buses["dry-end"].worker_connected
+        await played.say(whole)
+        if not before:
+            await until(lambda: self.live.buses["dry-end"].worker_connected, "the snapshot taken in")
+        await until(lambda: self.workers.channels["dry-end"].connected, "the way down open")
+        return played
+
+    async def connect(self, role: str = "worker") -> PlayedWorker:
+        """A connection to /feed that has said nothing yet."""
+        return PlayedWorker(await connect(f"ws://{self.url}/feed", additional_headers={"X-Role": role}))
+
+    async def close(self) -> None:
+        """End the clients."""
+        for client in self._people.values():
+            await client.aclose()
+
+
+class _ByHeader:
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = dict(scope.get("headers", ()))
+        role = headers.get(b"x-role", b"").decode()
+        name = headers.get(b"x-name", role.encode()).decode()
+        scope["person"] = Person(name, Role(role), "token") if role else None
+        await self._app(scope, receive, send)
+
+
+@asynccontextmanager
+async def staged(folder: Path, *, control: bool = False, **bus: Any) -> AsyncIterator[Stage]:
+    """The stage, served on a free port."""
+    stage = Stage(folder, bus_settings(**bus), control=control)
+    await stage.guards.load()
+    config = uvicorn.Config(
+        _ByHeader(stage.app), port=0, lifespan="off", log_level="critical", ws="websockets-sansio"
+    )
+    server = uvicorn.Server(config)
+    serving = asyncio.create_task(server.serve())
+    recording = asyncio.create_task(stage.pipeline.record())
+    await until(lambda: server.started, "the server listening")
+    stage.url = f"127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
+    try:
+        yield stage
+    finally:
+        await stage.close()
+        server.should_exit = True
+        server.force_exit = True
+        await serving
+        recording.cancel()
+        with suppress(asyncio.CancelledError):
+            await recording
+        stage.database.close()
+
+
+async def until(condition: Callable[[], object], what: str) -> None:
+    """Wait for a condition; fails with ``what`` after a generous time."""
+    end = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < end, f"never: {what}"
+        await asyncio.sleep(0.002)
+
+
+def fate(command: Command, outcome: str, **more: Any) -> Result:
+    """A command's end as the worker tells it."""
+    return Result(id=command.id, at=time.time(), outcome=outcome, **more)  # type: ignore[arg-type]

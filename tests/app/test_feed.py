@@ -1,0 +1,220 @@
+"""A worker on the real WebSocket: its order of speech, what is lost, doubled, refused, and what it leaves."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+import websockets
+
+from bus.contract import Batch, Clock, Command, Delivered, WantSnapshot, Watch, Welcome
+from tests.app.stage import Stage, fate, hello, reading, snapshot, staged, until
+
+
+@pytest.fixture
+async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
+    async with staged(tmp_path) as built:
+        yield built
+
+
+async def test_only_whoever_may_feed_is_let_in(stage: Stage) -> None:
+    for role in ("viewer", "operator", ""):
+        with pytest.raises(websockets.InvalidStatus):
+            await stage.connect(role)
+    for role in ("worker", "engineer", "admin"):
+        worker = await stage.connect(role)
+        await worker.say(hello(bus="nowhere"))
+        await worker.hear(Welcome)
+
+
+async def test_a_bus_that_is_not_configured_is_refused_in_words(stage: Stage) -> None:
+    worker = await stage.connect()
+    await worker.say(hello(bus="wet-end"))
+    welcome = await worker.hear(Welcome)
+    assert isinstance(welcome, Welcome)
+    assert "wet-end" in welcome.refused
+    assert "dry-end" in welcome.refused
+    await worker.gone()
+
+
+async def test_another_version_of_the_link_is_refused(stage: Stage) -> None:
+    worker = await stage.connect()
+    await worker.say(hello(version=99))
+    welcome = await worker.hear(Welcome)
+    assert isinstance(welcome, Welcome)
+    assert "99" in welcome.refused
+
+
+@pytest.mark.parametrize("rubbish", [b"\xff\x00", b"", "text", b"\x81\xa2is\xa4nope"])
+async def test_rubbish_first_ends_the_connection_in_words(stage: Stage, rubbish: bytes | str) -> None:
+    worker = await stage.connect()
+    await worker.say_raw(rubbish)
+    closed = await worker.gone()
+    assert closed.rcvd is not None
+    assert closed.rcvd.reason
+
+
+async def test_rubbish_later_ends_it_and_nothing_of_it_is_applied(stage: Stage) -> None:
+    worker = await stage.worker()
+    await worker.say_raw(b"\x00\x01\x02")
+    await worker.gone()
+    await until(lambda: stage.live.buses["dry-end"].link.link == "closed", "the bus closed")
+    assert "sent away" in stage.live.buses["dry-end"].link.cause
+
+
+async def test_a_batch_before_the_snapshot_ends_it(stage: Stage) -> None:
+    worker = await stage.connect()
+    await worker.say(hello())
+    await worker.hear(Welcome)
+    await worker.update(reading(1, 777))
+    await worker.gone()
+    assert stage.live.buses["dry-end"].units[1].reading is None
+
+
+async def test_readings_arrive_and_are_confirmed(stage: Stage) -> None:
+    worker = await stage.worker()
+    await worker.update(reading(1, 1234))
+    await until(lambda: _commanded(stage) == 1234, "the reading")
+    delivered = await worker.hear(Delivered)
+    assert delivered == Delivered(seq=1)
+    await worker.hear(Clock)
+
+
+async def test_a_doubled_batch_counts_once(stage: Stage) -> None:
+    worker = await stage.worker()
+    batch = Batch(seq=1, sent_at=time.time(), updates=[reading(1, 5)])
+    await worker.say(batch)
+    await worker.say(batch)
+    worker.seq = 1
+    await worker.update(reading(1, 6))
+    await until(lambda: _commanded(stage) == 6, "the last reading")
+    assert len(stage.history.updates) == 2
+
+
+async def test_a_missing_number_asks_for_a_snapshot_once(stage: Stage) -> None:
+    worker = await stage.worker()
+    worker.seq = 4
+    await worker.update(reading(1, 5))
+    await worker.update(reading(1, 6))
+    await worker.hear(WantSnapshot)
+    await worker.say(snapshot(seq=6))
+    await worker.update(reading(1, 7))
+    await until(lambda: _commanded(stage) == 7, "the reading after the snapshot")
+    assert sum(isinstance(message, WantSnapshot) for message in worker.heard) == 1
+
+
+async def test_the_backlog_goes_to_history_alone_and_is_no_gap(stage: Stage) -> None:
+    worker = await stage.worker(state=snapshot(seq=7))
+    old = reading(1, 42)
+    await worker.say(Batch(seq=5, sent_at=time.time(), updates=[old], live=False))
+    await worker.hear(Delivered)
+    assert stage.history.updates == [old]
+    assert _commanded(stage) == 1000
+    await worker.update(reading(1, 8))
+    await until(lambda: _commanded(stage) == 8, "the live reading")
+    assert not any(isinstance(message, WantSnapshot) for message in worker.heard)
+
+
+async def test_the_same_worker_is_told_where_to_go_on(stage: Stage) -> None:
+    worker = await stage.worker()
+    await worker.update(reading(1, 5))
+    await worker.hear(Delivered)
+    await worker.leave()
+    back = await stage.connect()
+    await back.say(hello())
+    welcome = await back.hear(Welcome)
+    assert isinstance(welcome, Welcome)
+    assert welcome.seq == 1
+    stranger = await stage.connect()
+    await stranger.say(hello("w2"))
+    assert (await stranger.hear(Welcome)) == Welcome(
+        version=1,
+        seq=0,
+        app_time=stranger.heard[0].app_time,  # type: ignore[union-attr]
+    )
+
+
+async def test_a_newer_connection_takes_the_place_of_the_older(stage: Stage) -> None:
+    older = await stage.worker()
+    newer = await stage.worker(hello("w2"))
+    await older.gone()
+    await newer.update(reading(1, 9))
+    await until(lambda: _commanded(stage) == 9, "the newer one's reading")
+    assert stage.live.buses["dry-end"].link.link == "open"
+
+
+async def test_a_lost_worker_closes_the_bus_and_nothing_looks_fresh(stage: Stage) -> None:
+    worker = await stage.worker()
+    await worker.leave()
+    await until(lambda: not stage.live.buses["dry-end"].worker_connected, "the loss")
+    line = (await stage.http().get("/api/v1/line")).json()["buses"][0]
+    assert line["link"] == "closed"
+    assert line["link_cause"] == "the bus worker is not connected"
+    assert {unit["link"] for unit in line["units"]} == {"stale"}
+    answer = await stage.ask("POST", "/units/1/speed", {"raw": 5})
+    assert answer.status_code == 503
+    assert answer.json()["code"] == "bus_closed"
+
+
+async def test_times_of_a_worker_with_another_clock_are_shifted(stage: Stage) -> None:
+    ahead = 3600.0
+    worker = await stage.connect()
+    said = hello()
+    await worker.say(type(said)(**{**_fields(said), "sent_at": said.sent_at + ahead}))
+    await worker.hear(Welcome)
+    whole = snapshot()
+    await worker.say(type(whole)(**{**_fields(whole), "sent_at": whole.sent_at + ahead}))
+    late = reading(1, 11)
+    shifted = type(late)(**{**_fields(late), "at": late.at + ahead})
+    await worker.say(Batch(seq=1, sent_at=time.time() + ahead, updates=[shifted]))
+    await until(lambda: _commanded(stage) == 11, "the reading")
+    found = stage.live.buses["dry-end"].units[1].reading
+    assert found is not None
+    assert abs(found.at - late.at) < 60
+
+
+async def test_a_command_under_way_is_asked_again_of_the_same_worker(stage: Stage) -> None:
+    worker = await stage.worker()
+    asked = asyncio.create_task(stage.ask("POST", "/units/1/speed", {"raw": 5}))
+    first = await worker.hear(Command)
+    assert isinstance(first, Command)
+    await worker.leave()
+    back = await stage.connect()
+    await back.say(hello())
+    await back.say(snapshot())
+    again = await back.hear(Command)
+    assert again == first
+    await back.update(fate(first, "verified", read_back=5))
+    assert (await asked).status_code == 200
+
+
+async def test_a_command_under_way_is_unverified_with_another_worker(stage: Stage) -> None:
+    worker = await stage.worker()
+    asked = asyncio.create_task(stage.ask("POST", "/units/1/speed", {"raw": 5}))
+    await worker.hear(Command)
+    await worker.leave()
+    stranger = await stage.worker(hello("w2"))
+    answer = await asked
+    assert answer.status_code == 504
+    assert "restarted" in answer.json()["detail"]
+    assert stranger.commands == []
+
+
+async def test_what_is_watched_is_told_to_whoever_comes(stage: Stage) -> None:
+    stage.workers.watch("dry-end", [2, 1], True)
+    worker = await stage.worker()
+    assert await worker.hear(Watch) == Watch(units=[1, 2], trace=True)
+    stage.workers.watch("dry-end", [], False)
+    assert await worker.hear(Watch, 2) == Watch(units=[], trace=False)
+
+
+def _commanded(stage: Stage) -> int | None:
+    found = stage.live.buses["dry-end"].units[1].reading
+    return found.commanded if found is not None else None
+
+
+def _fields(message: object) -> dict[str, object]:
+    return {name: getattr(message, name) for name in message.__struct_fields__}  # type: ignore[attr-defined]
