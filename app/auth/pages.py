@@ -76,7 +76,7 @@ async def log_out(request: Request, person: Viewer, sign_in: SigningIn) -> Respo
 
 
 @router.get("/account")
-async def account_page(request: Request, person: Viewer, done: str = "") -> HTMLResponse:
+async def account_page(request: Request, _: Viewer, done: str = "") -> HTMLResponse:
     """One's own language and password."""
     return _account(request, done=done)
 

@@ -6,7 +6,7 @@ from collections.abc import Awaitable
 
 from fastapi import APIRouter
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, RedirectResponse
+from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from app.auth import rules
 from app.auth.accounts import Accounts
@@ -39,7 +39,7 @@ async def add_user(
     name: Text = "",
     role: Text = "viewer",
     password: Text = "",
-) -> HTMLResponse | RedirectResponse:
+) -> Response:
     """A person, by password."""
     origin = address_of(request)
 
@@ -59,7 +59,7 @@ async def add_panel(
     panel_role: Text = "viewer",
     pin: Text = "",
     home: Text = "/",
-) -> HTMLResponse | RedirectResponse:
+) -> Response:
     """A panel on the wall, by PIN; it only looks unless it is given more."""
     by, origin = person.name, address_of(request)
     add = accounts.add_panel(panel.strip(), _role(panel_role), pin, home.strip() or "/", by=by, origin=origin)
@@ -69,25 +69,21 @@ async def add_panel(
 @router.post("/users/{name}/role")
 async def set_role(
     request: Request, person: Admin, accounts: Keeping, name: str, role: Text = ""
-) -> HTMLResponse | RedirectResponse:
+) -> Response:
     """What somebody may do from now on."""
     change = accounts.set_role(name, _role(role), by=person.name, origin=address_of(request))
     return await _did(request, accounts, change)
 
 
 @router.post("/users/{name}/disable")
-async def disable(
-    request: Request, person: Admin, accounts: Keeping, name: str
-) -> HTMLResponse | RedirectResponse:
+async def disable(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
     """Refuse somebody from now on; every session ends."""
     change = accounts.set_disabled(name, True, by=person.name, origin=address_of(request))
     return await _did(request, accounts, change)
 
 
 @router.post("/users/{name}/enable")
-async def enable(
-    request: Request, person: Admin, accounts: Keeping, name: str
-) -> HTMLResponse | RedirectResponse:
+async def enable(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
     """Admit somebody again."""
     change = accounts.set_disabled(name, False, by=person.name, origin=address_of(request))
     return await _did(request, accounts, change)
@@ -96,15 +92,13 @@ async def enable(
 @router.post("/users/{name}/password")
 async def reset_password(
     request: Request, person: Admin, accounts: Keeping, name: str, password: Text = ""
-) -> HTMLResponse | RedirectResponse:
+) -> Response:
     """A new password (a PIN for a panel); every session ends."""
     return await _did(request, accounts, _reset(accounts, person, name, password, address_of(request)))
 
 
 @router.post("/users/{name}/remove")
-async def remove(
-    request: Request, person: Admin, accounts: Keeping, name: str
-) -> HTMLResponse | RedirectResponse:
+async def remove(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
     """What somebody did stays in the events."""
     return await _did(
         request, accounts, accounts.remove_user(name, by=person.name, origin=address_of(request))
@@ -127,18 +121,14 @@ async def create_token(
 
 
 @router.post("/users/tokens/{name}/revoke")
-async def revoke_token(
-    request: Request, person: Admin, accounts: Keeping, name: str
-) -> HTMLResponse | RedirectResponse:
+async def revoke_token(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
     """It is refused from the next request on."""
     return await _did(
         request, accounts, accounts.revoke_token(name, by=person.name, origin=address_of(request))
     )
 
 
-async def _did(
-    request: Request, accounts: Accounts, change: Awaitable[None]
-) -> HTMLResponse | RedirectResponse:
+async def _did(request: Request, accounts: Accounts, change: Awaitable[None]) -> Response:
     """Back to the page; with the sentence on it when the change was refused."""
     try:
         await change

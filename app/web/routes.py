@@ -26,13 +26,13 @@ def _roles(route: RouteContext) -> Iterator[Role | None]:
             yield None
 
 
-def demands(app: FastAPI) -> dict[RouteContext, set[Role | None]]:
+def demands(app: FastAPI) -> list[tuple[RouteContext, set[Role | None]]]:
     """What each route demands; ``None`` stands for public, an empty set for one that says nothing."""
-    return {route: set(_roles(route)) for route in iter_route_contexts(app.routes)}
+    return [(route, set(_roles(route))) for route in iter_route_contexts(app.routes)]
 
 
 def refuse_undeclared(app: FastAPI) -> None:
     """Raises RuntimeError naming the first route that declares neither a role nor that it is public."""
-    for route, roles in demands(app).items():
+    for route, roles in demands(app):
         if not roles:
             raise RuntimeError(f"{route.path} declares no role: add requires(Role.…) or public to it")

@@ -55,6 +55,11 @@ class Templates:
             "Role": Role,
         }
 
+    @property
+    def time_zone(self) -> str:
+        """The site's; empty: the machine's own."""
+        return self._site.time_zone
+
     def formats(self, tag: str) -> Formats:
         """Number and time formatting of a language."""
         return Formats(self.languages[tag].locale, self._site.time_zone)

@@ -1,0 +1,96 @@
+"""The events page: who did what, filtered and searched, from a unit's page too."""
+
+from __future__ import annotations
+
+from datetime import datetime, time, timedelta
+from typing import Annotated, Any
+from urllib.parse import urlencode
+
+from fastapi import APIRouter, Query
+from starlette.requests import Request
+from starlette.responses import HTMLResponse
+
+from app.audit.api import Events
+from app.audit.store import Filter
+from app.web.access import Viewer
+from app.web.formats import zone
+from app.web.templating import render, templates_of
+
+router = APIRouter(include_in_schema=False)
+ON_A_PAGE = 100
+FIELDS = ("kind", "bus", "unit", "who", "since", "until", "search")
+
+
+@router.get("/events")
+async def events_page(
+    request: Request,
+    _: Viewer,
+    events: Events,
+    before: Annotated[str, Query(max_length=20)] = "",
+    kind: str = "",
+    bus: str = "",
+    unit: Annotated[str, Query(max_length=3)] = "",
+    who: str = "",
+    since: Annotated[str, Query(max_length=10)] = "",
+    until: Annotated[str, Query(max_length=10)] = "",
+    search: Annotated[str, Query(max_length=200)] = "",
+) -> HTMLResponse:
+    """A form's empty fields do not narrow; the days are days at the site."""
+    chosen = dict(zip(FIELDS, (kind, bus, unit, who, since, until, search), strict=True))
+    site_zone = templates_of(request).time_zone
+    wanted = Filter(
+        before=_number(before),
+        kind=kind or None,
+        bus=bus or None,
+        unit=_number(unit),
+        who=who or None,
+        since=_day(since, site_zone),
+        until=_day(until, site_zone, timedelta(days=1)),
+        search=search,
+    )
+    found, after = await events.page(wanted, ON_A_PAGE)
+    return render(
+        request,
+        "events/page.html",
+        events=found,
+        kinds=await events.kinds(),
+        chosen=chosen,
+        older=_link(chosen, before=after) if after else "",
+        newest=_link(chosen) if before else "",
+        csv=_csv_link(wanted, site_zone),
+    )
+
+
+def _number(text: str) -> int | None:
+    return int(text) if text.isascii() and text.isdecimal() else None
+
+
+def _day(text: str, time_zone: str, later: timedelta = timedelta(0)) -> float | None:
+    """The instant at which a day (2026-11-21) begins at the site; None for what is no day."""
+    try:
+        day = datetime.fromisoformat(text).date()
+    except ValueError:
+        return None
+    return datetime.combine(day + later, time(), zone(time_zone)).timestamp()
+
+
+def _link(chosen: dict[str, str], **more: Any) -> str:
+    return "/events?" + urlencode({name: value for name, value in {**chosen, **more}.items() if value})
+
+
+def _csv_link(wanted: Filter, time_zone: str) -> str:
+    """The same events by the API, which takes instants."""
+    said: dict[str, Any] = {
+        "kind": wanted.kind,
+        "bus": wanted.bus,
+        "unit": wanted.unit,
+        "who": wanted.who,
+        "from": _iso(wanted.since, time_zone),
+        "to": _iso(wanted.until, time_zone),
+        "search": wanted.search,
+    }
+    return "/api/v1/events.csv?" + urlencode({name: value for name, value in said.items() if value})
+
+
+def _iso(at: float | None, time_zone: str) -> str:
+    return "" if at is None else datetime.fromtimestamp(at, zone(time_zone)).isoformat()

@@ -1,0 +1,88 @@
+"""The app: wiring only."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib.metadata import version
+
+from fastapi import FastAPI
+from starlette.middleware.gzip import GZipMiddleware
+
+from app import metrics
+from app.audit import api as audit_api
+from app.audit import pages as audit_pages
+from app.auth import pages as auth_pages
+from app.auth import users
+from app.auth.access import Identify
+from app.commands import api as commands_api
+from app.commands import safeguards_api, trace_api
+from app.feed import socket as feed
+from app.history import api as history_api
+from app.live import api as live_api
+from app.live import pages as live_pages
+from app.live import socket as live_socket
+from app.recipes import api as recipes_api
+from app.recipes import pages as recipes_pages
+from app.sets import api as sets_api
+from app.sets import pages as sets_pages
+from app.settings import Settings
+from app.web import pages as web_pages
+from app.web import problems, schema
+from app.web.routes import refuse_undeclared
+from app.web.security import OwnPagesOnly, SecurityHeaders
+from app.wiring import Services, build, running
+
+FEATURES = (
+    web_pages,
+    schema,
+    metrics,
+    auth_pages,
+    users,
+    audit_api,
+    audit_pages,
+    feed,
+    live_api,
+    live_socket,
+    live_pages,
+    commands_api,
+    safeguards_api,
+    trace_api,
+    history_api,
+    sets_api,
+    sets_pages,
+    recipes_api,
+    recipes_pages,
+)
+
+
+def create_app(settings: Settings, *, demo: bool = False) -> FastAPI:
+    """The whole app over ``settings``. ``demo``: whoever comes from this machine is signed in.
+
+    Raises StoreError when the data cannot be used, RuntimeError for a route that declares no role.
+    """
+    services = build(settings, demo=demo)
+    app = FastAPI(
+        title="Lineside",
+        summary="Watch and set a line of DIGIMAX IV drives",
+        version=version("lineside"),
+        lifespan=_lifespan,
+        openapi_url=None,
+    )
+    app.state.services = services
+    for feature in FEATURES:
+        app.include_router(feature.router)
+    problems.install(app)
+    app.add_middleware(Identify, sign_in=services.sign_in, demo=demo)
+    app.add_middleware(OwnPagesOnly)
+    app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
+    app.add_middleware(SecurityHeaders)
+    refuse_undeclared(app)
+    return app
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    services: Services = app.state.services
+    async with running(services):
+        yield

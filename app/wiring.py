@@ -1,0 +1,190 @@
+"""What the app is made of, put together: every service once, begun and ended in order."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from time import time
+
+import structlog
+
+from app.audit.log import EventLog
+from app.auth.accounts import Accounts
+from app.auth.passwords import Passwords
+from app.auth.signin import SignIn
+from app.commands.desk import Desk
+from app.commands.safeguards import Safeguards
+from app.database import Database
+from app.feed.workers import Workers
+from app.history.service import History
+from app.live.hub import Hub
+from app.live.state import LiveState
+from app.metrics import Counts
+from app.pipeline import Pipeline
+from app.recipes.book import RecipeBook
+from app.recipes.store import RecipeStore
+from app.sets.keeper import SetKeeper
+from app.sets.reading import ParameterReader
+from app.sets.restore import RestoreDesk
+from app.sets.store import SetStore
+from app.sets.taking import Takings
+from app.settings import Settings
+from app.web.access import Person, Role
+from app.web.assets import Assets, static_dir, templates_dir
+from app.web.formats import zone
+from app.web.templating import Templates
+
+log = structlog.get_logger()
+
+STORE = "lineside.db"
+SERVER = Person("server", Role.ENGINEER, "worker")
+"""Who acts when nobody asked: the schedule of parameter sets."""
+AGAIN_AFTER_S = 1.0
+
+
+class ClockSteps:
+    """Carries what the history's own thread notices of the clock over to the event loop."""
+
+    def __init__(self) -> None:
+        self.pipeline: Pipeline | None = None
+        self.loop: asyncio.AbstractEventLoop | None = None
+
+    def tell(self, step_s: float, at: float) -> None:
+        """Called on any thread."""
+        if self.loop is not None and self.pipeline is not None:
+            self.loop.call_soon_threadsafe(self.pipeline.clock_stepped, None, step_s, at)
+
+
+@dataclass(frozen=True)
+class Services:
+    """Everything that routes reach, each by a small function of its own feature."""
+
+    settings: Settings
+    assets: Assets
+    templates: Templates
+    database: Database
+    events: EventLog
+    passwords: Passwords
+    accounts: Accounts
+    sign_in: SignIn
+    live: LiveState
+    history: History
+    clock_steps: ClockSteps
+    pipeline: Pipeline
+    workers: Workers
+    hub: Hub
+    safeguards: Safeguards
+    desk: Desk
+    parameter_reader: ParameterReader
+    sets: SetKeeper
+    takings: Takings
+    restores: RestoreDesk
+    recipes: RecipeBook
+    counts: Counts
+
+
+def store_path(settings: Settings) -> Path:
+    """The main store: users, events, sets, recipes, limits."""
+    return settings.server.data / STORE
+
+
+def build(settings: Settings, *, demo: bool) -> Services:
+    """Open the stores and connect everything. Raises StoreError in words."""
+    database = Database(store_path(settings))
+    events, passwords = EventLog(database), Passwords()
+    assets = Assets(static_dir())
+    templates = Templates(templates_dir(), assets, settings.site, demo=demo)
+    live = LiveState(settings.bus, time())
+    steps = ClockSteps()
+    history = History(settings, on_clock_step=steps.tell)
+    pipeline = Pipeline(live, history, events)
+    steps.pipeline = pipeline
+    workers = Workers([bus.name for bus in settings.bus], pipeline)
+    safeguards = Safeguards(database, events, control_required=settings.site.control)
+    desk = Desk(live, workers.channels, events, safeguards)
+    reader = ParameterReader(live, desk)
+    local_time = partial(datetime.now, zone(settings.site.time_zone))
+    sets = SetKeeper(live, reader, SetStore(database), events, local_time)
+    hub = Hub(live, templates, time)
+    hub.block, hub.watch = safeguards.block_reason, workers.watch
+    safeguards.on_block(hub.refresh_unit)
+    return Services(
+        settings=settings,
+        assets=assets,
+        templates=templates,
+        database=database,
+        events=events,
+        passwords=passwords,
+        accounts=Accounts(database, passwords, events),
+        sign_in=SignIn(database, passwords, events),
+        live=live,
+        history=history,
+        clock_steps=steps,
+        pipeline=pipeline,
+        workers=workers,
+        hub=hub,
+        safeguards=safeguards,
+        desk=desk,
+        parameter_reader=reader,
+        sets=sets,
+        takings=Takings(sets),
+        restores=RestoreDesk(reader, desk, events),
+        recipes=RecipeBook(live, desk, RecipeStore(database), events),
+        counts=Counts(events),
+    )
+
+
+@asynccontextmanager
+async def running(services: Services) -> AsyncIterator[None]:
+    """From the first request to the last: what was left open is closed, and the rest goes on by itself."""
+    await _begin(services)
+    works = (
+        services.pipeline.record,
+        services.hub.beat,
+        partial(services.sets.follow_schedule, SERVER),
+    )
+    tasks = [asyncio.create_task(_for_ever(work)) for work in works]
+    try:
+        yield
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        await _end(services)
+
+
+async def _begin(services: Services) -> None:
+    services.clock_steps.loop = asyncio.get_running_loop()
+    services.history.start()
+    await services.events.close_open_intents()
+    steps = ", ".join(f"{step.number:04d} {step.name}" for step in services.database.migrated)
+    if steps:
+        await services.events.record(kind="server", what=f"the store was brought up to date: {steps}")
+    await services.events.record(kind="server", what="server started")
+    await services.safeguards.load()
+    await services.sets.load()
+    await services.recipes.load_marks()
+
+
+async def _end(services: Services) -> None:
+    await services.takings.close()
+    await services.restores.close()
+    await services.events.record(kind="server", what="server ended")
+    await asyncio.to_thread(services.history.close)
+    services.passwords.close()
+    await asyncio.to_thread(services.database.close)
+
+
+async def _for_ever(work: Callable[[], Awaitable[None]]) -> None:
+    """A failure of what goes on by itself is logged, and it goes on."""
+    while True:
+        try:
+            await work()
+        except Exception:
+            log.exception("failed, goes on")
+        await asyncio.sleep(AGAIN_AFTER_S)
