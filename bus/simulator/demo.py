@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from bus.settings import UnitLabels, UnitSettings
-from bus.simulator.memory import FACTORY, Memory, Prm
+from bus.simulator.memory import Memory, Prm
 from bus.simulator.plant import Plant, Script
 from bus.simulator.section import Section
 from bus.simulator.unit import ORDINARY, Traits, Unit
@@ -80,7 +80,7 @@ def _settings(address: int) -> UnitSettings:
 def _section(address: int, units: int, seed: int, traits: Traits) -> Section:
     machine = _machine(address)
     draw = machine.draw + 0.001 * ((address - 1) // len(_MACHINES)) / max(units / 64, 1)
-    values = dict(FACTORY) | {
+    changed: dict[int, int] = {
         Prm.MAX_RPM: 1750,
         Prm.MAX_DISPLAY: 2000,
         Prm.DECIMALS: 1,
@@ -94,7 +94,6 @@ def _section(address: int, units: int, seed: int, traits: Traits) -> Section:
         22: 0,
         23: 500,
     }
-    values = {int(number): raw for number, raw in values.items()}
-    unit = Unit(Memory(values), traits)
+    unit = Unit(Memory(changed), traits)
     unit.random.seed(seed * 1000 + address)
     return Section(unit, seed=seed * 1000 + address)

@@ -6,6 +6,7 @@ gives it a real clock and a port; a test gives it a virtual one, and the same se
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -19,6 +20,9 @@ from bus.simulator.record import Happened, Record
 from bus.simulator.unit import Unit
 from bus.wire.commands import Nak
 from bus.wire.framing import FrameDecoder, ReceivedFrame
+
+IDLE_S = 1.5 * STEP_S
+"""How far behind the physics may fall while nobody asks."""
 
 FLOOD_TALKER = -1
 ECHO_TALKER = -2
@@ -36,6 +40,7 @@ class SimulatedLine:
     """Plant and cable. ``baud`` is the pace while the host's own speed cannot be known.
 
     ``speedup`` shortens byte times and turnarounds, not the physics.
+    The power comes on with the first ``advance``.
     """
 
     plant: Plant
@@ -49,7 +54,7 @@ class SimulatedLine:
         self._replies = ReplyLine()
         self._decoder = FrameDecoder(Dialect())
         self._arriving: deque[_Arriving] = deque()
-        self._physics_at: float | None = None
+        self._physics_at = math.inf
 
     def receive(self, now: float, data: bytes, host_baud: int | None = None) -> None:
         """The host wrote ``data`` at ``now``, its port set to ``host_baud`` (None: not known)."""
@@ -64,19 +69,20 @@ class SimulatedLine:
 
     def advance(self, now: float) -> bytes:
         """Let everything happen that is due by ``now``; the bytes that reach the host with it."""
-        if self._physics_at is None:
+        if self._physics_at == math.inf:
             self._physics_at = now + STEP_S
-        while (at := self._next_inside()) <= now:
-            if at == self._physics_at:
-                self._step_physics(at)
-            else:
-                self._dispatch(self._arriving.popleft())
+        while self._arriving and self._arriving[0].at <= now:
+            arriving = self._arriving.popleft()
+            self._step_physics(arriving.at)
+            self._dispatch(arriving)
+        self._step_physics(now - IDLE_S)
         return self._replies.due(now)
 
     def wake(self) -> Wake:
         """When ``advance`` has something to do next, if the host stays silent."""
         reply = self._replies.wake()
-        inside = Wake(self._next_inside(), sharp=False)
+        idle = self._physics_at + IDLE_S
+        inside = Wake(min(self._arriving[0].at, idle) if self._arriving else idle, sharp=False)
         return inside if reply is None else min(inside, reply)
 
     def unplug(self) -> None:
@@ -85,16 +91,15 @@ class SimulatedLine:
         self._replies.hush()
         self._decoder = FrameDecoder(Dialect())
 
-    def _next_inside(self) -> float:
-        physics = self._physics_at if self._physics_at is not None else 0.0
-        return min(self._arriving[0].at, physics) if self._arriving else physics
-
-    def _step_physics(self, at: float) -> None:
-        self.plant.step(STEP_S)
-        self._physics_at = at + STEP_S
-        if self.faults.strikes(Kind.FLOOD):
-            byte_s = byte_seconds(self.baud, self.speedup)
-            self._send(FLOOD_TALKER, at, self.faults.rubbish(int(STEP_S / byte_s)), byte_s)
+    def _step_physics(self, until: float) -> None:
+        """The steps up to ``until``: when a request is in, because its answer leaves time for them."""
+        while self._physics_at <= until:
+            self.plant.step(STEP_S)
+            if self.faults.strikes(Kind.FLOOD):
+                byte_s = byte_seconds(self.baud, self.speedup)
+                rubbish = self.faults.rubbish(int(STEP_S / byte_s))
+                self._send(FLOOD_TALKER, self._physics_at, rubbish, byte_s)
+            self._physics_at += STEP_S
 
     def _dispatch(self, arriving: _Arriving) -> None:
         heard = False

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import IntEnum
 
 from bus.catalogue.parameters import PARAMETERS
@@ -79,18 +78,16 @@ LEGAL_BAUD_NUMBERS = frozenset({3, 6, 12, 24, 48, 96})
 _WIDTHS = {"UCHR": 1, "UINT": 2, "ULNG": 4}
 
 
-@dataclass(slots=True)
-class Memory:
-    """Forty numbers. ``last`` is 20 in an old firmware, whose list ended there."""
+class Memory(dict[int, int]):
+    """Forty numbers, as delivered but for ``changed``; an old firmware's list had its ``last`` at 20.
 
-    values: dict[int, int] = field(default_factory=lambda: dict(FACTORY))
-    last: int = 40
+    A dict and not a wrapper around one: the physics of 255 units looks up a hundred thousand a second.
+    """
 
-    def __getitem__(self, number: int) -> int:
-        return self.values[number]
-
-    def __setitem__(self, number: int, raw: int) -> None:
-        self.values[number] = raw
+    def __init__(self, changed: Mapping[int, int] | None = None, last: int = 40) -> None:
+        super().__init__(FACTORY)
+        self.update(changed or {})
+        self.last = last
 
     def has(self, number: int) -> bool:
         """Whether this unit's firmware knows the parameter."""

@@ -37,7 +37,7 @@ class Host:
     def __init__(self, line: SimulatedLine, baud: int | None = 9600) -> None:
         self.line, self.baud = line, baud
         self.now = 100.0
-        self.line.advance(self.now)
+        line.advance(self.now)
         self.got: list[tuple[float, bytes]] = []
 
     def write(self, *requests: Request) -> None:

@@ -15,7 +15,7 @@ FULL = 2000
 def section(seed: int = 1, **values: int) -> Section:
     """A section with #1 1750 rpm, #2 2000 and ramps of 10 s for the full span, but for ``values``."""
     named = {int(Prm[name]): raw for name, raw in values.items()}
-    return Section(Unit(Memory(dict(Memory().values) | named)), seed)
+    return Section(Unit(Memory(named)), seed)
 
 
 def run(machine: Section, seconds: float, master_rpm: float = 0.0, upstream: Section | None = None) -> int:

@@ -85,7 +85,7 @@ def test_every_byte_value_passes_the_port_unchanged(line: LineServer) -> None:
     """No echo, no line discipline: 0Ah, 0Dh, 03h, 11h, 13h and 1Ah are data like any other."""
     with opened(line.port.name) as host:
         for raw in (0x0A0D, 0x0311, 0x131A, 0x0410, 0x1C7F):
-            line.call(lambda line, raw=raw: line.plant.unit(1).memory.values.update({2: 99999, 20: raw}))
+            line.call(lambda line, raw=raw: line.plant.unit(1).memory.update({2: 99999, 20: raw}))
             reply = ask(host, ReadStatus(1))
             assert isinstance(reply, StatusReply)
             assert reply.commanded == raw

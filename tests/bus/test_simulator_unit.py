@@ -63,7 +63,7 @@ def ask(unit: Unit, request: Request, dialect: Dialect = PLAIN) -> Reply | None:
 
 
 def state(unit: Unit) -> tuple[object, ...]:
-    return dict(unit.memory.values), unit.entered, list(unit.outputs), unit.analog_output
+    return dict(unit.memory), unit.entered, list(unit.outputs), unit.analog_output
 
 
 def stopped(unit: Unit) -> Unit:
@@ -229,7 +229,7 @@ def test_an_old_firmware_ends_at_twenty() -> None:
 
 
 def test_a_unit_that_counts_in_bcd_answers_eleven_for_11h() -> None:
-    unit = Unit(Memory(dict(Memory().values) | {11: 77}), Traits(Dialect(parameter_numbers="bcd")))
+    unit = Unit(Memory({11: 77}), Traits(Dialect(parameter_numbers="bcd")))
     assert ask(unit, ReadParameter(1, 0x11)) == ParameterReply(1, 77, 4)
     assert ask(unit, ReadParameter(1, 0x1A)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
 
