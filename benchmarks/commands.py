@@ -1,0 +1,140 @@
+"""A wish: from the request to its first byte on the wire, and many units set as one."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from benchmarks.tables import median, milliseconds, quantile, show
+from bus.settings import Dialect
+from bus.wire.commands import (
+    ExecuteSpeed,
+    ReadStatus,
+    Request,
+    StageSpeed,
+    encode_request,
+    longest_reply_bytes,
+    wire_seconds,
+)
+from tests.e2e.site import Site, site
+
+BAUD = 9600
+WISHES = 150
+MANY = 32
+REPEATS = 5
+SET_AND_EXECUTE = "84"
+STAGE = "82"
+PAUSE_S = 0.037
+"""Between two wishes; no multiple of a poll, so that they fall anywhere in one."""
+
+
+def run() -> None:
+    """Two tables."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        site(Path(folder), 8, line_options=("--no-script",)) as served,
+    ):
+        _show_wishes(served)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        site(Path(folder), MANY, line_options=("--no-script",)) as served,
+    ):
+        _show_many(served)
+
+
+def _show_wishes(served: Site) -> None:
+    to_wire: list[float] = []
+    to_fate: list[float] = []
+    with served.api("operator") as client:
+        for number in range(WISHES):
+            raw = 1100 + number
+            since = _last_number(served)
+            begun = time.monotonic()
+            answer = client.post(
+                f"/buses/line/units/{number % 8 + 1}/speed", json={"raw": raw, "execute": True}
+            )
+            to_fate.append(time.monotonic() - begun)
+            assert answer.json()["outcome"] == "verified", answer.text
+            to_wire.append(_first_came(served, since, SET_AND_EXECUTE)["at"] - begun)
+            time.sleep(PAUSE_S)
+    transaction = _wire_s(ReadStatus(1))
+    rows = [
+        [
+            "the wire itself: half a poll is in flight",
+            milliseconds(transaction / 2),
+            milliseconds(transaction),
+        ],
+        ["request → first byte of 84h on the wire", _middle(to_wire), _worst(to_wire)],
+        ["request → fate, read back", _middle(to_fate), _worst(to_fate)],
+    ]
+    show(f"{WISHES} speeds set by HTTP while 8 units are polled", ["", "median", "p99"], rows)
+
+
+def _show_many(served: Site) -> None:
+    rows = []
+    least = _change_wire_s()
+    with served.api("operator") as client:
+        for turn in range(REPEATS):
+            setpoints = {str(unit): {"raw": 900 + 10 * turn + unit} for unit in range(1, MANY + 1)}
+            since = _last_number(served)
+            answer = client.post(
+                "/buses/line/speeds", json={"setpoints": setpoints, "timeout_s": 30}, timeout=60
+            )
+            assert answer.status_code == 200, answer.text
+            took = _took(served, since)
+            rows.append([str(turn + 1), f"{took:.3f} s", f"{took / least:.3f}"])
+    note = f"The wire alone needs {least:.3f} s: {MANY} stages acknowledged, one broadcast, {MANY} proofs."
+    show(
+        f"{MANY} units changed as one",
+        ["change", "first stage → last proof", "÷ the wire's own time"],
+        rows,
+        note,
+    )
+
+
+def _took(served: Site, since: int) -> float:
+    """From the host's first stage to the end of the last unit's proof."""
+    begun: float = _first_came(served, since, STAGE)["at"]
+    ended: float = _record(served, since, "sent")[-1]["at"]
+    return ended - begun
+
+
+def _change_wire_s() -> float:
+    units = range(1, MANY + 1)
+    stages = sum(_wire_s(StageSpeed(unit, 900)) for unit in units)
+    proofs = sum(_wire_s(ReadStatus(unit)) for unit in units)
+    return stages + wire_seconds(len(encode_request(ExecuteSpeed(0), Dialect())), BAUD) + proofs
+
+
+def _wire_s(request: Request) -> float:
+    dialect = Dialect()
+    return wire_seconds(len(encode_request(request, dialect)) + longest_reply_bytes(request, dialect), BAUD)
+
+
+def _record(served: Site, since: int, *kinds: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = served.line.remote.do("record", since=since, kinds=kinds)
+    return found
+
+
+def _last_number(served: Site) -> int:
+    recent = _record(served, 0, "came")
+    return int(recent[-1]["number"])
+
+
+def _first_came(served: Site, since: int, command: str) -> dict[str, Any]:
+    """The host's first frame of a command: ``10 02 UID CMD …``, where unit 16 is written twice."""
+    for entry in _record(served, since, "came"):
+        octets = entry["hex"].split()
+        if command in octets[3:5]:
+            return entry
+    raise AssertionError(f"no {command}h came")
+
+
+def _middle(times: list[float]) -> str:
+    return milliseconds(median(times))
+
+
+def _worst(times: list[float]) -> str:
+    return milliseconds(quantile(times, 0.99))
