@@ -1,0 +1,59 @@
+"""Holes: silence is one, an unchanged value or a slow line is none."""
+
+from __future__ import annotations
+
+from app.history.gaps import Marks, holes, usual_interval
+from app.history.runs import SECOND
+
+POLLS = [i * SECOND // 5 for i in range(100)]
+USUAL = SECOND // 5
+
+
+def without(start: int, end: int) -> list[int]:
+    return [at for at in POLLS if not start < at < end]
+
+
+def test_regular_polls_have_none() -> None:
+    assert holes(POLLS, Marks(), USUAL) == []
+
+
+def test_a_slow_line_has_none() -> None:
+    """255 units at 300 baud are heard every three and a half minutes."""
+    times = [i * 213 * SECOND for i in range(20)]
+    assert holes(times, Marks(), usual_interval([213 * SECOND] * 19)) == []
+
+
+def test_where_the_worker_said_lost_there_is_one() -> None:
+    times = without(4 * SECOND, 8 * SECOND)
+    assert holes(times, Marks(lost=[5 * SECOND]), USUAL) == [times.index(4 * SECOND)]
+
+
+def test_a_short_silence_that_nobody_named_is_none() -> None:
+    assert holes(without(4 * SECOND, 8 * SECOND), Marks(), USUAL) == []
+
+
+def test_a_long_silence_is_one_even_when_the_worker_was_gone() -> None:
+    times = without(2 * SECOND, 15 * SECOND)
+    assert holes(times, Marks(), USUAL) == [times.index(2 * SECOND)]
+
+
+def test_found_again_after_a_silence_is_one() -> None:
+    times = without(4 * SECOND, 8 * SECOND)
+    place = times.index(4 * SECOND)
+    assert holes(times, Marks(found=[8 * SECOND]), USUAL) == [place]
+    assert holes(times, Marks(found=[8 * SECOND + 100]), USUAL) == [place]
+
+
+def test_found_without_a_silence_is_none() -> None:
+    assert holes(POLLS, Marks(found=[4 * SECOND]), USUAL) == []
+
+
+def test_neighbouring_stretches_have_none() -> None:
+    starts = [i * 60 * SECOND for i in range(10)]
+    assert holes(starts, Marks(lost=[90 * SECOND]), USUAL, width=60 * SECOND) == []
+    assert holes([*starts[:3], *starts[5:]], Marks(), USUAL, width=60 * SECOND) == [2]
+
+
+def test_marks_outside_do_not_matter() -> None:
+    assert holes([10, 20], Marks(lost=[5, 10, 25]), USUAL) == []
+    assert holes([], Marks(lost=[5]), USUAL) == []
