@@ -1,0 +1,119 @@
+"""What is not well on the line, the worst first, and the one sentence above it. Pure.
+
+Three steps (ISA-18.2): *urgent* wants somebody now, *high* soon, *low* is to be known. One cause is
+said once: while a port is closed its units are not listed one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from app.live.fields import STATE_WORDS, Voice, bits_of, mode_of
+from app.live.motion import State
+from app.live.state import BusLive, UnitLive
+from bus.contract import UnitLinkState
+
+Level = Literal["urgent", "high", "low"]
+LEVELS: tuple[Level, ...] = ("urgent", "high", "low")
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """One thing that is not well. ``since``: seconds since the epoch, as far as this app knows."""
+
+    level: Level
+    text: str
+    code: str
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """How a unit looks at this moment."""
+
+    unit: UnitLive
+    link: UnitLinkState
+    state: State
+    blocked: str = ""
+
+
+@dataclass(slots=True)
+class Tally:
+    """How many units are in which state."""
+
+    units: int = 0
+    heard: int = 0
+    at_speed: int = 0
+    at_zero: int = 0
+    ramping: int = 0
+    off_speed: int = 0
+
+    def count(self, sight: Sight) -> None:
+        """Take in one unit. A unit that is not heard is in no state."""
+        self.units += 1
+        if sight.link != "online":
+            return
+        self.heard += 1
+        self.at_speed += sight.state == "at_speed"
+        self.at_zero += sight.state == "at_zero"
+        self.ramping += sight.state.startswith("ramping")
+        self.off_speed += sight.state == "off_speed"
+
+
+def bus_trouble(bus: BusLive, voice: Voice) -> Trouble | None:
+    """What is wrong with a whole bus."""
+    if not bus.worker_connected:
+        return Trouble("urgent", voice.t("the bus worker is not connected"), "worker")
+    if bus.link.link == "closed":
+        cause = f": {bus.link.cause}" if bus.link.cause else ""
+        return Trouble("urgent", voice.t("the port is closed") + cause, "port")
+    return None
+
+
+def unit_trouble(bus: BusLive, sight: Sight, voice: Voice) -> Trouble | None:
+    """The worst that is wrong with one unit, as far as it is heard."""
+    reading = sight.unit.reading
+    if sight.link == "unknown" or reading is None:
+        return Trouble("low", voice.t("not heard yet"), "unknown")
+    if sight.link == "offline":
+        return Trouble("high", voice.t("does not answer"), "offline")
+    bits = bits_of(bus, reading)
+    findings: list[tuple[bool, Callable[[], Trouble]]] = [
+        (bits.estop_active, lambda: Trouble("urgent", voice.t("e-stop input active"), "estop")),
+        (sight.state == "off_speed", lambda: Trouble("high", voice.t(STATE_WORDS["off_speed"]), "off_speed")),
+        (sight.link == "stale", lambda: Trouble("low", voice.t("answer overdue"), "stale")),
+        (bool(sight.blocked), lambda: Trouble("low", f"{voice.t('blocked')}: {sight.blocked}", "blocked")),
+        (not bits.remote, lambda: _not_remote(mode_of(sight.unit, bits), voice)),
+        (
+            reading.commanded > 0 and not bits.run,
+            lambda: Trouble("low", voice.t("run input off"), "run"),
+        ),
+    ]
+    return next((build() for found, build in findings if found), None)
+
+
+def worst(troubles: list[Trouble]) -> Level | None:
+    """The highest step among them."""
+    return min((trouble.level for trouble in troubles), key=LEVELS.index, default=None)
+
+
+def verdict(tally: Tally, abnormal: int, voice: Voice) -> str:
+    """Is the line well? One sentence."""
+    if tally.units == 0:
+        return voice.t("No unit is configured")
+    if abnormal:
+        text = "{n} needs a look" if abnormal == 1 else "{n} need a look"
+        return voice.t(text, n=abnormal)
+    if tally.at_zero == tally.units:
+        return voice.t("All {n} units at zero", n=tally.units)
+    if tally.ramping:
+        return voice.t("{n} of {units} ramping", n=tally.ramping, units=tally.units)
+    if tally.at_speed == tally.units:
+        return voice.t("All {n} units at speed", n=tally.units)
+    return voice.t("{n} of {units} at speed, the others at zero", n=tally.at_speed, units=tally.units)
+
+
+def _not_remote(mode: str, voice: Voice) -> Trouble:
+    word = "KEYLOCK" if mode == "keylock" else "LOCAL"
+    return Trouble("low", voice.t("in {mode}: refuses commands", mode=word), "mode")

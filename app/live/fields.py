@@ -1,0 +1,190 @@
+"""One unit, one bus, as the texts and positions that a browser puts on the page. Pure.
+
+A group (``bus/unit``, ``bus``, ``line``) has fields; a field is a short text, rendered here once per
+language for all browsers. Positions are percent or fractions as text; bits are strings of ``0`` and
+``1``, of which a lamp shows one place. An empty text means: not known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from app.live.age import offline_after_s, scan_s_of, stale_after_s
+from app.live.motion import State
+from app.live.state import BusLive, UnitLive
+from app.web.formats import UNKNOWN, Formats
+from app.web.languages import Language
+from bus.catalogue.status import StatusBits, status_bits
+from bus.catalogue.values import analog_input_value
+from bus.contract import Reading, UnitLinkState
+
+MAX_DISPLAY, DECIMALS, WINDOW, KEYLOCK_MODE, ANALOG_LOW, ANALOG_HIGH = 2, 3, 12, 19, 22, 23
+KEYLOCK = 2
+DEVIATION_WINDOWS = 3
+"""Half the width of a deviation bar in at-speed windows, so that the band is its middle third."""
+
+STATE_WORDS: dict[State, str] = {
+    "": "not known",
+    "at_speed": "at speed",
+    "at_zero": "at zero",
+    "ramping_up": "ramping up",
+    "ramping_down": "ramping down",
+    "off_speed": "off speed",
+}
+MODE_WORDS = {"": UNKNOWN, "remote": "REMOTE", "local": "LOCAL", "keylock": "KEYLOCK"}
+PORT_WORDS = {"open": "open", "closed": "closed"}
+
+Fields = dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Voice:
+    """How one language says things."""
+
+    language: Language
+    formats: Formats
+
+    def t(self, text: str, /, **values: object) -> str:
+        """The text in this language."""
+        return self.language.t(text, **values)
+
+
+def unit_key(bus: str, unit: int) -> str:
+    """The group of a unit's fields."""
+    return f"{bus}/{unit}"
+
+
+def bits_of(bus: BusLive, reading: Reading) -> StatusBits:
+    """The bits of a reading in the dialect of its bus."""
+    return status_bits(reading.outputs, reading.inputs, bus.settings.estop_healthy)
+
+
+def mode_of(unit: UnitLive, bits: StatusBits) -> str:
+    """``remote`` is the unit's own word (ST2); LOCAL and KEYLOCK are told apart by #19."""
+    if bits.remote:
+        return "remote"
+    return "keylock" if unit.parameter_raw(KEYLOCK_MODE) == KEYLOCK else "local"
+
+
+def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, state: State, voice: Voice) -> Fields:
+    """All that a page shows of one unit."""
+    fields = {"link": link, "staged": _speed(unit, unit.staged, voice) if unit.staged is not None else ""}
+    reading = unit.reading
+    if reading is None:
+        return fields | _NEVER | {"state_text": voice.t(STATE_WORDS[""])}
+    bits = bits_of(bus, reading)
+    mode = mode_of(unit, bits)
+    return (
+        fields
+        | _numbers(unit, reading, voice)
+        | _positions(unit, reading)
+        | {
+            "at": f"{reading.at:.2f}",
+            "state": state,
+            "state_text": voice.t(STATE_WORDS[state]),
+            "mode": mode,
+            "mode_text": MODE_WORDS[mode],
+            "inputs": _bits(
+                bits.run, bits.estop_active, bits.preset, bits.reverse, bits.up, bits.down, bits.follower
+            ),
+            "outputs": _bits(*bits.outputs),
+        }
+    )
+
+
+def bus_fields(bus: BusLive, voice: Voice) -> Fields:
+    """The figures of one bus, and for how long its units' readings count as fresh."""
+    scan_s = scan_s_of(bus)
+    fields = {
+        "link": bus.link.link,
+        "link_text": voice.t(PORT_WORDS[bus.link.link]),
+        "cause": bus.link.cause if bus.link.link == "closed" else "",
+        "worker": "1" if bus.worker_connected else "0",
+        "stale_after": f"{stale_after_s(scan_s):.2f}",
+        "offline_after": f"{offline_after_s(scan_s):.2f}",
+        "scan": UNKNOWN,
+        "rate": UNKNOWN,
+        "wire": UNKNOWN,
+        "wire_fill": "0",
+        "diagnosis": "",
+    }
+    figures = bus.figures
+    if figures is None or bus.link.link == "closed":
+        return fields
+    number = voice.formats.number
+    return fields | {
+        "scan": f"{number(figures.scan_s, 2)} s",
+        "rate": number(figures.scan_hz, 1),
+        "wire": f"{number(100 * figures.wire_utilisation)} %",
+        "wire_fill": f"{min(1.0, figures.wire_utilisation):.3f}",
+        "diagnosis": figures.diagnosis,
+    }
+
+
+_NEVER: Fields = {
+    "at": "",
+    "actual": UNKNOWN,
+    "commanded": UNKNOWN,
+    "deviation": UNKNOWN,
+    "analog": UNKNOWN,
+    "fill": "",
+    "mark": "",
+    "band": "",
+    "off": "",
+    "state": "",
+    "mode": "",
+    "mode_text": UNKNOWN,
+    "inputs": "",
+    "outputs": "",
+}
+
+
+def _numbers(unit: UnitLive, reading: Reading, voice: Voice) -> Fields:
+    return {
+        "actual": _speed(unit, reading.actual, voice),
+        "commanded": _speed(unit, reading.commanded, voice),
+        "deviation": _signed(unit, reading.actual - reading.commanded, voice),
+        "analog": _analog(unit, reading.analog, voice),
+    }
+
+
+def _speed(unit: UnitLive, raw: int, voice: Voice) -> str:
+    return voice.formats.fixed(raw, unit.parameter_raw(DECIMALS))
+
+
+def _signed(unit: UnitLive, raw: int, voice: Voice) -> str:
+    text = _speed(unit, abs(raw), voice)
+    return f"+{text}" if raw > 0 else f"−{text}" if raw < 0 else text  # noqa: RUF001 (a true minus sign)
+
+
+def _analog(unit: UnitLive, atd: int, voice: Voice) -> str:
+    low, high = unit.parameter_raw(ANALOG_LOW), unit.parameter_raw(ANALOG_HIGH)
+    if low is None or high is None:
+        return UNKNOWN
+    span = abs(high - low)
+    digits = 0 if span >= 200 else 1 if span >= 20 else 2
+    return voice.formats.number(analog_input_value(atd, low, high), digits)
+
+
+def _positions(unit: UnitLive, reading: Reading) -> Fields:
+    span, window = unit.parameter_raw(MAX_DISPLAY), unit.parameter_raw(WINDOW)
+    deviation = _deviation(reading, window or (span or 0) // 100)
+    if not span:
+        return {"fill": "", "mark": "", "band": "", "off": deviation}
+    return {
+        "fill": f"{min(1.0, reading.actual / span):.4f}",
+        "mark": f"{100 * min(1.0, reading.commanded / span):.2f}",
+        "band": f"{min(1.0, 2 * (window or 0) / span):.4f}",
+        "off": deviation,
+    }
+
+
+def _deviation(reading: Reading, window: int) -> str:
+    if window <= 0:
+        return ""
+    share = (reading.actual - reading.commanded) / (window * 2 * DEVIATION_WINDOWS)
+    return f"{100 * max(-0.5, min(0.5, share)):.1f}"
+
+
+def _bits(*bits: bool) -> str:
+    return "".join("1" if bit else "0" for bit in bits)

@@ -1,0 +1,134 @@
+"""The pages that only show: the line. Texts and positions come from the hub's screen, as in the browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Literal
+
+from fastapi import APIRouter
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.live.fields import DECIMALS, MAX_DISPLAY, unit_key
+from app.live.socket import hub_of
+from app.live.state import BusLive, UnitLive
+from app.web.access import Viewer
+from app.web.templating import render, templates_of
+from bus.settings import UnitLabels
+
+router = APIRouter(include_in_schema=False)
+
+View = Literal["tiles", "rows", "board"]
+Choice = Literal["auto", "tiles", "rows", "board"]
+MOST_TILES = 12
+MOST_ROWS = 40
+VIEW_COOKIE = "lineside_view"
+YEAR_S = 365 * 24 * 3600
+
+
+@dataclass(frozen=True, slots=True)
+class UnitOnLine:
+    """What of a unit does not change while a page is open. ``pad``: places that align the decimals."""
+
+    key: str
+    id: int
+    name: str
+    unit: str
+    digits: int
+    pad: int
+    labels: UnitLabels
+
+    @property
+    def href(self) -> str:
+        """Its own page."""
+        return f"/units/{self.key}"
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Units that stand together on the floor."""
+
+    name: str
+    units: list[UnitOnLine]
+
+
+@dataclass(frozen=True, slots=True)
+class BusOnLine:
+    """One bus and its groups in floor order."""
+
+    name: str
+    port: str
+    baud: int
+    groups: list[Group]
+
+
+@router.get("/")
+async def line(request: Request, _: Viewer, view: Choice | None = None) -> Response:
+    """Every unit in floor order, what is abnormal first."""
+    hub = hub_of(request)
+    screen = hub.screen(templates_of(request).language_of(request).tag)
+    chosen = view or _remembered(request)
+    buses = [_bus_on_line(name, bus) for name, bus in hub.live.buses.items()]
+    count = sum(len(group.units) for bus in buses for group in bus.groups)
+    response = render(
+        request,
+        "line/page.html",
+        fields=screen.flat(),
+        entries=screen.entries,
+        buses=buses,
+        unit_count=count,
+        view=view_for(count) if chosen == "auto" else chosen,
+        chosen=chosen,
+    )
+    if view is not None:
+        response.set_cookie(VIEW_COOKIE, view, max_age=YEAR_S, samesite="lax", httponly=True)
+    return response
+
+
+def view_for(units: int) -> View:
+    """As generous as the number of units allows."""
+    if units <= MOST_TILES:
+        return "tiles"
+    return "rows" if units <= MOST_ROWS else "board"
+
+
+def unit_on_line(bus: str, unit: UnitLive, most_decimals: int = 0) -> UnitOnLine:
+    """A unit as the templates want it."""
+    settings = unit.settings
+    decimals = unit.parameter_raw(DECIMALS) or 0
+    return UnitOnLine(
+        key=unit_key(bus, settings.id),
+        id=settings.id,
+        name=settings.name,
+        unit=settings.labels.unit,
+        digits=digits_of(unit),
+        pad=max(0, most_decimals - decimals),
+        labels=settings.labels,
+    )
+
+
+def digits_of(unit: UnitLive) -> int:
+    """The width of the unit's highest speed in characters, its decimal sign included."""
+    decimals = unit.parameter_raw(DECIMALS) or 0
+    span = unit.parameter_raw(MAX_DISPLAY) or 99999
+    return max(len(str(span)), decimals + 1) + (1 if decimals else 0)
+
+
+def _remembered(request: Request) -> Choice:
+    match request.cookies.get(VIEW_COOKIE):
+        case ("tiles" | "rows" | "board") as view:
+            return view
+    return "auto"
+
+
+def _bus_on_line(name: str, bus: BusLive) -> BusOnLine:
+    most = max((unit.parameter_raw(DECIMALS) or 0 for unit in bus.units.values()), default=0)
+    units = ((unit.settings.group, unit_on_line(name, unit, most)) for unit in bus.units.values())
+    return BusOnLine(name, bus.settings.port, bus.settings.baud, list(_groups(units)))
+
+
+def _groups(units: Iterable[tuple[str, UnitOnLine]]) -> Iterator[Group]:
+    for name, members in groupby(units, key=lambda pair: pair[0]):
+        yield Group(name, [unit for _, unit in members])

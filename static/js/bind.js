@@ -1,0 +1,111 @@
+// What the server says, put where the page shows it: a Map from field to bound nodes, and nothing is ever
+// measured, so a change costs one write. Attributes, each naming a field as GROUP.FIELD:
+//   data-live="dry-end/1.actual"          the text
+//   data-live-is="dry-end/1.state"        data-is, for CSS; "dry-end/1.inputs@2" takes one place of the text
+//   data-live-fill="dry-end/1.fill"       scale in x, 0…1
+//   data-live-at="dry-end/1.mark"         shift in x, percent of its own width
+const values = new Map();
+const listeners = new Map();
+let bound = new Map();
+
+const UNKNOWN = "–";
+
+function textOf(element) {
+  let text = element.firstChild;
+  if (text?.nodeType !== Node.TEXT_NODE || text.nextSibling) {
+    element.textContent = element.textContent;
+    text = element.firstChild ?? element.appendChild(document.createTextNode(""));
+  }
+  const empty = element.dataset.empty ?? UNKNOWN;
+  return (value) => {
+    text.data = value === "" ? empty : value;
+  };
+}
+
+function stateOf(element, place) {
+  return (value) => {
+    const state = place === undefined ? value : value.charAt(place);
+    if (element.dataset.is !== state) element.dataset.is = state;
+  };
+}
+
+function positionOf(element, write) {
+  return (value) => {
+    if (value === "") element.dataset.none = "";
+    else if (element.dataset.none !== undefined) delete element.dataset.none;
+    if (value !== "") write(element.style, value);
+  };
+}
+
+const KINDS = {
+  live: (element) => textOf(element),
+  liveIs: (element, place) => stateOf(element, place),
+  liveFill: (element) => positionOf(element, (style, value) => (style.scale = `${value} 1`)),
+  liveAt: (element) => positionOf(element, (style, value) => (style.translate = `${value}% 0`)),
+};
+
+function bind(element, kind) {
+  const [key, place] = element.dataset[kind].split("@");
+  const dot = key.indexOf(".");
+  const group = key.slice(0, dot);
+  const field = key.slice(dot + 1);
+  if (!bound.has(group)) bound.set(group, new Map());
+  const fields = bound.get(group);
+  if (!fields.has(field)) fields.set(field, []);
+  const write = KINDS[kind](element, place);
+  fields.get(field).push(write);
+  const known = values.get(group)?.[field];
+  if (known !== undefined) write(known);
+}
+
+/** Bind every marked element of the document: once, and again after a fragment came in. */
+export function rebind() {
+  bound = new Map();
+  for (const kind of Object.keys(KINDS)) {
+    const attribute = `data-${kind.replace(/[A-Z]/g, (letter) => `-${letter.toLowerCase()}`)}`;
+    for (const element of document.querySelectorAll(`[${attribute}]`)) bind(element, kind);
+  }
+}
+
+/** Take in groups of changed fields and show them at once. */
+export function show(groups) {
+  for (const group in groups) {
+    const changed = groups[group];
+    const known = values.get(group);
+    if (known) Object.assign(known, changed);
+    else values.set(group, { ...changed });
+    const fields = bound.get(group);
+    if (fields) {
+      for (const field in changed) {
+        const writes = fields.get(field);
+        if (writes) for (const write of writes) write(changed[field]);
+      }
+    }
+    const told = listeners.get(group);
+    if (told) for (const listener of told) listener(values.get(group), changed);
+  }
+}
+
+/** A whole snapshot: what it does not hold is not known any more. */
+export function replace(groups) {
+  values.clear();
+  show(groups);
+}
+
+/** Call `listener(fields, changed)` whenever something in `group` changes. */
+export function listen(group, listener) {
+  if (!listeners.has(group)) listeners.set(group, new Set());
+  listeners.get(group).add(listener);
+  const known = values.get(group);
+  if (known) listener(known, known);
+  return () => listeners.get(group).delete(listener);
+}
+
+/** The present text of GROUP.FIELD, undefined when nothing was ever said of it. */
+export function value(key) {
+  const dot = key.indexOf(".");
+  return values.get(key.slice(0, dot))?.[key.slice(dot + 1)];
+}
+
+/** All fields of a group. */
+export const fieldsOf = (group) => values.get(group);

@@ -1,0 +1,182 @@
+// The link to the server: a socket that only listens. Hello is a whole snapshot, then numbered changes.
+// Silence counts as loss: within two seconds the page says so, and takes its controls away.
+import * as clock from "./clock.js";
+import { replace, show, value } from "./bind.js";
+import { word, span, language } from "./words.js";
+
+const SILENCE_S = 1.9;
+const CHECK_MS = 200;
+const SPEAK_MS = 10_000;
+const RETRY_MS = [200, 500, 1000, 2000];
+
+const body = document.body;
+const url = body.dataset.liveUrl;
+let socket = null;
+let number = -1;
+let heardAt = performance.now();
+let lostSince = null;
+let cause = "closed";
+let tries = 0;
+let retry = 0;
+let wish = { units: [], trace: "" };
+let frames = () => {};
+
+export const isLive = () => body.dataset.link === "live";
+
+/** Tell the server which units this page shows and whose frames it follows. */
+export function follow(units, trace = "", onFrames = () => {}) {
+  wish = { units, trace };
+  frames = onFrames;
+  if (socket?.readyState === WebSocket.OPEN) speak();
+}
+
+const speak = (want = "") => socket.send(JSON.stringify({ want, ...wish }));
+
+function open() {
+  clearTimeout(retry);
+  const mine = new WebSocket(new URL(url, location.href.replace(/^http/, "ws")));
+  socket = mine;
+  mine.onopen = () => socket === mine && speak();
+  mine.onmessage = (event) => socket === mine && hear(JSON.parse(event.data));
+  mine.onclose = () => {
+    if (socket !== mine) return;
+    socket = null;
+    lose("closed");
+    again();
+  };
+}
+
+function again() {
+  clearTimeout(retry);
+  retry = setTimeout(open, RETRY_MS[Math.min(tries, RETRY_MS.length - 1)]);
+  tries += 1;
+  if (tries === 3) askWhy();
+}
+
+function hear(message) {
+  heardAt = performance.now();
+  if (message.is === "frames") return frames(message.frames);
+  clock.heard(message.t);
+  if (message.is === "snapshot") return begin(message);
+  if (number < 0) return;
+  if (message.p !== number) {
+    number = -1;
+    return speak("snapshot");
+  }
+  number = message.n;
+  show(message.f);
+  beat(message.t);
+}
+
+function begin(snapshot) {
+  for (const unit of document.querySelectorAll("[data-unit]")) {
+    if (!(unit.dataset.unit in snapshot.f)) return location.reload();
+  }
+  number = snapshot.n;
+  replace(snapshot.f);
+  beat(snapshot.t);
+  found();
+}
+
+// --- heartbeat: drawn from the server's words only, so a frozen page shows ------------------------
+
+const clockFormat = new Intl.DateTimeFormat(language, {
+  timeStyle: "medium",
+  hourCycle: "h23",
+  timeZone: body.dataset.zone || undefined,
+});
+let beaten = 0;
+
+function beat(serverTime) {
+  const second = Math.floor(serverTime);
+  if (second === beaten) return;
+  beaten = second;
+  for (const hand of document.querySelectorAll("[data-pulse]")) hand.style.rotate = `${(second % 12) * 30}deg`;
+  for (const text of document.querySelectorAll("[data-clock]")) text.textContent = clockFormat.format(second * 1000);
+}
+
+// --- lost and found -----------------------------------------------------------------------------------
+
+const covered = () => document.querySelectorAll(".main, .rail, .top");
+let focused = null;
+
+function lose(why) {
+  if (body.dataset.link === "lost") return;
+  lostSince = clock.now() - (performance.now() - heardAt) / 1000;
+  cause = navigator.onLine ? why : "offline";
+  focused = document.activeElement;
+  body.dataset.link = "lost";
+  for (const part of covered()) part.inert = true;
+  document.dispatchEvent(new CustomEvent("lineside:lost"));
+  describe();
+  document.querySelector(".gone")?.focus();
+}
+
+function found() {
+  tries = 0;
+  const was = body.dataset.link;
+  body.dataset.link = "live";
+  if (was !== "live") {
+    for (const part of covered()) part.inert = false;
+    if (was === "lost" && focused?.isConnected) focused.focus({ preventScroll: true });
+    document.dispatchEvent(new CustomEvent("lineside:found"));
+  }
+}
+
+function describe() {
+  if (body.dataset.link !== "lost") return;
+  const names = { closed: "causeClosed", silent: "causeSilent", offline: "causeOffline", login: "causeLogin" };
+  document.querySelector("[data-gone-cause]").textContent = word(names[cause]);
+  document.querySelector("[data-gone-since]").textContent = clockFormat.format(lostSince * 1000);
+  document.querySelector("[data-gone-for]").textContent = span(clock.now() - lostSince);
+}
+
+async function askWhy() {
+  try {
+    const answer = await fetch("/account", { redirect: "manual", cache: "no-store", signal: AbortSignal.timeout(2000) });
+    if (answer.type === "opaqueredirect" || answer.status === 401) location.reload();
+  } catch {
+    // No answer at all: the overlay says so already.
+  }
+}
+
+function check() {
+  const silent = (performance.now() - heardAt) / 1000;
+  if (silent > SILENCE_S && body.dataset.link !== "lost") lose("silent");
+  if (silent > SILENCE_S && socket?.readyState === WebSocket.OPEN) drop();
+  describe();
+}
+
+/** A socket that says nothing is not waited for: a cable was pulled, or the device slept. */
+function drop() {
+  const old = socket;
+  socket = null;
+  number = -1;
+  old.onclose = null;
+  old.close();
+  again();
+}
+
+function awake() {
+  if (document.visibilityState !== "visible") return;
+  check();
+  if (!socket) {
+    tries = 0;
+    open();
+  }
+}
+
+export function start() {
+  if (!url) return;
+  clock.heard(Date.now() / 1000);
+  clock.forget();
+  open();
+  setInterval(check, CHECK_MS);
+  setInterval(() => socket?.readyState === WebSocket.OPEN && speak(), SPEAK_MS);
+  document.addEventListener("visibilitychange", awake);
+  document.addEventListener("resume", awake);
+  addEventListener("pageshow", awake);
+  addEventListener("online", awake);
+}
+
+export { value };

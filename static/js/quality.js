@@ -1,0 +1,56 @@
+// How old every value is, against the server's clock. What the server says of a unit can be made worse here,
+// never better: if the page stops hearing of a unit, its values grow stale by themselves.
+import * as clock from "./clock.js";
+import { fieldsOf } from "./bind.js";
+import { word, span } from "./words.js";
+
+const CHECK_MS = 250;
+let units = [];
+let ages = [];
+let turn = 0;
+
+/** Find the containers again: once, and after a fragment came in. */
+export function findUnits() {
+  units = [...document.querySelectorAll("[data-unit]")].map((element) => ({ element, unit: element.dataset.unit }));
+  ages = [...document.querySelectorAll("[data-age]")].map((element) => ({ element, unit: element.dataset.age }));
+  check();
+}
+
+/** online, stale, offline or unknown. */
+export function qualityOf(unit) {
+  const fields = fieldsOf(unit);
+  if (!fields?.at) return "unknown";
+  if (fields.link !== "online") return fields.link;
+  const bus = fieldsOf(unit.slice(0, unit.indexOf("/")));
+  const age = clock.now() - fields.at;
+  if (age > bus.offline_after) return "offline";
+  return age > bus.stale_after ? "stale" : "online";
+}
+
+function ageOf(unit) {
+  const at = fieldsOf(unit)?.at;
+  if (!at) return word("never");
+  const age = span(clock.now() - at);
+  return qualityOf(unit) === "online" ? age : word("silent", age);
+}
+
+function check() {
+  if (document.body.dataset.link !== "live") return;
+  for (const { element, unit } of units) {
+    const quality = qualityOf(unit);
+    if (element.dataset.quality !== quality) mark(element, quality);
+  }
+  if (turn++ % 4 === 0) {
+    for (const { element, unit } of ages) {
+      const text = ageOf(unit);
+      if (element.textContent !== text) element.textContent = text;
+    }
+  }
+}
+
+function mark(element, quality) {
+  element.dataset.quality = quality;
+  for (const acts of element.querySelectorAll(".acts")) acts.inert = quality !== "online";
+}
+
+export const start = () => setInterval(check, CHECK_MS);

@@ -1,0 +1,113 @@
+// The review dialog: focus rests on Cancel, Enter does not execute, it lapses after 30 s or when the value has
+// moved, and nothing leaves while the server is not heard.
+import { value, listen, rebind } from "./bind.js";
+import { isLive } from "./live.js";
+import * as clock from "./clock.js";
+import { word } from "./words.js";
+
+const LAPSE_MS = 30_000;
+const dialog = document.getElementById("review");
+const content = document.getElementById("review-body");
+let endings = [];
+
+function opened() {
+  close();
+  if (!content.firstElementChild) return;
+  if (!dialog.open) dialog.showModal();
+  const form = content.querySelector("[data-review]");
+  dialog.classList.toggle("dialog--wide", Boolean(content.querySelector(".review--wide")));
+  content.querySelector("[data-review-cancel]")?.focus();
+  if (form) watch(form);
+}
+
+function watch(form) {
+  const timer = setTimeout(() => end(form, word("lapsed")), LAPSE_MS);
+  const bar = form.querySelector("[data-lapse]");
+  bar?.animate([{ scale: "1 1" }, { scale: "0 1" }], { duration: LAPSE_MS, fill: "forwards" });
+  endings.push(() => clearTimeout(timer));
+  const { watch: key, was } = form.dataset;
+  if (!key) return;
+  const group = key.slice(0, key.indexOf("."));
+  endings.push(
+    listen(group, () => {
+      const present = value(key);
+      if (present !== undefined && present !== was) end(form, word("moved", present));
+    }),
+  );
+}
+
+/** The review is over without a command: the button is gone and the reason stays. */
+function end(form, reason) {
+  close();
+  if (form.dataset.asked !== undefined) return;
+  const words = form.querySelector("[data-review-end]");
+  words.textContent = reason;
+  words.hidden = false;
+  form.querySelector("[data-review-act]")?.remove();
+  form.querySelector("[data-lapse]")?.parentElement.remove();
+  const cancel = form.querySelector("[data-review-cancel]");
+  cancel.textContent = word("close");
+  cancel.focus();
+}
+
+function close() {
+  for (const ending of endings) ending();
+  endings = [];
+}
+
+function dismiss() {
+  close();
+  if (dialog.open) dialog.close();
+  content.replaceChildren();
+}
+
+/** The wish is on its way: no second press, and its fate in words. */
+function asked(form) {
+  close();
+  form.dataset.asked = "";
+  const fate = form.querySelector("[data-review-fate]");
+  if (fate) fate.hidden = false;
+  for (const button of form.querySelectorAll("button")) button.disabled = true;
+  form.querySelector("[data-lapse]")?.parentElement.remove();
+}
+
+export function start() {
+  if (!dialog) return;
+  dialog.addEventListener("click", (event) => {
+    if (event.target.closest("[data-review-cancel]")) dismiss();
+  });
+  dialog.addEventListener("cancel", (event) => {
+    if (content.querySelector("[data-asked]")) event.preventDefault();
+    else dismiss();
+  });
+  dialog.addEventListener("keydown", (event) => {
+    // Enter executes nothing but the button that has the focus.
+    if (event.key === "Enter" && event.target.matches("input, select")) event.preventDefault();
+  });
+  dialog.addEventListener("input", (event) => {
+    const typed = event.target.closest("[data-typed]");
+    if (typed) content.querySelector("[data-review-act]").disabled = typed.value.trim() !== typed.dataset.typed;
+  });
+  document.addEventListener("lineside:lost", dismiss);
+
+  document.addEventListener("htmx:config:request", (event) => {
+    event.detail.ctx.request.headers["Lineside-Asked-At"] = clock.now().toFixed(3);
+  });
+  document.addEventListener("htmx:before:request", (event) => {
+    if (!isLive()) return event.preventDefault();
+    const source = event.detail.ctx.sourceElement;
+    if (source.matches("[data-review]")) asked(source);
+  });
+  document.addEventListener("htmx:after:swap", (event) => {
+    rebind();
+    document.dispatchEvent(new CustomEvent("lineside:changed"));
+    if (event.detail.ctx.target === content) opened();
+  });
+  document.addEventListener("htmx:error", () => {
+    const form = content.querySelector("[data-asked]");
+    if (!form) return;
+    delete form.dataset.asked;
+    for (const button of form.querySelectorAll("button")) button.disabled = false;
+    end(form, word("fateUnknown"));
+  });
+}

@@ -1,0 +1,46 @@
+// The strip of what is abnormal: empty when all is well, and always of the same height.
+import { listen } from "./bind.js";
+
+const title = document.title;
+
+function drawing(level) {
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  const use = document.createElementNS("http://www.w3.org/2000/svg", "use");
+  use.setAttribute("href", document.body.dataset.sprite + "#" + level);
+  svg.setAttribute("class", "icon");
+  svg.setAttribute("aria-hidden", "true");
+  svg.append(use);
+  return svg;
+}
+
+function entry(line) {
+  const [key, level, name, text] = line.split("\t");
+  const link = document.createElement("a");
+  link.className = "mark strip__item";
+  link.dataset.level = level;
+  link.href = key.includes("/") ? `/units/${key}` : `/bus/${key}`;
+  const strong = document.createElement("b");
+  strong.textContent = name;
+  const words = document.createElement("span");
+  words.textContent = text;
+  link.append(drawing(level), strong, words);
+  const item = document.createElement("li");
+  item.append(link);
+  return item;
+}
+
+function draw(strip, troubles) {
+  const lines = strip ? strip.split("\n") : [];
+  document.title = troubles > 0 ? `(${troubles}) ${title}` : title;
+  for (const list of document.querySelectorAll("[data-strip]")) {
+    const focused = list.contains(document.activeElement) ? document.activeElement.href : null;
+    list.replaceChildren(...lines.map(entry));
+    if (focused) [...list.querySelectorAll("a")].find((link) => link.href === focused)?.focus();
+  }
+}
+
+export function start() {
+  listen("line", (fields, changed) => {
+    if ("strip" in changed) draw(fields.strip, Number(fields.troubles));
+  });
+}
