@@ -12,7 +12,7 @@ from typing import Protocol
 from app.audit.log import EventLog
 from app.live.changes import Change, Changes
 from app.live.state import LiveState
-from bus.contract import Hello, Snapshot, Update
+from bus.contract import Hello, Reading, Snapshot, Update
 
 
 class Keeper(Protocol):
@@ -33,8 +33,10 @@ class Pipeline:
         self._to_record: asyncio.Queue[tuple[str | None, Change]] = asyncio.Queue()
 
     def snapshot(self, bus: str, snapshot: Snapshot, software: str) -> None:
-        """A worker's whole state: it is now. History had its readings, or gets them as backlog."""
-        self._live.worker_came(bus, snapshot, software)
+        """A worker's whole state: it is now. History had its readings, or gets them as backlog; the
+        parameters that scale them and the states of the links may be news to it."""
+        updates = self._live.worker_came(bus, snapshot, software)
+        self._history.append(bus, [update for update in updates if not isinstance(update, Reading)])
 
     def batch(self, bus: str, updates: Sequence[Update], *, live: bool) -> None:
         """Updates in order. Those kept while the app was away belong to history and events only."""
