@@ -1,0 +1,63 @@
+"""A wheel carries everything that the browser is served, so it runs without Node and without a network."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.test_architecture import ROOT, tracked
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    subprocess.run(
+        [Path(sys.executable).with_name("hatchling"), "build", "-t", "wheel", "-d", folder],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    )
+    [built] = folder.glob("lineside-*.whl")
+    return built
+
+
+def test_it_holds_every_template_and_static_file(wheel: Path) -> None:
+    held = set(zipfile.ZipFile(wheel).namelist())
+    wanted = {f"app/_assets/{path.relative_to(ROOT)}" for path in tracked("templates", "static")}
+    assert wanted - held == set()
+
+
+def test_it_holds_third_party_files_with_their_licences(wheel: Path) -> None:
+    vendor = "app/_assets/static/vendor/"
+    held = {
+        name.removeprefix(vendor) for name in zipfile.ZipFile(wheel).namelist() if name.startswith(vendor)
+    }
+    assert {"htmx.min.js", "uPlot.iife.min.js", "uPlot.min.css"} < held
+    assert {"licences/htmx.txt", "licences/uPlot.txt"} < held
+
+
+def test_it_holds_nothing_that_is_only_for_development(wheel: Path) -> None:
+    tops = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
+    assert {top for top in tops if not top.startswith("lineside-")} == {"app", "bus"}
+
+
+def test_unpacked_elsewhere_it_finds_its_own_files(wheel: Path, tmp_path: Path) -> None:
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    say = "from app.web.assets import static_dir, templates_dir; print(static_dir()); print(templates_dir())"
+    said = subprocess.run(
+        [sys.executable, "-c", say],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path), "PATH": "/nowhere"},
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout.split()
+    assert [Path(folder).relative_to(tmp_path) for folder in said] == [
+        Path("app/_assets/static"),
+        Path("app/_assets/templates"),
+    ]
