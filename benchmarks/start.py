@@ -30,7 +30,7 @@ def run() -> None:
         signed_in(chromium, served, "viewer")
         times = [_start(served, chromium) for _ in range(STARTS)]
         chromium.close()
-    names = ["it answers", "the first live value is on the page"]
+    names = ["it answers", "the first live value is on the page", "after SIGTERM all has ended"]
     rows = [
         [name, f"{median(column):.2f} s", f"{max(column):.2f} s"]
         for name, column in zip(names, zip(*times, strict=True), strict=True)
@@ -38,8 +38,10 @@ def run() -> None:
     show(f"{STARTS} starts of `lineside serve`, 8 units", ["until", "median", "worst"], rows)
 
 
-def _start(served: Site, chromium: Browser) -> tuple[float, float]:
+def _start(served: Site, chromium: Browser) -> tuple[float, float, float]:
+    begun = time.monotonic()
     served.stop()
+    ended = time.monotonic() - begun
     page = chromium.new_context(base_url=served.url, storage_state=served.sessions["viewer"]).new_page()
     begun = time.monotonic()
     served.start()
@@ -48,7 +50,7 @@ def _start(served: Site, chromium: Browser) -> tuple[float, float]:
     page.wait_for_function(FIRST_VALUE)
     shown = time.monotonic() - begun
     page.context.close()
-    return answers, shown
+    return answers, shown, ended
 
 
 def _open(page: Page) -> None:
