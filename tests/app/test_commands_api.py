@@ -1,0 +1,414 @@
+"""The commands over HTTP, against a worker that is played: statuses, bodies, what reaches the worker."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import (
+    Command,
+    ExecuteAll,
+    ExecuteSpeed,
+    Frame,
+    ParameterValue,
+    ReadParameters,
+    ReadTrace,
+    SetLine,
+    SetSpeed,
+    UnitOutcome,
+    Update,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.wire.trace import parse_trace_line
+from tests.app.stage import PlayedWorker, Stage, fate, reading, snapshot, staged, unit_state
+
+
+@pytest.fixture
+async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
+    async with staged(tmp_path) as built:
+        yield built
+
+
+@pytest.fixture
+async def worker(stage: Stage) -> PlayedWorker:
+    played = await stage.worker()
+    played.play = verify
+    return played
+
+
+async def verify(command: Command) -> Sequence[Update]:
+    return [fate(command, "verified", read_back=1)]
+
+
+def answering(outcome: str, **more: Any) -> Any:
+    async def play(command: Command) -> Sequence[Update]:
+        return [fate(command, outcome, **more)]
+
+    return play
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "action"),
+    [
+        ("POST", "/units/1/speed", {"raw": 12345}, SetSpeed(unit=1, raw=12345)),
+        ("POST", "/units/1/speed", {"raw": 5, "execute": True}, SetSpeed(unit=1, raw=5)),
+        ("POST", "/units/16/speed", {"raw": 5, "execute": False}, SetSpeed(unit=16, raw=5, execute=False)),
+        ("POST", "/units/1/speed", {"value": "1234.5"}, SetSpeed(unit=1, raw=12345)),
+        ("POST", "/units/1/speed", {"value": "1234,5"}, SetSpeed(unit=1, raw=12345)),
+        ("POST", "/units/1/speed", {"value": 1234.5}, SetSpeed(unit=1, raw=12345)),
+        ("POST", "/units/1/speed", {"value": 7}, SetSpeed(unit=1, raw=70)),
+        ("POST", "/units/1/execute", None, ExecuteSpeed(unit=1)),
+        ("POST", "/units/1/execute", {}, ExecuteSpeed(unit=1)),
+        ("POST", "/execute", None, ExecuteAll()),
+        (
+            "POST",
+            "/speeds",
+            {"setpoints": {"1": {"raw": 100}, "16": {"value": "1.5"}}},
+            SetLine({1: 100, 16: 15}),
+        ),
+        ("PUT", "/units/1/outputs/3", {"on": True}, WriteOutput(unit=1, number=3, on=True)),
+        ("PUT", "/units/1/analog-output", {"raw": 350}, WriteAnalogOutput(unit=1, raw=350)),
+        ("PUT", "/units/1/parameters/6", {"raw": 50}, WriteParameter(unit=1, number=6, raw=50)),
+        ("PUT", "/units/1/parameters/6", {"value": "5.0"}, WriteParameter(unit=1, number=6, raw=50)),
+        ("PUT", "/units/1/parameters/12", {"value": "2.5"}, WriteParameter(unit=1, number=12, raw=25)),
+        ("PUT", "/units/1/parameters/18", {"raw": 48, "confirm": True}, WriteParameter(1, 18, 48)),
+    ],
+)
+async def test_what_is_asked_is_what_the_worker_gets(
+    stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any, action: object
+) -> None:
+    answer = await stage.ask(method, path, body)
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["outcome"] == answer.json()["code"] == "verified"
+    assert [command.action for command in worker.commands] == [action]
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        ("POST", "/units/1/speed", {}),
+        ("POST", "/units/1/speed", None),
+        ("POST", "/units/1/speed", {"raw": 1, "value": "0.1"}),
+        ("POST", "/units/1/speed", {"raw": True}),
+        ("POST", "/units/1/speed", {"raw": 1.5}),
+        ("POST", "/units/1/speed", {"raw": "5"}),
+        ("POST", "/units/1/speed", {"raw": None}),
+        ("POST", "/units/1/speed", {"raw": 100000}),
+        ("POST", "/units/1/speed", {"raw": -1}),
+        ("POST", "/units/1/speed", {"raw": 1, "execute": "yes"}),
+        ("POST", "/units/1/speed", {"raw": 1, "surprise": 1}),
+        ("POST", "/units/1/speed", {"raw": 1, "timeout_s": 0.01}),
+        ("POST", "/units/1/speed", {"raw": 1, "timeout_s": 31}),
+        ("POST", "/units/1/speed?timeout_s=0", {"raw": 1}),
+        ("POST", "/units/1/speed", {"value": "1.23"}),
+        ("POST", "/units/1/speed", {"value": "fast"}),
+        ("POST", "/units/1/speed", {"value": ""}),
+        ("POST", "/units/1/speed", {"value": True}),
+        ("POST", "/units/1/speed", {"value": "10000.0"}),
+        ("POST", "/units/1/execute", {"raw": 5}),
+        ("POST", "/execute", []),
+        ("POST", "/speeds", {"setpoints": {}}),
+        ("POST", "/speeds", {"setpoints": {"one": {"raw": 1}}}),
+        ("POST", "/speeds", {"setpoints": {"0": {"raw": 1}}}),
+        ("POST", "/speeds", {"setpoints": {"1": {"raw": 1}, "2": {"raw": 100000}}}),
+        ("POST", "/speeds", {"setpoints": {"1": 5}}),
+        ("PUT", "/units/1/outputs/3", {"on": 1}),
+        ("PUT", "/units/1/outputs/3", {}),
+        ("PUT", "/units/1/analog-output", {"raw": 99}),
+        ("PUT", "/units/1/analog-output", {"raw": 2001}),
+        ("PUT", "/units/1/parameters/6", {"raw": 10000}),
+        ("PUT", "/units/1/parameters/17", {"raw": 5, "confirm": True}),
+        ("PUT", "/units/1/parameters/18", {"raw": 5, "confirm": True}),
+    ],
+)
+async def test_bad_input_is_answered_in_words_and_nothing_is_sent(
+    stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any
+) -> None:
+    answer = await stage.ask(method, path, body)
+    assert answer.status_code == 422, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.json()["code"] == "invalid"
+    assert answer.json()["detail"]
+    assert worker.commands == []
+
+
+async def test_malformed_json_is_invalid(stage: Stage, worker: PlayedWorker) -> None:
+    answer = await stage.http().post("/api/v1/buses/dry-end/units/1/speed", content=b'{"raw": ')
+    assert answer.status_code == 422
+    assert answer.json()["code"] == "invalid"
+    assert worker.commands == []
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        ("POST", "/units/3/speed", {"raw": 1}),
+        ("POST", "/units/abc/speed", {"raw": 1}),
+        ("POST", "/speeds", {"setpoints": {"1": {"raw": 1}, "3": {"raw": 1}}}),
+        ("PUT", "/units/1/outputs/7", {"on": True}),
+        ("PUT", "/units/1/outputs/0", {"on": True}),
+        ("PUT", "/units/1/parameters/41", {"raw": 1}),
+        ("PUT", "/units/1/parameters/0", {"raw": 1}),
+        ("GET", "/units/3/parameters", None),
+        ("GET", "/units/3", None),
+        ("GET", "/units/3/limits", None),
+    ],
+)
+async def test_what_there_is_not(
+    stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any
+) -> None:
+    answer = await stage.ask(method, path, body)
+    assert answer.status_code == 404, answer.text
+    assert worker.commands == []
+
+
+async def test_a_bus_there_is_not(stage: Stage) -> None:
+    for path, body in (("execute", None), ("speeds", {"setpoints": {"1": {"raw": 1}}})):
+        answer = await stage.http().post(f"/api/v1/buses/nowhere/{path}", json=body)
+        assert answer.status_code == 404
+        assert answer.json()["code"] == "unknown_bus"
+
+
+@pytest.mark.parametrize(
+    ("outcome", "status"),
+    [
+        ("verified", 200),
+        ("acknowledged", 200),
+        ("unverified", 504),
+        ("bus_closed", 503),
+        ("not_sent", 503),
+        ("invalid", 422),
+    ],
+)
+async def test_each_fate_has_its_status(
+    stage: Stage, worker: PlayedWorker, outcome: str, status: int
+) -> None:
+    worker.play = answering(outcome, message="as it was")
+    answer = await stage.ask("POST", "/units/1/speed", {"raw": 5})
+    assert answer.status_code == status
+    said = answer.json()
+    assert said["outcome"] == said["code"] == outcome
+    assert said["message"] == "as it was"
+    if status != 200:
+        assert said["detail"] == "as it was"
+        assert said["status"] == status
+
+
+async def test_a_refusal_names_the_units_error(stage: Stage, worker: PlayedWorker) -> None:
+    worker.play = answering("refused", unit_error=128)
+    answer = await stage.ask("POST", "/units/1/speed", {"raw": 5})
+    assert answer.status_code == 409
+    said = answer.json()
+    assert (said["outcome"], said["unit_error"]) == ("refused", 128)
+    assert said["unit_error_name"] == "unit is not in REMOTE mode"
+    assert "REMOTE" in said["detail"]
+
+
+async def test_a_line_action_answers_for_each_unit_with_frames(stage: Stage, worker: PlayedWorker) -> None:
+    units = [
+        UnitOutcome(unit=1, outcome="verified", read_back=100, sent_at=1.0, proven_at=2.0),
+        UnitOutcome(unit=2, outcome="unverified", message="no answer"),
+    ]
+    frame = Frame(at=1.5, direction="out", data=b"\x10\x02\x00\x83\x10\x03\x7d", meaning="execute, all")
+    worker.play = answering("unverified", units=units, skew_s=0.02, frames=[frame])
+    answer = await stage.ask("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
+    said = answer.json()
+    assert answer.status_code == 504
+    assert said["units"]["1"]["outcome"] == "verified"
+    assert said["units"]["1"]["read_back"] == 100
+    assert said["units"]["2"]["message"] == "no answer"
+    assert said["skew_s"] == 0.02
+    assert said["frames"][0]["hex"] == "10 02 00 83 10 03 7D"
+
+
+async def test_dangerous_needs_its_confirmation(stage: Stage, worker: PlayedWorker) -> None:
+    answer = await stage.ask("PUT", "/units/1/parameters/19", {"raw": 0})
+    assert answer.status_code == 409
+    assert answer.json()["code"] == answer.json()["outcome"] == "dangerous"
+    assert worker.commands == []
+
+
+async def test_out_of_range_offers_the_nearest(stage: Stage, worker: PlayedWorker) -> None:
+    assert (await stage.ask("POST", "/units/1/speed", {"raw": 123456})).json()["nearest"] == 99999
+    assert (await stage.ask("PUT", "/units/1/analog-output", {"raw": 5})).json()["nearest"] == 100
+    assert worker.commands == []
+
+
+async def test_the_time_is_passed_on(stage: Stage, worker: PlayedWorker) -> None:
+    for path, body, seconds in (
+        ("/units/1/speed", {"raw": 5}, 2.0),
+        ("/units/1/speed", {"raw": 5, "timeout_s": 20}, 20.0),
+        ("/units/1/speed?timeout_s=20", {"raw": 5}, 20.0),
+    ):
+        before = time.time()
+        await stage.ask("POST", path, body)
+        deadline = worker.commands[-1].deadline
+        assert before + seconds - 1 < deadline <= time.time() + seconds
+
+
+async def test_the_same_key_is_sent_once_and_answers_the_same(stage: Stage, worker: PlayedWorker) -> None:
+    key = {"Idempotency-Key": "mine-1"}
+    calls = (stage.ask("POST", "/units/1/speed", {"raw": 5}, headers=key) for _ in range(3))
+    answers = await asyncio.gather(*calls)
+    again = await stage.ask("POST", "/units/1/speed", {"raw": 5}, headers=key)
+    assert {answer.text for answer in answers} == {again.text}
+    assert again.json()["id"] == "mine-1"
+    assert len(worker.commands) == 1
+    other = await stage.ask("POST", "/units/1/speed", {"raw": 6}, headers=key)
+    assert other.status_code == 422
+
+
+async def test_a_value_reads_the_decimals_first_where_they_are_not_known(stage: Stage) -> None:
+    states = [unit_state(1, {}), unit_state(2), unit_state(16)]
+    worker = await stage.worker(state=snapshot(units=states))
+
+    async def play(command: Command) -> Sequence[Update]:
+        if isinstance(command.action, ReadParameters):
+            values = [ParameterValue(unit=1, number=3, at=1.0, raw=2), ParameterValue(1, 8, 1.0, 0)]
+            return [fate(command, "verified", values=values)]
+        return await verify(command)
+
+    worker.play = play
+    assert (await stage.ask("POST", "/units/1/speed", {"value": "12.34"})).status_code == 200
+    assert worker.commands[0].action == ReadParameters(unit=1, numbers=[3, 8])
+    assert worker.commands[1].action == SetSpeed(unit=1, raw=1234)
+
+
+async def test_a_value_for_a_silent_unit_is_unverified_and_not_sent(stage: Stage) -> None:
+    worker = await stage.worker(state=snapshot(units=[unit_state(1, {}), unit_state(2), unit_state(16)]))
+    worker.play = answering("unverified", message="no answer")
+    answer = await stage.ask("POST", "/units/1/speed", {"value": "12.3"})
+    assert answer.status_code == 504
+    assert "nothing was sent" in answer.json()["detail"]
+    assert len(worker.commands) == 1
+
+
+async def test_parameters_as_last_read_and_read_anew(stage: Stage, worker: PlayedWorker) -> None:
+    rows = (await stage.ask("GET", "/units/1/parameters")).json()
+    assert [row["number"] for row in rows] == list(range(1, 41))
+    assert rows[2]["raw"] == 1
+    assert rows[4]["read_at"] is None
+    assert rows[4]["available"] is None
+
+    async def play(command: Command) -> Sequence[Update]:
+        values = [
+            ParameterValue(
+                unit=1, number=number, at=time.time(), raw=7, available=number <= 20 or number == 21
+            )
+            for number in PARAMETERS
+        ]
+        return [*values, fate(command, "verified", values=values)]
+
+    worker.play = play
+    rows = (await stage.ask("GET", "/units/1/parameters?refresh=true", role="viewer")).json()
+    assert rows[5]["raw"] == 7
+    assert rows[5]["value"] == "0.7"
+    assert rows[5]["unit"] == "s"
+    assert rows[5]["read_at"] is not None
+    assert rows[39]["available"] is False
+    assert rows[20]["raw"] is None
+    assert "7" not in str(rows[20]["value"])
+
+
+async def test_a_refresh_that_breaks_off_is_no_list(stage: Stage, worker: PlayedWorker) -> None:
+    worker.play = answering("unverified", message="no answer")
+    answer = await stage.ask("GET", "/units/1/parameters?refresh=true")
+    assert answer.status_code == 504
+    assert answer.json()["code"] == "unverified"
+
+
+async def test_the_password_is_in_no_answer_and_no_event(stage: Stage, worker: PlayedWorker) -> None:
+    frame = Frame(at=1.0, direction="out", data=b"\x00\x00\x10\x92", meaning="write #21 = 4242")
+    worker.play = answering("verified", read_back=4242, frames=[frame])
+    answer = await stage.ask("PUT", "/units/1/parameters/21", {"raw": 4242})
+    assert answer.status_code == 200
+    assert "4242" not in answer.text
+    events = await stage.http().get("/api/v1/events?kind=command")
+    assert "4242" not in events.text
+    assert "10 92" not in events.text
+
+
+@pytest.mark.usefixtures("worker")
+async def test_every_command_is_an_event_with_old_new_and_fate(stage: Stage) -> None:
+    await stage.ask("POST", "/units/1/speed", {"raw": 1500}, role="operator", name="anna")
+    event = (await stage.http().get("/api/v1/events?kind=command")).json()["events"][0]
+    expected = {"who": "anna", "bus": "dry-end", "unit": 1, "outcome": "verified", "kind": "command"}
+    assert event.items() >= expected.items()
+    assert (event["old"], event["new"]) == ("100.0", "150.0")
+    assert (event["old_raw"], event["new_raw"]) == (1000, 1500)
+
+
+@pytest.mark.usefixtures("worker")
+async def test_a_refused_wish_is_an_event_too(stage: Stage) -> None:
+    await stage.ask("POST", "/units/1/speed", {"raw": 100000})
+    await stage.ask("PUT", "/units/1/parameters/18", {"raw": 48})
+    events = (await stage.http().get("/api/v1/events?kind=command")).json()["events"]
+    assert [event["outcome"] for event in events] == ["dangerous", "invalid"]
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "role"),
+    [
+        ("POST", "/units/1/speed", {"raw": 1}, "viewer"),
+        ("POST", "/units/1/execute", None, "viewer"),
+        ("POST", "/execute", None, "viewer"),
+        ("POST", "/speeds", {"setpoints": {"1": {"raw": 1}}}, "viewer"),
+        ("PUT", "/units/1/outputs/1", {"on": True}, "viewer"),
+        ("PUT", "/units/1/analog-output", {"raw": 350}, "operator"),
+        ("PUT", "/units/1/parameters/6", {"raw": 1}, "operator"),
+        ("PUT", "/units/1/limits", {"highest": 1}, "operator"),
+        ("POST", "/units/1/block", {"reason": "x"}, "viewer"),
+        ("POST", "/control", None, "viewer"),
+        ("GET", "/trace", None, "operator"),
+        ("GET", "/units/1", None, "worker"),
+    ],
+)
+async def test_roles(
+    stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any, role: str
+) -> None:
+    assert (await stage.ask(method, path, body, role=role)).status_code == 403
+    assert (await stage.ask(method, path, body, role="")).status_code == 401
+    assert worker.commands == []
+
+
+async def test_the_trace_is_read_in_pieces_and_its_file_can_be_read_back(
+    stage: Stage, worker: PlayedWorker
+) -> None:
+    start = time.time() - 30
+    frames = [
+        Frame(at=start + n / 1000, direction="out", data=bytes([n % 256]), meaning="m") for n in range(2500)
+    ]
+
+    async def play(command: Command) -> Sequence[Update]:
+        assert isinstance(command.action, ReadTrace)
+        wanted = [frame for frame in frames if frame.at >= command.action.since]
+        return [fate(command, "acknowledged", frames=wanted[: command.action.limit])]
+
+    worker.play = play
+    text = (await stage.ask("GET", "/trace?seconds=60", role="engineer")).text
+    lines = text.splitlines()
+    assert len(lines) == 2500
+    assert parse_trace_line(lines[7]).data == frames[7].data
+    shown = (await stage.ask("GET", "/trace?limit=3")).json()["frames"]
+    assert [frame["time"] for frame in shown] == [frame.at for frame in frames[-3:]]
+
+
+async def test_the_shown_speed_changes_by_readings_alone(stage: Stage, worker: PlayedWorker) -> None:
+    await stage.ask("POST", "/units/1/speed", {"raw": 1500})
+    assert (await stage.ask("GET", "/units/1")).json()["commanded_raw"] == 1000
+
+    async def play(command: Command) -> Sequence[Update]:
+        return [reading(1, 1600), fate(command, "verified", read_back=1600)]
+
+    worker.play = play
+    await stage.ask("POST", "/units/1/speed", {"raw": 1600})
+    unit = (await stage.ask("GET", "/units/1")).json()
+    assert (unit["commanded_raw"], unit["commanded"]) == (1600, "160.0")
