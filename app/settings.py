@@ -55,6 +55,11 @@ class Server(Strict):
     data: Path = Path("data")
     """Relative to the file; absolute once loaded."""
 
+    @property
+    def store(self) -> Path:
+        """The main store: users, events, sets, recipes, limits."""
+        return self.data / "lineside.db"
+
 
 class Settings(Strict):
     """The whole configuration."""

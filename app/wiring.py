@@ -8,7 +8,6 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
-from pathlib import Path
 from time import time
 
 import structlog
@@ -41,7 +40,6 @@ from app.web.templating import Templates
 
 log = structlog.get_logger()
 
-STORE = "lineside.db"
 SERVER = Person("server", Role.ENGINEER, "worker")
 """Who acts when nobody asked: the schedule of parameter sets."""
 AGAIN_AFTER_S = 1.0
@@ -88,14 +86,9 @@ class Services:
     counts: Counts
 
 
-def store_path(settings: Settings) -> Path:
-    """The main store: users, events, sets, recipes, limits."""
-    return settings.server.data / STORE
-
-
 def build(settings: Settings, *, demo: bool) -> Services:
     """Open the stores and connect everything. Raises StoreError in words."""
-    database = Database(store_path(settings))
+    database = Database(settings.server.store)
     events, passwords = EventLog(database), Passwords()
     assets = Assets(static_dir())
     templates = Templates(templates_dir(), assets, settings.site, demo=demo)

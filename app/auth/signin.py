@@ -7,23 +7,16 @@ import hmac
 import time
 from collections.abc import Callable
 
-from limits import RateLimitItemPerMinute
-from limits.storage import MemoryStorage
-from limits.strategies import MovingWindowRateLimiter
-
 from app.audit.log import EventLog
 from app.auth import rules, store
+from app.auth.failures import WINDOW_S, Failures
 from app.auth.passwords import Passwords
 from app.auth.store import Session, User
 from app.database import Database
 from app.errors import Problem
 from app.web.access import Person, Role
 
-PER_NAME = RateLimitItemPerMinute(10, 5)
-PER_PANEL = RateLimitItemPerMinute(5, 5)
-"""A PIN has few digits."""
-PER_ADDRESS = RateLimitItemPerMinute(30, 5)
-RETRY_AFTER_S = "300"
+RETRY_AFTER_S = str(round(WINDOW_S))
 
 
 class SignIn:
@@ -40,7 +33,7 @@ class SignIn:
         self._passwords = passwords
         self._events = events
         self._clock = clock
-        self._failures = MovingWindowRateLimiter(MemoryStorage())
+        self._failures = Failures()
         self._one_at_a_time = asyncio.Lock()
         self.worker_token = rules.new_secret()
         """For the workers that this server starts itself; it ends with the server."""
@@ -48,12 +41,12 @@ class SignIn:
     async def sign_in(self, name: str, secret: str, address: str, *, panel: bool = False) -> str:
         """The cookie of a new session. Raises Problem 401, and 429 after too many failures."""
         async with self._one_at_a_time:
-            await self._refuse_too_many(name, address, panel)
+            self._refuse_too_many(name, address, panel)
             user = await self._verified(name, secret, panel)
             if user is None:
-                await self._failed(name, address, panel)
+                await self._failed(name, address)
                 raise Problem(401, "unauthorized", "the name or the password is not right")
-        self._failures.clear(PER_PANEL if panel else PER_NAME, name)
+        self._failures.forget(name)
         return await self._begin(user, address)
 
     async def sign_out(self, cookie: str, person: Person, address: str) -> None:
@@ -117,16 +110,14 @@ class SignIn:
         ends = _lifetime(session.user).ends_at(session.created_at, now)
         await self._database.write(lambda connection: store.prolong_session(connection, hash_, now, ends))
 
-    async def _refuse_too_many(self, name: str, address: str, panel: bool) -> None:
-        per_name = PER_PANEL if panel else PER_NAME
-        if self._failures.test(per_name, name) and self._failures.test(PER_ADDRESS, address):
+    def _refuse_too_many(self, name: str, address: str, panel: bool) -> None:
+        if not self._failures.too_many(name, address, self._clock(), panel=panel):
             return
         problem = Problem(429, "too_many", "too many sign-ins failed; try again in five minutes")
         raise problem.with_headers(Retry_After=RETRY_AFTER_S)
 
-    async def _failed(self, name: str, address: str, panel: bool) -> None:
-        self._failures.hit(PER_PANEL if panel else PER_NAME, name)
-        self._failures.hit(PER_ADDRESS, address)
+    async def _failed(self, name: str, address: str) -> None:
+        self._failures.note(name, address, self._clock())
         known = await self._database.read(lambda connection: store.user(connection, name))
         # A password typed into the field for the name must not end up in the log.
         who = name if known else "unknown name"

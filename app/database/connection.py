@@ -53,12 +53,25 @@ def transact(connection: sqlite3.Connection, work: Callable[[sqlite3.Connection]
 
 
 class Database:
-    """One store. Opening brings it up to date and raises StoreError in words when it cannot be used."""
+    """One store. Opening brings it up to date and raises StoreError in words when it cannot be used.
 
-    def __init__(self, path: Path, migrations: Path = MIGRATIONS, synchronous: Synchronous = "FULL") -> None:
+    ``checkpoints`` False: another process may have the store open and does that (SQLite 3.40 can lose
+    writes when two connections reset the WAL).
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        migrations: Path = MIGRATIONS,
+        synchronous: Synchronous = "FULL",
+        *,
+        checkpoints: bool = True,
+    ) -> None:
         self.path = path
         with in_words(path):
             self._connection = open_for_writing(path, synchronous)
+            if not checkpoints:
+                self._connection.execute("PRAGMA wal_autocheckpoint = 0")
             self.migrated: list[Migration] = bring_up_to_date(self._connection, path, migrations)
         self._writer = ThreadPoolExecutor(1, thread_name_prefix=f"{path.stem}-writer")
         self._readers = ThreadPoolExecutor(READERS, thread_name_prefix=f"{path.stem}-reader")

@@ -1,0 +1,71 @@
+"""The command ``lineside``. A command's module is read only when that command is asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+from typer.main import get_group
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "serve": ("serve", "The dashboard and one bus worker for each [[bus]]."),
+    "demo": ("demo", "A simulated line and its dashboard, nothing to configure."),
+    "worker": ("worker", "One bus worker alone, near the port, for a dashboard elsewhere."),
+    "simulate": ("simulate", "Simulated units alone: prints the port to open."),
+    "scan": ("scan", "Which addresses answer, at which baud, what they are."),
+    "decode": ("decode", "What the frames in some bytes say."),
+    "check": ("check", "Read the configuration and say what is wrong."),
+    "user": ("user", "Who may sign in: add, list, password, remove."),
+    "token": ("token", "Keys for programs: create, list, revoke."),
+    "audit": ("audit", "Prove that the audit log is whole: audit verify."),
+    "backup": ("backup", "The parameters of a unit or of a bus into a file."),
+    "diff": ("diff", "What differs between a unit and a file, or two files."),
+    "restore": ("restore", "Write to a unit what a file says and it does not."),
+    "backup-store": ("backup_store", "A copy of the whole store of a running dashboard."),
+}
+"""Name → module in this package, and its line in the help."""
+
+
+class Lazy(TyperGroup):
+    """Knows every command by name and imports none before it is called."""
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
+        """In the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
+        """Import the module and let it register; None for an unknown name."""
+        if cmd_name not in COMMANDS:
+            return None
+        cli = typer.Typer()
+        import_module(f"app.cli.{COMMANDS[cmd_name][0]}").register(cli)
+        return get_group(cli).commands[cmd_name]
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
+        """The table."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, words) for name, (_, words) in COMMANDS.items()])
+
+
+cli = typer.Typer(
+    cls=Lazy,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+)
+
+
+@cli.callback()
+def lineside() -> None:
+    """Watch and set a line of DIGIMAX IV drives. Exit codes: 0 done, 1 it did not hold, 2 wrong use."""
+
+
+def main() -> None:
+    """The entry point."""
+    from app.cli.tether import tie_to_parent
+
+    tie_to_parent()
+    cli(prog_name="lineside")

@@ -1,0 +1,90 @@
+"""``lineside demo``: a simulated line and its dashboard, nothing to configure."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.cli.ending import ending
+from app.cli.tether import tied_environment
+from app.errors import StoreError
+from app.settings import load
+from bus.settings import UnitSettings
+
+END_WITHIN_S = 2.0
+
+
+def register(cli: typer.Typer) -> None:
+    """Add the command."""
+    cli.command()(demo)
+
+
+def demo(
+    units: Annotated[int, typer.Option(min=1, max=255, help="How many units.")] = 8,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Where to serve; 0 takes a free port.")] = 8000,
+) -> None:
+    """A simulated line and its dashboard on this machine, until Ctrl-C. Nothing of it is kept."""
+    with ending(), tempfile.TemporaryDirectory(prefix="lineside-demo-") as folder:
+        here = Path(folder)
+        with _simulator(units, here / "line") as line:
+            from app.cli.hosting import host
+            from bus.simulator.demo import demo_line
+
+            config = here / "lineside.toml"
+            config.write_text(configuration(line, port, demo_line(units).settings), encoding="utf-8")
+            host(load(config), config, demo=True)
+
+
+@contextmanager
+def _simulator(units: int, link: Path) -> Iterator[Path]:
+    """``lineside simulate`` beside us, ready as soon as it has said its port."""
+    called = [sys.executable, "-P", "-m", "app.cli", "simulate", "--units", str(units), "--link", str(link)]
+    process = subprocess.Popen(
+        called, stdout=subprocess.PIPE, env=tied_environment(), process_group=0, text=True
+    )
+    try:
+        if process.stdout is None or not process.stdout.readline():
+            raise StoreError("the simulated line could not begin; what stands above says why")
+        yield link
+    finally:
+        process.terminate()
+        try:
+            process.wait(END_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def configuration(line: Path, port: int, units: Sequence[UnitSettings]) -> str:
+    """The lineside.toml of a demo. JSON's strings and numbers are TOML's too."""
+    lines = [
+        "[site]",
+        'name = "Demo line"',
+        "simulated = true",
+        "[server]",
+        f"port = {port}",
+        "[[bus]]",
+        'name = "demo"',
+        f"port = {json.dumps(str(line))}",
+    ]
+    for unit in units:
+        lines += ["[[bus.unit]]", f"id = {unit.id}", f"name = {json.dumps(unit.name)}"]
+        lines += [f"group = {json.dumps(unit.group)}", "[bus.unit.labels]", *_labels(unit)]
+    return "\n".join(lines) + "\n"
+
+
+def _labels(unit: UnitSettings) -> Iterator[str]:
+    said = unit.labels.model_dump(exclude_defaults=True)
+    for name, value in said.items():
+        if isinstance(value, dict):
+            yield from (f"{name}.{key} = {json.dumps(word)}" for key, word in value.items())
+        else:
+            yield f"{name} = {json.dumps(value)}"

@@ -1,0 +1,143 @@
+"""The dashboard and its workers from the first moment to the last."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import fcntl
+import os
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
+from typing import Any
+
+import typer
+import uvicorn
+import uvloop
+
+from app.cli.workers import Workers
+from app.main import create_app
+from app.settings import Server, Settings
+from bus.errors import LinesideError
+
+GRACEFUL_S = 1
+"""What requests in flight get when the server ends."""
+_ENDINGS = (signal.SIGTERM, signal.SIGINT)
+
+
+class HostingError(LinesideError):
+    """The dashboard could not begin to serve."""
+
+
+class _Uvicorn(uvicorn.Server):
+    """Leaves the signals to us, and says when it serves."""
+
+    def __init__(self, config: uvicorn.Config, serving: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._serving = serving
+
+    def capture_signals(self) -> Any:
+        """The workers must end before the server does."""
+        return nullcontext()
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """As it is, then the word that it serves."""
+        await super().startup(sockets)
+        if self.started:
+            self._serving()
+
+
+def listen(server: Server) -> socket.socket:
+    """Take the TCP port. Raises HostingError in words."""
+    family = socket.AF_INET6 if ":" in server.host else socket.AF_INET
+    try:
+        return socket.create_server((server.host, server.port), family=family, backlog=512)
+    except (OSError, OverflowError) as error:
+        raise HostingError(_why_not(server, error)) from error
+
+
+def _why_not(server: Server, error: Exception) -> str:
+    where = f"port {server.port} of {server.host}"
+    match getattr(error, "errno", None):
+        case errno.EADDRINUSE:
+            return f"{where} is taken by another program; end it, or choose another port for the dashboard"
+        case errno.EACCES:
+            return f"{where} is not for this user; choose a port above 1023"
+        case _:
+            return f"{where} cannot be opened: {error}; check host and port of the dashboard"
+
+
+def url_of(listening: socket.socket) -> str:
+    """Where a browser or a worker on this machine finds the dashboard."""
+    host, port = listening.getsockname()[:2]
+    if host in ("0.0.0.0", "::"):
+        host = "127.0.0.1"
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+@contextmanager
+def only_one(data: Path) -> Iterator[None]:
+    """Two servers on one folder of data would write the same store. Raises HostingError."""
+    data.mkdir(parents=True, exist_ok=True)
+    lock = os.open(data / "lock", os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError as error:
+        raise HostingError(
+            f"another Lineside server uses {data}; end it, or give this one its own"
+        ) from error
+    finally:
+        os.close(lock)
+
+
+def host(settings: Settings, config: Path, *, demo: bool = False) -> None:
+    """Serve until SIGTERM or SIGINT. Raises HostingError and StoreError in words."""
+    with listen(settings.server) as listening, only_one(settings.server.data):
+        uvloop.run(_host(settings, config, listening, demo=demo))
+
+
+async def _host(settings: Settings, config: Path, listening: socket.socket, *, demo: bool) -> None:
+    app = create_app(settings, demo=demo)
+    url = url_of(listening)
+    buses = [bus.name for bus in settings.bus]
+    workers = Workers(config, buses, url, app.state.services.sign_in.worker_token)
+    server = _Uvicorn(_config(app), lambda: typer.echo(f"Lineside: {url}"))
+    ending = _ending_asked()
+    workers.start()
+    serving = asyncio.create_task(server.serve([listening]))
+    asked = asyncio.create_task(ending.wait())
+    await asyncio.wait({serving, asked}, return_when=asyncio.FIRST_COMPLETED)
+    asked.cancel()
+    await workers.stop()
+    server.should_exit = True
+    with suppress(asyncio.CancelledError):
+        await serving
+    if not server.started:
+        raise HostingError("the dashboard could not begin; what stands above says why")
+
+
+def _ending_asked() -> asyncio.Event:
+    ending = asyncio.Event()
+    for number in _ENDINGS:
+        asyncio.get_running_loop().add_signal_handler(number, ending.set)
+    return ending
+
+
+def _config(app: Any) -> uvicorn.Config:
+    """No deflate on WebSockets: at ten messages a second it costs a quarter of a core."""
+    return uvicorn.Config(
+        app,
+        loop="none",
+        http="httptools",
+        ws="websockets-sansio",
+        ws_per_message_deflate=False,
+        ws_max_size=4 * 1024 * 1024,
+        access_log=False,
+        log_level="warning",
+        server_header=False,
+        lifespan="on",
+        timeout_graceful_shutdown=GRACEFUL_S,
+    )

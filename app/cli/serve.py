@@ -1,0 +1,27 @@
+"""``lineside serve``: the dashboard and one bus worker for each ``[[bus]]``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.cli.ending import ending
+from app.settings import load
+
+Config = Annotated[Path, typer.Option(help="The configuration, lineside.toml.")]
+
+
+def register(cli: typer.Typer) -> None:
+    """Add the command."""
+    cli.command()(serve)
+
+
+def serve(config: Config = Path("lineside.toml")) -> None:
+    """Serve the dashboard and work every bus, until Ctrl-C or SIGTERM."""
+    with ending():
+        settings = load(config)
+        from app.cli.hosting import host
+
+        host(settings, config.resolve())

@@ -1,0 +1,27 @@
+"""A child that ends with its parent, even when the parent is killed (Linux; elsewhere it lives on)."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+
+PARENT = "LINESIDE_PARENT"
+"""The environment's name for the process that a child belongs to."""
+_PR_SET_PDEATHSIG = 1
+
+
+def tied_environment() -> dict[str, str]:
+    """The environment for a child of this process."""
+    return {**os.environ, PARENT: str(os.getpid())}
+
+
+def tie_to_parent() -> None:
+    """In the child, first of all: end by SIGTERM when the parent ends; at once when it has ended."""
+    parent = os.environ.pop(PARENT, "")
+    if not parent or sys.platform != "linux":
+        return
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    if str(os.getppid()) != parent:
+        raise SystemExit(1)

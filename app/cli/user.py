@@ -1,0 +1,88 @@
+"""``lineside user``: who may sign in."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.auth.rules import LONGEST_PASSWORD, SHORTEST_PASSWORD
+from app.cli.accounts import ORIGIN, who_calls, with_accounts
+from app.cli.ending import ending
+from app.cli.serve import Config
+from app.web.access import PEOPLE_ROLES, Role
+from bus.errors import CallerError
+
+LINESIDE_TOML = Path("lineside.toml")
+users = typer.Typer(help="Who may sign in.", no_args_is_help=True)
+
+Name = Annotated[str, typer.Argument(help="The name to sign in with.")]
+FromInput = Annotated[bool, typer.Option("--password-stdin", help="Read the password from standard input.")]
+
+
+def register(cli: typer.Typer) -> None:
+    """Add the group."""
+    cli.add_typer(users, name="user")
+
+
+@users.command()
+def add(
+    name: Name,
+    role: Annotated[str, typer.Option(help=f"One of {', '.join(PEOPLE_ROLES)}.")],
+    password_stdin: FromInput = False,
+    config: Config = LINESIDE_TOML,
+) -> None:
+    """Add somebody."""
+    with ending():
+        chosen, password = role_of(role), _password(password_stdin)
+        with_accounts(
+            config, lambda accounts: accounts.add_user(name, chosen, password, by=who_calls(), origin=ORIGIN)
+        )
+
+
+@users.command(name="list")
+def list_all(config: Config = LINESIDE_TOML) -> None:
+    """Everybody: name, role, and whether it is a panel or disabled."""
+    with ending():
+        for user in with_accounts(config, lambda accounts: accounts.users()):
+            marks = [word for word, is_so in (("panel", user.panel), ("disabled", user.disabled)) if is_so]
+            typer.echo("\t".join([user.name, user.role, *marks]))
+
+
+@users.command()
+def password(name: Name, password_stdin: FromInput = False, config: Config = LINESIDE_TOML) -> None:
+    """Give somebody a new password; every session of theirs ends."""
+    with ending():
+        new = _password(password_stdin)
+        with_accounts(
+            config, lambda accounts: accounts.set_password(name, new, by=who_calls(), origin=ORIGIN)
+        )
+
+
+@users.command()
+def remove(name: Name, config: Config = LINESIDE_TOML) -> None:
+    """Remove somebody; what they did stays in the events."""
+    with ending():
+        with_accounts(config, lambda accounts: accounts.remove_user(name, by=who_calls(), origin=ORIGIN))
+
+
+def role_of(word: str) -> Role:
+    """A person's role. Raises CallerError."""
+    if word not in PEOPLE_ROLES:
+        raise CallerError(f"there is no role {word!r}; take one of {', '.join(PEOPLE_ROLES)}")
+    return Role(word)
+
+
+def _password(from_input: bool) -> str:
+    """Whoever may run this may choose a short one, and is told."""
+    if from_input:
+        given = sys.stdin.readline().rstrip("\r\n")
+    else:
+        given = typer.prompt("Password", hide_input=True, confirmation_prompt=True)
+    if not 0 < len(given) <= LONGEST_PASSWORD:
+        raise CallerError(f"a password has 1 to {LONGEST_PASSWORD} characters; write it on one line")
+    if len(given) < SHORTEST_PASSWORD:
+        typer.echo(f"lineside: this password is short; take {SHORTEST_PASSWORD} characters or more", err=True)
+    return given

@@ -1,0 +1,80 @@
+"""The bus workers as child processes: started, started again when one dies, ended in time."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+import time
+from asyncio.subprocess import Process
+from contextlib import suppress
+from pathlib import Path
+
+import structlog
+
+log = structlog.get_logger()
+
+FIRST_PAUSE_S = 0.5
+LONGEST_PAUSE_S = 5.0
+WELL_AFTER_S = 30.0
+"""A worker that lived so long was well; the next pause is short again."""
+GRACE_S = 2.3
+"""A worker finishes or withdraws the change in flight and leaves within 2 s of SIGTERM."""
+
+
+class Workers:
+    """One child for each bus, over the same WebSocket as a worker far away."""
+
+    def __init__(self, config: Path, buses: list[str], app_url: str, token: str) -> None:
+        self._config = config
+        self._buses = buses
+        self._app_url = app_url
+        self._environment = {**os.environ, "LINESIDE_WORKER_TOKEN": token}
+        self._processes: dict[str, Process] = {}
+        self._tasks: list[asyncio.Task[None]] = []
+
+    def start(self) -> None:
+        """Start them all, and keep them."""
+        self._tasks = [asyncio.create_task(self._keep(bus)) for bus in self._buses]
+
+    async def stop(self) -> None:
+        """End them all: by SIGTERM, and what is left after the grace is killed."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await asyncio.gather(*(end(process, GRACE_S) for process in self._processes.values()))
+
+    async def _keep(self, bus: str) -> None:
+        pause = FIRST_PAUSE_S
+        while True:
+            started = time.monotonic()
+            code = await self._run(bus)
+            if time.monotonic() - started > WELL_AFTER_S:
+                pause = FIRST_PAUSE_S
+            log.warning("bus worker ended, starts again", bus=bus, code=code, after_s=pause)
+            await asyncio.sleep(pause)
+            pause = min(2 * pause, LONGEST_PAUSE_S)
+
+    async def _run(self, bus: str) -> int:
+        """Start one and wait for its end. A group of its own: Ctrl-C comes to it through the parent."""
+        called = ("-P", "-m", "bus", "--config", str(self._config), "--bus", bus, "--app", self._app_url)
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, *called, "--child", env=self._environment, process_group=0
+        )
+        self._processes[bus] = process
+        return await process.wait()
+
+
+async def end(process: Process, grace_s: float) -> None:
+    """SIGTERM, and SIGKILL after the grace."""
+    if process.returncode is not None:
+        return
+    with suppress(ProcessLookupError):
+        process.terminate()
+    try:
+        async with asyncio.timeout(grace_s):
+            await process.wait()
+    except TimeoutError:
+        with suppress(ProcessLookupError):
+            process.kill()
+        await process.wait()
