@@ -118,43 +118,43 @@ class Doubt:
     dialect: Dialect
     outstanding: tuple[Request, ...] = ()
     last: Answer | None = None
+    """The answer whose second copy may come into the next exchange."""
+    fading: Answer | None = None
+    """The answer whose second copy may come into this one."""
 
     def sent(self, request: Request) -> Doubt:
         """``request`` has gone out (a broadcast changes nothing, for it has no answer)."""
-        if request.unit != self.unit:
+        if request.unit != self.unit or request.unit == 0:
             return self
-        return replace(self, outstanding=(*self.outstanding, request)[-MOST_OUTSTANDING:], last=None)
+        outstanding = (*self.outstanding, request)[-MOST_OUTSTANDING:]
+        return replace(self, outstanding=outstanding, last=None, fading=self.last)
 
     def heard(self, body: bytes) -> Doubt:
-        """A frame of this unit came in, awaited or not (rules 1 and 2)."""
+        """A frame of this unit came in, awaited or not (rule 1). What may be a second copy ends nothing."""
         shape = shape_of(body)
         for position, request in enumerate(self.outstanding):
             if shape is not None and shape in possible_shapes(request, self.dialect):
-                answer = Answer(request, shape)
-                return replace(self, outstanding=self.outstanding[position + 1 :], last=answer)
+                ended = 0 if self._may_be_a_copy(shape) else position + 1
+                return replace(self, outstanding=self.outstanding[ended:], last=Answer(request, shape))
         return self
 
     def moved_on(self) -> Doubt:
         """The bus has asked another unit since; the last answer cannot come again."""
-        return replace(self, last=None)
+        return replace(self, last=None, fading=None)
 
     def believes(self, request: Request, body: bytes) -> bool:
         """Whether ``body``, which fits ``request``, can only be its answer (rule 3)."""
         shape = shape_of(body)
         late = self._may_be_late(request)
-        twice = {self.last.shape} if self.last and not _says_the_same(self.last.request, request) else set()
+        twice = self._may_come_twice(request)
         if not late and not twice:
             return True
         return shape not in late | twice and (not late or shape in ordinary_shapes(request, self.dialect))
 
     def fence_before(self, request: Request) -> Request | None:
         """What to ask before ``request``; None where it may follow at once (rule 4)."""
-        ordinary = ordinary_shapes(request, self.dialect)
-        if ordinary & self._may_be_late(request):
-            return self.fence()
-        if self.last is None or _says_the_same(self.last.request, request):
-            return None
-        return self.fence() if self.last.shape in ordinary else None
+        misleading = self._may_be_late(request) | self._may_come_twice(request)
+        return self.fence() if misleading & ordinary_shapes(request, self.dialect) else None
 
     def fence(self) -> Request:
         """Of the two fences the one whose answer would leave less in doubt."""
@@ -171,6 +171,17 @@ class Doubt:
                 shapes |= possible_shapes(sent, self.dialect)
             written_since = written_since or is_write(sent)
         return shapes
+
+    def _may_be_a_copy(self, shape: Shape) -> bool:
+        return any(answer is not None and answer.shape == shape for answer in (self.last, self.fading))
+
+    def _may_come_twice(self, request: Request) -> set[Shape]:
+        """The shape of the last answer, with the same exception."""
+        if self.last is None:
+            return set()
+        written_since = any(is_write(sent) for sent in self.outstanding)
+        harmless = _says_the_same(self.last.request, request) and not written_since
+        return set() if harmless else {self.last.shape}
 
     def _left_in_doubt_by(self, fence: Request) -> int:
         lengths = acknowledged_lengths(fence, self.dialect)

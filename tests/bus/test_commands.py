@@ -1,0 +1,271 @@
+"""The eight commands and their answers, both ways, and what can answer what."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus.errors import CallerError
+from bus.settings import Dialect
+from bus.wire.commands import (
+    LARGEST_VALUE,
+    Ack,
+    ExecuteSpeed,
+    IllegalRequest,
+    Nak,
+    ParameterReply,
+    ReadParameter,
+    ReadStatus,
+    Reply,
+    Request,
+    SetAndExecuteSpeed,
+    StageSpeed,
+    StatusReply,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+    encode_reply,
+    encode_request,
+    is_request,
+    is_write,
+    longest_reply_bytes,
+    parse_reply,
+    parse_request,
+    usual_reply_bytes,
+    wire_seconds,
+)
+from bus.wire.framing import FrameDecoder, ReceivedFrame
+
+BINARY, BCD = Dialect(), Dialect(parameter_numbers="bcd")
+
+EXAMPLE_OF_88H = "88h unit 27, 350 (manual, 88h example)"
+units = st.integers(1, 255)
+values = st.integers(0, LARGEST_VALUE)
+numbers = st.integers(1, 40)
+words = st.integers(0, 2**32 - 1)
+octets = st.integers(0, 255)
+requests: st.SearchStrategy[Request] = st.one_of(
+    st.builds(ReadStatus, units),
+    st.builds(StageSpeed, units, values),
+    st.builds(ExecuteSpeed, st.integers(0, 255)),
+    st.builds(SetAndExecuteSpeed, units, values),
+    st.builds(ReadParameter, units, numbers),
+    st.builds(WriteParameter, units, numbers, values),
+    st.builds(WriteOutput, units, st.integers(1, 6), st.booleans()),
+    st.builds(WriteAnalogOutput, units, values),
+)
+one_of_each: list[Request] = [
+    ReadStatus(4),
+    StageSpeed(4, 528),
+    ExecuteSpeed(4),
+    SetAndExecuteSpeed(4, 528),
+    ReadParameter(4, 16),
+    WriteParameter(4, 16, 1),
+    WriteOutput(4, 6, True),
+    WriteAnalogOutput(4, 350),
+]
+
+
+def body_of(frame: bytes) -> bytes:
+    received = FrameDecoder(BINARY).feed(frame)[0]
+    assert isinstance(received, ReceivedFrame)
+    return received.body
+
+
+def status(unit: int) -> StatusReply:
+    return StatusReply(unit, commanded=1000, actual=999, analog=128, outputs=0xC1, inputs=0x03)
+
+
+@given(requests, st.sampled_from([BINARY, BCD]))
+def test_requests_round_trip(request: Request, dialect: Dialect) -> None:
+    assert parse_request(body_of(encode_request(request, dialect)), dialect) == request
+
+
+@given(units, words, words, octets, octets, octets)
+def test_status_round_trips(unit: int, commanded: int, actual: int, analog: int, st2: int, st1: int) -> None:
+    reply = StatusReply(unit, commanded, actual, analog, st2, st1)
+    assert parse_reply(ReadStatus(unit), body_of(encode_reply(reply, BINARY)), BINARY) == reply
+
+
+@given(requests.filter(lambda request: request.unit > 0), octets)
+def test_any_command_can_be_refused(request: Request, code: int) -> None:
+    reply = Nak(request.unit, code)
+    assert parse_reply(request, body_of(encode_reply(reply, BINARY)), BINARY) == reply
+
+
+@pytest.mark.parametrize("width", [1, 2, 4])
+def test_a_parameter_may_come_in_one_two_or_four_bytes(width: int) -> None:
+    body = body_of(encode_reply(ParameterReply(1, 200, width), BINARY))
+    assert len(body) == 2 + width
+    assert parse_reply(ReadParameter(1, 12), body, BINARY) == ParameterReply(1, 200, width)
+
+
+def test_a_dialect_with_one_width_takes_no_other() -> None:
+    two_wide = Dialect(parameter_reply_bytes=2)
+    body = body_of(encode_reply(ParameterReply(1, 200, 4), BINARY))
+    assert parse_reply(ReadParameter(1, 12), body, two_wide) is None
+    assert len(encode_reply(ParameterReply(1, 200, 4), two_wide)) == 9
+
+
+@pytest.mark.parametrize("data", [b"", b"\x05", b"\x00\x05", b"\x00\x00\x00\x05"])
+def test_a_parameter_write_is_acknowledged_with_or_without_the_value(data: bytes) -> None:
+    body = bytes((1, 6)) + data
+    assert parse_reply(WriteParameter(1, 6, 5), body, BINARY) == Ack(1, data)
+
+
+def test_an_answer_to_86h_as_the_manual_draws_it_without_ack_is_not_taken() -> None:
+    assert parse_reply(WriteParameter(1, 6, 5), b"\x01\x00\x00\x00\x05", BINARY) is None
+
+
+ANSWERS: dict[str, tuple[bytes, set[int]]] = {
+    "ACK": (b"\x06", {0x82, 0x83, 0x84, 0x86, 0x87, 0x88}),
+    "ACK and 1 byte": (b"\x06\x01", {0x85, 0x86}),
+    "ACK and 2 bytes": (b"\x06\x00\x01", {0x85, 0x86}),
+    "ACK and 3 bytes": (b"\x06\x00\x00\x01", set()),
+    "ACK and 4 bytes": (b"\x06\x00\x00\x00\x01", {0x85, 0x86}),
+    "ACK and 5 bytes": (b"\x06\x00\x00\x00\x00\x01", set()),
+    "ACK and 10 bytes": (b"\x06" + bytes(10), set()),
+    "ACK and 11 bytes": (b"\x06" + bytes(11), {0x81}),
+    "NAK and a code": (b"\x15\x80", set(range(0x81, 0x89))),
+    "NAK alone": (b"\x15", set()),
+    "NAK and 2 bytes": (b"\x15\x80\x80", set()),
+    "a request": (b"\x81", set()),
+    "neither": (b"\x00\x00", set()),
+}
+
+
+@pytest.mark.parametrize("answer", ANSWERS)
+@pytest.mark.parametrize("request_", one_of_each, ids=lambda request: f"{request.COMMAND:02X}h")
+def test_an_answer_is_taken_only_by_commands_that_have_it(request_: Request, answer: str) -> None:
+    data, commands = ANSWERS[answer]
+    reply = parse_reply(request_, bytes((request_.unit,)) + data, BINARY)
+    assert (reply is not None) == (request_.COMMAND in commands)
+
+
+@pytest.mark.parametrize("request_", one_of_each, ids=lambda request: f"{request.COMMAND:02X}h")
+def test_the_answer_of_another_unit_is_never_taken(request_: Request) -> None:
+    for data, _ in ANSWERS.values():
+        assert parse_reply(request_, bytes((request_.unit + 1,)) + data, BINARY) is None
+
+
+def test_nothing_answers_a_broadcast() -> None:
+    assert parse_reply(ExecuteSpeed(0), b"\x00\x06", BINARY) is None
+    assert longest_reply_bytes(ExecuteSpeed(0), BINARY) == 0
+    assert usual_reply_bytes(ExecuteSpeed(0), BINARY) == 0
+
+
+@given(requests, st.binary(max_size=20), st.sampled_from([BINARY, BCD]))
+def test_any_body_is_an_answer_of_the_unit_asked_or_none(
+    request: Request, body: bytes, dialect: Dialect
+) -> None:
+    reply = parse_reply(request, body, dialect)
+    assert reply is None or (reply.unit == request.unit == body[0] and body[1] in (0x06, 0x15))
+
+
+@given(st.binary(min_size=2, max_size=13), st.sampled_from([BINARY, BCD]))
+def test_any_body_is_a_request_or_refused_with_a_code(body: bytes, dialect: Dialect) -> None:
+    try:
+        request = parse_request(body, dialect)
+    except IllegalRequest as error:
+        refused = (error.unit, error.code)
+        assert refused in {(body[0], code) for code in (0x82, 0x85, 0x89)}
+    else:
+        assert is_request(body)
+        assert (request.unit, request.COMMAND) == (body[0], body[1])
+
+
+@pytest.mark.parametrize(
+    ("body", "code"),
+    [
+        (b"\x01\x80", 0x89),
+        (b"\x01\x89", 0x89),
+        (b"\x01\x81\x00", 0x89),
+        (b"\x01\x82\x00\x00\x01", 0x89),
+        (b"\x01\x87\x01\x02", 0x85),
+    ],
+)
+def test_a_frame_that_is_no_request_has_a_code(body: bytes, code: int) -> None:
+    with pytest.raises(IllegalRequest) as refused:
+        parse_request(body, BINARY)
+    assert refused.value.code == code
+
+
+def test_a_unit_that_counts_in_bcd() -> None:
+    assert body_of(encode_request(ReadParameter(1, 16), BCD))[2] == 0x16
+    assert parse_request(b"\x01\x85\x11", BCD) == ReadParameter(1, 11)
+    assert parse_request(b"\x01\x85\x11", BINARY) == ReadParameter(1, 17)
+    with pytest.raises(IllegalRequest) as refused:
+        parse_request(b"\x01\x85\x0a", BCD)
+    assert refused.value.code == 0x82
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        ReadStatus(0),
+        ReadStatus(256),
+        StageSpeed(0, 1),
+        StageSpeed(1, -1),
+        StageSpeed(1, 100_000),
+        SetAndExecuteSpeed(1, 100_000),
+        ExecuteSpeed(-1),
+        ReadParameter(1, 0),
+        ReadParameter(1, 256),
+        WriteParameter(1, 1, 100_000),
+        WriteOutput(1, 0, True),
+        WriteOutput(1, 7, True),
+        WriteAnalogOutput(1, 100_000),
+    ],
+    ids=str,
+)
+def test_a_bad_value_never_becomes_bytes(request_: Request) -> None:
+    with pytest.raises(CallerError, match="cannot be sent"):
+        encode_request(request_, BINARY)
+
+
+@pytest.mark.parametrize(
+    "reply", [ParameterReply(1, 256, 1), Nak(1, 256), Ack(256), Ack(1, bytes(12))], ids=str
+)
+def test_a_reply_that_does_not_fit_is_refused(reply: Reply) -> None:
+    with pytest.raises(CallerError):
+        encode_reply(reply, BINARY)
+
+
+@given(requests, st.sampled_from([BINARY, Dialect(checksum_10h="twice")]))
+def test_no_answer_is_longer_than_the_longest(request: Request, dialect: Dialect) -> None:
+    longest = longest_reply_bytes(request, dialect)
+    for data, commands in ANSWERS.values():
+        if request.COMMAND not in commands or request.unit == 0:
+            continue
+        stuffed = 5 + 2 * (1 + len(data)) - 1
+        assert stuffed <= longest
+    assert usual_reply_bytes(request, dialect) <= longest
+
+
+def test_the_costs_of_protocol_md() -> None:
+    """A poll is 7 + 18 bytes, 26.04 ms at 9600 baud; 38.4 of them fit a second."""
+    asked = len(encode_request(ReadStatus(4), BINARY))
+    answered = len(encode_reply(status(4), BINARY))
+    assert (asked, answered) == (7, 18)
+    assert usual_reply_bytes(ReadStatus(4), BINARY) == 18
+    assert wire_seconds(asked + answered, 9600) == pytest.approx(0.02604, abs=1e-5)
+
+
+def test_only_reads_are_not_writes() -> None:
+    assert [request.COMMAND for request in one_of_each if not is_write(request)] == [0x81, 0x85]
+
+
+def test_the_manuals_example_encodes() -> None:
+    vectors: list[dict[str, Any]] = json.loads(
+        (Path(__file__).parent.parent / "vectors" / "frames.json").read_text()
+    )
+    frames = {vector["meaning"]: bytes.fromhex(vector["frame"]) for vector in vectors}
+    assert encode_request(StageSpeed(4, 528), BINARY) == frames["82h unit 4, 528 (manual)"]
+    assert encode_request(WriteAnalogOutput(27, 350), BINARY) == frames[EXAMPLE_OF_88H]
+    assert encode_request(ExecuteSpeed(0), BINARY) == frames["83h to all"]
+    assert encode_reply(status(1), BINARY) in frames.values()

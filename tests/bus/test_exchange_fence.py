@@ -1,0 +1,211 @@
+"""Late and doubled answers: the table of what needs a fence, and a unit that answers as late as it likes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bus.settings import Dialect
+from bus.wire.commands import (
+    Ack,
+    ExecuteSpeed,
+    Nak,
+    ParameterReply,
+    ReadParameter,
+    ReadStatus,
+    Reply,
+    Request,
+    SetAndExecuteSpeed,
+    StageSpeed,
+    StatusReply,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+    encode_reply,
+    is_write,
+)
+from bus.wire.exchange import Answered, Exchange
+from bus.wire.fence import MOST_OUTSTANDING, Doubt, Doubts, fence_for, fence_needed, possible_shapes
+from bus.wire.framing import ACK
+
+PLAIN = Dialect()
+POLL, READ, WRITE = ReadStatus(1), ReadParameter(1, 3), WriteParameter(1, 3, 4)
+SPEED, STAGE, OUTPUT = SetAndExecuteSpeed(1, 5), StageSpeed(1, 5), WriteOutput(1, 1, True)
+ALL: list[Request] = [POLL, READ, WRITE, SPEED, STAGE, OUTPUT, ExecuteSpeed(1), WriteAnalogOutput(1, 3)]
+WRITES = [request for request in ALL if is_write(request)]
+
+
+class TestTheTable:
+    @pytest.mark.parametrize("following", ALL, ids=str)
+    def test_after_a_lost_poll_anything_may_follow(self, following: Request) -> None:
+        assert not fence_needed(POLL, following)
+
+    @pytest.mark.parametrize("lost", ALL, ids=str)
+    def test_a_poll_may_follow_anything(self, lost: Request) -> None:
+        assert not fence_needed(lost, POLL)
+
+    def test_a_lost_parameter_may_be_asked_again_but_not_another(self) -> None:
+        assert not fence_needed(READ, READ)
+        assert fence_needed(READ, ReadParameter(1, 4))
+
+    @pytest.mark.parametrize("lost", WRITES, ids=str)
+    @pytest.mark.parametrize("following", WRITES, ids=str)
+    def test_writes_pass_for_each_other_even_for_themselves(self, lost: Request, following: Request) -> None:
+        assert fence_needed(lost, following)
+
+    def test_the_answer_to_86h_may_carry_a_value(self) -> None:
+        assert fence_needed(WRITE, READ)
+        assert fence_needed(READ, WRITE)
+
+    def test_other_writes_and_parameter_reads_are_told_apart(self) -> None:
+        assert not fence_needed(SPEED, READ)
+        assert not fence_needed(READ, SPEED)
+
+    def test_another_unit_is_told_apart(self) -> None:
+        assert not fence_needed(SPEED, SetAndExecuteSpeed(2, 5))
+
+    def test_nothing_answers_a_broadcast_so_nothing_is_late(self) -> None:
+        assert possible_shapes(ExecuteSpeed(0), PLAIN) == frozenset()
+        assert Doubt(0, PLAIN).sent(ExecuteSpeed(0)).fence_before(ExecuteSpeed(0)) is None
+
+    @pytest.mark.parametrize("lost", ALL, ids=str)
+    def test_the_fence_can_be_told_from_what_was_lost(self, lost: Request) -> None:
+        fence = fence_for(1, lost)
+        assert not is_write(fence)
+        assert not fence_needed(lost, fence)
+
+
+class TestDoubt:
+    def test_a_poll_sent_before_a_write_proves_nothing_after_it(self) -> None:
+        doubt = Doubt(1, PLAIN).sent(POLL).sent(SPEED)
+        assert doubt.fence_before(POLL) == ReadParameter(1, 17)
+        assert Doubt(1, PLAIN).sent(POLL).fence_before(POLL) is None
+
+    def test_illegal_command_is_not_believed_in_doubt(self) -> None:
+        assert not Doubt(1, PLAIN).sent(POLL).believes(SPEED, b"\x01\x15\x89")
+        assert Doubt(1, PLAIN).sent(POLL).believes(SPEED, b"\x01\x15\x80")
+        assert Doubt(1, PLAIN).believes(SPEED, b"\x01\x15\x89")
+
+    def test_an_answered_parameter_may_come_twice(self) -> None:
+        answered = Doubt(1, PLAIN).sent(READ).heard(b"\x01\x06\x02")
+        assert answered.fence_before(ReadParameter(1, 4)) == POLL
+        assert answered.fence_before(READ) is None
+        assert answered.fence_before(SPEED) is None
+        assert answered.sent(POLL).fence_before(ReadParameter(1, 4)) is None
+
+    def test_the_longest_memory(self) -> None:
+        doubt = Doubt(1, PLAIN)
+        for _ in range(3 * MOST_OUTSTANDING):
+            doubt = doubt.sent(POLL)
+        assert len(doubt.outstanding) == MOST_OUTSTANDING
+
+    @given(st.lists(st.sampled_from(ALL), max_size=10), st.sampled_from(ALL))
+    def test_answered_fences_always_lead_to_the_request(self, lost: list[Request], wanted: Request) -> None:
+        doubt = Doubt(1, PLAIN)
+        for request in lost:
+            doubt = doubt.sent(request)
+        fences = 0
+        while (fence := doubt.fence_before(wanted)) is not None and fence != wanted:
+            length = 11 if isinstance(fence, ReadStatus) else 1
+            doubt = doubt.sent(fence).heard(bytes((1, ACK, *bytes(length))))
+            fences += 1
+            assert fences <= len(lost) + 1
+
+
+class TestDoubts:
+    def test_another_unit_in_between_lets_the_last_answer_be_forgotten(self) -> None:
+        doubts = Doubts(PLAIN)
+        doubts.after(Doubt(1, PLAIN).sent(READ).heard(b"\x01\x06\x02"))
+        assert doubts.fence_before(ReadParameter(1, 4)) == POLL
+        doubts.after(Doubt(2, PLAIN).sent(ReadStatus(2)))
+        assert doubts.fence_before(ReadParameter(1, 4)) is None
+
+    def test_a_lost_request_is_remembered_past_other_units(self) -> None:
+        doubts = Doubts(PLAIN)
+        doubts.after(Doubt(1, PLAIN).sent(READ))
+        doubts.after(Doubt(2, PLAIN).sent(ReadStatus(2)))
+        assert doubts.fence_before(ReadParameter(1, 4)) == POLL
+        doubts.heard(b"\x01\x06\x02")
+        assert doubts.fence_before(ReadParameter(1, 4)) is None
+
+    def test_a_broadcast_needs_no_fence_and_leaves_none(self) -> None:
+        doubts = Doubts(PLAIN)
+        doubts.after(Doubt(0, PLAIN))
+        assert doubts.fence_before(ExecuteSpeed(0)) is None
+
+
+# --- a unit that answers as late as it likes -----------------------------------------------------
+
+
+@dataclass
+class Sent:
+    """A request with its place in history: how many writes had gone out before it."""
+
+    request: Request
+    writes_before: int
+
+
+@dataclass
+class LateUnit:
+    """Answers in order; any answer may be lost, come much later, or come twice in a row."""
+
+    draw: st.DataObject
+    queue: list[tuple[Sent, bytes]] = field(default_factory=list)
+    copy: tuple[Sent, bytes] | None = None
+
+    def ask(self, sent: Sent) -> None:
+        if self.draw.draw(st.integers(0, 5)) > 0:
+            self.queue.append((sent, encode_reply(self._answer(sent.request), PLAIN)))
+
+    def deliver(self) -> list[tuple[Sent, bytes]]:
+        """What comes within one window. The copy of the last answer, if any, comes first."""
+        second = [self.copy] if self.copy else []
+        count = self.draw.draw(st.integers(0, len(self.queue)))
+        came, self.queue = self.queue[:count], self.queue[count:]
+        twice = came and self.draw.draw(st.integers(0, 3)) == 0
+        self.copy = came[-1] if twice else None
+        return second + came
+
+    def _answer(self, request: Request) -> Reply:
+        choices: list[Reply]
+        match request:
+            case ReadStatus():
+                choices = [StatusReply(1, 1, 1, 1, 1, 1)]
+            case ReadParameter():
+                choices = [ParameterReply(1, 7, 1), ParameterReply(1, 7, 4), Nak(1, 0x82)]
+            case WriteParameter():
+                choices = [Ack(1), Ack(1, b"\x07"), Ack(1, bytes(4)), Nak(1, 0x80), Nak(1, 0x82)]
+            case _:
+                choices = [Ack(1), Nak(1, 0x80)]
+        return self.draw.draw(st.sampled_from(choices))
+
+
+wishes = st.sampled_from([*ALL, ReadParameter(1, 4), SetAndExecuteSpeed(1, 6)])
+
+
+@settings(max_examples=200)
+@given(st.lists(wishes, min_size=1, max_size=12), st.data())
+def test_no_late_or_doubled_answer_is_ever_taken_for_another(
+    wanted: list[Request], data: st.DataObject
+) -> None:
+    unit, doubts, writes = LateUnit(data), Doubts(PLAIN), 0
+    for wish in wanted:
+        for _ in range(6):
+            request = doubts.fence_before(wish) or wish
+            sent = Sent(request, writes)
+            writes += is_write(request)
+            exchange = Exchange(request, PLAIN, doubt=doubts.about(1))
+            unit.ask(sent)
+            for origin, frame in unit.deliver():
+                for event in exchange.receive(frame, 0.0):
+                    if isinstance(event, Answered):
+                        assert origin.request == request
+                        assert origin is sent or origin.writes_before == sent.writes_before
+                        assert origin is sent or not is_write(request)
+            exchange.give_up()
+            doubts.after(exchange.doubt)
+            if request == wish and exchange.reply is not None:
+                break
