@@ -1,0 +1,128 @@
+"""A desk that is played: units with a parameter memory, which answer, refuse or fall silent as told."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from app.errors import Problem
+from app.live.state import LiveState
+from app.web.access import Person, Role
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import (
+    Action,
+    BusLink,
+    ParameterValue,
+    Reading,
+    ReadParameters,
+    Result,
+    SetLine,
+    SetSpeed,
+    UnitLink,
+    WriteParameter,
+)
+from bus.settings import BusSettings
+
+ANNA = Person("anna", Role.ENGINEER, "session")
+REMOTE, HEALTHY, RUN = 0b0100_0000, 0b0000_0010, 0b0000_0001
+
+
+@dataclass
+class PlayedDesk:
+    """``memory``: unit → number → raw. ``silent_after``: writes after which nothing answers any more."""
+
+    live: LiveState
+    memory: dict[int, dict[int, int]]
+    refuses: dict[int, int] = field(default_factory=dict)
+    lacks: frozenset[int] = frozenset()
+    silent_after: int | None = None
+    written: list[tuple[int, int, int]] = field(default_factory=list)
+    asked: list[Action] = field(default_factory=list)
+
+    async def ask(self, person: Person, bus: str, action: Action, **_: Any) -> Result:
+        assert person.name
+        assert bus == "dry-end"
+        self.asked.append(action)
+        match action:
+            case ReadParameters():
+                return self._read(action)
+            case WriteParameter():
+                return self._write(action)
+            case SetLine():
+                return Result(id="x", at=time.time(), outcome="verified")
+        raise AssertionError(action)
+
+    def check(self, person: Person, bus: str, action: Action, *, confirm: bool = False) -> None:
+        assert (person.name, bus, confirm) == ("anna", "dry-end", True)
+        assert isinstance(action, SetSpeed)
+        if action.raw > 90000:
+            raise Problem(422, "invalid", "above the engineer's limit")
+
+    @property
+    def _silent(self) -> bool:
+        return self.silent_after is not None and len(self.written) >= self.silent_after
+
+    def _read(self, action: ReadParameters) -> Result:
+        if self._silent:
+            return Result(id="r", at=time.time(), outcome="unverified", message="no answer")
+        values = [self._value(action.unit, number) for number in action.numbers]
+        return Result(id="r", at=time.time(), outcome="verified", values=values)
+
+    def _value(self, unit: int, number: int) -> ParameterValue:
+        if number in self.lacks:
+            return ParameterValue(unit=unit, number=number, at=1.0, raw=None, available=False)
+        return ParameterValue(unit=unit, number=number, at=1.0, raw=self.memory[unit][number], frame=b"\x10")
+
+    def _write(self, action: WriteParameter) -> Result:
+        if self._silent:
+            return Result(id="w", at=time.time(), outcome="unverified", message="no answer after 4 tries")
+        if action.number in self.refuses:
+            return Result(id="w", at=time.time(), outcome="refused", unit_error=self.refuses[action.number])
+        self.written.append((action.unit, action.number, action.raw))
+        self.memory[action.unit][action.number] = action.raw
+        return Result(id="w", at=time.time(), outcome="verified", read_back=action.raw)
+
+
+@dataclass
+class Noted:
+    """The events, as a list."""
+
+    events: list[dict[str, Any]] = field(default_factory=list)
+    noted: asyncio.Event = field(default_factory=asyncio.Event)
+
+    async def record(self, **said: Any) -> int:
+        self.events.append(said)
+        self.noted.set()
+        return len(self.events)
+
+
+def a_bus() -> LiveState:
+    settings = BusSettings.model_validate(
+        {
+            "name": "dry-end",
+            "port": "/dev/null",
+            "unit": [{"id": 1, "name": "Unwind"}, {"id": 2, "name": "Nip"}],
+        }
+    )
+    return LiveState([settings], started_at=0.0)
+
+
+def answering(live: LiveState, commanded: int = 1000, *, run: bool = False, remote: bool = True) -> None:
+    """Both units have answered, with all that is needed to show them."""
+    outputs, inputs = REMOTE if remote else 0, HEALTHY | (RUN if run else 0)
+    live.apply("dry-end", [BusLink(at=1.0, link="open")])
+    for unit in (1, 2):
+        needed = {2: 20000, 3: 1, 6: 100, 7: 50, 8: 0}
+        live.apply("dry-end", [UnitLink(unit=unit, at=1.0, link="online")])
+        live.apply(
+            "dry-end",
+            [Reading(unit, 1.0, commanded, commanded, 0, outputs, inputs)]
+            + [ParameterValue(unit=unit, number=number, at=1.0, raw=raw) for number, raw in needed.items()],
+        )
+
+
+def factory() -> dict[int, int]:
+    """A unit as it comes out of its box, in REMOTE."""
+    return {number: row.minimum for number, row in PARAMETERS.items()} | {17: 1, 18: 96, 19: 1}

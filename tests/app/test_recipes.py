@@ -1,0 +1,106 @@
+"""Recipes: versions, what stands in the way, what loading does, what departs afterwards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app.database import Database
+from app.errors import Problem
+from app.recipes.book import RecipeBook
+from app.recipes.store import RecipeStore
+from bus.contract import ParameterValue, SetLine
+from tests.app.played_desk import ANNA, Noted, PlayedDesk, a_bus, answering
+
+
+class Scene:
+    def __init__(self, folder: Path) -> None:
+        self.live = a_bus()
+        self.desk = PlayedDesk(self.live, {})
+        self.events = Noted()
+        self.database = Database(folder / "store.db")
+        store = RecipeStore(self.database)
+        self.book = RecipeBook(self.live, self.desk, store, self.events)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    return Scene(tmp_path)
+
+
+async def test_a_new_save_is_a_new_version_and_the_old_one_stays(scene: Scene) -> None:
+    answering(scene.live)
+    one = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
+    two = await scene.book.save(ANNA, "dry-end", "Kraft 80", "faster", {1: 1300})
+    assert (one.version, two.version) == (1, 2)
+    assert [recipe.version for recipe in await scene.book.store.newest()] == [2]
+    assert [recipe.version for recipe in await scene.book.store.versions("dry-end", "Kraft 80")] == [2, 1]
+    kept = await scene.book.store.load(one.id)
+    assert kept is not None
+    assert [(row.unit, row.raw, row.kind) for row in kept.setpoints] == [
+        (1, 1200, "speed"),
+        (2, 1210, "speed"),
+    ]
+
+
+async def test_a_unit_whose_mode_was_never_read_cannot_be_in_a_recipe(scene: Scene) -> None:
+    with pytest.raises(Problem, match="#8"):
+        await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200})
+
+
+async def test_the_dry_run_says_old_new_and_the_time_of_the_ramp(scene: Scene) -> None:
+    answering(scene.live, commanded=1000)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 11000, 2: 0})
+    run = scene.book.try_out(ANNA, recipe)
+    assert run.loadable
+    assert [(step.old, step.new, step.ramp_s) for step in run.steps] == [
+        ("100.0", "1100.0", 5.0),
+        ("100.0", "0.0", 0.25),
+    ]
+    assert run.ramp_s == 5.0
+    assert scene.desk.asked == []
+
+
+@pytest.mark.parametrize(
+    ("raw", "remote", "mode", "says"),
+    [
+        (20001, True, 0, "maximum"),
+        (95000, True, 0, "maximum"),
+        (100, False, 0, "LOCAL"),
+        (100, True, 1, "ratio"),
+    ],
+)
+async def test_what_stands_in_the_way_is_said_and_nothing_is_sent(
+    scene: Scene, raw: int, remote: bool, mode: int, says: str
+) -> None:
+    answering(scene.live)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100, 2: raw})
+    answering(scene.live, remote=remote)
+    scene.live.apply("dry-end", [ParameterValue(unit=2, number=8, at=2.0, raw=mode)])
+    with pytest.raises(Problem, match=says):
+        await scene.book.load(ANNA, recipe, confirm=True, command_id=None)
+    assert scene.desk.asked == []
+
+
+async def test_a_silent_line_cannot_be_loaded(scene: Scene) -> None:
+    answering(scene.live)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100})
+    scene.live.worker_went("dry-end", 5.0)
+    run = scene.book.try_out(ANNA, recipe)
+    assert not run.loadable
+    assert "worker" in run.steps[0].obstacle
+
+
+async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None:
+    answering(scene.live)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
+    await scene.book.load(ANNA, recipe, confirm=True, command_id="one")
+    assert scene.desk.asked == [SetLine(setpoints={1: 1200, 2: 1210})]
+    loaded = scene.book.loaded("dry-end")
+    assert loaded is not None
+    assert loaded.recipe.id == recipe.id
+    answering(scene.live, commanded=1200)
+    assert [(one.unit, one.recipe, one.now) for one in scene.book.departed("dry-end")] == [
+        (2, "121.0", "120.0")
+    ]

@@ -1,0 +1,118 @@
+"""A restore as it runs: each row with its fate, stopped by anything, finished by running it again."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from app.errors import Problem
+from app.sets.model import Row, UnitRows
+from app.sets.reading import ParameterReader
+from app.sets.restore import Restore, RestoreDesk
+from tests.app.played_desk import ANNA, Noted, PlayedDesk, a_bus, factory
+
+WANTED = {6: 50, 7: 60, 9: 1234, 12: 7}
+
+
+def rows(values: dict[int, int]) -> UnitRows:
+    return UnitRows(2, "Nip", {number: Row(number, raw) for number, raw in values.items()})
+
+
+class Scene:
+    def __init__(self, **desk: object) -> None:
+        live = a_bus()
+        self.desk = PlayedDesk(live, {1: factory(), 2: factory()}, **desk)  # type: ignore[arg-type]
+        self.events = Noted()
+        reader = ParameterReader(live, self.desk)  # type: ignore[arg-type]
+        self.restores = RestoreDesk(reader, self.desk, self.events)  # type: ignore[arg-type]
+
+    async def run(self, wanted: dict[int, int] = WANTED) -> Restore:
+        restore = await self.restores.plan(ANNA, "dry-end", 2, rows(wanted), running=False)
+        await self.finish(restore)
+        return restore
+
+    async def finish(self, restore: Restore) -> None:
+        self.events.noted.clear()
+        self.restores.start(ANNA, restore)
+        await asyncio.wait_for(self.events.noted.wait(), 10)
+
+
+async def test_nothing_is_written_before_the_start() -> None:
+    scene = Scene()
+    restore = await scene.restores.plan(ANNA, "dry-end", 2, rows(WANTED), running=False)
+    assert scene.desk.written == []
+    assert (restore.state, restore.done) == ("planned", 0)
+    assert [row.write.number for row in restore.rows] == [6, 7, 9, 12]
+
+
+async def test_only_what_differs_is_written_and_a_full_read_proves_it() -> None:
+    scene = Scene()
+    scene.desk.memory[2][6] = 50
+    restore = await scene.run()
+    assert scene.desk.written == [(2, 7, 60), (2, 9, 1234), (2, 12, 7)]
+    assert restore.state == "equal"
+    assert restore.remaining == []
+    assert {row.outcome for row in restore.rows} == {"verified"}
+    assert scene.events.events[-1]["outcome"] == "equal"
+
+
+async def test_one_refused_row_does_not_cost_the_others() -> None:
+    scene = Scene(refuses={7: 0x83})
+    restore = await scene.run()
+    fates = {row.write.number: row.outcome for row in restore.rows}
+    assert fates == {6: "verified", 7: "refused", 9: "verified", 12: "verified"}
+    assert "illegal parameter value" in restore.rows[1].message
+    assert restore.state == "different"
+    assert restore.remaining is not None
+    assert [row.number for row in restore.remaining] == [7]
+
+
+async def test_silence_stops_it_and_running_it_again_finishes_the_rest() -> None:
+    scene = Scene(silent_after=2)
+    restore = await scene.run()
+    assert restore.state == "stopped"
+    assert "no answer" in restore.cause
+    assert [row.outcome for row in restore.rows] == ["verified", "verified", "unverified", None]
+    scene.desk.silent_after = None
+    again = await scene.run()
+    assert [row.write.number for row in again.rows] == [9, 12]
+    assert again.state == "equal"
+
+
+async def test_left_off_it_says_which_rows_are_done() -> None:
+    scene = Scene()
+    restore = await scene.restores.plan(ANNA, "dry-end", 2, rows(WANTED), running=False)
+    restore.cancel()
+    await scene.finish(restore)
+    assert restore.state == "stopped"
+    assert scene.desk.written == []
+
+
+async def test_it_starts_once_and_one_at_a_time_for_a_unit() -> None:
+    scene = Scene()
+    one = await scene.restores.plan(ANNA, "dry-end", 2, rows(WANTED), running=False)
+    other = await scene.restores.plan(ANNA, "dry-end", 2, rows(WANTED), running=False)
+    scene.restores.start(ANNA, one)
+    for restore in (one, other):
+        with pytest.raises(Problem):
+            scene.restores.start(ANNA, restore)
+    await asyncio.wait_for(scene.events.noted.wait(), 10)
+    assert one.state == "equal"
+    with pytest.raises(Problem):
+        scene.restores.start(ANNA, one)
+
+
+async def test_a_unit_with_the_first_twenty_parameters_only() -> None:
+    scene = Scene(lacks=frozenset(range(21, 41)))
+    restore = await scene.run(WANTED | {29: 5, 39: 3})
+    assert {left.number: left.reason for left in restore.left_out}[29] == "this unit does not have it"
+    assert restore.state == "equal"
+
+
+async def test_a_unit_that_does_not_answer_has_no_plan() -> None:
+    scene = Scene(silent_after=0)
+    with pytest.raises(Problem) as refused:
+        await scene.restores.plan(ANNA, "dry-end", 2, rows(WANTED), running=False)
+    assert refused.value.status == 504
+    assert scene.desk.written == []
