@@ -65,10 +65,8 @@ def merge(one: Iterable[Run], other: Iterable[Run]) -> list[Run]:
     merged: list[Run] = []
     for run in sorted(chain(one, other)):
         last = merged[-1] if merged else None
-        if last is None or run[3:] != last[3:] or run.until // MINUTE != last.at // MINUTE:
+        if last is None or run[3:] != last[3:] or run.at > last.until:
             merged.append(run)
-        elif run.at > last.until:
-            merged[-1] = joined(last, run)
         else:
             merged[-1] = last._replace(until=max(last.until, run.until), heard=max(last.heard, run.heard))
     return merged

@@ -91,7 +91,7 @@ async def test_a_doubled_batch_counts_once(stage: Stage) -> None:
     worker.seq = 1
     await worker.update(reading(1, 6))
     await until(lambda: _commanded(stage) == 6, "the last reading")
-    assert len(stage.history.updates) == 2
+    assert len(stage.history.readings) == 2
 
 
 async def test_a_missing_number_asks_for_a_snapshot_once(stage: Stage) -> None:
@@ -111,7 +111,7 @@ async def test_the_backlog_goes_to_history_alone_and_is_no_gap(stage: Stage) -> 
     old = reading(1, 42)
     await worker.say(Batch(seq=5, sent_at=time.time(), updates=[old], live=False))
     await worker.hear(Delivered)
-    assert stage.history.updates == [old]
+    assert stage.history.readings == [old]
     assert _commanded(stage) == 1000
     await worker.update(reading(1, 8))
     await until(lambda: _commanded(stage) == 8, "the live reading")

@@ -1,0 +1,82 @@
+"""A line of one unit for the tests of history: a store in a folder, readings at chosen times, answers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from app.database.connection import Database
+from app.history.query import Answer, Question, answer
+from app.history.recorder import Recorder
+from app.history.runs import micros
+from app.history.tail import Tail
+from app.history.upkeep import Keep
+from app.history.values import VALUES
+from app.history.writer import MIGRATIONS, Writer
+from bus.contract import ParameterValue, Reading, Update
+from bus.settings import BusSettings, UnitSettings
+
+BUS = BusSettings(name="dry-end", port="/dev/null", unit=(UnitSettings(id=1, name="Unwind"),))
+NOON = 1_795_262_400.0
+"""2026-11-21T12:00:00Z."""
+
+
+def reading(
+    at: float, actual: int = 1000, *, unit: int = 1, inputs: int = 0b11, outputs: int = 0xC0
+) -> Reading:
+    """One answer to 81h."""
+    return Reading(unit, at, 1000, actual, 51, outputs, inputs)
+
+
+def parameter(number: int, raw: int, at: float = NOON - 86_400, unit: int = 1) -> ParameterValue:
+    """One answer to 85h."""
+    return ParameterValue(unit, number, at, raw)
+
+
+def polls(start: float, end: float, value: Callable[[int], int] = lambda i: 1000 + i % 7) -> list[Update]:
+    """Five answers a second."""
+    count = round((end - start) * 5)
+    return [reading(start + i / 5, value(i)) for i in range(count)]
+
+
+class Shelf:
+    """A store and its tail, written by the test itself."""
+
+    def __init__(self, path: Path) -> None:
+        self.database = Database(path, MIGRATIONS, synchronous="NORMAL")
+        self.tail = Tail()
+        self.recorder = Recorder(self.database, self.tail)
+        self.recorder.replay()
+
+    def keep(self, updates: Iterable[Update]) -> None:
+        """On disk in the journal, and in the tail."""
+        self.recorder.commit([(BUS.name, list(updates))])
+
+    def fold(self) -> None:
+        """Every minute into its block."""
+        self.recorder.fold_everything()
+
+    def ask(self, value: str, start: float, end: float, most: int = 20_000, bus: BusSettings = BUS) -> Answer:
+        """What a value was."""
+        question = Question(bus, 1, VALUES[value], micros(start), micros(end), most)
+        return self.database.read_now(lambda connection: answer(connection, self.tail, question))
+
+    def close(self) -> None:
+        """The journal keeps what is in the tail."""
+        self.database.close()
+
+
+def opened(folder: Path, keep: Keep | None = None) -> Writer:
+    """A writer with its thread."""
+    writer = Writer(folder / "history.db", keep or Keep(), lambda _step, _at: None)
+    writer.start()
+    return writer
+
+
+def until(condition: Callable[[], bool], patience_s: float = 30.0) -> None:
+    """Wait for another thread."""
+    deadline = time.monotonic() + patience_s
+    while not condition():
+        assert time.monotonic() < deadline, "the writer did not get there"
+        time.sleep(0.01)

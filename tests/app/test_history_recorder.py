@@ -1,0 +1,170 @@
+"""The store as a whole: what was read is found again, punctual or late, after a crash, in every fineness."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from app.history import store
+from app.history.folding import compact
+from app.history.runs import HOUR, micros
+from bus.contract import BusLink, UnitLink
+from tests.app.history_line import NOON, Shelf, parameter, polls, reading
+
+
+@pytest.fixture
+def shelf(tmp_path: Path) -> Iterator[Shelf]:
+    shelf = Shelf(tmp_path / "history.db")
+    yield shelf
+    shelf.close()
+
+
+def test_readings_are_found_before_and_after_they_are_folded(shelf: Shelf) -> None:
+    shelf.keep([parameter(3, 1), *polls(NOON, NOON + 60)])
+    for _ in range(2):
+        found = shelf.ask("actual", NOON, NOON + 60)
+        assert (found.resolution, found.bucket, found.decimals) == ("readings", 0, 1)
+        assert found.series.least == found.series.greatest == found.series.average
+        assert found.series.average == [(1000 + i % 7) / 10 for i in range(300)]
+        assert found.series.at == [micros(NOON + i / 5) for i in range(300)]
+        shelf.fold()
+
+
+def test_an_idle_line_costs_little_and_is_no_hole(shelf: Shelf) -> None:
+    shelf.keep(polls(NOON, NOON + 300, lambda _: 1000))
+    shelf.fold()
+    rows = shelf.database.read_now(lambda c: c.execute("SELECT sum(points) FROM raw").fetchone()[0])
+    assert rows <= 2 * 6
+    found = shelf.ask("actual", NOON + 30, NOON + 200)
+    assert set(found.series.average) == {1000.0}
+    assert (found.series.at[0], found.series.at[-1]) == (micros(NOON + 30), micros(NOON + 200))
+
+
+def test_a_unit_that_fell_silent_leaves_a_hole(shelf: Shelf) -> None:
+    shelf.keep(polls(NOON, NOON + 10, lambda _: 1000))
+    shelf.keep([UnitLink(1, NOON + 11, "stale")])
+    shelf.keep(polls(NOON + 13, NOON + 20, lambda _: 1000))
+    for _ in range(2):
+        found = shelf.ask("actual", NOON, NOON + 20)
+        place = found.series.average.index(None)
+        assert found.series.average == [1000.0, 1000.0, None, 1000.0, 1000.0]
+        assert micros(NOON + 9) < found.series.at[place] < micros(NOON + 13)
+        assert shelf.ask("run", NOON, NOON + 20).series.average == [1.0, 1.0, None, 1.0, 1.0]
+        shelf.fold()
+
+
+def test_a_closed_port_leaves_a_hole_in_every_unit(shelf: Shelf) -> None:
+    shelf.keep([BusLink(NOON - 1, "open"), *polls(NOON, NOON + 10)])
+    shelf.keep([BusLink(NOON + 11, "closed", "unplugged")])
+    shelf.keep(polls(NOON + 12, NOON + 20))
+    assert shelf.ask("actual", NOON, NOON + 20).series.average.count(None) == 1
+
+
+def test_late_minutes_are_worked_out_again(shelf: Shelf, tmp_path: Path) -> None:
+    punctual = Shelf(tmp_path / "punctual.db")
+    whole = polls(NOON, NOON + 600, lambda i: i * 7 % 2000)
+    punctual.keep(whole)
+    punctual.fold()
+    for part in (whole[:500] + whole[1500:], whole[500:1500]):
+        shelf.keep(part)
+        shelf.fold()
+    for value in ("actual", "commanded", "analog", "run"):
+        for most in (20_000, 50, 7):
+            late, early = (each.ask(value, NOON, NOON + 600, most) for each in (shelf, punctual))
+            assert late == early
+    assert rows_of(shelf) == rows_of(punctual)
+    punctual.close()
+
+
+def rows_of(shelf: Shelf) -> list[tuple[object, ...]]:
+    def read(connection: sqlite3.Connection) -> list[tuple[object, ...]]:
+        tables = {
+            "raw": "start, span, points, data",
+            "minutes": "start, data",
+            "hours": "start, data",
+            "bits": "*",
+        }
+        return [
+            tuple(row)
+            for table, columns in tables.items()
+            for row in connection.execute(f"SELECT {columns} FROM {table} ORDER BY 1, 2")
+        ]
+
+    return shelf.database.read_now(read)
+
+
+def test_an_hour_that_is_over_is_packed_and_still_takes_late_readings(shelf: Shelf) -> None:
+    shelf.keep(polls(NOON, NOON + 180))
+    shelf.keep(polls(NOON + 240, NOON + 300))
+    shelf.fold()
+    before = shelf.ask("actual", NOON, NOON + 300)
+    shelf.database.write_now(lambda c: compact(c, 1, micros(NOON)))
+    spans = shelf.database.read_now(lambda c: c.execute("SELECT span FROM raw").fetchall())
+    assert [row[0] for row in spans] == [HOUR]
+    assert shelf.ask("actual", NOON, NOON + 300) == before
+    shelf.keep(polls(NOON + 180, NOON + 240))
+    shelf.fold()
+    assert shelf.ask("actual", NOON, NOON + 300).series.average.count(None) == 0
+
+
+def test_what_was_on_disk_survives_a_crash(shelf: Shelf) -> None:
+    shelf.keep([parameter(3, 0), *polls(NOON, NOON + 30)])
+    shelf.keep(polls(NOON + 30, NOON + 90))
+    before = shelf.ask("actual", NOON, NOON + 90)
+    again = Shelf(shelf.database.path)
+    assert again.ask("actual", NOON, NOON + 90) == before
+    again.fold()
+    assert again.ask("actual", NOON, NOON + 90) == before
+    journal = again.database.read_now(lambda c: c.execute("SELECT count(*) FROM journal").fetchone()[0])
+    assert journal == 0
+    again.close()
+
+
+def test_a_crash_between_folding_and_forgetting_counts_nothing_twice(shelf: Shelf) -> None:
+    readings = polls(NOON, NOON + 120)
+    shelf.keep(readings)
+    shelf.fold()
+    once = shelf.ask("actual", NOON, NOON + 120, 2), rows_of(shelf)
+    shelf.keep(readings)
+    shelf.fold()
+    assert (shelf.ask("actual", NOON, NOON + 120, 2), rows_of(shelf)) == once
+
+
+def test_a_clock_set_back_an_hour_loses_nothing(shelf: Shelf) -> None:
+    first = polls(NOON, NOON + 120, lambda i: 1000 + i)
+    again = polls(NOON + 0.05, NOON + 120.05, lambda i: 5000 + i)
+    shelf.keep(first)
+    shelf.keep(again)
+    shelf.fold()
+    found = shelf.ask("actual", NOON, NOON + 121)
+    assert sorted(v for v in found.series.average if v is not None) == sorted(
+        float(r.actual) for r in first + again if hasattr(r, "actual")
+    )
+    assert found.series.at == sorted(found.series.at)
+
+
+def test_a_long_span_is_answered_by_minutes_and_hours(shelf: Shelf) -> None:
+    readings = [reading(NOON + i * 20.0, 1000 + i % 3) for i in range(3 * 1440)]
+    shelf.keep([parameter(3, 0), *readings])
+    shelf.fold()
+    day = shelf.ask("actual", NOON, NOON + 86_400, 100)
+    assert (day.resolution, len(day.series.at) <= 100) == ("minutes", True)
+    assert (set(day.series.least), set(day.series.greatest)) == ({1000.0}, {1002.0})
+    assert set(day.series.average) == {1001.0}
+    assert shelf.ask("actual", NOON, NOON + 86_400, 20).resolution == "hours"
+    assert shelf.ask("remote", NOON, NOON + 86_400, 20).series.average == [1.0, 1.0]
+
+
+def test_bits_are_kept_exactly_when_the_readings_are_given_up(shelf: Shelf) -> None:
+    readings = [reading(NOON + i / 5, inputs=0b10 | (i // 100 % 2)) for i in range(1000)]
+    shelf.keep(readings)
+    shelf.fold()
+    exact = shelf.ask("run", NOON, NOON + 200)
+    assert len(exact.series.at) == 2 * 10
+    shelf.database.write_now(lambda c: store.write_raw_from(c, micros(NOON + 86_400)))
+    shelf.database.write_now(lambda c: store.drop_raw(c, micros(NOON + 86_400), 1000))
+    assert shelf.ask("run", NOON, NOON + 200) == exact
+    assert shelf.ask("actual", NOON, NOON + 200).resolution == "minutes"

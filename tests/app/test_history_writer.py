@@ -1,0 +1,92 @@
+"""The writer's thread: it commits, it ends in order, and a bad disk is said and survived."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from app.errors import StoreError
+from app.history import store
+from app.history.disk import Reserve
+from app.history.upkeep import Keep
+from tests.app.history_line import BUS, NOON, Shelf, opened, parameter, polls, until
+
+ENDLESS = 10**18
+
+
+def test_what_was_taken_in_is_there_after_the_end(tmp_path: Path) -> None:
+    writer = opened(tmp_path)
+    writer.take((BUS.name, [parameter(3, 0), *polls(NOON, NOON + 90)]))
+    writer.close()
+    shelf = Shelf(tmp_path / "history.db")
+    assert len(shelf.tail) == 0
+    assert len(shelf.ask("actual", NOON, NOON + 90).series.at) == 450
+    shelf.close()
+
+
+def test_readers_see_readings_soon(tmp_path: Path) -> None:
+    writer = opened(tmp_path)
+    writer.take((BUS.name, polls(NOON, NOON + 10)))
+    until(lambda: len(writer.tail) == 50)
+    assert writer.status.waiting == 0
+    writer.close()
+
+
+def test_what_cannot_be_written_waits_and_the_oldest_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.history.writer.MOST_WAITING", 100)
+    (tmp_path / "history.db").mkdir()
+    writer = opened(tmp_path)
+    for second in range(40):
+        writer.take((BUS.name, polls(NOON + second, NOON + second + 1)))
+    assert (writer.status.waiting, writer.status.lost) == (100, 100)
+    assert writer.status.state == "failed"
+    writer.close()
+
+
+def test_a_nearly_full_disk_is_announced_and_the_oldest_readings_go_first(tmp_path: Path) -> None:
+    shelf = Shelf(tmp_path / "history.db")
+    shelf.keep(polls(NOON, NOON + 120))
+    shelf.fold()
+    shelf.close()
+    writer = opened(tmp_path, Keep(reserve=Reserve(announce=ENDLESS, shed=ENDLESS, pause=0)))
+    until(lambda: writer.status.state == "scarce")
+    until(lambda: writer.database.read_now(store.oldest_raw) is None)
+    assert "nearly full" in writer.status.message
+    minutes = writer.database.read_now(lambda c: c.execute("SELECT count(*) FROM minutes").fetchone()[0])
+    assert minutes == 1
+    writer.close()
+
+
+def test_a_full_disk_pauses_history_for_the_sake_of_events(tmp_path: Path) -> None:
+    writer = opened(tmp_path, Keep(reserve=Reserve(ENDLESS, ENDLESS, ENDLESS)))
+    until(lambda: writer.status.state == "paused")
+    writer.take((BUS.name, polls(NOON, NOON + 10)))
+    until(lambda: writer.status.free_bytes > 0)
+    assert (writer.status.waiting, len(writer.tail)) == (50, 0)
+    writer.close()
+
+
+@pytest.mark.parametrize("rubbish", [b"not a store at all, but long enough to be taken for one" * 100])
+def test_a_damaged_store_is_said_and_nothing_else_fails(tmp_path: Path, rubbish: bytes) -> None:
+    (tmp_path / "history.db").write_bytes(rubbish)
+    writer = opened(tmp_path)
+    assert writer.status.state == "failed"
+    assert "history.db" in writer.status.message
+    writer.take((BUS.name, polls(NOON, NOON + 10)))
+    with pytest.raises(StoreError, match="history is off"):
+        _ = writer.database
+    writer.close()
+    assert (tmp_path / "history.db").read_bytes() == rubbish
+
+
+def test_a_store_of_a_newer_version_is_refused_in_words(tmp_path: Path) -> None:
+    opened(tmp_path).close()
+    with sqlite3.connect(tmp_path / "history.db") as connection:
+        connection.execute("INSERT INTO migrations VALUES (9999, 'later', 0)")
+    writer = opened(tmp_path)
+    assert "newer version" in writer.status.message
+    writer.close()
