@@ -110,6 +110,8 @@ class BusFigures(Message, frozen=True, tag="bus_figures"):
     echoes: int = 0
     diagnosis: str = ""
     units: list[UnitFigures] = []
+    updates_lost: int = 0
+    """Readings and news dropped because the app was away longer than the worker can keep them."""
 
 
 class Frame(Message, frozen=True, tag="frame"):

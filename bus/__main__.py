@@ -1,0 +1,64 @@
+"""``python -m bus --config FILE --bus NAME --app URL``: one bus worker as a process of its own.
+
+The token comes from ``--token`` or, better, from the environment (LINESIDE_WORKER_TOKEN).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tomllib
+from pathlib import Path
+
+import structlog
+
+from bus.settings import BusSettings
+from bus.worker.process import run
+
+TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
+WRONG_USE = 2
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Gives the exit code: 0 told to leave, 2 wrong use."""
+    asked = _parser().parse_args(arguments)
+    token = asked.token or os.environ.pop(TOKEN_VARIABLE, "")
+    if not token:
+        return _wrong(f"no token: give --token or set {TOKEN_VARIABLE} (see 'lineside token create')")
+    try:
+        bus = read_bus(asked.config, asked.bus)
+    except (OSError, ValueError) as error:
+        return _wrong(f"{asked.config}: {error}")
+    structlog.contextvars.bind_contextvars(bus=bus.name)
+    return run(bus, asked.app, token, child=asked.child)
+
+
+def read_bus(config: Path, name: str) -> BusSettings:
+    """The ``[[bus]]`` called ``name``. Raises OSError or ValueError, which says what would be right."""
+    document = tomllib.loads(config.read_text(encoding="utf-8"))
+    buses = [bus for bus in document.get("bus", []) if isinstance(bus, dict)]
+    for bus in buses:
+        if bus.get("name") == name:
+            return BusSettings.model_validate(bus)
+    names = ", ".join(str(bus.get("name")) for bus in buses) or "none"
+    raise ValueError(f"no [[bus]] is called {name!r}; there is: {names}")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m bus", description="One Lineside bus worker.")
+    parser.add_argument("--config", type=Path, required=True, help="lineside.toml")
+    parser.add_argument("--bus", required=True, help="the name of the [[bus]]")
+    parser.add_argument("--app", required=True, help="the dashboard, for example http://127.0.0.1:8000")
+    parser.add_argument("--token", default="", help=f"a token; better in {TOKEN_VARIABLE}")
+    parser.add_argument("--child", action="store_true", help="leave when the parent process is gone")
+    return parser
+
+
+def _wrong(message: str) -> int:
+    print(message, file=sys.stderr)
+    return WRONG_USE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

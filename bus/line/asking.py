@@ -1,0 +1,102 @@
+"""One question through all its tries: fences, retries, deadline. Pure: time in seconds is passed in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bus.line.steps import Answer, Ask, Fate
+from bus.wire.commands import Reply, Request, is_write
+from bus.wire.fence import Doubt
+
+MOST_FENCES = 8
+"""Fences that are answered, each before a try that is not: such a unit hears one frame in two."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """How one exchange ended. Times: seconds since the epoch; ``reply`` None: no answer in its window."""
+
+    request: Request
+    reply: Reply | None
+    sent_at: float
+    answered_at: float | None = None
+    frame: bytes = b""
+
+
+class Asking:
+    """``next_request`` and ``settle`` in turn, until ``answer`` is there.
+
+    A timeout of a fence counts like a timeout of the request: so many in a row mean silence. A write never
+    leaves after ``deadline`` (on the clock of ``now``), whatever came of its earlier tries.
+    """
+
+    def __init__(self, ask: Ask, deadline: float = float("inf")) -> None:
+        self.ask = ask
+        self.answer: Answer | None = None
+        self._deadline = float("inf") if ask.withdraws or not is_write(ask.request) else deadline
+        self._attempts = 0
+        self._fences = 0
+        self._unanswered = 0
+        self._sent_at: float | None = None
+
+    @property
+    def begun(self) -> bool:
+        """Whether the request itself has left."""
+        return self._attempts > 0
+
+    def next_request(self, now: float, doubt: Doubt) -> Request | None:
+        """What to send now; None once ``answer`` is there. ``doubt``: of the unit asked."""
+        if self.answer is not None:
+            return None
+        fence = self._fence(doubt)
+        if fence is not None:
+            return fence
+        if now > self._deadline:
+            self._end(Fate.TOO_LATE)
+            return None
+        return self.ask.request
+
+    def settle(self, heard: Heard) -> None:
+        """The exchange with what ``next_request`` gave is over."""
+        if heard.request != self.ask.request:
+            self._settle_fence(answered=heard.reply is not None)
+            return
+        self._attempts += 1
+        self._sent_at = heard.sent_at
+        if heard.request.unit == 0:
+            self._end(Fate.SENT)
+        elif heard.reply is not None:
+            self._end(Fate.ANSWERED, heard)
+        else:
+            self._missed()
+
+    def close(self) -> None:
+        """The port is gone."""
+        if self.answer is None:
+            self._end(Fate.CLOSED)
+
+    def _fence(self, doubt: Doubt) -> Request | None:
+        fence = doubt.fence_before(self.ask.request)
+        if fence is None and self.ask.proves and self.ask.request in doubt.outstanding:
+            fence = doubt.fence()
+        return fence if fence != self.ask.request else None
+
+    def _settle_fence(self, *, answered: bool) -> None:
+        if answered:
+            self._unanswered = 0
+            self._fences += 1
+            if self._fences > MOST_FENCES:
+                self._end(Fate.SILENT)
+        else:
+            self._missed()
+
+    def _missed(self) -> None:
+        self._unanswered += 1
+        if self._unanswered >= self.ask.tries or self._attempts >= self.ask.tries:
+            self._end(Fate.SILENT)
+
+    def _end(self, fate: Fate, heard: Heard | None = None) -> None:
+        reply = heard.reply if heard is not None else None
+        answered_at = heard.answered_at if heard is not None else None
+        frame = heard.frame if heard is not None else b""
+        self.answer = Answer(fate, reply, self._attempts, self._sent_at, answered_at, frame)

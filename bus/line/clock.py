@@ -1,0 +1,59 @@
+"""The two clocks of a line and its one alarm: injected, so that tests run on a virtual one."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+SLEW_S = 0.001
+"""How far the wall clock's drift is followed in one ``settle``; a step of more than a second at once."""
+STEP_S = 1.0
+
+
+class Alarm(Protocol):
+    """A call to come."""
+
+    def cancel(self) -> None:
+        """It will not come."""
+
+
+class Clock(Protocol):
+    """``now`` never goes back; ``epoch`` is what other machines understand. Both in seconds."""
+
+    def now(self) -> float:
+        """The line's own time."""
+
+    def epoch(self, now: float) -> float:
+        """The same moment in seconds since 1970."""
+
+    def settle(self) -> None:
+        """Follow the wall clock a little; called about once a second."""
+
+    def call_at(self, when: float, callback: Callable[[], None]) -> Alarm:
+        """Have ``callback`` run at ``when`` (of ``now``), or as soon as possible after."""
+
+
+class RealClock:
+    """The machine's clocks and the running event loop.
+
+    The offset between the two is kept, so that frames stay in order when somebody sets the wall clock.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
+        self._loop = loop or asyncio.get_running_loop()
+        self._offset = time.time() - time.monotonic()
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def epoch(self, now: float) -> float:
+        return now + self._offset
+
+    def settle(self) -> None:
+        error = time.time() - time.monotonic() - self._offset
+        self._offset += error if abs(error) > STEP_S else max(-SLEW_S, min(SLEW_S, error))
+
+    def call_at(self, when: float, callback: Callable[[], None]) -> Alarm:
+        return self._loop.call_later(max(0.0, when - time.monotonic()), callback)

@@ -1,0 +1,104 @@
+"""The likely cause of trouble on a bus, in words, from the last seconds' counts. Pure rules.
+
+One unit: its drop or its address. All: adapter, main cable or termination. All from one place on: the
+cable there. Spoilt bytes at many: shielding. Spoilt bytes at one address only: two units may share it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+TROUBLED = 0.1
+"""A unit is in trouble when it misses or spoils more than this part of its answers."""
+FEW = 3
+"""Fewer events than this are chance."""
+LATE_PART = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class UnitTrouble:
+    """What one unit did in the window, units in floor order. ``spoilt``: answers with a wrong checksum."""
+
+    unit: int
+    offline: bool = False
+    answers: int = 0
+    timeouts: int = 0
+    spoilt: int = 0
+    foreign: int = 0
+    late: int = 0
+
+    @property
+    def asked(self) -> int:
+        return self.answers + self.timeouts
+
+    @property
+    def silent(self) -> bool:
+        return self.offline or (self.timeouts >= FEW and self.timeouts > TROUBLED * self.asked)
+
+    @property
+    def garbled(self) -> bool:
+        return self.spoilt >= FEW and self.spoilt > TROUBLED * self.asked
+
+    @property
+    def slow(self) -> bool:
+        return self.late >= FEW and self.late > LATE_PART * self.asked
+
+
+def diagnose(units: Sequence[UnitTrouble], noise_bytes: int, echoes: int) -> str:
+    """One or two sentences; empty when all is well."""
+    found = [_garbled(units), _silent(units), _slow(units), _foreign(units)]
+    if echoes:
+        found.append("The adapter hears itself: switch its echo (or two-wire mode) off.")
+    if noise_bytes >= 100 and not any(found):
+        found.append("Stray bytes come in without being asked for: look at shielding and grounding.")
+    return " ".join(sentence for sentence in found if sentence)
+
+
+def _silent(units: Sequence[UnitTrouble]) -> str:
+    silent = [each for each in units if each.silent and not each.garbled]
+    if not silent:
+        return ""
+    if len(silent) == len(units) and len(units) > 1:
+        return "No unit answers: look at the adapter, the main cable, its termination, and the baud rate."
+    if len(silent) == 1:
+        return f"Only unit {silent[0].unit} does not answer: look at its drop, its power, its address (#17)."
+    first = units.index(silent[0])
+    if list(units[first:]) == silent and first > 0:
+        return (
+            f"No unit answers from unit {silent[0].unit} on: look at the cable between unit "
+            f"{units[first - 1].unit} and unit {silent[0].unit}."
+        )
+    return f"Units {_names(silent)} do not answer: look at what they share, and at the power of each."
+
+
+def _garbled(units: Sequence[UnitTrouble]) -> str:
+    garbled = [each for each in units if each.garbled]
+    if not garbled:
+        return ""
+    if len(garbled) == 1 and len(units) > 1:
+        return (
+            f"Only the answers of unit {garbled[0].unit} are spoilt: two units may have this address (#17), "
+            "or its drop is bad."
+        )
+    if len(garbled) == len(units):
+        return "Answers of every unit are spoilt: look at shielding, grounding and termination."
+    return f"Answers of units {_names(garbled)} are spoilt: look at the shielding of their stretch of cable."
+
+
+def _slow(units: Sequence[UnitTrouble]) -> str:
+    slow = [each for each in units if each.slow]
+    if not slow:
+        return ""
+    return f"Answers of unit {_names(slow)} come late or twice: a longer turnaround_ms may be needed."
+
+
+def _foreign(units: Sequence[UnitTrouble]) -> str:
+    foreign = [each for each in units if each.foreign >= FEW]
+    if not foreign:
+        return ""
+    return f"Unit {_names(foreign)} answers with what is not its own address or length: is it a DIGIMAX IV?"
+
+
+def _names(units: Sequence[UnitTrouble]) -> str:
+    return ", ".join(str(each.unit) for each in units)

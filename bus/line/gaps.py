@@ -1,0 +1,95 @@
+"""Which parameter is read next in the gaps of the scan. Pure: order only, no time."""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Collection, Sequence
+
+FIRST_OF_ALL = 3
+"""Without #3 (decimals) no speed can be shown right."""
+
+
+class Gaps:
+    """Two queues of 85h reads: those needed to show a unit right, and a slow circle of all others.
+
+    The needed ones go number by number over all units, so that all units are shown right together.
+    The circle never ends: what was read goes to its end, which finds what was changed at a panel.
+    """
+
+    def __init__(self, numbers: Sequence[int], needed: Collection[int]) -> None:
+        self._numbers = tuple(numbers)
+        self._needed_numbers = frozenset(needed)
+        self._needed: list[tuple[bool, int, int, int]] = []
+        self._circle: deque[tuple[int, int]] = deque()
+        self._waiting: set[tuple[int, int]] = set()
+        self._urgent: set[tuple[int, int]] = set()
+        self._arrivals = 0
+
+    def learn_all(self, unit: int) -> None:
+        """``unit`` is new or has returned: everything about it is to be read."""
+        self.forget(unit)
+        self.need(unit)
+        for number in self._numbers:
+            if number not in self._needed_numbers:
+                self._circulate(unit, number)
+
+    def need(self, unit: int) -> None:
+        """Read again what is needed to show ``unit`` right."""
+        for number in self._needed_numbers:
+            if (unit, number) not in self._urgent:
+                self._urgent.add((unit, number))
+                self._arrivals += 1
+                rank = (number != FIRST_OF_ALL, number, self._arrivals, unit)
+                heapq.heappush(self._needed, rank)
+
+    def forget(self, unit: int) -> None:
+        """``unit`` does not answer; nothing is read from it."""
+        self._needed = [entry for entry in self._needed if entry[3] != unit]
+        heapq.heapify(self._needed)
+        self._circle = deque(entry for entry in self._circle if entry[0] != unit)
+        self._waiting = {entry for entry in self._waiting if entry[0] != unit}
+        self._urgent = {entry for entry in self._urgent if entry[0] != unit}
+
+    def has_needed(self) -> bool:
+        """Whether a parameter is missing without which a unit is not shown right."""
+        return bool(self._needed)
+
+    def next_needed(self) -> tuple[int, int] | None:
+        """Unit and number of the next needed parameter, taken from the queue."""
+        if not self._needed:
+            return None
+        _, number, _, unit = heapq.heappop(self._needed)
+        self._urgent.discard((unit, number))
+        return unit, number
+
+    def next_of_circle(self) -> tuple[int, int] | None:
+        """Unit and number of the next parameter of the slow circle, taken from it."""
+        if not self._circle:
+            return None
+        entry = self._circle.popleft()
+        self._waiting.discard(entry)
+        return entry
+
+    def was_read(self, unit: int, number: int, *, available: bool) -> None:
+        """It takes its place at the end of the circle; one that the unit does not have leaves it."""
+        if available and number in self._numbers:
+            self._circulate(unit, number)
+
+    def was_not_read(self, unit: int, number: int) -> None:
+        """No answer: back into the queue it came from."""
+        if number in self._needed_numbers:
+            self._again(unit, number)
+        else:
+            self._circulate(unit, number)
+
+    def _again(self, unit: int, number: int) -> None:
+        if (unit, number) not in self._urgent:
+            self._urgent.add((unit, number))
+            self._arrivals += 1
+            heapq.heappush(self._needed, (True, number, self._arrivals, unit))
+
+    def _circulate(self, unit: int, number: int) -> None:
+        if (unit, number) not in self._waiting:
+            self._waiting.add((unit, number))
+            self._circle.append((unit, number))

@@ -1,0 +1,347 @@
+"""One exchange at a time over an open port: deadlines, windows, and what else comes in.
+
+The window of an answer begins when the request's last byte has left the wire, which is computed, not
+waited for. It ends when a unit's turnaround is over and nothing is coming in any more, or at the latest
+when the longest answer would be through; so bytes without end cannot hold it open.
+
+On a port that is as slow as its baud rate says, a frame that is complete before the answer can be is a
+leftover of an earlier exchange. A port may be faster (an unpaced simulator, a device server that
+buffers): that shows at its first answer, and then this test is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from bus.contract import Direction
+from bus.errors import WireError
+from bus.line.asking import Heard
+from bus.line.clock import Alarm, Clock
+from bus.line.roster import Roster
+from bus.line.trace import Passed, Trace
+from bus.settings import BITS_PER_BYTE, Dialect
+from bus.wire.commands import Nak, ReadStatus, Request, longest_reply_bytes
+from bus.wire.describe import is_secret
+from bus.wire.exchange import Answered, Doubled, Echo, Event, Exchange, Foreign, Late, Unexpected
+from bus.wire.fence import Doubt, Doubts
+from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise, ReceivedFrame
+
+MARGIN_S = 0.010
+"""What the machine and the adapter may add to a unit's turnaround."""
+QUIET_BYTES = 4
+"""An answer that pauses for so many byte times is over."""
+EARLY = 0.9
+"""A frame that is there in less than this part of the least time cannot be the answer."""
+EARLY_TO_BELIEVE = 3
+ON_TIME_TO_BELIEVE = 50
+TIMER_SLACK_S = 0.0005
+SUSPECTED_S = 60.0
+"""How long a unit that was heard twice is suspected of it."""
+
+
+class Port(Protocol):
+    """What the link needs of ``bus.line.transport``."""
+
+    def write(self, data: bytes) -> None:
+        """Hand over one request. Raises WireError when the port does not take it."""
+
+    def drop_output(self) -> None:
+        """Forget what has not left yet."""
+
+    def close(self) -> None:
+        """Give the port back, at once."""
+
+
+@dataclass(slots=True)
+class WireCounts:
+    """What the whole bus carried since the worker started."""
+
+    busy_s: float = 0.0
+    noise_bytes: int = 0
+    echoes: int = 0
+    broadcasts: int = 0
+
+
+class Pace:
+    """Whether the port is as slow as its baud rate: learned from its answers."""
+
+    def __init__(self) -> None:
+        self.paced: bool | None = None
+        self._against = 0
+
+    def believes(self, *, early: bool) -> bool:
+        """Whether an answer may be taken; ``early``: it was complete before it could be."""
+        if self.paced is None:
+            self.paced = not early
+        if early != self.paced:
+            self._against = 0
+            return True
+        self._against += 1
+        if self._against >= (EARLY_TO_BELIEVE if self.paced else ON_TIME_TO_BELIEVE):
+            self.paced, self._against = not self.paced, 0
+            return True
+        return not early
+
+
+@dataclass(slots=True)
+class _Current:
+    """The exchange under way, in the line's own time."""
+
+    exchange: Exchange
+    began: float
+    ends_sending: float
+    """When the request's last byte has left."""
+    last_moment: float
+    frame: bytes = b""
+
+
+class Link:
+    """Sends one request, gives one ``Heard``. ``done`` may send the next in the same breath."""
+
+    def __init__(
+        self, dialect: Dialect, baud: int, turnaround_s: float, clock: Clock, roster: Roster, trace: Trace
+    ) -> None:
+        self._dialect = dialect
+        self._byte_s = BITS_PER_BYTE / baud
+        self._turnaround_s = turnaround_s
+        self._clock = clock
+        self._roster = roster
+        self._trace = trace
+        self._port: Port | None = None
+        self._pace = Pace()
+        self._decoder = FrameDecoder(dialect)
+        self._doubts = Doubts(dialect)
+        self._twice: dict[int, float] = {}
+        self._current: _Current | None = None
+        self._idle: Exchange | None = None
+        self._alarm: Alarm | None = None
+        self._alarm_at = 0.0
+        self._deadline: float | None = None
+        self._last_byte_at = 0.0
+        self._last_answer = b""
+        self.done: Callable[[Heard, float, float], None] = _nobody
+        """Called with what was heard and when the exchange began and ended."""
+        self.broke: Callable[[str], None] = _nobody_told
+        """Called when the port does not take a request."""
+        self.counts = WireCounts()
+
+    # --- the port ------------------------------------------------------------------------------
+
+    def attach(self, port: Port, baud: int) -> None:
+        """The port is open: nothing that was under way before can still arrive."""
+        self._port = port
+        self._byte_s = BITS_PER_BYTE / baud
+        self._pace = Pace()
+        self._decoder = FrameDecoder(self._dialect)
+        self._doubts = Doubts(self._dialect)
+        self._twice.clear()
+        self._idle = None
+
+    def detach(self) -> Heard | None:
+        """The port is gone; gives the exchange under way, which has no answer."""
+        current, self._current = self._current, None
+        self._port = None
+        self._deadline = None
+        if current is None:
+            return None
+        return Heard(current.exchange.request, None, self._clock.epoch(current.ends_sending))
+
+    @property
+    def open(self) -> bool:
+        """Whether there is a port."""
+        return self._port is not None
+
+    @property
+    def busy(self) -> bool:
+        """Whether an exchange is under way."""
+        return self._current is not None
+
+    def doubt(self, unit: int) -> Doubt:
+        """What ``unit`` may still answer late or twice.
+
+        On a paced port a second copy comes too early to be taken for anything else, so only a unit that
+        was lately heard twice is suspected of it.
+        """
+        doubt = self._doubts.about(unit)
+        if self._pace.paced and self._twice.get(unit, 0.0) < self._clock.now():
+            return doubt.moved_on()
+        return doubt
+
+    def least_s(self, sent_bytes: int, received_bytes: int) -> float:
+        """What an exchange takes on the wire."""
+        return (sent_bytes + received_bytes) * self._byte_s
+
+    # --- one exchange --------------------------------------------------------------------------
+
+    def send(self, request: Request) -> None:
+        """Begin an exchange. Raises CallerError for a request that no frame can carry."""
+        assert self._port is not None
+        assert self._current is None
+        doubt = self.doubt(request.unit)
+        exchange = Exchange(request, self._dialect, decoder=self._decoder, doubt=doubt)
+        began = self._clock.now()
+        try:
+            self._port.write(exchange.sent)
+        except WireError as error:
+            self.broke(str(error))
+            return
+        ends_sending = began + len(exchange.sent) * self._byte_s
+        longest = longest_reply_bytes(request, self._dialect) * self._byte_s
+        window_s = self._turnaround_s + MARGIN_S if request.unit else 0.0
+        last_moment = ends_sending + window_s + (longest + MARGIN_S if request.unit else 0.0)
+        self._current = _Current(exchange, began, ends_sending, last_moment)
+        self._arm(ends_sending + window_s)
+        self._note(began, "out", exchange.sent, request)
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes came in."""
+        now = self._clock.now()
+        self._last_byte_at = now
+        current = self._current
+        exchange = current.exchange if current is not None else self._idle
+        if exchange is None:
+            self.counts.noise_bytes += len(data)
+            self._note(now, "in", data, None, valid=False)
+            return
+        for event in exchange.receive(data, now):
+            self._take(event, exchange.request, now)
+        if current is not None and current.exchange.reply is not None:
+            self._finish(current, now)
+
+    def _take(self, event: Event, request: Request, now: float) -> None:
+        if isinstance(event, Noise | DoubledChecksum):
+            if isinstance(event, Noise):
+                self._take_noise(event, request, now)
+            self._note(now, "in", event.data, request, valid=False)
+            return
+        statistics = self._roster[request.unit].statistics
+        match event:
+            case Answered(frame=frame):
+                self._take_answer(frame.wire, now)
+            case Echo():
+                self.counts.echoes += 1
+            case Foreign(unit=unit, frame=frame):
+                self._foreign(unit, frame, request, now)
+            case Doubled():
+                self._heard_twice(request.unit, now)
+            case Late():
+                statistics.late += 1
+            case Unexpected():
+                statistics.foreign += 1
+        self._note(now, "in", event.frame.wire, request)
+
+    def _take_noise(self, noise: Noise, request: Request, now: float) -> None:
+        self.counts.noise_bytes += len(noise.data)
+        if noise.reason is not Fault.CHECKSUM:
+            return
+        self._roster[request.unit].statistics.checksum_errors += 1
+        if self._current is not None and noise.body[0] == request.unit:
+            self._spoilt(now)
+
+    def _take_answer(self, wire: bytes, now: float) -> None:
+        current = self._current
+        if current is None:
+            return
+        least = (len(current.exchange.sent) + len(wire)) * self._byte_s
+        if self._pace.believes(early=now - current.began < least * EARLY):
+            current.frame = self._last_answer = wire
+            return
+        request = current.exchange.request
+        self._heard_twice(request.unit, now)
+        doubt = self.doubt(request.unit)
+        current.exchange = Exchange(request, self._dialect, decoder=self._decoder, doubt=doubt)
+
+    def _heard_twice(self, unit: int, now: float) -> None:
+        self._roster[unit].statistics.late += 1
+        self._twice[unit] = now + SUSPECTED_S
+
+    def _foreign(self, unit: int, frame: ReceivedFrame, request: Request, now: float) -> None:
+        """Another unit's frame: late where that unit owes one or says its last once more, else a mistake."""
+        if self._doubts.about(unit).outstanding:
+            self._doubts.heard(frame.body)
+            self._roster[unit].statistics.late += 1
+        elif frame.wire == self._last_answer:
+            self._heard_twice(unit, now)
+        elif request.unit:
+            self._roster[request.unit].statistics.foreign += 1
+
+    def _spoilt(self, now: float) -> None:
+        """The answer came with a wrong checksum: no other will come, so only quiet is waited for."""
+        if self._deadline is not None:
+            self._arm(min(self._deadline, now + QUIET_BYTES * self._byte_s))
+
+    def _finish(self, current: _Current, now: float) -> None:
+        exchange = current.exchange
+        request = exchange.request
+        self._current, self._idle, self._deadline = None, exchange, None
+        self._doubts.after(exchange.doubt)
+        self._count(current)
+        heard = Heard(
+            request,
+            exchange.reply,
+            self._clock.epoch(current.ends_sending),
+            self._clock.epoch(now) if exchange.reply is not None else None,
+            b"" if is_secret(request) else current.frame,
+        )
+        self.done(heard, current.began, now)
+
+    def _count(self, current: _Current) -> None:
+        exchange = current.exchange
+        request = exchange.request
+        self.counts.busy_s += (len(exchange.sent) + len(current.frame)) * self._byte_s
+        if request.unit == 0:
+            self.counts.broadcasts += 1
+            return
+        statistics = self._roster[request.unit].statistics
+        statistics.polls += isinstance(request, ReadStatus)
+        if exchange.reply is None:
+            statistics.timeouts += 1
+            return
+        statistics.answers += 1
+        if exchange.first_byte_at is not None:
+            statistics.times.add(exchange.first_byte_at - self._byte_s - current.ends_sending)
+        if isinstance(exchange.reply, Nak):
+            statistics.refused(exchange.reply.code)
+
+    # --- waiting -------------------------------------------------------------------------------
+
+    def _arm(self, when: float) -> None:
+        """Have ``_ring`` called at ``when``; an alarm that comes earlier is let come and set again."""
+        self._deadline = when
+        if self._alarm is not None and self._alarm_at <= when:
+            return
+        if self._alarm is not None:
+            self._alarm.cancel()
+        self._alarm, self._alarm_at = self._clock.call_at(when, self._ring), when
+
+    def _ring(self) -> None:
+        self._alarm = None
+        current = self._current
+        if current is None or self._deadline is None:
+            return
+        now = self._clock.now()
+        quiet_at = self._last_byte_at + max(QUIET_BYTES * self._byte_s, MARGIN_S / 2)
+        until = max(self._deadline, min(quiet_at, current.last_moment)) if current.exchange.awaiting else 0.0
+        if now < until - TIMER_SLACK_S or now < self._deadline - TIMER_SLACK_S:
+            self._arm(max(until, self._deadline))
+            return
+        current.exchange.give_up()
+        if self._port is not None:
+            self._port.drop_output()
+        self._finish(current, now)
+
+    def _note(
+        self, now: float, way: Direction, data: bytes, request: Request | None, *, valid: bool = True
+    ) -> None:
+        hidden = request is not None and is_secret(request)
+        self._trace.add(Passed(self._clock.epoch(now), way, data, valid, hidden))
+
+
+def _nobody(_heard: Heard, _began: float, _ended: float) -> None:
+    """Until the poller listens."""
+
+
+def _nobody_told(_cause: str) -> None:
+    """Until the poller listens."""

@@ -1,0 +1,50 @@
+"""Reads that somebody asked for, one after the other. Pure procedures (``bus.line.steps``)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import ParameterValue, Result
+from bus.errors import unit_error_name
+from bus.line.proof import ask
+from bus.line.roster import UnitRecord
+from bus.line.steps import Ask, Fate, Procedure, Tell, Wish
+from bus.wire.commands import ReadParameter
+
+
+def read_parameters(record: UnitRecord, numbers: Sequence[int], wish: Wish) -> Procedure:
+    """85h for each of ``numbers``, all of the list when empty; a unit that falls silent ends it."""
+    wanted = tuple(numbers) or tuple(PARAMETERS)
+    values: list[ParameterValue] = []
+    refused: list[str] = []
+    for done, number in enumerate(wanted):
+        if wish.cancelled:
+            return _partly(record, values, wanted, "given up")
+        yield Tell("sent", record.unit, done, len(wanted))
+        answer = yield from ask(Ask(ReadParameter(record.unit, number), proves=True))
+        if answer.fate is Fate.CLOSED:
+            return _partly(record, values, wanted, "the link to the bus was lost", closed=True)
+        if answer.fate is not Fate.ANSWERED:
+            return _partly(record, values, wanted, f"no answer to #{number}")
+        known = record.parameters.get(number)
+        if known is not None and known.at == answer.answered_at:
+            values.append(known)
+        else:
+            refused.append(f"#{number}: {unit_error_name(answer.refusal or 0)}")
+    if refused:
+        return _partly(record, values, wanted, "; ".join(refused))
+    return Result(id="", at=0.0, outcome="verified", values=values)
+
+
+def _partly(
+    record: UnitRecord, values: list[ParameterValue], wanted: Sequence[int], why: str, *, closed: bool = False
+) -> Result:
+    nothing = closed and not values
+    return Result(
+        id="",
+        at=0.0,
+        outcome="bus_closed" if nothing else "unverified",
+        message=f"unit {record.unit}: {len(values)} of {len(wanted)} parameters were read, then: {why}",
+        values=values,
+    )

@@ -1,0 +1,188 @@
+"""What is known of each unit: its link, its newest words, what it holds staged. Pure.
+
+Nothing here is ever guessed: a value comes from an answer, and a silent unit keeps its last one with
+its age. Methods give the updates that the app must hear. Times: seconds since the epoch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+from bus.contract import (
+    ParameterValue,
+    Reading,
+    Staged,
+    UnitLink,
+    UnitLinkState,
+    UnitState,
+    Update,
+)
+from bus.errors import UnitErrorCode
+from bus.line.statistics import UnitStatistics
+from bus.wire.commands import (
+    Ack,
+    ExecuteSpeed,
+    Nak,
+    ParameterReply,
+    ReadParameter,
+    Reply,
+    Request,
+    SetAndExecuteSpeed,
+    StageSpeed,
+    StatusReply,
+)
+
+MISSES_TO_STALE = 2
+MISSES_TO_OFFLINE = 3
+"""One lost answer is asked for again at once and is nobody's business."""
+
+
+@dataclass(slots=True)
+class UnitRecord:
+    """One unit. ``misses``: questions in a row that it did not answer."""
+
+    unit: int
+    link: UnitLink
+    misses: int = 0
+    reading: Reading | None = None
+    parameters: dict[int, ParameterValue] = field(default_factory=dict)
+    staged: int | None = None
+    statistics: UnitStatistics = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.statistics = UnitStatistics(self.unit)
+
+    def raw(self, number: int) -> int | None:
+        """A parameter as last read; None when it never was, or the unit does not have it."""
+        known = self.parameters.get(number)
+        return known.raw if known is not None else None
+
+
+class Roster:
+    """Every configured unit in floor order, and any other that a command was sent to."""
+
+    def __init__(self, units: Iterable[int], at: float) -> None:
+        self._configured = tuple(units)
+        self._records = {unit: _stranger(unit, at) for unit in self._configured}
+
+    def __iter__(self) -> Iterator[UnitRecord]:
+        return iter(self._records.values())
+
+    def __getitem__(self, unit: int) -> UnitRecord:
+        record = self._records.get(unit)
+        if record is None:
+            record = self._records[unit] = _stranger(unit, 0.0)
+        return record
+
+    @property
+    def configured(self) -> tuple[int, ...]:
+        """The addresses of the configuration, in floor order."""
+        return self._configured
+
+    def is_configured(self, unit: int) -> bool:
+        """Whether the configuration has ``unit``."""
+        return unit in self._configured
+
+    def states(self) -> list[UnitState]:
+        """For a snapshot."""
+        return [
+            UnitState(
+                unit=record.unit,
+                link=record.link,
+                reading=record.reading,
+                parameters=list(record.parameters.values()),
+                staged=record.staged,
+            )
+            for record in map(self._records.__getitem__, self._configured)
+        ]
+
+    # --- what a unit said ----------------------------------------------------------------------
+
+    def heard(self, request: Request, reply: Reply, at: float, frame: bytes) -> list[Update]:
+        """``reply`` is the answer to ``request``."""
+        record = self[request.unit]
+        updates = self._answered(record, at)
+        match request, reply:
+            case _, StatusReply():
+                record.reading = _reading(reply, at)
+                updates.append(record.reading)
+            case ReadParameter(), ParameterReply():
+                value = ParameterValue(record.unit, request.number, at, reply.raw, frame=frame)
+                updates += self._learn(record, value)
+            case ReadParameter(), Nak(code=UnitErrorCode.ILLEGAL_PARAMETER_NUMBER):
+                value = ParameterValue(record.unit, request.number, at, None, available=False, frame=frame)
+                updates += self._learn(record, value)
+            case StageSpeed(), Ack():
+                updates += self._stage(record, request.raw, at)
+            case ((ExecuteSpeed() | SetAndExecuteSpeed()), Ack()):
+                updates += self._stage(record, None, at)
+        return updates
+
+    def unstage(self, unit: int, at: float) -> list[Update]:
+        """``unit`` holds no staged speed any more."""
+        return self._stage(self[unit], None, at)
+
+    def missed(self, unit: int, at: float) -> list[Update]:
+        """``unit`` did not answer one question."""
+        record = self[unit]
+        record.misses += 1
+        if record.misses >= MISSES_TO_OFFLINE:
+            return self._link(record, "offline", at, f"no answer to {MISSES_TO_OFFLINE} questions in a row")
+        if record.link.link == "online" and record.misses >= MISSES_TO_STALE:
+            return self._link(record, "stale", at, "an answer is overdue")
+        return []
+
+    def port_closed(self, at: float, cause: str) -> list[Update]:
+        """No unit can be asked: whoever was online is stale from now on."""
+        return [
+            update
+            for record in self._records.values()
+            if record.link.link == "online"
+            for update in self._link(record, "stale", at, cause)
+        ]
+
+    def port_stays_closed(self, at: float, cause: str) -> list[Update]:
+        """It has lasted: whoever was stale counts as lost."""
+        return [
+            update
+            for record in self._records.values()
+            if record.link.link == "stale"
+            for update in self._link(record, "offline", at, cause)
+        ]
+
+    def _answered(self, record: UnitRecord, at: float) -> list[Update]:
+        record.misses = 0
+        return self._link(record, "online", at, "") if record.link.link != "online" else []
+
+    def _learn(self, record: UnitRecord, value: ParameterValue) -> list[Update]:
+        record.parameters[value.number] = value
+        return [value] if self.is_configured(record.unit) else []
+
+    def _stage(self, record: UnitRecord, raw: int | None, at: float) -> list[Update]:
+        if record.staged == raw:
+            return []
+        record.staged = raw
+        return [Staged(unit=record.unit, at=at, raw=raw)]
+
+    def _link(self, record: UnitRecord, link: UnitLinkState, at: float, cause: str) -> list[Update]:
+        if record.link.link == link:
+            return []
+        record.link = UnitLink(unit=record.unit, at=at, link=link, cause=cause)
+        return [record.link]
+
+
+def _stranger(unit: int, at: float) -> UnitRecord:
+    return UnitRecord(unit, UnitLink(unit=unit, at=at, link="unknown", cause="not heard yet"))
+
+
+def _reading(reply: StatusReply, at: float) -> Reading:
+    return Reading(
+        unit=reply.unit,
+        at=at,
+        commanded=reply.commanded,
+        actual=reply.actual,
+        analog=reply.analog,
+        outputs=reply.outputs,
+        inputs=reply.inputs,
+    )

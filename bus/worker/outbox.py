@@ -1,0 +1,166 @@
+"""What the app has not confirmed yet: updates in order, numbered as they are sent, bounded. No socket.
+
+A batch gets its number when it is made. After a lost connection everything that the app does not have
+(``Welcome.seq``) goes back to the front and is numbered anew from there, so the app never sees a gap.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Iterable
+from itertools import chain
+
+from bus.contract import Batch, BusFigures, Frames, Progress, Reading, Update
+
+MOST_READINGS = 30_000
+"""13 minutes of one bus at 9600 baud (38.4 readings a second)."""
+MOST_OTHERS = 10_000
+MOST_IN_A_BATCH = 500
+ENOUGH_WAITING = 1_000
+"""With so much waiting, what is of the moment only is not queued as well."""
+
+Passing = Progress | BusFigures | Frames
+"""Of the moment only: worth nothing later."""
+
+
+class Outbox:
+    """``put`` in, ``next_batch`` out, ``delivered`` forgets.
+
+    In the order of time: ``_stripped`` and ``_sent`` are batches without the app's word for them,
+    ``_old`` and ``_waiting`` are updates that were never sent. Stripped and old are what is left where
+    readings had to be dropped.
+    """
+
+    def __init__(self, most_readings: int = MOST_READINGS, most_others: int = MOST_OTHERS) -> None:
+        self._most_readings = most_readings
+        self._most_others = most_others
+        self._stripped: deque[Batch] = deque()
+        self._sent: deque[Batch] = deque()
+        self._old: deque[Update] = deque()
+        self._waiting: deque[Update] = deque()
+        self._readings = 0
+        self._others = 0
+        self._seq = 0
+        self._backlog = 0
+        self.connected = False
+        self.lost = 0
+        """Updates dropped since the start because the app was away too long."""
+        self.filled = asyncio.Event()
+
+    @property
+    def seq(self) -> int:
+        """The number of the last batch made."""
+        return self._seq
+
+    def __len__(self) -> int:
+        return self._readings + self._others
+
+    def put(self, updates: Iterable[Update]) -> None:
+        """Have them delivered."""
+        for update in updates:
+            if isinstance(update, Passing) and not self._worth_queueing():
+                continue
+            self._waiting.append(update)
+            self._count(update, 1)
+        self._keep_bounds()
+        self.filled.set()
+
+    def disconnected(self) -> None:
+        """The app is away."""
+        self.connected = False
+
+    def resume(self, delivered: int) -> None:
+        """The app is back and has every batch up to ``delivered``; all else is backlog now."""
+        self.delivered(delivered)
+        batches = chain(self._stripped, self._sent)
+        updates = chain(chain.from_iterable(batch.updates for batch in batches), self._old, self._waiting)
+        kept: deque[Update] = deque(update for update in updates if not isinstance(update, Passing))
+        for queue in (self._stripped, self._sent, self._old):
+            queue.clear()
+        self._waiting = kept
+        self._readings = sum(isinstance(update, Reading) for update in kept)
+        self._others = len(kept) - self._readings
+        self._seq = delivered
+        self._backlog = len(kept)
+        self.connected = True
+
+    def next_batch(self, at: float) -> Batch | None:
+        """The next to send, at epoch second ``at``; None when nothing waits."""
+        updates = self._take()
+        if not updates:
+            self.filled.clear()
+            return None
+        live = self._backlog == 0
+        self._backlog = max(0, self._backlog - len(updates))
+        self._seq += 1
+        batch = Batch(seq=self._seq, sent_at=at, updates=updates, live=live)
+        self._sent.append(batch)
+        return batch
+
+    def delivered(self, seq: int) -> None:
+        """The app has every batch up to ``seq``."""
+        for queue in (self._stripped, self._sent):
+            while queue and queue[0].seq <= seq:
+                for update in queue.popleft().updates:
+                    self._count(update, -1)
+
+    def _take(self) -> list[Update]:
+        wanted = min(MOST_IN_A_BATCH, self._backlog or MOST_IN_A_BATCH)
+        updates: list[Update] = []
+        for queue in (self._old, self._waiting):
+            while queue and len(updates) < wanted:
+                updates.append(queue.popleft())
+        return updates
+
+    def _worth_queueing(self) -> bool:
+        return self.connected and len(self._waiting) < ENOUGH_WAITING
+
+    def _count(self, update: Update, step: int) -> None:
+        if isinstance(update, Reading):
+            self._readings += step
+        else:
+            self._others += step
+
+    def _keep_bounds(self) -> None:
+        while self._readings > self._most_readings:
+            if self._sent:
+                self._strip(self._sent.popleft())
+            else:
+                self._drop_first_reading()
+        while self._others > self._most_others:
+            self._drop_first_other()
+
+    def _strip(self, batch: Batch) -> None:
+        others: list[Update] = [update for update in batch.updates if not isinstance(update, Reading)]
+        gone = len(batch.updates) - len(others)
+        self._readings -= gone
+        self.lost += gone
+        if others:
+            self._stripped.append(
+                Batch(seq=batch.seq, sent_at=batch.sent_at, updates=others, live=batch.live)
+            )
+
+    def _drop_first_reading(self) -> None:
+        """The oldest reading goes; what is none keeps its place before all that follows."""
+        update = self._waiting.popleft()
+        if isinstance(update, Reading):
+            self._readings -= 1
+            self.lost += 1
+            self._backlog = max(0, self._backlog - 1)
+        else:
+            self._old.append(update)
+
+    def _drop_first_other(self) -> None:
+        """Far more news than any line makes: the oldest goes, wherever it is."""
+        for queue in (self._stripped, self._sent):
+            if queue:
+                batch = queue.popleft()
+                for update in batch.updates:
+                    self._count(update, -1)
+                self.lost += len(batch.updates)
+                return
+        update = (self._old or self._waiting).popleft()
+        self._count(update, -1)
+        self.lost += 1
+        self._backlog = max(0, self._backlog - 1)

@@ -1,0 +1,78 @@
+"""The worker as a process: its event loop, its signals, its log, and that it dies with its parent."""
+
+from __future__ import annotations
+
+import asyncio
+import ctypes
+import logging
+import os
+import signal
+import sys
+from typing import Any
+
+import structlog
+import uvloop
+
+from bus.settings import BusSettings
+from bus.worker.service import run_worker
+
+_PR_SET_PDEATHSIG = 1
+PARENT_CHECK_S = 0.5
+
+
+def run(bus: BusSettings, app_url: str, token: str, *, child: bool = False) -> int:
+    """Run one worker until SIGTERM or SIGINT; ``child``: also until the parent process is gone.
+
+    Gives the exit code.
+    """
+    configure_log()
+    parent = os.getppid()
+    if child:
+        _die_with_parent()
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        runner.run(_until_told(bus, app_url, token, parent if child else None))
+    return 0
+
+
+async def _until_told(bus: BusSettings, app_url: str, token: str, parent: int | None) -> None:
+    leave = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, leave.set)
+    watching = asyncio.create_task(_leave_with(parent, leave)) if parent is not None else None
+    try:
+        await run_worker(bus, app_url, token, leave=leave)
+    finally:
+        if watching is not None:
+            watching.cancel()
+
+
+async def _leave_with(parent: int, leave: asyncio.Event) -> None:
+    """The parent may have died before the kernel was asked to tell."""
+    while not leave.is_set():
+        await asyncio.sleep(PARENT_CHECK_S)
+        if os.getppid() != parent:
+            leave.set()
+
+
+def _die_with_parent() -> None:
+    prctl: Any = getattr(ctypes.CDLL(None), "prctl", None)
+    if prctl is not None:
+        prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def configure_log() -> None:
+    """On standard error: for people on a terminal, one JSON object a line otherwise."""
+    people = sys.stderr.isatty()
+    structlog.configure(
+        processors=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            structlog.processors.format_exc_info,
+            structlog.dev.ConsoleRenderer() if people else structlog.processors.JSONRenderer(),
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
+        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
+        cache_logger_on_first_use=True,
+    )

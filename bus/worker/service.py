@@ -1,0 +1,256 @@
+"""One bus worker: the line, the link to the app, and what passes between them."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.metadata
+import uuid
+from collections import OrderedDict
+from collections.abc import Callable
+
+import msgspec
+import structlog
+
+from bus.contract import (
+    CONTRACT_VERSION,
+    BusLink,
+    Command,
+    Frames,
+    Hello,
+    Progress,
+    ReadParameters,
+    ReadTrace,
+    Result,
+    ScanBus,
+    Snapshot,
+    UnitLink,
+    Update,
+    Watch,
+)
+from bus.line.clock import Clock, RealClock
+from bus.line.opener import Opener, OpenFunction
+from bus.line.orders import errand_of
+from bus.line.poller import Poller
+from bus.line.trace import Interpreter, Passed
+from bus.line.transport import open_port
+from bus.settings import BusSettings
+from bus.worker.deadline import AppClock
+from bus.worker.outbox import Outbox
+from bus.worker.uplink import Uplink
+
+FATES_KEPT = 2_000
+FIGURES_S = 1.0
+FINISH_WITHIN_S = 1.4
+"""What a change in flight may take once the worker is told to go."""
+SAY_WITHIN_S = 0.3
+LOOK_S = 0.01
+FRAMES_AT_A_STRETCH = 25
+_NO_WRITE = (ReadParameters, ReadTrace, ScanBus)
+
+_log = structlog.get_logger("bus.worker")
+
+
+class BusWorker:
+    """Everything of one bus. ``run`` until cancelled; ``finish`` first for a good end."""
+
+    def __init__(
+        self,
+        bus: BusSettings,
+        clock: Clock | None = None,
+        open_function: OpenFunction = open_port,
+        seed: int | None = None,
+    ) -> None:
+        self.bus = bus
+        self.clock = clock or RealClock()
+        self.worker = uuid.uuid4().hex
+        self.outbox = Outbox()
+        self.app_clock = AppClock()
+        self.poller = Poller(bus, self.clock, self._emit, seed if seed is not None else uuid.uuid4().int)
+        self._opener = Opener(self.poller, open_function)
+        self._started_at = self._epoch()
+        self._figures = self.poller.figures()
+        self._fates: OrderedDict[str, Result | None] = OrderedDict()
+        self._passing: list[Passed] = []
+        self._interpreter = Interpreter(bus.dialect)
+        self._reading_traces: set[asyncio.Task[None]] = set()
+        self._leaving = False
+
+    async def run(self) -> None:
+        """The line and its figures; the uplink is run beside it."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._opener.run())
+            tasks.create_task(self._tell_figures())
+
+    async def finish(self) -> None:
+        """No new command; what is under way ends or is withdrawn, within ``FINISH_WITHIN_S``."""
+        self._leaving = True
+        for errand in self.poller.errands:
+            self.poller.cancel(errand.id)
+        await _wait_while(lambda: bool(self.poller.errands), FINISH_WITHIN_S)
+        await _wait_while(lambda: self.outbox.connected and len(self.outbox) > 0, SAY_WITHIN_S)
+
+    # --- what the uplink asks ------------------------------------------------------------------
+
+    def hello(self) -> Hello:
+        """Who speaks."""
+        return Hello(
+            version=CONTRACT_VERSION,
+            bus=self.bus.name,
+            worker=self.worker,
+            started_at=self._started_at,
+            software=f"lineside {_version()}",
+            port=self.bus.port,
+            sent_at=self._epoch(),
+        )
+
+    def snapshot(self, seq: int) -> Snapshot:
+        """Everything that is known now."""
+        return Snapshot(
+            seq=seq,
+            sent_at=self._epoch(),
+            bus=self.poller.state,
+            units=self.poller.roster.states(),
+            figures=self._figures,
+        )
+
+    def watch(self, watch: Watch) -> None:
+        """What people look at."""
+        self.poller.watch(watch)
+        self.poller.trace.follower = self._follow if watch.trace else None
+
+    def cancel(self, command_id: str) -> None:
+        """Give it up where nothing is half done."""
+        self.poller.cancel(command_id)
+
+    def command(self, command: Command) -> None:
+        """Carry it out once; asked again, repeat its fate."""
+        if command.id in self._fates:
+            known = self._fates[command.id]
+            if known is not None:
+                self.outbox.put([known])
+            return
+        self._remember(command.id, None)
+        self._begin(command)
+
+    # --- commands ------------------------------------------------------------------------------
+
+    def _begin(self, command: Command) -> None:
+        now = self.clock.now()
+        deadline = now + self.app_clock.here(command.deadline) - self.clock.epoch(now)
+        if isinstance(command.action, ReadTrace):
+            task = asyncio.ensure_future(self._read_trace(command.id, command.action))
+            self._reading_traces.add(task)
+            task.add_done_callback(self._reading_traces.discard)
+            return
+        why = self._why_not(command, deadline - now)
+        errand = errand_of(self.poller, command.id, command.action, deadline)
+        if why is None and errand is None:
+            why = Result(command.id, 0.0, "invalid", "this worker does not know such a command")
+        if why is not None:
+            self._emit([msgspec.structs.replace(why, id=command.id, at=self._epoch())])
+            return
+        assert errand is not None
+        kind = type(command.action).__name__
+        _log.info("command", id=command.id, action=kind, time_left_s=round(deadline - now, 3))
+        self._emit([Progress(command.id, self._epoch(), "waiting")])
+        self.poller.submit(errand)
+
+    def _why_not(self, command: Command, time_left_s: float) -> Result | None:
+        """Why nothing is sent for it, when that is plain at once."""
+        if self._leaving:
+            return Result("", 0.0, "not_sent", "the bus worker is stopping: nothing was sent")
+        if not self.poller.link.open:
+            cause = self.poller.state.cause
+            return Result("", 0.0, "bus_closed", f"there is no link to the bus: {cause}; nothing was sent")
+        if time_left_s < 0 and not isinstance(command.action, _NO_WRITE):
+            message = f"it came {-time_left_s:.1f} s after its time was over: nothing was sent"
+            return Result("", 0.0, "not_sent", message)
+        return None
+
+    def _remember(self, command_id: str, fate: Result | None) -> None:
+        self._fates[command_id] = fate
+        while len(self._fates) > FATES_KEPT:
+            self._fates.popitem(last=False)
+
+    # --- telling -------------------------------------------------------------------------------
+
+    def _emit(self, updates: list[Update]) -> None:
+        for update in updates:
+            if isinstance(update, Result):
+                self._remember(update.id, update)
+                _log.info("fate", id=update.id, outcome=update.outcome, message=update.message)
+            elif isinstance(update, UnitLink):
+                _log.info("unit", unit=update.unit, link=update.link, cause=update.cause)
+            elif isinstance(update, BusLink):
+                _log.debug("bus", link=update.link, cause=update.cause)
+        self.outbox.put(updates)
+
+    async def _tell_figures(self) -> None:
+        while True:
+            await asyncio.sleep(FIGURES_S)
+            self.clock.settle()
+            figures = self.poller.figures()
+            self._figures = msgspec.structs.replace(figures, updates_lost=self.outbox.lost)
+            self.outbox.put([self._figures])
+
+    def _follow(self, passed: Passed) -> None:
+        if not self._passing:
+            asyncio.get_running_loop().call_soon(self._tell_passed)
+        self._passing.append(passed)
+
+    def _tell_passed(self) -> None:
+        frames = [self._interpreter.frame(passed) for passed in self._passing]
+        self._passing.clear()
+        self.outbox.put([Frames(frames)])
+
+    async def _read_trace(self, command_id: str, action: ReadTrace) -> None:
+        """In small pieces, so that the wire waits for none of it."""
+        interpreter = Interpreter(self.bus.dialect)
+        frames = []
+        for passed in self.poller.trace.since(action.since):
+            frames.append(interpreter.frame(passed))
+            if len(frames) >= action.limit:
+                break
+            if len(frames) % FRAMES_AT_A_STRETCH == 0:
+                await asyncio.sleep(0)
+        self._emit([Result(command_id, self._epoch(), "verified", frames=frames)])
+
+    def _epoch(self) -> float:
+        return self.clock.epoch(self.clock.now())
+
+
+async def _wait_while(holds: Callable[[], bool], most_s: float) -> None:
+    for _ in range(int(most_s / LOOK_S)):
+        if not holds():
+            return
+        await asyncio.sleep(LOOK_S)
+
+
+def _version() -> str:
+    try:
+        return importlib.metadata.version("lineside")
+    except importlib.metadata.PackageNotFoundError:
+        return "from a checkout"
+
+
+async def run_worker(
+    bus: BusSettings, app_url: str, token: str, *, leave: asyncio.Event | None = None
+) -> None:
+    """Poll ``bus`` and report to the app at ``app_url`` until ``leave`` is set (or for ever).
+
+    On leaving, a change in flight is finished or withdrawn first; that takes less than two seconds.
+    """
+    worker = BusWorker(bus)
+    uplink = Uplink(app_url, token, worker.outbox, worker, worker.app_clock, worker._epoch)
+    tasks = [asyncio.create_task(worker.run()), asyncio.create_task(uplink.run())]
+    leaving = asyncio.create_task((leave or asyncio.Event()).wait())
+    try:
+        await asyncio.wait([*tasks, leaving], return_when=asyncio.FIRST_COMPLETED)
+        if leaving.done():
+            await worker.finish()
+    finally:
+        for task in (*tasks, leaving):
+            task.cancel()
+        for ended in await asyncio.gather(*tasks, return_exceptions=True):
+            if isinstance(ended, Exception):
+                raise ended

@@ -1,0 +1,219 @@
+"""The WebSocket to the app: opened from here, again for ever; its order of speech is in ``bus.contract``."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
+from urllib.parse import urlsplit, urlunsplit
+
+import msgspec
+import structlog
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import InvalidStatus, WebSocketException
+
+from bus.contract import (
+    CONTRACT_VERSION,
+    AppMessage,
+    Cancel,
+    Clock,
+    Command,
+    Delivered,
+    Hello,
+    Snapshot,
+    WantSnapshot,
+    Watch,
+    Welcome,
+    WorkerMessage,
+    decode_from_app,
+    encode,
+)
+from bus.worker.deadline import AppClock
+from bus.worker.outbox import Outbox
+
+SHORTEST_PAUSE_S = 0.1
+LONGEST_PAUSE_S = 2.0
+REFUSED_PAUSE_S = 5.0
+OPEN_TIMEOUT_S = 5.0
+WELCOME_WITHIN_S = 10.0
+PING_S = 5.0
+MOST_BYTES = 4_000_000
+
+_log = structlog.get_logger("bus.uplink")
+
+
+class Duty(Protocol):
+    """What the app can ask of this side; every call returns at once."""
+
+    def hello(self) -> Hello:
+        """Who speaks."""
+
+    def snapshot(self, seq: int) -> Snapshot:
+        """Everything that is known now."""
+
+    def command(self, command: Command) -> None:
+        """Carry it out."""
+
+    def cancel(self, command_id: str) -> None:
+        """Give it up where nothing is half done."""
+
+    def watch(self, watch: Watch) -> None:
+        """What people look at."""
+
+
+class Refused(Exception):
+    """The app does not want this worker; the text is the app's."""
+
+
+class Uplink:
+    """``run`` until cancelled."""
+
+    def __init__(
+        self,
+        url: str,
+        token: str,
+        outbox: Outbox,
+        duty: Duty,
+        app_clock: AppClock,
+        epoch: Callable[[], float],
+    ) -> None:
+        self._url = feed_url(url)
+        self._headers = {"Authorization": f"Bearer {token}"}
+        self._outbox = outbox
+        self._duty = duty
+        self._app_clock = app_clock
+        self._epoch = epoch
+        self._snapshot_wanted = False
+        self._told = ""
+
+    async def run(self) -> None:
+        """Be connected, for ever."""
+        pause = SHORTEST_PAUSE_S
+        while True:
+            began = asyncio.get_running_loop().time()
+            try:
+                await self._be_connected()
+            except Refused as error:
+                self._tell(f"the dashboard refused this worker: {error}")
+                pause = REFUSED_PAUSE_S
+            except InvalidStatus as error:
+                self._tell(_about_status(error.response.status_code))
+                pause = LONGEST_PAUSE_S
+            except (OSError, TimeoutError, WebSocketException, msgspec.DecodeError) as error:
+                self._tell(f"no dashboard at {self._url}: {_words(error)}")
+            self._outbox.disconnected()
+            self._duty.watch(Watch(units=[]))
+            if asyncio.get_running_loop().time() - began > LONGEST_PAUSE_S:
+                pause = SHORTEST_PAUSE_S
+            await asyncio.sleep(pause * random.uniform(0.75, 1.25))
+            pause = min(pause * 1.6, LONGEST_PAUSE_S)
+
+    async def _be_connected(self) -> None:
+        async with connect(
+            self._url,
+            additional_headers=self._headers,
+            compression=None,
+            open_timeout=OPEN_TIMEOUT_S,
+            ping_interval=PING_S,
+            ping_timeout=PING_S,
+            close_timeout=0.5,
+            max_size=MOST_BYTES,
+            proxy=None,
+        ) as socket:
+            welcome = await self._introduce(socket)
+            self._outbox.resume(welcome.seq)
+            await socket.send(encode(self._duty.snapshot(self._outbox.seq)))
+            self._told = ""
+            _log.info("linked to the dashboard", url=self._url, kept=len(self._outbox))
+            sending = asyncio.create_task(self._send(socket))
+            try:
+                await self._receive(socket)
+            finally:
+                sending.cancel()
+                with suppress(asyncio.CancelledError, WebSocketException, OSError):
+                    await sending
+
+    async def _introduce(self, socket: ClientConnection) -> Welcome:
+        await socket.send(encode(self._duty.hello()))
+        async with asyncio.timeout(WELCOME_WITHIN_S):
+            answer = _decoded(await socket.recv())
+        if not isinstance(answer, Welcome):
+            raise Refused("it did not say welcome; is this a Lineside dashboard?")
+        if answer.refused:
+            raise Refused(answer.refused)
+        if answer.version != CONTRACT_VERSION:
+            raise Refused(
+                f"it speaks version {answer.version} of the link and this worker {CONTRACT_VERSION}: "
+                "install the same release of lineside on both"
+            )
+        self._app_clock.heard(answer.app_time, self._epoch())
+        return answer
+
+    async def _receive(self, socket: ClientConnection) -> None:
+        async for data in socket:
+            try:
+                message = _decoded(data)
+            except msgspec.DecodeError as error:
+                _log.warning("the dashboard said what this worker does not know", error=str(error))
+                continue
+            self._take(message)
+
+    def _take(self, message: AppMessage) -> None:
+        match message:
+            case Delivered(seq=seq):
+                self._outbox.delivered(seq)
+            case Clock(app_time=app_time):
+                self._app_clock.heard(app_time, self._epoch())
+            case Command():
+                self._duty.command(message)
+            case Cancel(id=command_id):
+                self._duty.cancel(command_id)
+            case Watch():
+                self._duty.watch(message)
+            case WantSnapshot():
+                self._snapshot_wanted = True
+                self._outbox.filled.set()
+
+    async def _send(self, socket: ClientConnection) -> None:
+        """Each update at once; what piles up while the socket is slow goes together."""
+        while True:
+            message = self._next_message()
+            if message is not None:
+                await socket.send(encode(message))
+            else:
+                await self._outbox.filled.wait()
+
+    def _next_message(self) -> WorkerMessage | None:
+        if self._snapshot_wanted:
+            self._snapshot_wanted = False
+            return self._duty.snapshot(self._outbox.seq)
+        return self._outbox.next_batch(self._epoch())
+
+    def _tell(self, what: str) -> None:
+        if what != self._told:
+            _log.warning("not linked; it is tried again for ever, readings are kept", why=what)
+        self._told = what
+
+
+def feed_url(url: str) -> str:
+    """``http(s)://host:port`` or ``ws(s)://host:port/feed`` as the address of the feed."""
+    parts = urlsplit(url)
+    scheme = {"http": "ws", "https": "wss"}.get(parts.scheme, parts.scheme)
+    path = parts.path.rstrip("/")
+    return urlunsplit((scheme, parts.netloc, path if path.endswith("/feed") else f"{path}/feed", "", ""))
+
+
+def _decoded(data: str | bytes) -> AppMessage:
+    return decode_from_app(data.encode() if isinstance(data, str) else data)
+
+
+def _about_status(status: int) -> str:
+    if status in (401, 403):
+        return f"the dashboard does not accept the token ({status}): make one with 'lineside token create'"
+    return f"the dashboard answers {status} instead of opening the feed: is the address right?"
+
+
+def _words(error: BaseException) -> str:
+    return str(error) or type(error).__name__

@@ -1,0 +1,253 @@
+"""A whole bus worker on a virtual clock: no port, no waiting, the same seed gives the same bytes.
+
+``VirtualLoop`` never sleeps: its time jumps to the next timer. ``VirtualLine`` puts SIM's pure line behind
+the worker's injected port and clock; an hour of line time takes seconds.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import selectors
+from collections.abc import Awaitable, Callable, Coroutine
+from typing import Any, TypeVar
+
+from bus.contract import (
+    Action,
+    Command,
+    ParameterValue,
+    Reading,
+    ReadParameters,
+    Result,
+    Update,
+)
+from bus.errors import WireError
+from bus.line.clock import Alarm
+from bus.line.transport import OpenPort, Receiver
+from bus.settings import BusSettings, UnitSettings
+from bus.simulator.demo import demo_line
+from bus.simulator.faults import Faults
+from bus.simulator.line import SimulatedLine
+from bus.simulator.record import Happened
+from bus.worker.service import BusWorker
+
+T = TypeVar("T")
+EPOCH = 1_790_000_000.0
+
+
+class _NoSelector(selectors.BaseSelector):
+    """Selects nothing, ever; instead of waiting it moves the clock."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self._inner = selectors.SelectSelector()
+
+    def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        return self._inner.register(fileobj, events, data)
+
+    def unregister(self, fileobj: Any) -> selectors.SelectorKey:
+        return self._inner.unregister(fileobj)
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        if timeout is None:
+            raise RuntimeError("everything waits and nothing will ever happen")
+        self.now += timeout
+        return []
+
+    def close(self) -> None:
+        self._inner.close()
+
+    def get_map(self) -> Any:
+        return self._inner.get_map()
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """An event loop whose time is a number."""
+
+    def __init__(self) -> None:
+        self.virtual = _NoSelector()
+        super().__init__(self.virtual)
+        self._clock_resolution = 1e-9
+
+    def time(self) -> float:
+        return self.virtual.now
+
+
+class VirtualClock:
+    """The loop's time as the line's clock."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+
+    def now(self) -> float:
+        return self._loop.time()
+
+    def epoch(self, now: float) -> float:
+        return EPOCH + now
+
+    def settle(self) -> None:
+        """Nobody sets this clock."""
+
+    def call_at(self, when: float, callback: Callable[[], None]) -> Alarm:
+        return self._loop.call_at(when, callback)
+
+
+class VirtualPort:
+    """The host's end of a simulated line."""
+
+    def __init__(self, line: SimulatedLine, receiver: Receiver, loop: asyncio.AbstractEventLoop) -> None:
+        self._line = line
+        self._receiver = receiver
+        self._loop = loop
+        self._alarm: asyncio.TimerHandle | None = None
+        self.gone = False
+        self.written: list[tuple[float, bytes]] = []
+
+    def write(self, data: bytes) -> None:
+        if self.gone:
+            raise WireError("the port is gone")
+        self.written.append((self._loop.time(), data))
+        self._line.receive(self._loop.time(), data)
+        self._advance_later()
+
+    def drop_output(self) -> None:
+        """Nothing is ever held back here."""
+
+    def check(self) -> None:
+        if self.gone:
+            raise WireError("the port is gone")
+
+    def close(self) -> None:
+        self.gone = True
+        if self._alarm is not None:
+            self._alarm.cancel()
+
+    def start(self) -> None:
+        self._advance()
+
+    def _advance(self) -> None:
+        if self.gone:
+            return
+        data = self._line.advance(self._loop.time())
+        if data:
+            self._receiver.data_received(data)
+        if not self.gone:
+            self._advance_later()
+
+    def _advance_later(self) -> None:
+        if self._alarm is not None:
+            self._alarm.cancel()
+        self._alarm = self._loop.call_at(self._line.wake().at, self._advance)
+
+
+class VirtualLine:
+    """A worker and its plant. ``updates`` is everything the worker told."""
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        units: int = 8,
+        *,
+        seed: int = 1,
+        script: bool = False,
+        configured: int | None = None,
+        **bus: Any,
+    ) -> None:
+        demo = demo_line(units, seed=seed, script=script)
+        self.plant = demo.plant
+        self.faults = Faults(seed=seed)
+        self.line = SimulatedLine(demo.plant, self.faults, baud=bus.get("baud", 9600))
+        settings = demo.settings if configured is None else _named(configured)
+        self.bus = BusSettings(name="virtual", port="/dev/virtual", unit=tuple(settings), **bus)
+        self.loop = loop
+        self.plugged = True
+        self.port: VirtualPort | None = None
+        self.written: list[tuple[float, bytes]] = []
+        self.updates: list[Update] = []
+        self.worker = BusWorker(self.bus, VirtualClock(loop), self._open, seed)
+        self.worker.outbox.put = self.updates.extend  # type: ignore[method-assign]
+        self._count = 0
+
+    async def _open(self, _port: str, _baud: int, receiver: Receiver) -> OpenPort:
+        if not self.plugged:
+            raise WireError("/dev/virtual is not there: is the adapter plugged in?")
+        self.port = VirtualPort(self.line, receiver, self.loop)
+        self.port.written = self.written
+        self.port.start()
+        return self.port
+
+    def unplug(self) -> None:
+        """Pull the cable."""
+        self.plugged = False
+        assert self.port is not None
+        self.port.gone = True
+        self.line.unplug()
+
+    def plug(self) -> None:
+        """Put it back."""
+        self.plugged = True
+
+    def command(self, action: Action, *, timeout_s: float = 2.0, command_id: str = "") -> str:
+        """Ask the worker; gives the id."""
+        self._count += 1
+        command_id = command_id or f"c{self._count}"
+        self.worker.command(Command(command_id, EPOCH + self.loop.time() + timeout_s, action))
+        return command_id
+
+    def fate_of(self, command_id: str) -> Result | None:
+        """The result told for ``command_id``, if any."""
+        fates = [update for update in self.updates if isinstance(update, Result) and update.id == command_id]
+        assert len(fates) <= 1, "one command, one fate"
+        return fates[0] if fates else None
+
+    async def ask(self, action: Action, *, timeout_s: float = 2.0, within_s: float = 60.0) -> Result:
+        """Ask the worker and wait for the fate."""
+        command_id = self.command(action, timeout_s=timeout_s)
+        for _ in range(int(within_s / 0.005)):
+            fate = self.fate_of(command_id)
+            if fate is not None:
+                return fate
+            await asyncio.sleep(0.005)
+        raise AssertionError(f"no fate for {action} within {within_s} s")
+
+    def readings(self, unit: int | None = None) -> list[Reading]:
+        """All readings told, or those of one unit."""
+        return [u for u in self.updates if isinstance(u, Reading) and unit in (None, u.unit)]
+
+    def parameters(self) -> list[ParameterValue]:
+        """All parameter values told."""
+        return [update for update in self.updates if isinstance(update, ParameterValue)]
+
+    def acted(self, unit: int | None = None) -> list[tuple[float, int, bytes]]:
+        """The writes that units carried out: when, which unit, the request's body."""
+        entries = self.line.record.since(0, Happened.ACTED)
+        return [(e.at, e.unit, e.data) for e in entries if unit in (None, e.unit)]
+
+
+def _named(count: int) -> list[UnitSettings]:
+    return [UnitSettings(id=unit, name=f"Unit {unit}") for unit in range(1, count + 1)]
+
+
+def run(scene: Callable[[VirtualLine], Awaitable[T]], units: int = 8, **settings: Any) -> T:
+    """Play ``scene`` against a running worker on a virtual clock; gives what it gives."""
+
+    async def play() -> T:
+        line = VirtualLine(asyncio.get_running_loop(), units, **settings)
+        working = asyncio.create_task(line.worker.run())
+        try:
+            return await scene(line)
+        finally:
+            if working.done():
+                working.result()
+            working.cancel()
+            await asyncio.gather(working, return_exceptions=True)
+
+    return run_virtually(play())
+
+
+def run_virtually(main: Coroutine[Any, Any, T]) -> T:
+    """``asyncio.run`` in no time."""
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        return runner.run(main)
+
+
+__all__ = ["EPOCH", "ReadParameters", "VirtualClock", "VirtualLine", "VirtualLoop", "run", "run_virtually"]
