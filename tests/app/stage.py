@@ -108,6 +108,11 @@ class History:
         assert bus
         self.updates += updates
 
+    @property
+    def readings(self) -> list[Reading]:
+        """The readings among them."""
+        return [update for update in self.updates if isinstance(update, Reading)]
+
 
 class PlayedWorker:
     """A worker whose every word is the test's. ``play`` answers commands; ``heard`` is what the app said."""

@@ -1,0 +1,75 @@
+"""Where an update goes: the live state, the history, the events."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bus.contract import Batch, BusLink
+from tests.app.stage import HEALTHY, Stage, hello, reading, snapshot, staged, until
+
+
+@pytest.fixture
+async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
+    async with staged(tmp_path) as built:
+        yield built
+
+
+async def events(stage: Stage, count: int) -> list[dict[str, Any]]:
+    """Oldest first, once there are so many."""
+    while True:
+        found = (await stage.http().get("/api/v1/events")).json()["events"]
+        if len(found) >= count:
+            return list(reversed(found))
+
+
+async def test_what_happens_on_the_line_is_written_down_in_order(stage: Stage) -> None:
+    worker = await stage.worker()
+    await worker.update(reading(1))
+    await worker.update(reading(1, outputs=0))
+    await worker.update(reading(1, outputs=0, inputs=HEALTHY | 1))
+    await worker.update(BusLink(at=1.0, link="open"))
+    await worker.update(BusLink(at=1.0, link="closed", cause="unplugged"))
+    found = await events(stage, 4)
+    assert [(event["kind"], event["unit"], event["old"], event["new"]) for event in found] == [
+        ("worker", None, "", "connected"),
+        ("mode", 1, "REMOTE", "LOCAL"),
+        ("run", 1, "off", "on"),
+        ("bus", None, "open", "closed"),
+    ]
+    assert "unplugged" in found[-1]["what"]
+
+
+async def test_workers_come_go_and_come_back(stage: Stage) -> None:
+    worker = await stage.worker()
+    await worker.leave()
+    await until(lambda: not stage.live.buses["dry-end"].worker_connected, "the loss")
+    await stage.worker(hello())
+    found = await events(stage, 3)
+    assert "started" in found[0]["what"]
+    assert "not connected" in found[1]["what"]
+    assert "is back" in found[2]["what"]
+
+
+async def test_what_happened_while_the_app_was_away_is_written_down_too(stage: Stage) -> None:
+    worker = await stage.worker()
+    await worker.update(reading(1))
+    await until(lambda: len(stage.history.readings) == 1, "the first reading")
+    await worker.leave()
+    back = await stage.worker(hello(), snapshot(seq=3))
+    for seq, outputs in ((2, 0), (3, 0b0100_0000)):
+        updates = [reading(1, outputs=outputs)]
+        await back.say(Batch(seq=seq, sent_at=0.0, updates=list(updates), live=False))
+    found = [event for event in await events(stage, 5) if event["kind"] == "mode"]
+    assert [event["new"] for event in found] == ["LOCAL", "REMOTE"]
+    assert len(stage.history.readings) == 3
+
+
+async def test_a_stepped_clock_is_written_down(stage: Stage) -> None:
+    stage.pipeline.clock_stepped(None, -3600.0, 5.0)
+    found = await events(stage, 1)
+    assert found[0]["kind"] == "clock"
+    assert "-3600" in found[0]["what"]

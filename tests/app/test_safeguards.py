@@ -1,0 +1,186 @@
+"""Limits, blocks and control over HTTP: kept, shown, enforced, written down."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from app.commands.blocks import Block, BlockStore
+from app.commands.limits import NO_LIMITS, Limits, LimitsStore
+from app.database import Database
+from bus.contract import Command, Update
+from tests.app.stage import PlayedWorker, Stage, fate, reading, staged
+
+
+@pytest.fixture
+async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
+    async with staged(tmp_path) as built:
+        yield built
+
+
+@pytest.fixture
+async def controlled(tmp_path: Path) -> AsyncIterator[Stage]:
+    async with staged(tmp_path, control=True) as built:
+        yield built
+
+
+async def obeying(stage: Stage) -> PlayedWorker:
+    """A worker whose units take every speed."""
+    played = await stage.worker()
+
+    async def play(command: Command) -> Sequence[Update]:
+        raw = getattr(command.action, "raw", 1000)
+        return [reading(1, raw), fate(command, "verified", read_back=raw)]
+
+    played.play = play
+    return played
+
+
+async def speed(stage: Stage, raw: int, **more: object) -> tuple[int, str]:
+    """Status and code of setting unit 1."""
+    name = str(more.pop("name", ""))
+    answer = await stage.ask("POST", "/units/1/speed", {"raw": raw, **more}, role="operator", name=name)
+    return answer.status_code, answer.json()["code"]
+
+
+async def test_limits_are_enforced_from_the_moment_they_are_set(stage: Stage) -> None:
+    worker = await obeying(stage)
+    nothing = dict.fromkeys(("lowest", "highest", "largest_step", "per_minute"))
+    assert (await stage.ask("GET", "/units/1/limits")).json() == nothing
+    put = await stage.ask("PUT", "/units/1/limits", {"lowest": 900, "highest": 1200}, role="engineer")
+    assert put.status_code == 200
+    assert (await stage.ask("GET", "/units/1/limits", role="viewer")).json()["highest"] == 1200
+    assert await speed(stage, 1201) == (422, "invalid")
+    assert await speed(stage, 899) == (422, "invalid")
+    line = await stage.ask("POST", "/speeds", {"setpoints": {"1": {"raw": 1201}, "2": {"raw": 1}}})
+    assert line.status_code == 422
+    assert worker.commands == []
+    assert await speed(stage, 1200) == (200, "verified")
+    assert await speed(stage, 0) == (200, "verified")
+
+
+async def test_a_large_step_asks_for_confirmation(stage: Stage) -> None:
+    await obeying(stage)
+    await stage.ask("PUT", "/units/1/limits", {"largest_step": 50})
+    assert await speed(stage, 1051) == (409, "confirm_needed")
+    assert await speed(stage, 1051, confirm=True) == (200, "verified")
+    assert await speed(stage, 1101) == (200, "verified")
+
+
+async def test_movement_within_a_minute_adds_up(stage: Stage) -> None:
+    await obeying(stage)
+    await stage.ask("PUT", "/units/1/limits", {"per_minute": 100})
+    assert await speed(stage, 1060) == (200, "verified")
+    assert await speed(stage, 1101) == (422, "invalid")
+    assert await speed(stage, 1100) == (200, "verified")
+    assert await speed(stage, 1101) == (422, "invalid")
+
+
+async def test_what_did_not_move_does_not_count(stage: Stage) -> None:
+    worker = await stage.worker()
+
+    async def refuse(command: Command) -> Sequence[Update]:
+        return [fate(command, "refused", unit_error=128)]
+
+    worker.play = refuse
+    await stage.ask("PUT", "/units/1/limits", {"per_minute": 100})
+    assert await speed(stage, 1100) == (409, "refused")
+    assert await speed(stage, 1100) == (409, "refused")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [{"lowest": 5, "highest": 4}, {"lowest": -1}, {"highest": 100000}, {"fastest": 1}, {"lowest": True}],
+)
+async def test_limits_that_make_no_sense_are_refused(stage: Stage, body: dict[str, object]) -> None:
+    assert (await stage.ask("PUT", "/units/1/limits", body)).status_code == 422
+    assert stage.guards.limits.of("dry-end", 1) == NO_LIMITS
+
+
+async def test_a_block_is_refused_shown_recorded_and_lifted(stage: Stage) -> None:
+    worker = await obeying(stage)
+    told: list[tuple[str, int]] = []
+    stage.guards.on_block(lambda bus, unit: told.append((bus, unit)))
+    body = {"reason": " belt off since 14:20, do not run "}
+    blocked = await stage.ask("POST", "/units/1/block", body, role="operator", name="anna")
+    assert blocked.json()["by"] == "anna"
+    refused = await stage.ask("POST", "/units/1/speed", {"raw": 5})
+    assert refused.status_code == 423
+    assert refused.json()["code"] == "blocked"
+    assert "belt off since 14:20" in refused.json()["detail"]
+    assert (await stage.ask("GET", "/units/1/block", role="viewer")).json()["blocked"] is True
+    assert worker.commands == []
+    assert (await stage.ask("DELETE", "/units/1/block", role="operator")).json()["blocked"] is False
+    assert await speed(stage, 5) == (200, "verified")
+    assert told == [("dry-end", 1)] * 2
+    events = (await stage.http().get("/api/v1/events?kind=block")).json()["events"]
+    assert [event["what"] for event in events] == ["block lifted", "unit blocked"]
+
+
+async def test_a_block_needs_a_reason(stage: Stage) -> None:
+    for body in ({}, {"reason": ""}, {"reason": "  "}, {"reason": "x" * 201}):
+        assert (await stage.ask("POST", "/units/1/block", body)).status_code == 422
+
+
+async def test_lifting_nothing_is_no_event(stage: Stage) -> None:
+    assert (await stage.ask("DELETE", "/units/1/block")).status_code == 200
+    assert (await stage.http().get("/api/v1/events?kind=block")).json()["events"] == []
+
+
+async def test_limits_and_blocks_survive_a_restart(tmp_path: Path) -> None:
+    database = Database(tmp_path / "lineside.db")
+    limits, block = Limits(lowest=1, highest=2, largest_step=3, per_minute=4), Block("why", "anna", 5.0)
+    await LimitsStore(database).put("b", 1, limits, "anna", 1.0)
+    await BlockStore(database).put("b", 1, block)
+    stored_limits, stored_blocks = LimitsStore(database), BlockStore(database)
+    await stored_limits.load()
+    await stored_blocks.load()
+    assert stored_limits.of("b", 1) == limits
+    assert stored_blocks.of("b", 1) == block
+    await stored_blocks.lift("b", 1)
+    await stored_blocks.load()
+    assert stored_blocks.of("b", 1) is None
+    database.close()
+
+
+async def test_without_the_sites_wish_nobody_needs_control(stage: Stage) -> None:
+    await obeying(stage)
+    assert await speed(stage, 5) == (200, "verified")
+    assert (await stage.ask("GET", "/control")).json()["required"] is False
+
+
+async def test_one_holds_control_and_everybody_sees_by_whom(controlled: Stage) -> None:
+    worker = await obeying(controlled)
+    assert await speed(controlled, 5, name="anna") == (409, "controlled")
+    taken = await controlled.ask("POST", "/control", role="operator", name="anna")
+    assert taken.json()["holder"] == "anna"
+    assert await speed(controlled, 5, name="anna") == (200, "verified")
+    assert await speed(controlled, 6, name="ben") == (409, "controlled")
+    assert (await controlled.ask("POST", "/control", role="operator", name="ben")).status_code == 409
+    assert (await controlled.ask("GET", "/control", role="viewer")).json()["holder"] == "anna"
+    assert len(worker.commands) == 1
+
+
+async def test_control_is_handed_over_released_and_taken_by_an_admin(controlled: Stage) -> None:
+    await obeying(controlled)
+    await controlled.ask("POST", "/control", role="operator", name="anna")
+    by_ben = await controlled.ask("POST", "/control/hand-over", {"to": "ben"}, role="operator", name="ben")
+    assert by_ben.status_code == 409
+    await controlled.ask("POST", "/control/hand-over", {"to": "ben"}, role="operator", name="anna")
+    assert await speed(controlled, 5, name="ben") == (200, "verified")
+    forced = await controlled.ask("POST", "/control/hand-over", {"to": "chef"}, role="admin", name="chef")
+    assert forced.json()["holder"] == "chef"
+    assert (await controlled.ask("DELETE", "/control", role="operator", name="ben")).status_code == 409
+    assert (await controlled.ask("DELETE", "/control", role="admin", name="chef")).json()["holder"] is None
+    events = (await controlled.http().get("/api/v1/events?kind=control")).json()["events"]
+    assert [event["what"] for event in events] == [
+        *("control given back", "control handed over", "control handed over", "control taken"),
+    ]
+
+
+async def test_reading_needs_no_control(controlled: Stage) -> None:
+    worker = await obeying(controlled)
+    await controlled.ask("GET", "/units/1/parameters?refresh=true", role="viewer")
+    assert len(worker.commands) == 1

@@ -1,0 +1,64 @@
+"""How far a worker's clock is off, told from its messages."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.feed.clock import SAME_CLOCK_S, WINDOW_S, WorkerClock, shifted
+from bus.contract import Frame, Reading, Result, UnitOutcome
+
+DELAYS = st.lists(st.floats(0.0005, 5.0), min_size=1, max_size=50)
+
+
+@given(st.floats(-1e6, 1e6), DELAYS)
+def test_the_least_delay_is_nearest(offset_s: float, delays: list[float]) -> None:
+    clock, now = WorkerClock(), 1000.0
+    for delay in delays:
+        clock.hear(now - delay - offset_s, now)
+        now += 0.1
+    assert abs(clock.offset_s - offset_s) <= min(delays) + SAME_CLOCK_S + 1e-6
+
+
+@given(DELAYS, st.floats(0.0005, SAME_CLOCK_S / 2))
+def test_one_clock_is_never_shifted_once_a_message_was_prompt(delays: list[float], prompt: float) -> None:
+    clock, now = WorkerClock(), 1000.0
+    for delay in [*delays[:5], prompt]:
+        clock.hear(now - delay, now)
+        now += 0.01
+    assert clock.offset_s == 0.0
+
+
+def test_a_step_is_noticed_once_and_followed() -> None:
+    clock, steps = WorkerClock(), []
+    for tenth in range(600):
+        now = 1000.0 + tenth / 10
+        offset = 0.0 if tenth < 100 else 3600.0
+        steps.append(clock.hear(now - 0.001 - offset, now))
+    assert [round(step) for step in steps if step] == [3600]
+    assert round(clock.offset_s) == 3600
+
+
+def test_a_step_ahead_is_noticed_at_once() -> None:
+    clock = WorkerClock()
+    clock.hear(1000.0, 1000.001)
+    assert round(clock.hear(1060.0, 1000.1)) == -60
+
+
+def test_a_stall_is_no_step() -> None:
+    clock = WorkerClock()
+    clock.hear(999.999, 1000.0)
+    for tenth in range(int(WINDOW_S * 5)):
+        assert clock.hear(1000.0, 1000.0 + tenth / 10) == 0.0
+
+
+def test_every_time_in_a_message_is_shifted_and_nothing_else() -> None:
+    outcome = UnitOutcome(unit=1, outcome="verified", read_back=5, sent_at=1.0, proven_at=2.0)
+    frame = Frame(at=1.0, direction="out", data=b"x", meaning="")
+    result = Result(id="a", at=3.0, outcome="verified", units=[outcome], frames=[frame])
+    moved = shifted(result, 10.0)
+    assert (moved.at, moved.frames[0].at) == (13.0, 11.0)
+    assert (moved.units[0].sent_at, moved.units[0].proven_at) == (11.0, 12.0)
+    assert (moved.units[0].acknowledged_at, moved.units[0].read_back) == (None, 5)
+    reading = Reading(unit=1, at=5.0, commanded=1, actual=2, analog=3, outputs=4, inputs=5)
+    assert shifted(reading, 0.0) is reading
