@@ -125,9 +125,8 @@ def _decimals(parameter: Parameter, decimals: int | None, follower: bool) -> int
 def _raw(text: str, decimals: int) -> int:
     number = _NUMBER.fullmatch(text.strip())
     if number is None:
-        raise CallerError(
-            f"{text.strip()!r} is not a number; write it as 123 or {speed_text(1234, decimals)}"
-        )
+        example = speed_text(1234, decimals)
+        raise CallerError(f"{text.strip()!r} is not a number; write it like {example}")
     whole, part = number[1], number[2] or ""
     if len(part) > decimals:
         allowed = f"at most {decimals}" if decimals else "no"
