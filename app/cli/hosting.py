@@ -21,6 +21,7 @@ from app.cli.workers import Workers
 from app.main import create_app
 from app.settings import Server, Settings
 from bus.errors import LinesideError
+from bus.worker.process import configure_log
 
 GRACEFUL_S = 1
 """What requests in flight get when the server ends."""
@@ -95,6 +96,7 @@ def only_one(data: Path) -> Iterator[None]:
 
 def host(settings: Settings, config: Path, *, demo: bool = False) -> None:
     """Serve until SIGTERM or SIGINT. Raises HostingError and StoreError in words."""
+    configure_log()
     with listen(settings.server) as listening, only_one(settings.server.data):
         uvloop.run(_host(settings, config, listening, demo=demo))
 

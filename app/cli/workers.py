@@ -35,7 +35,10 @@ class Workers:
 
     def start(self) -> None:
         """Start them all, and keep them."""
-        self._tasks = [asyncio.create_task(self._keep(bus)) for bus in self._buses]
+        for bus in self._buses:
+            task = asyncio.create_task(self._keep(bus), name=f"keep worker of {bus}")
+            task.add_done_callback(_say_failure)
+            self._tasks.append(task)
 
     async def stop(self) -> None:
         """End them all: by SIGTERM, and what is left after the grace is killed."""
@@ -59,10 +62,15 @@ class Workers:
         """Start one and wait for its end. A group of its own: Ctrl-C comes to it through the parent."""
         called = ("-P", "-m", "bus", "--config", str(self._config), "--bus", bus, "--app", self._app_url)
         process = await asyncio.create_subprocess_exec(
-            sys.executable, *called, "--child", env=self._environment, process_group=0
+            sys.executable, *called, "--child", env=self._environment, preexec_fn=os.setpgrp
         )
         self._processes[bus] = process
         return await process.wait()
+
+
+def _say_failure(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and task.exception():
+        log.error("a bus worker is kept no longer", task=task.get_name(), exc_info=task.exception())
 
 
 async def end(process: Process, grace_s: float) -> None:
