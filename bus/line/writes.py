@@ -118,7 +118,8 @@ def not_sent(unit: int, answer: Answer) -> tuple[Outcome, str]:
         return "bus_closed", "there is no link to the bus: nothing was sent"
     if answer.fate is Fate.TOO_LATE:
         return "not_sent", "its time was over before it could be sent: nothing was sent"
-    return "not_sent", f"unit {unit} is silent, and an older request to it is unanswered: nothing was sent"
+    message = f"unit {unit} does not answer, an older request neither: nothing was sent, its state is not known"
+    return "unverified", message
 
 
 def with_proof(unit: int, answer: Answer, proof: Proof) -> UnitOutcome:
