@@ -73,9 +73,9 @@ class SimulatedLine:
             self._physics_at = now + STEP_S
         while self._arriving and self._arriving[0].at <= now:
             arriving = self._arriving.popleft()
-            self._step_physics(arriving.at)
+            self._step_physics(arriving.at, behind=0.0)
             self._dispatch(arriving)
-        self._step_physics(now - IDLE_S)
+        self._step_physics(now, behind=IDLE_S)
         return self._replies.due(now)
 
     def wake(self) -> Wake:
@@ -91,9 +91,9 @@ class SimulatedLine:
         self._replies.hush()
         self._decoder = FrameDecoder(Dialect())
 
-    def _step_physics(self, until: float) -> None:
-        """The steps up to ``until``: when a request is in, because its answer leaves time for them."""
-        while self._physics_at <= until:
+    def _step_physics(self, now: float, behind: float) -> None:
+        """The steps up to ``behind`` before ``now``: when a request is in, its answer leaves time for them."""
+        while self._physics_at + behind <= now:
             self.plant.step(STEP_S)
             if self.faults.strikes(Kind.FLOOD):
                 byte_s = byte_seconds(self.baud, self.speedup)

@@ -319,3 +319,15 @@ def test_the_same_seed_gives_the_same_bytes_at_the_same_times() -> None:
 
     assert course(1) == course(1)
     assert course(1) != course(2)
+
+
+@given(st.floats(0, 1e6))
+def test_what_is_due_at_a_wake_is_done_at_it(start: float) -> None:
+    """However the times round, a wake that was kept is never asked for again."""
+    line = SimulatedLine(demo_line(1, script=False).plant)
+    line.advance(start)
+    wake = line.wake()
+    for _ in range(20):
+        line.advance(wake.at)
+        assert line.wake().at > wake.at
+        wake = line.wake()
