@@ -118,7 +118,7 @@ def not_sent(unit: int, answer: Answer) -> tuple[Outcome, str]:
         return "bus_closed", "there is no link to the bus: nothing was sent"
     if answer.fate is Fate.TOO_LATE:
         return "not_sent", "its time was over before it could be sent: nothing was sent"
-    message = f"unit {unit} does not answer, an older request neither: nothing was sent, its state is not known"
+    message = f"unit {unit} does not answer, nor did it before: nothing was sent, its state is not known"
     return "unverified", message
 
 

@@ -1,0 +1,114 @@
+"""``lineside serve`` on a cable of independent units, asked over HTTP as other programs ask it."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from tests.e2e.site import LINESIDE, ROLES, end, eventually, free_port
+from tests.path.independent_unit import Cable, Unit, plugged
+
+
+@dataclass
+class Dashboard:
+    """A served line. ``cable`` is the other side of the port."""
+
+    folder: Path
+    url: str
+    cable: Cable
+    tokens: dict[str, str] = field(default_factory=dict)
+
+    def call(
+        self, method: str, path: str, body: Any = None, role: str = "admin", **more: Any
+    ) -> httpx.Response:
+        """One call under /api/v1; ``path`` that begins with "/units" or the like is of the bus."""
+        headers = {"Authorization": f"Bearer {self.tokens[role]}"} if role else {}
+        headers |= more.pop("headers", {})
+        url = f"{self.url}/api/v1{path}"
+        return httpx.request(method, url, json=body, headers=headers, timeout=60, trust_env=False, **more)
+
+    def bus(
+        self, method: str, path: str, body: Any = None, role: str = "admin", **more: Any
+    ) -> httpx.Response:
+        """One call of the bus."""
+        return self.call(method, f"/buses/dry-end{path}", body, role, **more)
+
+    def unit(self, number: int) -> dict[str, Any]:
+        """A unit as it is shown now."""
+        answer = self.bus("GET", f"/units/{number}")
+        assert answer.status_code == 200, answer.text
+        shown: dict[str, Any] = answer.json()
+        return shown
+
+    def line(self) -> dict[str, Any]:
+        """The one bus as it is shown now."""
+        shown: dict[str, Any] = self.call("GET", "/line", role="viewer").json()["buses"][0]
+        return shown
+
+    def see(self, number: int, what: str, holds: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+        """Wait until a unit is shown so; the unit."""
+
+        def look() -> dict[str, Any] | None:
+            unit = self.unit(number)
+            return unit if holds(unit) else None
+
+        seen: dict[str, Any] = eventually(look, f"unit {number} {what}; it is {self.unit(number)}", within=30)
+        return seen
+
+
+@contextmanager
+def dashboard(
+    folder: Path, units: list[Unit], *, site_toml: str = "", bus_toml: str = ""
+) -> Iterator[Dashboard]:
+    """Serve these units; every one has been read, with its parameters, when this begins."""
+    with plugged(folder / "tty", units) as cable:
+        made = Dashboard(folder, f"http://127.0.0.1:{free_port()}", cable)
+        config = folder / "lineside.toml"
+        config.write_text(_configuration(made, site_toml, bus_toml), encoding="utf-8")
+        for role in ROLES:
+            command = [LINESIDE, "token", "create", role, "--role", role, "--config", config]
+            done = subprocess.run(command, capture_output=True, text=True, check=True)
+            made.tokens[role] = done.stdout.split()[-1]
+        with (folder / "serve.log").open("ab") as log:
+            server = subprocess.Popen([LINESIDE, "serve", "--config", config], stdout=log, stderr=log)
+            try:
+                eventually(lambda: _serves(made), f"an answer; {folder}/serve.log says why")
+                for unit in units:
+                    if not unit.silent:
+                        made.see(unit.address, "read", lambda shown: shown["analog"] is not None)
+                yield made
+            finally:
+                end(server)
+
+
+def _serves(made: Dashboard) -> bool:
+    try:
+        return httpx.get(f"{made.url}/healthz", trust_env=False).json() == {"status": "ok"}
+    except httpx.HTTPError:
+        return False
+
+
+def _configuration(made: Dashboard, site_toml: str, bus_toml: str) -> str:
+    units = "".join(
+        f'[[bus.unit]]\nid = {unit.address}\nname = "Unit {unit.address}"\n'
+        for unit in made.cable.units.values()
+    )
+    return f"""\
+[site]
+name = "Paper machine 2"
+{site_toml}
+[server]
+port = {made.url.rpartition(":")[2]}
+data = "./data"
+
+[[bus]]
+name = "dry-end"
+port = "{made.cable.path}"
+{bus_toml}
+{units}"""
