@@ -16,17 +16,21 @@ from app.auth import pages as auth_pages
 from app.auth import users
 from app.auth.access import Identify
 from app.commands import api as commands_api
+from app.commands import pages as commands_pages
 from app.commands import safeguards_api, trace_api
 from app.feed import socket as feed
 from app.history import api as history_api
+from app.history import pages as history_pages
 from app.live import api as live_api
 from app.live import pages as live_pages
 from app.live import socket as live_socket
 from app.recipes import api as recipes_api
 from app.recipes import pages as recipes_pages
 from app.sets import api as sets_api
+from app.sets import batch_pages
 from app.sets import pages as sets_pages
 from app.settings import Settings
+from app.swap import pages as swap_pages
 from app.web import pages as web_pages
 from app.web import problems, schema
 from app.web.routes import refuse_undeclared
@@ -48,9 +52,13 @@ FEATURES = (
     commands_api,
     safeguards_api,
     trace_api,
+    commands_pages,
     history_api,
+    history_pages,
     sets_api,
     sets_pages,
+    batch_pages,
+    swap_pages,
     recipes_api,
     recipes_pages,
 )

@@ -1,0 +1,41 @@
+"""The trends page. What it shows is in its address, so that a link reopens the same view."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.history import display
+from app.history.service import History
+from app.history.spans import HistoryOf
+from app.history.values import VALUES
+from app.web.access import Viewer
+from app.web.templating import render
+
+router = APIRouter(include_in_schema=False)
+
+
+@router.get("/trends")
+async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
+    """Any values of any units over any span; the browser draws what its address names."""
+    return render(
+        request, "trends/page.html", catalogue=_catalogue(history), values=VALUES, health=history.status
+    )
+
+
+def _catalogue(history: History) -> list[dict[str, Any]]:
+    """Every unit in floor order, with what is wired to it and in what it is measured."""
+    return [
+        {
+            "key": f"{bus.name}/{unit.id}",
+            "name": unit.name,
+            "bus": bus.name,
+            "labels": {name: text for name, value in VALUES.items() if (text := display.label(unit, value))},
+            "measures": {"speed": unit.labels.unit, "analog": unit.labels.analog_unit},
+        }
+        for bus in history.buses.values()
+        for unit in bus.unit
+    ]

@@ -1,0 +1,78 @@
+// <trend-spark data-unit="dry-end/1"> draws ten minutes of its unit's actual speed; data-value="commanded" another.
+// All on a page ask together, every ten seconds, and only those in sight.
+const MINUTES = 10;
+const EVERY_MS = 10_000;
+const [WIDTH, HEIGHT] = [240, 40];
+const SVG = "http://www.w3.org/2000/svg";
+const inSight = new Set();
+let asked = false;
+
+class TrendSpark extends HTMLElement {
+  connectedCallback() {
+    this.path = document.createElementNS(SVG, "path");
+    const svg = document.createElementNS(SVG, "svg");
+    svg.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
+    svg.setAttribute("preserveAspectRatio", "none");
+    svg.setAttribute("aria-hidden", "true");
+    svg.append(this.path);
+    this.replaceChildren(svg);
+    sight.observe(this);
+  }
+
+  disconnectedCallback() {
+    sight.unobserve(this);
+    inSight.delete(this);
+  }
+
+  get series() {
+    return `${this.dataset.unit}/${this.dataset.value ?? "actual"}`;
+  }
+
+  draw({ t, avg }, from, to) {
+    this.path.setAttribute("d", outline(t, avg, from, to));
+  }
+}
+
+/** An SVG path over the span; a null lifts the pen. A steady value lies in the middle. */
+function outline(t, values, from, to) {
+  const known = values.filter((value) => value !== null);
+  const [least, greatest] = [Math.min(...known), Math.max(...known)];
+  const height = greatest - least || 1;
+  let pen = "M";
+  let path = "";
+  for (let i = 0; i < t.length; i++) {
+    if (values[i] === null) {
+      pen = "M";
+      continue;
+    }
+    const x = ((t[i] - from) / (to - from)) * WIDTH;
+    const y = greatest === least ? HEIGHT / 2 : HEIGHT - 2 - ((values[i] - least) / height) * (HEIGHT - 4);
+    path += `${pen}${x.toFixed(1)} ${y.toFixed(1)}`;
+    pen = "L";
+  }
+  return path;
+}
+
+const sight = new IntersectionObserver((entries) => {
+  for (const { target, isIntersecting } of entries) inSight[isIntersecting ? "add" : "delete"](target);
+  if (!asked) refresh();
+});
+
+async function refresh() {
+  if (document.hidden || !inSight.size) return;
+  asked = true;
+  const to = Date.now() / 1000;
+  const from = to - MINUTES * 60;
+  const query = new URLSearchParams({
+    from: new Date(from * 1000).toISOString(),
+    to: new Date(to * 1000).toISOString(),
+  });
+  for (const name of new Set([...inSight].map((spark) => spark.series))) query.append("series", name);
+  const response = await fetch(`/api/v1/history/sparks?${query}`).catch(() => null);
+  if (!response?.ok) return;
+  const found = await response.json();
+  for (const spark of inSight) if (found[spark.series]) spark.draw(found[spark.series], from, to);
+}
+
+customElements.define("trend-spark", TrendSpark);
+setInterval(refresh, EVERY_MS);

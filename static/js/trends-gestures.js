@@ -1,0 +1,82 @@
+// Wheel, pinch, drag and keys on the picture, turned into changes of the view.
+const WHEEL_STEP = 1.2;
+const KEY_STEP = 0.01;
+const KEY_PAN = 0.25;
+
+/** `time(clientX)` gives the time at a place; `cursor` has `at` and `put(seconds)`. */
+export function gestures(element, view, time, cursor) {
+  element.addEventListener("wheel", (event) => wheel(event, view, time), { passive: false });
+  drag(element, view);
+  touch(element, view, time);
+  element.addEventListener("keydown", (event) => key(event, view, cursor));
+}
+
+function wheel(event, view, time) {
+  event.preventDefault();
+  const sideways = event.shiftKey ? event.deltaY : event.deltaX;
+  if (Math.abs(sideways) > Math.abs(event.shiftKey ? 0 : event.deltaY)) view.pan(Math.sign(sideways) * 0.1);
+  else view.zoom(event.deltaY > 0 ? WHEEL_STEP : 1 / WHEEL_STEP, time(event.clientX));
+}
+
+/** With Shift, or the middle button, the mouse pulls the picture; without it selects a span (uPlot's own). */
+function drag(element, view) {
+  let last = null;
+  element.addEventListener(
+    "mousedown",
+    (event) => {
+      if (!event.shiftKey && event.button !== 1) return;
+      event.preventDefault();
+      event.stopPropagation();
+      last = event.clientX;
+    },
+    true,
+  );
+  window.addEventListener("mousemove", (event) => {
+    if (last === null) return;
+    view.pan((last - event.clientX) / element.clientWidth);
+    last = event.clientX;
+  });
+  window.addEventListener("mouseup", () => {
+    last = null;
+  });
+}
+
+/** One finger pulls, two pinch. */
+function touch(element, view, time) {
+  const fingers = new Map();
+  element.addEventListener("pointerdown", (event) => {
+    if (event.pointerType !== "mouse") fingers.set(event.pointerId, event.clientX);
+  });
+  element.addEventListener("pointermove", (event) => {
+    if (!fingers.has(event.pointerId)) return;
+    const before = [...fingers.values()];
+    fingers.set(event.pointerId, event.clientX);
+    const after = [...fingers.values()];
+    if (after.length === 1) view.pan((before[0] - after[0]) / element.clientWidth);
+    else pinch(view, time, before, after);
+  });
+  for (const name of ["pointerup", "pointercancel", "pointerleave"])
+    element.addEventListener(name, (event) => fingers.delete(event.pointerId));
+}
+
+function pinch(view, time, before, after) {
+  const apart = Math.abs(after[0] - after[1]);
+  if (apart > 10) view.zoom(Math.abs(before[0] - before[1]) / apart, time((after[0] + after[1]) / 2));
+}
+
+function key(event, view, cursor) {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  const [from, to] = view.range();
+  const side = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+  const at = cursor.at ?? (from + to) / 2;
+  if (side && event.shiftKey) view.pan(side * KEY_PAN);
+  else if (side) cursor.put(Math.min(to, Math.max(from, at + side * KEY_STEP * (to - from))));
+  else if (event.key === "+") view.zoom(0.5, cursor.at ?? undefined);
+  else if (event.key === "-") view.zoom(2, cursor.at ?? undefined);
+  else if (event.key === "a" || event.key === "A") view.change({ a: at });
+  else if (event.key === "b" || event.key === "B") view.change({ b: at });
+  else if (event.key === "Escape") view.change({ a: null, b: null });
+  else if (event.key === "l" || event.key === "L") view.toggleLive();
+  else return;
+  event.preventDefault();
+}

@@ -1,0 +1,224 @@
+// The picture: curves with their bands above, bits as lanes below, one time axis for both.
+import { joined } from "./trends-data.js";
+import { axisLabels } from "./trends-time.js";
+
+const CURVES = 8;
+const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
+const LANE = 30;
+const LANE_FILL = 0.7;
+const LEAST_HEIGHT = 260;
+const SYNC = "trends";
+const INVISIBLE = "rgb(0 0 0 / 0)";
+const zone = document.body.dataset.zone;
+const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+/** A colour that light-dark() gives, as the canvas understands it. */
+function colour(name) {
+  const probe = document.createElement("i");
+  probe.style.color = css(name) ? `var(${name})` : "currentcolor";
+  document.body.append(probe);
+  const found = getComputedStyle(probe).color;
+  probe.remove();
+  return found;
+}
+
+const faded = (rgb) => rgb.replace(/^rgba?\(([^)]*?)(?:,\s*[\d.]+)?\)$/, "rgba($1, 0.2)");
+
+/** Hue and dash of the value at a place: 32 values differ in one of the two. */
+export function look(place) {
+  return {
+    name: `--curve-${(place % CURVES) + 1}`,
+    dash: DASHES[Math.floor(place / CURVES) % DASHES.length],
+  };
+}
+
+export const isBit = (answer) => !["commanded", "actual", "analog"].includes(answer.value);
+
+export class Picture {
+  /** `on`: cursor(seconds or null), selected(from, to). `overlay()`: {marks, a, b} to be drawn over the curves. */
+  constructor(plot, lanes, on, overlay) {
+    this.elements = { plot, lanes };
+    this.on = on;
+    this.overlay = overlay;
+    this.range = [0, 1];
+    this.shape = "";
+    this.curves = this.lanes = null;
+    new ResizeObserver(() => this.resize()).observe(plot);
+  }
+
+  /** New answers over a span. `bound`: which scale each curve has, "shared" or "own"; `chosen`: whose axis is shown. */
+  draw(answers, range, bound, chosen) {
+    const place = new Map(answers.map((answer, i) => [answer, i]));
+    const numbers = answers.filter((answer) => !isBit(answer));
+    const bits = answers.filter(isBit);
+    const shape = JSON.stringify([
+      answers.map((a) => [a.bus, a.unit, a.value, a.measure, a.name]),
+      bound,
+      chosen,
+    ]);
+    this.range = range;
+    if (shape !== this.shape) this.build(numbers, bits, place, bound, chosen);
+    this.shape = shape;
+    const lift = (value, i) => bits.length - 1 - i + value * LANE_FILL;
+    this.curves.setData(joined(numbers), false);
+    this.lanes?.setData(joined(bits, lift), false);
+    this.move(range);
+  }
+
+  /** Another span of the same data. */
+  move(range) {
+    this.range = range;
+    const [min, max] = range;
+    for (const plot of [this.curves, this.lanes]) plot?.setScale("x", { min, max });
+  }
+
+  redraw() {
+    for (const plot of [this.curves, this.lanes]) plot?.redraw(false);
+  }
+
+  /** New colours, since the theme changed. */
+  forget() {
+    this.shape = "";
+  }
+
+  build(numbers, bits, place, bound, chosen) {
+    this.curves?.destroy();
+    this.lanes?.destroy();
+    const scaleOf = (answer) =>
+      bound === "own" ? `y${place.get(answer)}` : answer.value === "analog" ? "analog" : "speed";
+    const shown = bound === "own" ? scaleOf(numbers[chosen] ?? numbers[0] ?? {}) : null;
+    const scales = [...new Set(numbers.map(scaleOf))];
+    const axes = scales.map((scale, i) => ({
+      ...axis(),
+      scale,
+      side: i ? 1 : 3,
+      show: shown === null || shown === scale,
+      size: 72,
+      grid: { show: i === 0 || shown !== null, stroke: colour("--line") },
+      label: numbers.find((answer) => scaleOf(answer) === scale)?.measure || undefined,
+    }));
+    this.curves = this.plot(this.elements.plot, numbers, place, scaleOf, axes, bits.length > 0);
+    const laneAxis = {
+      ...axis(),
+      scale: "lane",
+      side: 3,
+      size: 72,
+      splits: () => bits.map((_, i) => i + LANE_FILL / 2),
+      grid: { show: false },
+      values: () => bits.map((_, i) => shortened(bits[bits.length - 1 - i].name)),
+    };
+    this.lanes = bits.length
+      ? this.plot(this.elements.lanes, bits, place, () => "lane", [laneAxis], false, bits.length)
+      : null;
+  }
+
+  plot(element, answers, place, scaleOf, axes, barefoot, lanes = 0) {
+    const stepped = uPlot.paths.stepped({ align: 1 });
+    const series = [{}];
+    const bands = [];
+    for (const answer of answers) {
+      const { name, dash } = look(place.get(answer));
+      const stroke = colour(name);
+      const common = { scale: scaleOf(answer), spanGaps: false, paths: lanes ? stepped : undefined };
+      const edge = { ...common, stroke: INVISIBLE, width: 1, points: { show: false } };
+      bands.push({ series: [series.length + 2, series.length + 1], fill: faded(stroke) });
+      series.push({ ...common, stroke, dash, width: lanes ? 2 : 1.75, points: { size: 4 } }, edge, {
+        ...edge,
+      });
+    }
+    const options = {
+      width: element.clientWidth || 600,
+      height: this.height(lanes),
+      scales: {
+        x: { time: true, auto: false, range: () => this.range },
+        ...(lanes ? { lane: { range: () => [-0.2, lanes] } } : {}),
+      },
+      axes: [{ ...axis(), values: axisLabels, space: 90, size: barefoot ? 0 : 44, show: !barefoot }, ...axes],
+      series,
+      bands,
+      legend: { show: false },
+      cursor: {
+        sync: { key: SYNC },
+        y: false,
+        points: { size: 7 },
+        drag: { x: true, y: false, setScale: false },
+      },
+      hooks: {
+        setCursor: [
+          (plot) => this.on.cursor(plot.cursor.left >= 0 ? plot.posToVal(plot.cursor.left, "x") : null),
+        ],
+        setSelect: [(plot) => this.selected(plot)],
+        draw: [(plot) => this.drawOverlay(plot)],
+      },
+      ...(zone ? { tzDate: (seconds) => uPlot.tzDate(new Date(seconds * 1000), zone) } : {}),
+    };
+    return new uPlot(options, [[]], element);
+  }
+
+  height(lanes) {
+    if (lanes) return lanes * LANE + 54;
+    return Math.max(LEAST_HEIGHT, Math.min(560, Math.round(window.innerHeight * 0.5)));
+  }
+
+  resize() {
+    const width = this.elements.plot.clientWidth;
+    for (const plot of [this.curves, this.lanes])
+      if (plot && width && plot.width !== width) plot.setSize({ width, height: plot.height });
+  }
+
+  selected(plot) {
+    const { left, width } = plot.select;
+    if (width < 8) return;
+    const [from, to] = [plot.posToVal(left, "x"), plot.posToVal(left + width, "x")];
+    plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+    this.on.selected(from, to);
+  }
+
+  /** The time at a place of the screen, seconds. */
+  timeAt(clientX) {
+    const box = this.curves.over.getBoundingClientRect();
+    return this.curves.posToVal(clientX - box.left, "x");
+  }
+
+  /** Put the cursor on a time. */
+  point(at) {
+    this.curves.setCursor({ left: this.curves.valToPos(at, "x"), top: 10 });
+  }
+
+  drawOverlay(plot) {
+    const { marks, a, b } = this.overlay();
+    const { ctx, bbox } = plot;
+    const line = (at, stroke, dash, label) => {
+      if (at === null || at < this.range[0] || at > this.range[1]) return;
+      const x = Math.round(plot.valToPos(at, "x", true)) + 0.5;
+      ctx.strokeStyle = ctx.fillStyle = stroke;
+      ctx.setLineDash(dash);
+      ctx.beginPath();
+      ctx.moveTo(x, bbox.top);
+      ctx.lineTo(x, bbox.top + bbox.height);
+      ctx.stroke();
+      if (label) ctx.fillText(label, x + 4 * devicePixelRatio, bbox.top + 12 * devicePixelRatio);
+    };
+    ctx.save();
+    ctx.lineWidth = devicePixelRatio;
+    ctx.textAlign = "left";
+    ctx.font = `${12 * devicePixelRatio}px ${css("--family")}`;
+    for (const mark of marks)
+      line(mark.t, colour("--line-strong"), [2 * devicePixelRatio, 4 * devicePixelRatio], "");
+    line(a, colour("--mark"), [], "A");
+    line(b, colour("--mark"), [], "B");
+    ctx.restore();
+  }
+}
+
+const shortened = (name) => (name.length > 11 ? `${name.slice(0, 10)}…` : name);
+
+function axis() {
+  const ink = colour("--quiet");
+  return {
+    stroke: ink,
+    font: `12px ${css("--family")}`,
+    grid: { stroke: colour("--line") },
+    ticks: { stroke: colour("--line") },
+  };
+}

@@ -1,0 +1,133 @@
+// The values as a table: what the cursors read, least, average, greatest; and what happened meanwhile as a list.
+import { summary, valueAt } from "./trends-data.js";
+import { isBit, look } from "./trends-plot.js";
+import { length, say } from "./trends-time.js";
+
+const words = document.getElementById("trend-words").dataset;
+const UNKNOWN = "–";
+const MOST_DIGITS = 3;
+const byId = (id) => document.getElementById(id);
+const formats = new Map();
+
+function number(value, decimals) {
+  if (!formats.has(decimals))
+    formats.set(
+      decimals,
+      new Intl.NumberFormat(words.language, {
+        minimumFractionDigits: decimals ?? 0,
+        maximumFractionDigits: decimals ?? MOST_DIGITS,
+        useGrouping: false,
+      }),
+    );
+  return formats.get(decimals).format(value);
+}
+
+function text(answer, value) {
+  if (value === null || value === undefined) return UNKNOWN;
+  if (isBit(answer) && (value === 0 || value === 1)) return value ? words.on : words.off;
+  return number(value, isBit(answer) ? 2 : answer.decimals);
+}
+
+function swatch(place) {
+  const { name, dash } = look(place);
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
+  svg.setAttribute("class", "trends__swatch");
+  svg.setAttribute("viewBox", "0 0 32 8");
+  svg.setAttribute("aria-hidden", "true");
+  path.setAttribute("d", "M0 4h32");
+  path.style.stroke = `var(${name})`;
+  if (dash.length) path.setAttribute("stroke-dasharray", dash.join(" "));
+  svg.append(path);
+  return svg;
+}
+
+function cell(row, content) {
+  const td = row.insertCell();
+  td.className = "number";
+  td.textContent = content;
+  return td;
+}
+
+/** One row for each value; `on`: remove(name), choose(place). */
+export function drawRows(body, answers, names, on) {
+  const focused = body.contains(document.activeElement) ? document.activeElement.dataset.key : null;
+  body.replaceChildren(
+    ...answers.map((answer, place) => {
+      const row = document.createElement("tr");
+      const head = document.createElement("th");
+      head.scope = "row";
+      head.append(swatch(place), answer.name + (answer.measure ? ` [${answer.measure}]` : ""));
+      head.addEventListener("click", () => on.choose(place));
+      row.append(head);
+      for (let i = 0; i < 4; i++) cell(row, UNKNOWN);
+      const found = summary(answer);
+      for (const name of ["least", "average", "greatest"]) cell(row, text(answer, found?.[name]));
+      const remove = document.createElement("button");
+      remove.type = "button";
+      remove.className = "button button--small";
+      remove.textContent = "×";
+      remove.dataset.key = names[place];
+      remove.setAttribute("aria-label", `${words.remove}: ${answer.name}`);
+      remove.addEventListener("click", () => on.remove(names[place]));
+      cell(row, "").append(remove);
+      return row;
+    }),
+  );
+  if (focused) [...body.querySelectorAll("button")].find((button) => button.dataset.key === focused)?.focus();
+}
+
+/** What the cursor and A and B read; B − A where both are set. */
+export function drawCursors(body, answers, { at, a, b }) {
+  [...body.rows].forEach((row, place) => {
+    const answer = answers[place];
+    if (!answer) return;
+    const read = (time) => (time === null ? null : valueAt(answer, time));
+    const [va, vb] = [read(a), read(b)];
+    row.cells[1].textContent = text(answer, read(at));
+    row.cells[2].textContent = text(answer, va);
+    row.cells[3].textContent = text(answer, vb);
+    row.cells[4].textContent =
+      va === null || vb === null || isBit(answer) ? UNKNOWN : number(vb - va, answer.decimals);
+  });
+  const moment = (time) => (time === null ? UNKNOWN : say(time));
+  byId("time-cursor").textContent = moment(at);
+  byId("time-a").textContent = moment(a);
+  byId("time-b").textContent = moment(b);
+  byId("time-difference").textContent = a === null || b === null ? UNKNOWN : length(Math.abs(b - a));
+}
+
+/** The whole picture in words. */
+export function inWords(answers) {
+  const lines = answers.map((answer) => {
+    const found = summary(answer);
+    if (!found) return `${answer.name}: ${words.nothing}`;
+    const holes = found.holes ? `, ${words.holes.replace("{n}", found.holes)}` : "";
+    return `${answer.name}: ${text(answer, found.least)} … ${text(answer, found.greatest)}${holes}`;
+  });
+  return lines.join("; ");
+}
+
+/** How fine the picture is. */
+export const fineness = (answers) => {
+  const bucket = Math.max(0, ...answers.map((answer) => answer.bucket_s));
+  return bucket ? words.per.replace("{n}", length(bucket)) : words.every;
+};
+
+/** What happened: a press puts the cursor there. */
+export function drawMarks(list, marks, more, put) {
+  byId("trend-events-count").textContent = marks.length + (more ? ` – ${words.more}` : "");
+  list.replaceChildren(
+    ...marks.map((mark) => {
+      const item = document.createElement("li");
+      const button = document.createElement("button");
+      button.type = "button";
+      const where = mark.unit ? `${mark.bus}/${mark.unit} · ` : mark.bus ? `${mark.bus} · ` : "";
+      const change = mark.old || mark.new ? `: ${mark.old || UNKNOWN} → ${mark.new || UNKNOWN}` : "";
+      button.textContent = `${say(mark.t)} · ${where}${mark.what}${change}${mark.who ? ` (${mark.who})` : ""}`;
+      button.addEventListener("click", () => put(mark.t));
+      item.append(button);
+      return item;
+    }),
+  );
+}

@@ -1,0 +1,91 @@
+// Times at the site: its zone, not the browser's; and how a span is said.
+const zone = document.body.dataset.zone || undefined;
+const language = document.documentElement.lang || "en";
+const part = (options) => new Intl.DateTimeFormat(language, { timeZone: zone, hourCycle: "h23", ...options });
+const FORMATS = {
+  clock: part({ hour: "2-digit", minute: "2-digit" }),
+  second: part({ hour: "2-digit", minute: "2-digit", second: "2-digit" }),
+  exact: part({ hour: "2-digit", minute: "2-digit", second: "2-digit", fractionalSecondDigits: 3 }),
+  day: part({ day: "numeric", month: "short" }),
+  month: part({ month: "short", year: "numeric" }),
+  moment: part({
+    year: "numeric",
+    month: "short",
+    day: "numeric",
+    hour: "2-digit",
+    minute: "2-digit",
+    second: "2-digit",
+  }),
+};
+const WALL = new Intl.DateTimeFormat("en", {
+  timeZone: zone,
+  hourCycle: "h23",
+  year: "numeric",
+  month: "numeric",
+  day: "numeric",
+  hour: "numeric",
+  minute: "numeric",
+  second: "numeric",
+});
+export const DAY = 86400;
+const SHIFT_HOURS = 8;
+const FIRST_SHIFT = 6;
+
+/** Seconds since the epoch as text; `kind` is a key of FORMATS. */
+export const say = (seconds, kind = "moment") => FORMATS[kind].format(seconds * 1000);
+
+/** The wall clock at the site, as if it were UTC: seconds that can be counted with. */
+function wall(seconds) {
+  const parts = Object.fromEntries(
+    WALL.formatToParts(seconds * 1000).map(({ type, value }) => [type, Number(value)]),
+  );
+  return Date.UTC(parts.year, parts.month - 1, parts.day, parts.hour, parts.minute, parts.second) / 1000;
+}
+
+/** The instant at which the wall clock at the site shows this; near a change of summer time, one of the two. */
+function instant(wallSeconds) {
+  const guess = wallSeconds - (wall(wallSeconds) - wallSeconds);
+  return guess - (wall(guess) - wallSeconds);
+}
+
+/** Six o'clock this morning, or yesterday's before six. */
+export function morning(now) {
+  const clock = wall(now);
+  const six = clock - (clock % DAY) + FIRST_SHIFT * 3600;
+  return instant(six > clock ? six - DAY : six);
+}
+
+/** The shift that ended last: shifts of eight hours change at six. */
+export function lastShift(now) {
+  const clock = wall(now);
+  const length = SHIFT_HOURS * 3600;
+  const end = clock - ((((clock - FIRST_SHIFT * 3600) % length) + length) % length);
+  return [instant(end - length), instant(end)];
+}
+
+/** For an input of type datetime-local, and back. */
+export const toField = (seconds) => new Date(Math.floor(wall(seconds)) * 1000).toISOString().slice(0, 19);
+export const fromField = (text) => instant(Date.parse(`${text.length === 16 ? `${text}:00` : text}Z`) / 1000);
+
+/** Labels under the time axis, no finer than the distance between them. */
+export function axisLabels(_plot, splits, _axis, _space, increment) {
+  let before = "";
+  return splits.map((at) => {
+    if (increment >= 28 * DAY) return say(at, "month");
+    if (increment >= DAY) return say(at, "day");
+    const text = say(at, increment >= 60 ? "clock" : increment >= 1 ? "second" : "exact");
+    const day = say(at, "day");
+    const label = day === before ? text : `${text}\n${day}`;
+    before = day;
+    return label;
+  });
+}
+
+/** 0.2 s, 30 s, 5 min, 8 h, 3 d. */
+export function length(seconds) {
+  const number = new Intl.NumberFormat(language, { maximumFractionDigits: seconds < 10 ? 3 : 1 });
+  if (seconds < 120) return `${number.format(seconds)} s`;
+  if (seconds < 7200) return `${number.format(seconds / 60)} min`;
+  if (seconds < 2 * DAY) return `${number.format(seconds / 3600)} h`;
+  return `${number.format(seconds / DAY)} d`;
+}

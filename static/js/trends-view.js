@@ -1,0 +1,114 @@
+// What is shown: which values over which span. It is the page's address, so a link reopens the same view.
+import { lastShift, morning } from "./trends-time.js";
+
+const LEAST_SPAN = 1;
+const MOST_SPAN = 12 * 365 * 86400;
+const DEFAULT_SPAN = 3600;
+const DEFAULT_VALUES = 8;
+export const MOST_VALUES = 32;
+const nowSeconds = () => Date.now() / 1000;
+
+/** A view: `series` ("bus/unit/value"), `scale` shared or own, `marks`, cursors `a` and `b` (or null), and either
+ * `span` seconds up to now, `from` up to now, or `from` … `to`. */
+export class View extends EventTarget {
+  constructor(catalogue) {
+    super();
+    const query = new URLSearchParams(location.search);
+    const moment = (name) => (query.has(name) ? Date.parse(query.get(name)) / 1000 : Number.NaN);
+    this.series = query
+      .getAll("s")
+      .filter((name) => catalogue.has(name))
+      .slice(0, MOST_VALUES);
+    if (!query.has("s")) this.series = [...catalogue.first(DEFAULT_VALUES)];
+    this.scale = query.get("scale") === "own" ? "own" : "shared";
+    this.marks = query.get("marks") !== "0";
+    this.a = numberOr(moment("a"), null);
+    this.b = numberOr(moment("b"), null);
+    this.from = numberOr(moment("from"), null);
+    this.to = numberOr(moment("to"), null);
+    if (this.from !== null && this.to !== null && this.to <= this.from) this.from = this.to = null;
+    this.span = clamp(numberOr(Number(query.get("span")), DEFAULT_SPAN) || DEFAULT_SPAN);
+    this.seen = new Set();
+  }
+
+  get live() {
+    return this.to === null;
+  }
+
+  /** The span shown now, seconds since the epoch. */
+  range(now = nowSeconds()) {
+    if (this.to !== null) return [this.from ?? this.to - this.span, this.to];
+    return [this.from ?? now - this.span, now];
+  }
+
+  follow(span) {
+    this.change({ span: clamp(span), from: null, to: null });
+  }
+
+  preset(name) {
+    if (name === "morning") this.change({ from: morning(nowSeconds()), to: null });
+    else {
+      const [from, to] = lastShift(nowSeconds());
+      this.change({ from, to });
+    }
+  }
+
+  show(from, to) {
+    const middle = (from + to) / 2;
+    const half = clamp(to - from) / 2;
+    this.change({ from: middle - half, to: middle + half });
+  }
+
+  /** Closer (factor < 1) or wider around a time; what follows now goes on doing so when it widens around now. */
+  zoom(factor, around) {
+    const [from, to] = this.range();
+    const centre = around ?? (this.live ? to : (from + to) / 2);
+    if (this.live && around === undefined) this.follow((to - from) * factor);
+    else this.show(centre - (centre - from) * factor, centre + (to - centre) * factor);
+  }
+
+  /** By parts of the span, later when positive; past now it follows now. */
+  pan(parts) {
+    const [from, to] = this.range();
+    const by = (to - from) * parts;
+    if (to + by >= nowSeconds()) this.follow(to - from);
+    else this.show(from + by, to + by);
+  }
+
+  toggleLive() {
+    const [from, to] = this.range();
+    if (this.live) this.show(from, to);
+    else this.follow(to - from);
+  }
+
+  add(name) {
+    if (!this.series.includes(name) && this.series.length < MOST_VALUES)
+      this.change({ series: [...this.series, name] });
+  }
+
+  remove(name) {
+    this.change({ series: this.series.filter((other) => other !== name) });
+  }
+
+  change(what) {
+    Object.assign(this, what);
+    history.replaceState(null, "", `?${this.query()}`);
+    this.dispatchEvent(new CustomEvent("change", { detail: Object.keys(what) }));
+  }
+
+  query() {
+    const query = new URLSearchParams();
+    for (const name of this.series) query.append("s", name);
+    if (!this.series.length) query.append("s", "");
+    if (this.from === null && this.to === null)
+      query.set("span", String(Math.round(this.span * 1000) / 1000));
+    for (const name of ["from", "to", "a", "b"]) if (this[name] !== null) query.set(name, iso(this[name]));
+    if (this.scale === "own") query.set("scale", "own");
+    if (!this.marks) query.set("marks", "0");
+    return query;
+  }
+}
+
+export const iso = (seconds) => new Date(Math.round(seconds * 1000)).toISOString();
+const clamp = (span) => Math.min(MOST_SPAN, Math.max(LEAST_SPAN, span));
+const numberOr = (value, otherwise) => (Number.isFinite(value) ? value : otherwise);

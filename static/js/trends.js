@@ -1,0 +1,216 @@
+// The trends page: the view says what is wanted, the history answers, the picture and the table show it.
+import { exportAddress, fetchMarks, fetchSeries } from "./trends-data.js";
+import { gestures } from "./trends-gestures.js";
+import { Picture } from "./trends-plot.js";
+import { drawCursors, drawMarks, drawRows, fineness, inWords } from "./trends-table.js";
+import { fromField, say, toField } from "./trends-time.js";
+import { MOST_VALUES, View } from "./trends-view.js";
+
+const SETTLE_MS = 60;
+const BEAT_MS = 1000;
+const MARKS_EVERY_S = 15;
+const REFRESHES_PER_SPAN = 300;
+const byId = (id) => document.getElementById(id);
+const root = byId("trends");
+const words = byId("trend-words").dataset;
+
+/** Which values there are, and what each is called. */
+class Catalogue {
+  constructor() {
+    this.units = new Map(JSON.parse(root.dataset.catalogue).map((unit) => [unit.key, unit]));
+    this.words = JSON.parse(root.dataset.valueWords);
+  }
+
+  split(name) {
+    const cut = name.lastIndexOf("/");
+    return [this.units.get(name.slice(0, cut)), name.slice(cut + 1)];
+  }
+
+  has(name) {
+    const [unit, value] = this.split(name);
+    return unit !== undefined && value in this.words;
+  }
+
+  first(count) {
+    return [...this.units.keys()].slice(0, count).map((key) => `${key}/actual`);
+  }
+
+  title(name) {
+    const [unit, value] = this.split(name);
+    return `${unit.name} · ${unit.labels[value] || this.words[value]}`;
+  }
+}
+
+const catalogue = new Catalogue();
+const view = new View(catalogue);
+const body = byId("trend-values");
+const cursor = { at: null, put: (seconds) => picture.point(seconds) };
+let answers = [];
+let names = [];
+let marks = [];
+let chosen = 0;
+const asked = { data: 0, marks: 0 };
+let pending = null;
+
+const picture = new Picture(
+  byId("trend-plot"),
+  byId("trend-lanes"),
+  { cursor: moved, selected: (from, to) => view.show(from, to) },
+  () => ({ marks: view.marks ? marks : [], a: view.a, b: view.b }),
+);
+
+function moved(at) {
+  cursor.at = at;
+  drawCursors(body, answers, { at, a: view.a, b: view.b });
+}
+
+function points() {
+  return Math.max(200, Math.min(2000, Math.round(byId("trend-plot").clientWidth)));
+}
+
+async function fetchAll() {
+  pending?.abort();
+  pending = new AbortController();
+  const range = view.range();
+  const wanted = [...view.series];
+  asked.data = Date.now();
+  try {
+    const found = await fetchSeries(wanted, range, points(), pending.signal);
+    answers = found.map((answer, i) => ({ ...answer, name: catalogue.title(wanted[i]) }));
+    names = wanted;
+    byId("trend-fault").textContent = "";
+    drawAll();
+  } catch (error) {
+    if (error.name !== "AbortError")
+      byId("trend-fault").textContent = words.fault.replace("{n}", error.message);
+  }
+}
+
+async function fetchEvents() {
+  asked.marks = Date.now();
+  try {
+    const found = await fetchMarks(view.series, view.range());
+    marks = found.marks;
+    drawMarks(byId("trend-list"), marks, found.more, cursor.put);
+    picture.redraw();
+  } catch {
+    marks = [];
+  }
+}
+
+function drawAll() {
+  picture.draw(answers, view.range(), view.scale, chosen);
+  drawRows(body, answers, names, { remove: (name) => view.remove(name), choose });
+  moved(cursor.at);
+  byId("trend-summary").textContent = inWords(answers);
+  root.dataset.drawn = String(Date.now());
+  performance.mark("trends-drawn");
+}
+
+function choose(place) {
+  chosen = place;
+  drawAll();
+}
+
+let settling = 0;
+function refetch() {
+  clearTimeout(settling);
+  settling = setTimeout(() => {
+    fetchAll();
+    fetchEvents();
+  }, SETTLE_MS);
+}
+
+function showControls() {
+  const [from, to] = view.range();
+  for (const button of root.querySelectorAll("[data-span]"))
+    button.setAttribute(
+      "aria-pressed",
+      String(view.live && view.from === null && Number(button.dataset.span) === view.span),
+    );
+  root.querySelector("[data-move=live]").setAttribute("aria-pressed", String(view.live));
+  const exact = byId("trend-exact").elements;
+  if (!byId("trend-exact").contains(document.activeElement)) {
+    exact.from.value = toField(from);
+    exact.to.value = toField(to);
+  }
+  byId("trend-scale").value = view.scale;
+  byId("trend-marks").checked = view.marks;
+  for (const file of ["csv", "parquet"])
+    byId(`export-${file}`).href = exportAddress(view.series, [from, to], file);
+}
+
+function describe() {
+  const [from, to] = view.range();
+  const now = view.live ? ` · ${words.live}` : "";
+  byId("trend-span").textContent = `${say(from)} – ${view.live ? "" : say(to)}${now} · ${fineness(answers)}`;
+}
+
+view.addEventListener("change", ({ detail }) => {
+  showControls();
+  if (detail.every((name) => name === "a" || name === "b")) {
+    picture.redraw();
+    moved(cursor.at);
+    return;
+  }
+  if (picture.curves) picture.move(view.range());
+  describe();
+  refetch();
+});
+
+/** Once a second: what follows now moves on, and asks again as often as a pixel's worth has passed. */
+function beat() {
+  if (document.hidden || !view.live) return;
+  const [from, to] = view.range();
+  if (picture.curves) picture.move([from, to]);
+  showControls();
+  const due = Math.max(2000, ((to - from) * 1000) / REFRESHES_PER_SPAN);
+  if (Date.now() - asked.data >= due) fetchAll();
+  if (Date.now() - asked.marks >= MARKS_EVERY_S * 1000) fetchEvents();
+}
+
+const MOVES = {
+  back: () => view.pan(-0.5),
+  on: () => view.pan(0.5),
+  in: () => view.zoom(0.5),
+  out: () => view.zoom(2),
+  live: () => view.toggleLive(),
+};
+
+root.addEventListener("click", ({ target }) => {
+  const button = target.closest("[data-span], [data-preset], [data-move]");
+  if (!button) return;
+  const { span, preset, move } = button.dataset;
+  if (span) view.follow(Number(span));
+  else if (preset) view.preset(preset);
+  else MOVES[move]();
+});
+byId("trend-exact").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const { from, to } = event.target.elements;
+  const [start, end] = [fromField(from.value), fromField(to.value)];
+  to.setCustomValidity(end > start ? "" : to.validationMessage || "←");
+  if (end > start) view.show(start, end);
+});
+byId("trend-scale").addEventListener("change", ({ target }) => view.change({ scale: target.value }));
+byId("trend-marks").addEventListener("change", ({ target }) => view.change({ marks: target.checked }));
+byId("trend-add").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const { unit, value } = event.target.elements;
+  if (view.series.length >= MOST_VALUES) byId("trend-fault").textContent = words.full;
+  else view.add(`${unit.value}/${value.value}`);
+});
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", recolour);
+new MutationObserver(recolour).observe(document.documentElement, { attributeFilter: ["data-theme"] });
+
+function recolour() {
+  picture.forget();
+  drawAll();
+}
+
+gestures(byId("trend-picture"), view, (x) => picture.timeAt(x), cursor);
+picture.draw([], view.range(), view.scale, 0);
+showControls();
+fetchAll().then(describe);
+fetchEvents();
+setInterval(beat, BEAT_MS);
