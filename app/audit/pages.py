@@ -26,7 +26,7 @@ async def events_page(
     request: Request,
     _: Viewer,
     events: Events,
-    before: Annotated[str, Query(max_length=20)] = "",
+    before: Annotated[str, Query(max_length=18)] = "",
     kind: str = "",
     bus: str = "",
     unit: Annotated[str, Query(max_length=3)] = "",
@@ -68,10 +68,10 @@ def _number(text: str) -> int | None:
 def _day(text: str, time_zone: str, later: timedelta = timedelta(0)) -> float | None:
     """The instant at which a day (2026-11-21) begins at the site; None for what is no day."""
     try:
-        day = datetime.fromisoformat(text).date()
-    except ValueError:
+        day = datetime.fromisoformat(text).date() + later
+        return datetime.combine(day, time(), zone(time_zone)).timestamp()
+    except (ValueError, OverflowError):
         return None
-    return datetime.combine(day + later, time(), zone(time_zone)).timestamp()
 
 
 def _link(chosen: dict[str, str], **more: Any) -> str:

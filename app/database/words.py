@@ -40,4 +40,4 @@ def in_words(path: Path) -> Iterator[None]:
         meaning = _MEANINGS.get(code & _PRIMARY) if isinstance(code, int) else None
         raise StoreError(f"the store {path}: {meaning or error}") from error
     except OSError as error:
-        raise StoreError(f"the store {path}: {error.strerror or error}") from error
+        raise StoreError(f"the store {path}: {error.strerror or error}; check its folder") from error

@@ -1,0 +1,91 @@
+"""Keeping users and tokens: what is refused, what is noted, and that an admin remains."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from app.audit.log import EventLog
+from app.audit.store import Filter
+from app.auth.accounts import Accounts
+from app.auth.passwords import Passwords
+from app.database import Database
+from app.web.access import Role
+from bus.errors import CallerError
+
+BY = {"by": "root", "origin": "test"}
+
+
+@pytest.fixture
+async def accounts(tmp_path: Path) -> AsyncIterator[Accounts]:
+    database, passwords = Database(tmp_path / "lineside.db"), Passwords()
+    yield Accounts(database, passwords, EventLog(database))
+    passwords.close()
+    database.close()
+
+
+async def test_a_name_is_given_once(accounts: Accounts) -> None:
+    await accounts.add_user("ann", Role.VIEWER, "password1", **BY)
+    with pytest.raises(CallerError, match="there is a user ann already"):
+        await accounts.add_user("ann", Role.ADMIN, "password1", **BY)
+    assert [(user.name, user.role) for user in await accounts.users()] == [("ann", Role.VIEWER)]
+
+
+async def test_a_token_is_named_once(accounts: Accounts) -> None:
+    await accounts.create_token("plc", Role.VIEWER, **BY)
+    with pytest.raises(CallerError, match="there is a token plc already"):
+        await accounts.create_token("plc", Role.VIEWER, **BY)
+
+
+async def test_nobody_and_nothing(accounts: Accounts) -> None:
+    with pytest.raises(CallerError, match="no user eve"):
+        await accounts.set_role("eve", Role.ADMIN, **BY)
+    with pytest.raises(CallerError, match="no user eve"):
+        await accounts.set_password("eve", "password1", **BY)
+    with pytest.raises(CallerError, match="no user eve"):
+        await accounts.remove_user("eve", **BY)
+    with pytest.raises(CallerError, match="no token plc"):
+        await accounts.revoke_token("plc", **BY)
+
+
+@pytest.mark.parametrize("ending", ["role", "disable", "remove"])
+async def test_an_admin_remains(accounts: Accounts, ending: str) -> None:
+    changes = {
+        "role": lambda: accounts.set_role("ann", Role.ENGINEER, **BY),
+        "disable": lambda: accounts.set_disabled("ann", True, **BY),
+        "remove": lambda: accounts.remove_user("ann", **BY),
+    }
+    await accounts.add_user("ann", Role.ADMIN, "password1", **BY)
+    await accounts.add_user("bob", Role.VIEWER, "password1", **BY)
+    with pytest.raises(CallerError, match="ann is the last admin; make somebody else admin first"):
+        await changes[ending]()
+    assert (await accounts.users())[0].role is Role.ADMIN
+    await accounts.set_role("bob", Role.ADMIN, **BY)
+    await changes[ending]()
+
+
+async def test_every_change_is_an_event_with_its_author(accounts: Accounts) -> None:
+    await accounts.add_user("ann", Role.VIEWER, "password1", **BY)
+    await accounts.set_role("ann", Role.OPERATOR, **BY)
+    await accounts.set_disabled("ann", True, **BY)
+    await accounts.remove_user("ann", **BY)
+    found, _ = await accounts._events.page(Filter(kind="user"), 10)
+    assert [event["what"] for event in reversed(found)] == [
+        "user ann added as viewer",
+        "user ann is operator now",
+        "user ann is refused from now on",
+        "user ann removed",
+    ]
+    assert {event["who"] for event in found} == {"root"}
+
+
+async def test_who_listens_hears_whose_rights_changed(accounts: Accounts) -> None:
+    heard: list[str] = []
+    accounts.on_rights_changed(heard.append)
+    await accounts.add_user("ann", Role.VIEWER, "password1", **BY)
+    await accounts.set_role("ann", Role.OPERATOR, **BY)
+    await accounts.create_token("plc", Role.VIEWER, **BY)
+    await accounts.revoke_token("plc", **BY)
+    assert heard == ["ann", "plc"]

@@ -1,0 +1,149 @@
+"""``GET /api/v1/events`` as the contract has it, its CSV, and the page."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import AsyncIterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from app.web.access import Role
+from tests.app.whole_app import House, whole_app
+
+CONTRACT = {"id", "time", "kind", "who", "bus", "unit", "what", "old", "new", "old_raw", "new_raw", "outcome"}
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path, time_zone="Europe/Berlin") as house:
+        yield house
+
+
+@pytest.fixture
+async def viewer(house: House) -> httpx.AsyncClient:
+    return await house.program(Role.VIEWER)
+
+
+async def command(house: House, unit: int = 1, what: str = "set speed") -> int:
+    said: dict[str, Any] = {"who": "ann", "origin": "page", "bus": "dry-end", "unit": unit, "what": what}
+    return await house.services.events.intend(**said, old="48.0", new="50.0", old_raw=480, new_raw=500)
+
+
+async def test_a_command_with_its_fate(house: House, viewer: httpx.AsyncClient) -> None:
+    number = await command(house)
+    await house.services.events.conclude(number, "verified")
+    answer = (await viewer.get("/api/v1/events", params={"kind": "command"})).json()
+    [event] = answer["events"]
+    assert set(event) >= CONTRACT
+    assert answer["next"] is None
+    assert {name: event[name] for name in ("kind", "old", "new_raw", "outcome")} == {
+        "kind": "command",
+        "old": "48.0",
+        "new_raw": 500,
+        "outcome": "verified",
+    }
+    assert datetime.fromisoformat(event["time"]).tzinfo is not None
+
+
+async def test_one_whose_fate_is_not_known_yet(house: House, viewer: httpx.AsyncClient) -> None:
+    await command(house)
+    answer = await viewer.get("/api/v1/events", params={"limit": 1})
+    assert answer.json()["events"][0]["outcome"] is None
+
+
+async def test_newest_first_and_on_by_the_cursor(house: House, viewer: httpx.AsyncClient) -> None:
+    numbers = [await command(house) for _ in range(5)]
+    first = (await viewer.get("/api/v1/events", params={"kind": "command", "limit": 3})).json()
+    query = {"kind": "command", "limit": 3, "before": first["next"]}
+    second = (await viewer.get("/api/v1/events", params=query)).json()
+    assert [event["id"] for event in first["events"] + second["events"]] == numbers[::-1]
+    assert second["next"] is None
+
+
+async def test_of_one_unit(house: House, viewer: httpx.AsyncClient) -> None:
+    await command(house, unit=1)
+    wanted = await command(house, unit=2)
+    answer = await viewer.get("/api/v1/events", params={"bus": "dry-end", "unit": 2})
+    assert [event["id"] for event in answer.json()["events"]] == [wanted]
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "limit=0",
+        "limit=1001",
+        "limit=x",
+        "before=0",
+        "before=x",
+        "unit=256",
+        "from=2026-01-01T00:00:00",
+        "to=x",
+    ],
+)
+async def test_what_makes_no_sense_is_invalid(viewer: httpx.AsyncClient, query: str) -> None:
+    answer = await viewer.get(f"/api/v1/events?{query}")
+    assert (answer.status_code, answer.json()["code"]) == (422, "invalid")
+
+
+async def test_a_span(house: House, viewer: httpx.AsyncClient) -> None:
+    await house.services.events.record(kind="estop", what="then", at=1_700_000_000.0)
+    span = {"from": "2023-11-14T22:13:20Z", "to": "2023-11-14T23:13:21+01:00"}
+    answer = await viewer.get("/api/v1/events", params=span)
+    assert [event["what"] for event in answer.json()["events"]] == ["then"]
+
+
+async def test_csv_has_every_event_and_no_formula(house: House, viewer: httpx.AsyncClient) -> None:
+    for number in range(1200):
+        await house.services.events.record(kind="many", what=str(number))
+    await house.services.events.record(kind="many", what="=HYPERLINK(1)", old="-5.0")
+    answer = await viewer.get("/api/v1/events.csv", params={"kind": "many"})
+    assert answer.headers["content-type"].startswith("text/csv")
+    rows = list(csv.DictReader(io.StringIO(answer.text)))
+    assert len(rows) == 1201
+    assert (rows[0]["what"], rows[0]["old"]) == ("'=HYPERLINK(1)", "-5.0")
+
+
+async def test_the_page_shows_and_filters(house: House) -> None:
+    client = await house.signed_in(Role.VIEWER)
+    await command(house, what="set <speed>")
+    page = await client.get(
+        "/events", params={"kind": "command", "bus": "", "unit": "1", "since": "2000-01-01"}
+    )
+    assert page.status_code == 200
+    assert "set &lt;speed&gt;" in page.text
+    assert 'href="/units/dry-end/1"' in page.text
+    other = await client.get("/events", params={"unit": "2"})
+    assert "set &lt;speed&gt;" not in other.text
+
+
+async def test_the_pages_days_are_days_at_the_site(house: House) -> None:
+    """Half past midnight in Berlin is the evening before in UTC."""
+    client = await house.signed_in(Role.VIEWER)
+    at = datetime.fromisoformat("2026-03-02T00:30:00+01:00").timestamp()
+    await house.services.events.record(kind="estop", what="at half past midnight", at=at)
+    assert "half past" in (await client.get("/events?since=2026-03-02&until=2026-03-02")).text
+    assert "half past" not in (await client.get("/events?until=2026-03-01")).text
+    csv_link = "from=2026-03-02T00%3A00%3A00%2B01%3A00"
+    assert csv_link in (await client.get("/events?since=2026-03-02")).text
+
+
+async def test_the_page_goes_on_to_older_ones(house: House) -> None:
+    client = await house.signed_in(Role.VIEWER)
+    for number in range(120):
+        await house.services.events.record(kind="many", what=f"thing-{number:03}")
+    page = await client.get("/events?kind=many")
+    assert "thing-020" in page.text
+    assert "thing-019" not in page.text
+    older = page.text.split('href="/events?')[-1].split('"')[0].replace("&amp;", "&")
+    assert "thing-019" in (await client.get(f"/events?{older}")).text
+
+
+@pytest.mark.parametrize("query", ["since=nonsense", "unit=x", "before=x", "until=9999-12-31"])
+async def test_the_page_passes_over_what_it_cannot_read(house: House, query: str) -> None:
+    client = await house.signed_in(Role.VIEWER)
+    assert (await client.get(f"/events?{query}")).status_code == 200

@@ -1,0 +1,105 @@
+"""The store: one writer, readers that cannot write, and words for what goes wrong."""
+
+from __future__ import annotations
+
+import asyncio
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from app.database import Database, StoreError
+from app.database.connection import open_for_reading
+
+STEP = "CREATE TABLE things (name TEXT PRIMARY KEY) STRICT;\n"
+
+
+@pytest.fixture
+def steps(tmp_path: Path) -> Path:
+    folder = tmp_path / "steps"
+    folder.mkdir()
+    (folder / "0001_things.sql").write_text(STEP)
+    return folder
+
+
+@pytest.fixture
+def database(tmp_path: Path, steps: Path) -> Iterator[Database]:
+    opened = Database(tmp_path / "data" / "x.db", steps)
+    yield opened
+    opened.close()
+
+
+def insert(connection: sqlite3.Connection, name: str) -> None:
+    connection.execute("INSERT INTO things VALUES (?)", (name,))
+
+
+def names(connection: sqlite3.Connection) -> list[str]:
+    return [row["name"] for row in connection.execute("SELECT name FROM things ORDER BY name")]
+
+
+async def test_what_is_written_is_read(database: Database) -> None:
+    await asyncio.gather(*(database.write(lambda c, n=n: insert(c, str(n))) for n in range(20)))  # type: ignore[misc]
+    assert len(await database.read(names)) == 20
+
+
+async def test_a_transaction_is_whole_or_not_at_all(database: Database) -> None:
+    def half(connection: sqlite3.Connection) -> None:
+        insert(connection, "a")
+        raise ValueError("midway")
+
+    with pytest.raises(ValueError, match="midway"):
+        await database.write(half)
+    assert await database.read(names) == []
+
+
+async def test_a_broken_rule_is_for_the_caller(database: Database) -> None:
+    await database.write(lambda c: insert(c, "a"))
+    with pytest.raises(sqlite3.IntegrityError):
+        await database.write(lambda c: insert(c, "a"))
+    assert await database.read(names) == ["a"]
+
+
+async def test_a_reader_cannot_write(database: Database) -> None:
+    with pytest.raises(StoreError, match="it is read-only"):
+        await database.read(lambda c: insert(c, "a"))
+
+
+def test_it_is_durable_and_lets_readers_read_on(database: Database) -> None:
+    with open_for_reading(database.path) as reading:
+        assert reading.execute("PRAGMA journal_mode").fetchone()[0] == "wal"
+    assert database._connection.execute("PRAGMA synchronous").fetchone()[0] == 2
+
+
+async def test_closed_says_so(tmp_path: Path, steps: Path) -> None:
+    database = Database(tmp_path / "x.db", steps)
+    database.close()
+    with pytest.raises(StoreError, match="is closed; the server is ending"):
+        await database.read(names)
+
+
+def test_a_damaged_store_is_said(tmp_path: Path, steps: Path) -> None:
+    path = tmp_path / "x.db"
+    path.write_bytes(b"this is no store at all, and long enough to be looked at " * 20)
+    with pytest.raises(StoreError, match=r"x\.db: it is not a Lineside store, or damaged; restore a backup"):
+        Database(path, steps)
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path, steps: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="check its folder"):
+        Database(tmp_path / "file" / "x.db", steps)
+
+
+async def test_a_full_disk_is_said_and_survived(database: Database) -> None:
+    database._connection.execute("PRAGMA max_page_count = 8")
+
+    def much(connection: sqlite3.Connection) -> None:
+        for number in range(10_000):
+            insert(connection, f"{number:0100}")
+
+    with pytest.raises(StoreError, match="the disk is full; free some space, nothing was stored"):
+        await database.write(much)
+    database._connection.execute("PRAGMA max_page_count = 100000")
+    await database.write(lambda c: insert(c, "after"))
+    assert await database.read(names) == ["after"]

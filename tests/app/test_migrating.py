@@ -1,0 +1,76 @@
+"""Numbered steps forward, with a copy first; a newer store is refused."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from app.database import Database, StoreError
+from app.database.migrating import MIGRATIONS, migrations_in
+
+FIRST = "CREATE TABLE a (x INTEGER);\nINSERT INTO a VALUES (1);\n"
+SECOND = "ALTER TABLE a ADD COLUMN y INTEGER NOT NULL DEFAULT 7;\n"
+
+
+def steps(folder: Path, **sql: str) -> Path:
+    folder.mkdir(exist_ok=True)
+    for name, text in sql.items():
+        (folder / f"{name.removeprefix('s')}.sql").write_text(text)
+    return folder
+
+
+def open_and_close(path: Path, folder: Path) -> list[int]:
+    database = Database(path, folder)
+    database.close()
+    return [step.number for step in database.migrated]
+
+
+def rows(path: Path) -> list[tuple[int, ...]]:
+    with closing(sqlite3.connect(path)) as connection:
+        return connection.execute("SELECT * FROM a").fetchall()
+
+
+def test_steps_are_taken_once_and_in_order(tmp_path: Path) -> None:
+    folder, path = steps(tmp_path / "steps", s0002_second=SECOND, s0001_first=FIRST), tmp_path / "x.db"
+    assert open_and_close(path, folder) == [1, 2]
+    assert open_and_close(path, folder) == []
+    assert rows(path) == [(1, 7)]
+
+
+def test_a_store_in_use_is_copied_before_it_is_changed(tmp_path: Path) -> None:
+    folder, path = steps(tmp_path / "steps", s0001_first=FIRST), tmp_path / "x.db"
+    open_and_close(path, folder)
+    assert not list(tmp_path.glob("x.db.before-*"))
+    steps(folder, s0002_second=SECOND)
+    open_and_close(path, folder)
+    assert rows(tmp_path / "x.db.before-0002") == [(1,)]
+    assert rows(path) == [(1, 7)]
+
+
+def test_a_step_that_fails_leaves_the_store_as_it_was(tmp_path: Path) -> None:
+    folder, path = steps(tmp_path / "steps", s0001_first=FIRST), tmp_path / "x.db"
+    open_and_close(path, folder)
+    steps(folder, s0002_bad="INSERT INTO a VALUES (2); INSERT INTO nowhere VALUES (1);\n")
+    with pytest.raises(StoreError, match="step 0002 bad failed: no such table: nowhere"):
+        Database(path, folder)
+    assert rows(path) == [(1,)]
+    steps(folder, s0002_bad=SECOND)
+    assert open_and_close(path, folder) == [2]
+
+
+def test_a_newer_store_is_refused_in_words(tmp_path: Path) -> None:
+    folder, path = steps(tmp_path / "steps", s0001_first=FIRST, s0002_second=SECOND), tmp_path / "x.db"
+    open_and_close(path, folder)
+    (folder / "0002_second.sql").unlink()
+    with pytest.raises(StoreError, match=r"written by a newer version of Lineside \(its step 0002 second"):
+        Database(path, folder)
+    assert rows(path) == [(1, 7)]
+
+
+def test_our_own_steps_have_numbers_of_their_own() -> None:
+    numbers = [step.number for step in migrations_in(MIGRATIONS)]
+    assert numbers[:2] == [1, 2]
+    assert len(set(numbers)) == len(numbers)

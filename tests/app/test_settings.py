@@ -1,0 +1,95 @@
+"""lineside.toml as the dashboard reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app.settings import ConfigurationError, load
+
+BUSES = """\
+[[bus]]
+name = "a"
+port = "/dev/ttyUSB0"
+[[bus]]
+name = "b"
+port = "/dev/ttyUSB1"
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "lineside.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_the_contracts_own_example(tmp_path: Path) -> None:
+    text = """
+[site]
+name = "Paper machine 2"
+
+[server]
+host = "127.0.0.1"
+port = 8000
+data = "./data"            # relative to this file
+
+[[bus]]
+name = "dry-end"
+port = "/dev/ttyUSB0"
+baud = 9600
+turnaround_ms = 50
+estop_healthy = 1
+
+[[bus.unit]]
+id = 1
+name = "Unwind"
+[bus.unit.labels]
+output.1 = "Brake release"
+analog = "Web tension"
+"""
+    settings = load(write(tmp_path, text))
+    assert settings.site.name == "Paper machine 2"
+    assert settings.server.data == tmp_path / "data"
+    assert settings.server.store == tmp_path / "data" / "lineside.db"
+    assert settings.bus[0].unit[0].labels.analog == "Web tension"
+
+
+def test_data_is_relative_to_the_file_not_to_where_one_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "etc").mkdir()
+    path = write(tmp_path / "etc", '[server]\ndata = "../var"\n')
+    monkeypatch.chdir(tmp_path)
+    assert load(path.relative_to(tmp_path)).server.data == tmp_path / "var"
+
+
+def test_everything_may_be_left_out(tmp_path: Path) -> None:
+    settings = load(write(tmp_path, ""))
+    assert (settings.server.host, settings.server.port, settings.bus) == ("127.0.0.1", 8000, ())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (BUSES.replace('"b"', '"a"'), ":5: bus name a is given twice; every bus has its own"),
+        (BUSES.replace("USB1", "USB0"), ":6: port /dev/ttyUSB0 belongs to bus a already"),
+        ("[server]\nport = 70000\n", ":2: server.port = 70000: it must be less than or equal to 65535"),
+        ("[serve]\n", ":1: unknown key serve in the file; did you mean server?"),
+        ('[site]\nlanguage = "xx"\n', ":2: site.language = 'xx': write one of de, en"),
+        ('[site]\ntime_zone = "Mars"\n', ":2: site.time_zone = 'Mars': write a time zone like Europe/Berlin"),
+        ("bus = 3\n", ":1: bus = 3: it must be a list"),
+    ],
+)
+def test_faults(tmp_path: Path, text: str, said: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(ConfigurationError) as caught:
+        load(path)
+    assert str(caught.value).startswith(f"{path}{said}")
+
+
+def test_two_names_of_one_device_are_one_port(tmp_path: Path) -> None:
+    link = tmp_path / "by-id"
+    link.symlink_to("/dev/ttyUSB0")
+    with pytest.raises(ConfigurationError, match="belongs to bus a already"):
+        load(write(tmp_path, BUSES.replace("/dev/ttyUSB1", str(link))))

@@ -1,0 +1,88 @@
+"""The whole app in this process, with its stores in a folder, and people of each role."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx
+from fastapi import FastAPI
+
+from app.main import create_app
+from app.settings import Server, Settings, Site
+from app.web.access import PEOPLE_ROLES, Role
+from app.wiring import Services, running
+from bus.settings import BusSettings, UnitSettings
+
+PASSWORD = "correct horse battery"
+HOST = "plant.example"
+
+
+def settings_in(folder: Path, **site: Any) -> Settings:
+    """One bus of two units."""
+    units = (UnitSettings(id=1, name="Unwind"), UnitSettings(id=2, name="Nip"))
+    bus = BusSettings(name="dry-end", port="/dev/null", unit=units)
+    return Settings(site=Site(**{"name": "Mill 7", **site}), server=Server(data=folder / "data"), bus=(bus,))
+
+
+@dataclass
+class House:
+    """The app, and whoever asks it."""
+
+    app: FastAPI
+    services: Services
+    clients: list[httpx.AsyncClient] = field(default_factory=list)
+    address: str = "192.0.2.7"
+
+    def client(self, **headers: str) -> httpx.AsyncClient:
+        """Somebody's browser; cookies are kept, redirects are not followed."""
+        transport = httpx.ASGITransport(self.app, client=(self.address, 4711))
+        client = httpx.AsyncClient(transport=transport, base_url=f"http://{HOST}", headers=headers)
+        self.clients.append(client)
+        return client
+
+    async def add(self, name: str, role: Role) -> None:
+        """A person with the password of all."""
+        await self.services.accounts.add_user(name, role, PASSWORD, by="test", origin="test")
+
+    async def signed_in(self, role: Role, name: str = "") -> httpx.AsyncClient:
+        """A browser of a new person who has signed in."""
+        name = name or f"the-{role}"
+        await self.add(name, role)
+        client = self.client()
+        answer = await client.post("/login", data={"name": name, "password": PASSWORD})
+        assert answer.status_code == 303
+        return client
+
+    async def token(self, role: Role) -> str:
+        """A bearer token."""
+        return await self.services.accounts.create_token(f"key-{role}", role, by="test", origin="test")
+
+    async def program(self, role: Role) -> httpx.AsyncClient:
+        """A program with a token."""
+        return self.client(Authorization=f"Bearer {await self.token(role)}")
+
+    async def events(self, kind: str) -> list[dict[str, Any]]:
+        """What the log says of one kind, newest first."""
+        from app.audit.store import Filter
+
+        return (await self.services.events.page(Filter(kind=kind), 100))[0]
+
+
+@asynccontextmanager
+async def whole_app(folder: Path, *, demo: bool = False, **site: Any) -> AsyncIterator[House]:
+    """From start to end, as the server would."""
+    app = create_app(settings_in(folder, **site), demo=demo)
+    house = House(app, app.state.services)
+    async with running(house.services):
+        try:
+            yield house
+        finally:
+            for client in house.clients:
+                await client.aclose()
+
+
+EVERY_ROLE = (*PEOPLE_ROLES, Role.WORKER)

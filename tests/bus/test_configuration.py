@@ -1,0 +1,127 @@
+"""Faults of a lineside.toml are said with the line and what would be right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bus.configuration import ConfigurationError, Lines, load_bus
+
+GOOD = """\
+[site]
+anything = "the worker does not judge the dashboard's part"
+
+[[bus]]
+name = "wet-end"
+port = "/dev/ttyUSB0"
+
+[[bus]]
+name = "dry-end"
+port = "socket://10.0.0.7:4001"
+baud = 4800
+
+[[bus.unit]]
+id = 1
+name = "Unwind"
+[bus.unit.labels]
+output.1 = "Brake release"
+analog = "Web tension"
+
+[[bus.unit]]
+id = 16
+name = "Rewind"
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "lineside.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def fault(folder: Path, text: str) -> str:
+    path = write(folder, text)
+    with pytest.raises(ConfigurationError) as caught:
+        load_bus(path, "dry-end")
+    return str(caught.value).replace(str(path), "FILE")
+
+
+def test_a_worker_reads_its_own_bus(tmp_path: Path) -> None:
+    bus = load_bus(write(tmp_path, GOOD), "dry-end")
+    assert (bus.baud, [unit.id for unit in bus.unit]) == (4800, [1, 16])
+    assert bus.unit[0].labels.output == {1: "Brake release"}
+
+
+def test_a_bus_that_is_not_there_is_said_with_those_that_are(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"no \[\[bus\]\] named 'mid'; it has wet-end, dry-end"):
+        load_bus(write(tmp_path, GOOD), "mid")
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"nix\.toml: there is no such file; name one with --config"):
+        load_bus(tmp_path / "nix.toml", "dry-end")
+
+
+def test_a_file_that_is_not_text(tmp_path: Path) -> None:
+    path = tmp_path / "lineside.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        load_bus(path, "dry-end")
+
+
+@pytest.mark.parametrize(
+    ("line", "written", "said"),
+    [
+        (11, "baud = 4801", "bus.baud = 4801: it must be 300, 600, 1200, 2400, 4800 or 9600"),
+        (11, "buad = 4800", "unknown key buad in [[bus]]; did you mean baud?"),
+        (11, "zzz = 1", "unknown key zzz in [[bus]]; known here: checksum_10h, "),
+        (11, "turnaround_ms = -1", "bus.turnaround_ms = -1: it must be greater than or equal to 0"),
+        (9, 'name = "Dry End"', "bus.name = 'Dry End': write small letters, digits and hyphens"),
+        (10, 'port = "tcp://x"', "bus.port = 'tcp://x': write a device path, socket://host:port or"),
+        (14, "id = 300", "bus.unit.id = 300: it must be less than or equal to 255"),
+        (14, 'id = "one"', "bus.unit.id = 'one': it must be a valid integer"),
+        (15, "nmae = 3", "unknown key nmae in [[bus.unit]]; did you mean name?"),
+        (17, 'output.7 = "x"', "bus.unit.labels.output.7 = '7': it must be less than or equal to 6"),
+        (17, 'outputs.1 = "x"', "unknown key outputs in [bus.unit.labels]; did you mean output?"),
+        (21, "id = 1", "unit id 1 is given twice; every unit on a bus has its own (#17)"),
+    ],
+)
+def test_each_fault_names_its_line(tmp_path: Path, line: int, written: str, said: str) -> None:
+    lines = GOOD.splitlines()
+    lines[line - 1] = written
+    assert f"FILE:{line}: {said}" in fault(tmp_path, "\n".join(lines))
+
+
+def test_a_missing_key_is_said_where_it_would_stand(tmp_path: Path) -> None:
+    assert "FILE:13: [[bus.unit]] needs name = …" in fault(tmp_path, GOOD.replace('name = "Unwind"\n', ""))
+
+
+def test_every_fault_is_said_at_once(tmp_path: Path) -> None:
+    text = GOOD.replace("4800", "1").replace("id = 16", "id = 0")
+    assert len(fault(tmp_path, text).splitlines()) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[site]\nname = Mill\n", "FILE:2: this is not TOML: Invalid value; it says 'name = Mill'"),
+        ("[site\n", "FILE:1: this is not TOML: Expected ']'"),
+        ('a = """\nnever closed\n', "FILE:2: this is not TOML"),
+        ("", "there is no [[bus]] named 'dry-end'; it has none"),
+    ],
+)
+def test_a_fault_of_the_writing_itself(tmp_path: Path, text: str, said: str) -> None:
+    assert said in fault(tmp_path, text)
+
+
+def test_lines_are_found_in_arrays_dotted_keys_and_long_values() -> None:
+    lines = Lines(
+        'a.b = 1\nlist = [\n  1,\n  2,\n]\n[[x]]\n[[x.y]]\n[[x.y]]\nk = 1\n[[x]]\n[x."q r"]\nz = 3\n'
+    )
+    assert lines.of(("a", "b")) == 1
+    assert lines.of(("list", 1)) == 2
+    assert lines.of(("x", 0, "y", 1, "k")) == 9
+    assert lines.of(("x", 1, "q r", "z")) == 12
+    assert lines.of(("x", 1, "y", 5)) == 10
+    assert lines.of(("nowhere",)) == 1
