@@ -8,12 +8,11 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import tomllib
 from pathlib import Path
 
 import structlog
 
-from bus.settings import BusSettings
+from bus.configuration import ConfigurationError, load_bus
 from bus.worker.process import run
 
 TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
@@ -27,22 +26,11 @@ def main(arguments: list[str] | None = None) -> int:
     if not token:
         return _wrong(f"no token: give --token or set {TOKEN_VARIABLE} (see 'lineside token create')")
     try:
-        bus = read_bus(asked.config, asked.bus)
-    except (OSError, ValueError) as error:
-        return _wrong(f"{asked.config}: {error}")
+        bus = load_bus(asked.config, asked.bus)
+    except ConfigurationError as error:
+        return _wrong(str(error))
     structlog.contextvars.bind_contextvars(bus=bus.name)
     return run(bus, asked.app, token, child=asked.child)
-
-
-def read_bus(config: Path, name: str) -> BusSettings:
-    """The ``[[bus]]`` called ``name``. Raises OSError or ValueError, which says what would be right."""
-    document = tomllib.loads(config.read_text(encoding="utf-8"))
-    buses = [bus for bus in document.get("bus", []) if isinstance(bus, dict)]
-    for bus in buses:
-        if bus.get("name") == name:
-            return BusSettings.model_validate(bus)
-    names = ", ".join(str(bus.get("name")) for bus in buses) or "none"
-    raise ValueError(f"no [[bus]] is called {name!r}; there is: {names}")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -32,7 +32,8 @@ MANY_UNITS = 12
 SLOW_SHARE_WATCHED = 0.10
 SLOW_SHARE_UNWATCHED = 0.95
 CIRCLE_SHARE = 0.02
-BURST_S = 0.2
+BURST_POLLS = 2
+"""Short reads between long polls come to their share by saving up the time of so many polls."""
 
 
 class Kind(StrEnum):
@@ -64,8 +65,8 @@ class Schedule:
         self.round = Round(order, poll_s)
         self.silence = Silence(seed)
         self.gaps = Gaps(tuple(PARAMETERS), NEEDED_TO_SHOW)
-        self._needed = Share(NEEDED_SHARE, BURST_S)
-        self._slow = Share(SLOW_SHARE_UNWATCHED, BURST_S)
+        self._needed = Share(NEEDED_SHARE, BURST_POLLS * poll_s)
+        self._slow = Share(SLOW_SHARE_UNWATCHED, BURST_POLLS * poll_s)
         self._circle = Share(CIRCLE_SHARE)
         self._poll_s = poll_s
         self._poll_fraction = 1.0

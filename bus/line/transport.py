@@ -139,6 +139,8 @@ class _Device:
             raise WireError(f"{self._name} is gone: was the adapter pulled out?") from error
 
     def close(self) -> None:
+        if self._protocol.closed:
+            return
         self._protocol.closed = True
         self.drop_output()
         self._transport.abort()
@@ -232,8 +234,9 @@ class _Stream:
             raise WireError(f"{self._name} is gone")
 
     def close(self) -> None:
-        self._protocol.closed = True
-        self._transport.abort()
+        if not self._protocol.closed:
+            self._protocol.closed = True
+            self._transport.abort()
 
 
 async def _open_socket(url: str, receiver: Receiver) -> OpenPort:

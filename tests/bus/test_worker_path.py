@@ -1,0 +1,313 @@
+"""The whole path: simulated units on a real pseudo-terminal, a worker process, a WebSocket, an app."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from bus.contract import (
+    Batch,
+    BusFigures,
+    BusLink,
+    Cancel,
+    ExecuteAll,
+    ExecuteSpeed,
+    Frames,
+    Hello,
+    ParameterValue,
+    ReadParameters,
+    ReadTrace,
+    SetLine,
+    SetSpeed,
+    WantSnapshot,
+    Watch,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.simulator.demo import demo_line
+from bus.simulator.faults import Kind
+from bus.simulator.line import SimulatedLine
+from bus.simulator.memory import Mode, Prm
+from bus.simulator.ports import Port, PtyPort, TcpPort
+from bus.simulator.record import Happened
+from bus.simulator.serve import LineServer
+from tests.bus.fake_app import TOKEN, FakeApp
+
+UNITS = 3
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(params=["pty"])
+def line(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[LineServer]:
+    port: Port = PtyPort(tmp_path / "by-id") if request.param == "pty" else TcpPort()
+    with LineServer(SimulatedLine(demo_line(UNITS, script=False).plant), port) as server:
+        yield server
+
+
+def config(line: LineServer, folder: Path, units: int = UNITS) -> Path:
+    rows = [f'[[bus.unit]]\nid = {unit}\nname = "Unit {unit}"' for unit in range(1, units + 1)]
+    file = folder / "lineside.toml"
+    file.write_text(f'[[bus]]\nname = "b"\nport = "{line.port.name}"\n' + "\n".join(rows) + "\n")
+    return file
+
+
+@asynccontextmanager
+async def worker(file: Path, app: FakeApp, *more: str) -> AsyncIterator[asyncio.subprocess.Process]:
+    """A worker process; it must end by itself on SIGTERM."""
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "bus", "--config", str(file), "--bus", "b", "--app", app.url, *more),
+        env={**os.environ, "LINESIDE_WORKER_TOKEN": TOKEN},
+        cwd=ROOT,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    try:
+        yield process
+    finally:
+        if process.returncode is None:
+            process.send_signal(signal.SIGTERM)
+        said = (await process.communicate())[1].decode()
+        print(said)
+    assert process.returncode in (0, -signal.SIGKILL), said
+
+
+@asynccontextmanager
+async def running(line: LineServer, folder: Path, units: int = UNITS) -> AsyncIterator[FakeApp]:
+    """An app with a worker whose units have all answered once."""
+    async with FakeApp() as app, worker(config(line, folder, units), app):
+        await app.until(lambda: all(app.readings(unit) for unit in range(1, UNITS + 1)))
+        yield app
+
+
+async def test_it_says_hello_then_everything_then_what_is_new(line: LineServer, tmp_path: Path) -> None:
+    async with running(line, tmp_path) as app:
+        assert isinstance(app.messages[0], Hello)
+        assert app.messages[0].bus == "b"
+        assert app.messages[1] in app.snapshots()
+        await app.until(lambda: any(isinstance(update, BusFigures) for update in app.updates()))
+        numbers = [batch.seq for batch in app.batches()]
+        assert numbers == list(range(app.snapshots()[0].seq + 1, app.snapshots()[0].seq + 1 + len(numbers)))
+        reading = app.readings(2)[-1]
+        assert reading.commanded == line.call(lambda simulated: simulated.plant.unit(2).commanded)
+
+
+async def test_every_action_of_the_contract_has_its_fate(line: LineServer, tmp_path: Path) -> None:
+    async with running(line, tmp_path) as app:
+        await app.until(lambda: {1, 2, 3} <= app.read(8))
+        fate = await app.ask(SetSpeed(1, 700))
+        assert (fate.outcome, fate.read_back) == ("verified", 700)
+        assert [frame.direction for frame in fate.frames] == ["out", "in", "out", "in"]
+        assert (await app.ask(SetSpeed(2, 800, execute=False))).outcome == "acknowledged"
+        assert (await app.ask(ExecuteSpeed(2))).outcome == "verified"
+        assert (await app.ask(WriteOutput(1, 3, True))).outcome == "verified"
+        assert (await app.ask(WriteAnalogOutput(1, 100))).outcome == "acknowledged"
+        fate = await app.ask(WriteParameter(1, 6, 123))
+        assert (fate.outcome, fate.read_back) == ("verified", 123)
+        fate = await app.ask(ReadParameters(1))
+        assert [value.number for value in fate.values] == list(range(1, 41))
+        fate = await app.ask(SetLine({1: 401, 2: 402, 3: 403}))
+        assert fate.outcome == "verified"
+        assert [unit.read_back for unit in fate.units] == [401, 402, 403]
+        assert fate.skew_s is not None
+        assert (await app.ask(ExecuteAll())).outcome == "verified"
+        assert [line.call(lambda simulated, u=u: simulated.plant.unit(u).setpoint) for u in (1, 2, 3)] == [
+            401,
+            402,
+            403,
+        ]
+
+
+async def test_a_refusal_is_the_units_word_and_is_asked_once(line: LineServer, tmp_path: Path) -> None:
+    line.line.plant.unit(2).memory[Prm.MODE] = Mode.LOCAL
+    async with running(line, tmp_path) as app:
+        fate = await app.ask(SetSpeed(2, 100))
+        assert (fate.outcome, fate.unit_error, fate.units[0].attempts) == ("refused", 0x80, 1)
+        assert "REMOTE" in fate.message
+
+
+async def test_the_same_id_is_carried_out_once(line: LineServer, tmp_path: Path) -> None:
+    async with running(line, tmp_path) as app:
+        await app.ask(SetSpeed(1, 640), command_id="twice")
+        await app.ask(SetSpeed(1, 640), command_id="twice")
+        await app.until(lambda: len(app.fates("twice")) == 2)
+        acted = line.call(lambda simulated: list(simulated.record.since(0, Happened.ACTED)))
+        assert len(acted) == 1
+        assert app.fates("twice")[0] == app.fates("twice")[1]
+
+
+async def test_a_command_that_was_held_up_is_never_sent(line: LineServer, tmp_path: Path) -> None:
+    async with running(line, tmp_path) as app:
+        fate = await app.ask(SetSpeed(1, 640), timeout_s=-0.5)
+        assert fate.outcome == "not_sent"
+        assert not line.call(lambda simulated: list(simulated.record.since(0, Happened.ACTED)))
+
+
+async def test_a_dead_unit_is_told_and_found_again(line: LineServer, tmp_path: Path) -> None:
+    async with running(line, tmp_path) as app:
+        line.call(lambda simulated: simulated.faults.set(Kind.DEAD, 1.0, 2))
+        await app.until(lambda: app.links(2)[-1:] == ["offline"])
+        fate = await app.ask(SetSpeed(2, 640))
+        assert fate.outcome == "unverified"
+        before = len(app.updates())
+        line.call(lambda simulated: simulated.faults.clear())
+        await app.until(lambda: app.links(2)[-1:] == ["online"])
+        await app.until(
+            lambda: (
+                {
+                    update.number
+                    for update in app.updates()[before:]
+                    if isinstance(update, ParameterValue) and update.unit == 2
+                }
+                >= {1, 2, 3, 8}
+            )
+        )
+
+
+async def test_a_pulled_cable_is_seen_and_the_line_found_under_its_new_name(
+    line: LineServer, tmp_path: Path
+) -> None:
+    async with running(line, tmp_path) as app:
+        line.unplug()
+        await app.until(lambda: _bus_links(app)[-1:] == ["closed"])
+        fate = await app.ask(SetSpeed(1, 640))
+        assert fate.outcome == "bus_closed"
+        line.plug()
+        await app.until(lambda: _bus_links(app)[-1:] == ["open"])
+        seen = len(app.readings(1))
+        await app.until(lambda: len(app.readings(1)) > seen)
+        assert not line.call(lambda simulated: list(simulated.record.since(0, Happened.ACTED)))
+
+
+async def test_a_port_that_is_taken_is_named_with_who_has_it(line: LineServer, tmp_path: Path) -> None:
+    file = config(line, tmp_path)
+    async with FakeApp() as first, FakeApp() as second, worker(file, first) as holder:
+        await first.until(lambda: first.readings(1))
+        async with worker(file, second):
+            await second.until(lambda: any("in use by" in link.cause for link in _links(second)))
+            assert str(holder.pid) in [link.cause for link in _links(second)][-1]
+
+
+async def test_readings_are_kept_while_the_app_is_away(line: LineServer, tmp_path: Path) -> None:
+    async with running(line, tmp_path) as app:
+        await app.stop()
+        last = app.readings()[-1].at
+        heard = len(app.messages)
+        await asyncio.sleep(1.0)
+        await app.start()
+        await app.until(lambda: any(isinstance(each, Batch) and each.live for each in app.messages[heard:]))
+        kept = [batch for batch in app.batches() if not batch.live]
+        assert kept
+        times = [reading.at for reading in app.readings()]
+        assert times == sorted(set(times)), "in order, and none twice"
+        assert max(later - at for at, later in pairwise(times) if later > last) < 0.5, "no hole"
+        assert len({batch.seq for batch in app.batches()}) == len(app.batches())
+
+
+async def test_a_killed_app_leaves_the_whole_new_line(line: LineServer, tmp_path: Path) -> None:
+    async with running(line, tmp_path) as app:
+        asking = asyncio.create_task(app.ask(SetLine({1: 301, 2: 302, 3: 303}), command_id="whole"))
+        await app.until(lambda: any(getattr(update, "id", "") == "whole" for update in app.updates()))
+        await app.stop()
+        await app.start()
+        await asyncio.wait_for(asking, 10)
+        assert app.fates("whole")[0].outcome == "verified"
+        setpoints = line.call(lambda simulated: [unit.setpoint for unit in simulated.plant.units])
+        assert setpoints == [301, 302, 303]
+
+
+async def test_the_trace_is_sent_while_followed_and_read_on_request(line: LineServer, tmp_path: Path) -> None:
+    async with running(line, tmp_path) as app:
+        assert not [update for update in app.updates() if isinstance(update, Frames)]
+        await app.say(Watch(units=[1], trace=True))
+        await app.until(lambda: sum(isinstance(update, Frames) for update in app.updates()) > 60)
+        fate = await app.ask(ReadTrace(since=0.0, limit=50))
+        assert len(fate.frames) == 50
+        assert "read speed and status" in fate.frames[0].meaning
+        later = await app.ask(ReadTrace(since=fate.frames[-1].at, limit=10))
+        assert later.frames[0].at >= fate.frames[-1].at
+
+
+async def test_a_snapshot_is_said_again_when_asked_for(line: LineServer, tmp_path: Path) -> None:
+    async with running(line, tmp_path) as app:
+        await app.say(WantSnapshot())
+        await app.until(lambda: len(app.snapshots()) == 2)
+        snapshot = app.snapshots()[1]
+        assert [unit.link.link for unit in snapshot.units] == ["online"] * UNITS
+        after = app.batches()[-1].seq
+        await app.until(lambda: app.batches()[-1].seq > after)
+
+
+async def test_a_waiting_command_can_be_given_up(line: LineServer, tmp_path: Path) -> None:
+    async with running(line, tmp_path) as app:
+        line.call(lambda simulated: simulated.faults.set(Kind.DEAD, 1.0, 2))
+        asking = asyncio.create_task(app.ask(ReadParameters(1, urgent=False), command_id="slow"))
+        await app.until(lambda: any(getattr(update, "id", "") == "slow" for update in app.updates()))
+        await app.say(Cancel("slow"))
+        fate = await asking
+        assert fate.outcome in ("unverified", "not_sent")
+
+
+async def test_it_leaves_with_its_parent(line: LineServer, tmp_path: Path) -> None:
+    file = config(line, tmp_path)
+    script = (
+        "import subprocess, sys, time\n"
+        f"child = subprocess.Popen([sys.executable, *{['-m', 'bus', '--config', str(file), '--bus', 'b']!r},"
+        " '--app', sys.argv[1], '--child'])\n"
+        "print(child.pid, flush=True)\ntime.sleep(600)\n"
+    )
+    async with FakeApp() as app:
+        parent = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-c", script, app.url),
+            env={**os.environ, "LINESIDE_WORKER_TOKEN": TOKEN},
+            cwd=ROOT,
+            stdout=asyncio.subprocess.PIPE,
+        )
+        assert parent.stdout is not None
+        child = int(await parent.stdout.readline())
+        await app.until(lambda: app.readings(1))
+        parent.kill()
+        await parent.wait()
+        await asyncio.to_thread(_wait_for_end, child)
+
+
+async def test_a_refused_worker_says_why(line: LineServer, tmp_path: Path) -> None:
+    async with FakeApp() as app:
+        app.refuses = "install the same release"
+        async with worker(config(line, tmp_path), app) as process:
+            assert process.stderr is not None
+            async with asyncio.timeout(20):
+                while b"install the same release" not in await process.stderr.readline():
+                    pass
+
+
+def _wait_for_end(pid: int) -> None:
+    """Of a process that is nobody's child any more."""
+    until = time.monotonic() + 10
+    while time.monotonic() < until:
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+        except OSError:
+            return
+        if state == "Z":
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"process {pid} outlived its parent")
+
+
+def _links(app: FakeApp) -> list[BusLink]:
+    return [snapshot.bus for snapshot in app.snapshots()] + [
+        update for update in app.updates() if isinstance(update, BusLink)
+    ]
+
+
+def _bus_links(app: FakeApp) -> list[str]:
+    return [link.link for link in _links(app)]
