@@ -7,6 +7,13 @@ const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
 const LANE = 30;
 const LANE_FILL = 0.7;
 const LEAST_HEIGHT = 260;
+/** Widths left and right of the curves, so that the lanes below stand under them. */
+const GUTTER = 84;
+const GUTTER_WIDE = 168;
+const LABEL = 20;
+const PAD = 16;
+const NARROW = 700;
+const LETTER = 7;
 const SYNC = "trends";
 const INVISIBLE = "rgb(0 0 0 / 0)";
 const zone = document.body.dataset.zone;
@@ -88,31 +95,47 @@ export class Picture {
       bound === "own" ? `y${place.get(answer)}` : answer.value === "analog" ? "analog" : "speed";
     const shown = bound === "own" ? scaleOf(numbers[chosen] ?? numbers[0] ?? {}) : null;
     const scales = [...new Set(numbers.map(scaleOf))];
+    const gutter = bits.length && this.elements.plot.clientWidth > NARROW ? GUTTER_WIDE : GUTTER;
     const axes = scales.map((scale, i) => ({
       ...axis(),
       scale,
       side: i ? 1 : 3,
       show: shown === null || shown === scale,
-      size: 72,
-      grid: { show: i === 0 || shown !== null, stroke: colour("--line") },
-      label: numbers.find((answer) => scaleOf(answer) === scale)?.measure || undefined,
+      size: (i ? GUTTER : gutter) - LABEL,
+      labelSize: LABEL,
+      label: numbers.find((answer) => scaleOf(answer) === scale)?.measure || " ",
+      grid: { ...axis().grid, show: i === 0 || shown !== null },
     }));
-    this.curves = this.plot(this.elements.plot, numbers, place, scaleOf, axes, bits.length > 0);
+    const right = axes.filter(({ side, show }) => show && side === 1).length * GUTTER;
+    if (axes.length && shown !== null)
+      for (const shownAxis of axes) Object.assign(shownAxis, { side: 3, size: gutter - LABEL });
+    const margin = { left: axes.length ? 0 : gutter, right: PAD };
+    this.curves = this.plot(this.elements.plot, numbers, place, scaleOf, axes, {
+      margin,
+      barefoot: bits.length > 0,
+    });
+    if (!bits.length) {
+      this.lanes = null;
+      return;
+    }
     const laneAxis = {
       ...axis(),
       scale: "lane",
       side: 3,
-      size: 72,
+      size: gutter,
       splits: () => bits.map((_, i) => i + LANE_FILL / 2),
       grid: { show: false },
-      values: () => bits.map((_, i) => shortened(bits[bits.length - 1 - i].name)),
+      ticks: { show: false },
+      values: () => bits.map((_, i) => shortened(bits[bits.length - 1 - i].name, gutter)),
     };
-    this.lanes = bits.length
-      ? this.plot(this.elements.lanes, bits, place, () => "lane", [laneAxis], false, bits.length)
-      : null;
+    const beside = { left: 0, right: PAD + (shown === null ? right : 0) };
+    this.lanes = this.plot(this.elements.lanes, bits, place, () => "lane", [laneAxis], {
+      margin: beside,
+      lanes: bits.length,
+    });
   }
 
-  plot(element, answers, place, scaleOf, axes, barefoot, lanes = 0) {
+  plot(element, answers, place, scaleOf, axes, { margin, barefoot = false, lanes = 0 }) {
     const stepped = uPlot.paths.stepped({ align: 1 });
     const series = [{}];
     const bands = [];
@@ -122,18 +145,24 @@ export class Picture {
       const common = { scale: scaleOf(answer), spanGaps: false, paths: lanes ? stepped : undefined };
       const edge = { ...common, stroke: INVISIBLE, width: 1, points: { show: false } };
       bands.push({ series: [series.length + 2, series.length + 1], fill: faded(stroke) });
-      series.push({ ...common, stroke, dash, width: lanes ? 2 : 1.75, points: { size: 4 } }, edge, {
+      series.push({ ...common, stroke, dash, width: lanes ? 2 : 1.75, points: lanes ? { show: false } : { size: 4 } }, edge, {
         ...edge,
       });
     }
     const options = {
       width: element.clientWidth || 600,
-      height: this.height(lanes),
+      height: this.height(answers.length, lanes),
       scales: {
         x: { time: true, auto: false, range: () => this.range },
         ...(lanes ? { lane: { range: () => [-0.2, lanes] } } : {}),
       },
-      axes: [{ ...axis(), values: axisLabels, space: 90, size: barefoot ? 0 : 44, show: !barefoot }, ...axes],
+      axes: [
+        barefoot
+          ? { ...axis(), values: (_, splits) => splits.map(() => ""), size: 0, ticks: { show: false } }
+          : { ...axis(), values: axisLabels, space: 90, size: 44 },
+        ...axes,
+      ],
+      padding: [12, margin.right, 0, margin.left],
       series,
       bands,
       legend: { show: false },
@@ -155,8 +184,9 @@ export class Picture {
     return new uPlot(options, [[]], element);
   }
 
-  height(lanes) {
+  height(values, lanes) {
     if (lanes) return lanes * LANE + 54;
+    if (!values) return LANE;
     return Math.max(LEAST_HEIGHT, Math.min(560, Math.round(window.innerHeight * 0.5)));
   }
 
@@ -211,14 +241,17 @@ export class Picture {
   }
 }
 
-const shortened = (name) => (name.length > 11 ? `${name.slice(0, 10)}…` : name);
+function shortened(name, width) {
+  const most = Math.floor(width / LETTER) - 1;
+  return name.length > most ? `${name.slice(0, most - 1)}…` : name;
+}
 
 function axis() {
   const ink = colour("--quiet");
   return {
     stroke: ink,
     font: `12px ${css("--family")}`,
-    grid: { stroke: colour("--line") },
-    ticks: { stroke: colour("--line") },
+    grid: { stroke: colour("--line"), width: 1 },
+    ticks: { stroke: colour("--line"), width: 1 },
   };
 }

@@ -142,8 +142,8 @@ function showControls() {
 
 function describe() {
   const [from, to] = view.range();
-  const now = view.live ? ` · ${words.live}` : "";
-  byId("trend-span").textContent = `${say(from)} – ${view.live ? "" : say(to)}${now} · ${fineness(answers)}`;
+  byId("trend-span").textContent =
+    `${say(from)} – ${view.live ? words.live : say(to)} · ${fineness(answers)}`;
 }
 
 view.addEventListener("change", ({ detail }) => {
