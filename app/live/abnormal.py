@@ -36,6 +36,8 @@ class Sight:
     link: UnitLinkState
     state: State
     blocked: str = ""
+    overdue: bool = True
+    """A stale unit whose last answer is really old; one poll missed is shown, but is no trouble yet."""
 
 
 @dataclass(slots=True)
@@ -82,7 +84,7 @@ def unit_trouble(bus: BusLive, sight: Sight, voice: Voice) -> Trouble | None:
     findings: list[tuple[bool, Callable[[], Trouble]]] = [
         (bits.estop_active, lambda: Trouble("urgent", voice.t("e-stop input active"), "estop")),
         (sight.state == "off_speed", lambda: Trouble("high", voice.t(STATE_WORDS["off_speed"]), "off_speed")),
-        (sight.link == "stale", lambda: Trouble("low", voice.t("answer overdue"), "stale")),
+        (sight.link == "stale" and sight.overdue, lambda: Trouble("low", voice.t("answer overdue"), "stale")),
         (bool(sight.blocked), lambda: Trouble("low", f"{voice.t('blocked')}: {sight.blocked}", "blocked")),
         (not bits.remote, lambda: _not_remote(mode_of(sight.unit, bits), voice)),
         (

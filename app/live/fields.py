@@ -16,7 +16,8 @@ from app.web.formats import UNKNOWN, Formats
 from app.web.languages import Language
 from bus.catalogue.status import StatusBits, status_bits
 from bus.catalogue.values import analog_input_value
-from bus.contract import Reading, UnitLinkState
+from bus.contract import Reading, UnitFigures, UnitLinkState
+from bus.errors import unit_error_name
 
 MAX_DISPLAY, DECIMALS, WINDOW, KEYLOCK_MODE, ANALOG_LOW, ANALOG_HIGH = 2, 3, 12, 19, 22, 23
 KEYLOCK = 2
@@ -106,6 +107,8 @@ def bus_fields(bus: BusLive, voice: Voice) -> Fields:
         "rate": UNKNOWN,
         "wire": UNKNOWN,
         "wire_fill": "0",
+        "one_more": UNKNOWN,
+        "noise": UNKNOWN,
         "diagnosis": "",
     }
     figures = bus.figures
@@ -117,7 +120,28 @@ def bus_fields(bus: BusLive, voice: Voice) -> Fields:
         "rate": number(figures.scan_hz, 1),
         "wire": f"{number(100 * figures.wire_utilisation)} %",
         "wire_fill": f"{min(1.0, figures.wire_utilisation):.3f}",
+        "one_more": f"{number(figures.scan_s_with_one_more, 2)} s",
+        "noise": f"{figures.noise_bytes}",
         "diagnosis": figures.diagnosis,
+    }
+
+
+def health_fields(figures: UnitFigures, voice: Voice) -> Fields:
+    """How one unit answers, for whoever has its page open."""
+    naks = [f"{count} x {voice.t(unit_error_name(code))}" for code, count in sorted(figures.naks.items())]
+    median, most = figures.answer_s_median, figures.answer_s_max
+    times = ""
+    if median is not None and most is not None:
+        number = voice.formats.number
+        times = voice.t(
+            "{median} ms, at most {most} ms", median=number(1000 * median, 1), most=number(1000 * most, 1)
+        )
+    return {
+        "answers": f"{figures.answers} / {figures.polls}",
+        "timeouts": f"{figures.timeouts}",
+        "checksums": f"{figures.checksum_errors}",
+        "naks": ", ".join(naks) or "0",
+        "answer_time": times,
     }
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from app.live.age import scan_s_of
 from app.live.browser import Browser, Diff
-from app.live.fields import Voice
+from app.live.fields import Voice, health_fields, unit_key
 from app.live.screen import Block, Groups, Screen, motions_for, watch_motions
 from app.live.state import LiveState
 from app.web.templating import Templates
@@ -131,6 +131,8 @@ class Hub:
                 self._show_progress(update)
             case Frames():
                 self._show_frames(bus, update.frames)
+            case BusFigures():
+                self._show_health(bus, update)
 
     def _show_progress(self, progress: Progress) -> None:
         for language in self._languages():
@@ -139,6 +141,17 @@ class Hub:
             if progress.of > 1:
                 text += f" {progress.done}/{progress.of}"
             self._publish(language, {f"command/{progress.id}": {"stage": text}})
+
+    def _show_health(self, bus: str, figures: BusFigures) -> None:
+        watched, _ = self._watched.get(bus, ([], False))
+        for language in self._languages():
+            screen, groups = self._screens[language], Groups()
+            for unit in figures.units:
+                if unit.unit in watched:
+                    groups |= screen.put(
+                        f"health/{unit_key(bus, unit.unit)}", health_fields(unit, screen.voice)
+                    )
+            self._publish(language, groups)
 
     def _show_frames(self, bus: str, frames: Sequence[Frame]) -> None:
         followers = [browser for browser in self._browsers if browser.trace == bus]

@@ -63,6 +63,11 @@ class BusOnLine:
     baud: int
     groups: list[Group]
 
+    @property
+    def grouped(self) -> bool:
+        """Whether any group has a name."""
+        return any(group.name for group in self.groups)
+
 
 @router.get("/")
 async def line(request: Request, _: Viewer, view: Choice | None = None) -> Response:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 from app.live.abnormal import LEVELS, Sight, Tally, Trouble, bus_trouble, unit_trouble, verdict, worst
-from app.live.age import unit_link_now
+from app.live.age import scan_s_of, stale_after_s, unit_link_now
 from app.live.fields import Fields, Voice, bits_of, bus_fields, unit_fields, unit_key
 from app.live.motion import Motion
 from app.live.state import BusLive, LiveState, UnitLive
@@ -67,6 +67,7 @@ class Screen:
                 number
                 for number, unit in bus.units.items()
                 if self.shown.get(unit_key(name, number), {}).get("link") != unit_link_now(bus, unit, now)
+                or unit_link_now(bus, unit, now) == "stale"
             ]
             for group, fields in self.see(name, aged, now, whole_bus=True).items():
                 changed.setdefault(group, {}).update(fields)
@@ -102,7 +103,7 @@ class Screen:
     def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: float) -> Fields:
         number = unit.settings.id
         state, blocked = self.motions[bus_name, number].state, self.block(bus_name, number)
-        sight = Sight(unit, unit_link_now(bus, unit, now), state, blocked)
+        sight = Sight(unit, unit_link_now(bus, unit, now), state, blocked, _is_overdue(bus, unit, now))
         trouble = unit_trouble(bus, sight, self.voice)
         self._judged[unit_key(bus_name, number)] = (sight, trouble)
         return unit_fields(bus, unit, sight.link, state, self.voice) | {
@@ -162,6 +163,10 @@ class Screen:
             "scan": f"{number(max(figures.scan_s for figures in open_figures), 2)} s",
             "wire": f"{number(100 * max(figures.wire_utilisation for figures in open_figures))} %",
         }
+
+
+def _is_overdue(bus: BusLive, unit: UnitLive, now: float) -> bool:
+    return unit.reading is None or now - unit.reading.at > stale_after_s(scan_s_of(bus))
 
 
 def motions_for(live: LiveState) -> dict[tuple[str, int], Motion]:

@@ -16,7 +16,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from app.live.browser import Browser
 from app.live.hub import Hub
-from app.web.access import Viewer
+from app.web.access import Role, Viewer
 from app.web.templating import templates_of
 
 router = APIRouter()
@@ -26,7 +26,8 @@ SILENCE_ENDS_S = 30.0
 
 
 class Said(msgspec.Struct, forbid_unknown_fields=True):
-    """What a page may say. ``units``: the units it shows, as ``bus/unit``; ``trace``: a bus to follow."""
+    """What a page may say. ``units``: the units it shows, as ``bus/unit``; ``trace``: a bus to follow, for an
+    engineer, because whoever sees the frames sees every value that passed."""
 
     want: Literal["", "snapshot"] = ""
     units: Annotated[list[Annotated[str, msgspec.Meta(max_length=48)]], msgspec.Meta(max_length=512)] = []
@@ -77,8 +78,9 @@ async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
         if said.want == "snapshot":
             hub.send_snapshot(browser)
         units = frozenset(_unit(key) for key in said.units)
-        if (units, said.trace) != (browser.units, browser.trace):
-            hub.follow(browser, units, said.trace)
+        trace = said.trace if Role(browser.role).includes(Role.ENGINEER) else ""
+        if (units, trace) != (browser.units, browser.trace):
+            hub.follow(browser, units, trace)
 
 
 def _unit(key: str) -> tuple[str, int]:

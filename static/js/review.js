@@ -13,11 +13,25 @@ let endings = [];
 function opened() {
   close();
   if (!content.firstElementChild) return;
+  if (!content.querySelector("[data-review-cancel]")) content.append(closer());
   if (!dialog.open) dialog.showModal();
   const form = content.querySelector("[data-review]");
   dialog.classList.toggle("dialog--wide", Boolean(content.querySelector(".review--wide")));
   content.querySelector("[data-review-cancel]")?.focus();
   if (form) watch(form);
+}
+
+/** For an answer that brings no button of its own, for example a refusal by the server. */
+function closer() {
+  const box = document.createElement("div");
+  box.className = "dialog__body";
+  const button = document.createElement("button");
+  button.type = "button";
+  button.className = "button";
+  button.dataset.reviewCancel = "";
+  button.textContent = word("close");
+  box.append(button);
+  return box;
 }
 
 function watch(form) {
@@ -59,6 +73,7 @@ function dismiss() {
   close();
   if (dialog.open) dialog.close();
   content.replaceChildren();
+  document.dispatchEvent(new CustomEvent("lineside:done"));
 }
 
 /** The wish is on its way: no second press, and its fate in words. */
@@ -70,6 +85,9 @@ function asked(form) {
   for (const button of form.querySelectorAll("button")) button.disabled = true;
   form.querySelector("[data-lapse]")?.parentElement.remove();
 }
+
+/** An identity for a command that has no review: what is posted twice is carried out once. */
+const newId = () => Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");
 
 export function start() {
   if (!dialog) return;
@@ -91,7 +109,9 @@ export function start() {
   document.addEventListener("lineside:lost", dismiss);
 
   document.addEventListener("htmx:config:request", (event) => {
-    event.detail.ctx.request.headers["Lineside-Asked-At"] = clock.now().toFixed(3);
+    const { ctx } = event.detail;
+    ctx.request.headers["Lineside-Asked-At"] = clock.now().toFixed(3);
+    if (ctx.sourceElement.matches("[data-once]")) ctx.request.body.set("id", newId());
   });
   document.addEventListener("htmx:before:request", (event) => {
     if (!isLive()) return event.preventDefault();

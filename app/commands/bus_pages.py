@@ -1,0 +1,111 @@
+"""The bus page: what the wire carries, how each unit answers, the frames as they pass, a scan."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Form
+from starlette.responses import RedirectResponse, Response
+
+from app.commands.forms import Desks, Desktop, new_id
+from app.errors import Problem
+from app.web.access import Engineer, Operator, Viewer
+from bus.contract import ScanBus, UnitFigures
+from bus.errors import unit_error_name
+
+router = APIRouter(prefix="/bus")
+SCAN_S = 180.0
+SEE_OTHER = 303
+
+
+@router.get("")
+async def first_bus(_: Viewer, desk: Desks) -> Response:
+    """The first of them; the page leads to the others."""
+    names = list(desk.live.buses)
+    if not names:
+        raise Problem(404, "unknown_bus", "no bus is configured; name one in lineside.toml")
+    return RedirectResponse(f"/bus/{names[0]}", SEE_OTHER)
+
+
+@router.get("/{bus}")
+async def bus_page(_: Viewer, desk: Desks, bus: str) -> Response:
+    """One bus."""
+    live = desk.bus(bus)
+    return desk.render(
+        "bus/page.html",
+        fields=desk.fields(),
+        bus=live,
+        buses=list(desk.live.buses),
+        rows=_rows(desk, bus),
+        holding=desk.guards.holding(bus),
+        control_required=desk.guards.control.required,
+    )
+
+
+@router.get("/{bus}/units")
+async def unit_rows(_: Viewer, desk: Desks, bus: str) -> Response:
+    """The counters of every unit, for the open page."""
+    return desk.render("bus/_units.html", fields=desk.fields(), bus=desk.bus(bus), rows=_rows(desk, bus))
+
+
+def _rows(desk: Desktop, bus: str) -> list[dict[str, object]]:
+    live = desk.bus(bus)
+    figures = {unit.unit: unit for unit in live.figures.units} if live.figures is not None else {}
+    return [_row(desk, bus, number, figures.get(number)) for number in live.units]
+
+
+def _row(desk: Desktop, bus: str, number: int, figures: UnitFigures | None) -> dict[str, object]:
+    voice = desk.voice
+    naks = figures.naks if figures is not None else {}
+    return {
+        "unit": desk.shown(bus, number),
+        "figures": figures,
+        "naks": ", ".join(
+            f"{count} x {voice.t(unit_error_name(code))}" for code, count in sorted(naks.items())
+        ),
+        "median": _ms(desk, figures.answer_s_median if figures is not None else None),
+        "p99": _ms(desk, figures.answer_s_p99 if figures is not None else None),
+        "most": _ms(desk, figures.answer_s_max if figures is not None else None),
+    }
+
+
+def _ms(desk: Desktop, seconds: float | None) -> str:
+    return desk.voice.formats.number(None if seconds is None else 1000 * seconds, 1)
+
+
+@router.post("/{bus}/scan")
+async def scan(
+    person: Engineer,
+    desk: Desks,
+    bus: str,
+    first: Annotated[int, Form(ge=1, le=255)] = 1,
+    last: Annotated[int, Form(ge=1, le=255)] = 255,
+) -> Response:
+    """Which addresses answer, in the gaps of the scan."""
+    desk.bus(bus)
+    action = ScanBus(first=min(first, last), last=max(first, last))
+    result = await desk.ask(person, bus, action, new_id(), SCAN_S)
+    known = desk.bus(bus).units
+    return desk.render(
+        "bus/_found.html", fate=desk.fate(result), found=result.found, known=known, action=action
+    )
+
+
+@router.post("/{bus}/control")
+async def control(
+    person: Operator,
+    desk: Desks,
+    bus: str,
+    do: Annotated[str, Form(pattern="^(take|release|hand-over)$")],
+    to: Annotated[str, Form(max_length=80)] = "",
+) -> Response:
+    """Take, give back or hand over control of this line."""
+    desk.bus(bus)
+    match do:
+        case "take":
+            await desk.guards.take(person, bus)
+        case "release":
+            await desk.guards.release(person, bus)
+        case _:
+            await desk.guards.hand_over(person, bus, to.strip())
+    return RedirectResponse(f"/bus/{bus}", SEE_OTHER)

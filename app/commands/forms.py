@@ -1,0 +1,107 @@
+"""What every form of the pages shares: who asks, in which language, and whether it was asked just now."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from typing import Annotated, Any
+
+from fastapi import Depends, Header
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.commands.api import desk_of
+from app.commands.fate import Fate, fate_of, fate_of_problem
+from app.commands.safeguards import Safeguards
+from app.commands.safeguards_api import safeguards_of
+from app.commands.words import shown_setpoint
+from app.errors import Problem
+from app.live.fields import Voice
+from app.live.lookup import bus_or_404, unit_or_404
+from app.live.pages import UnitOnLine, unit_on_line
+from app.live.socket import hub_of
+from app.live.state import BusLive, UnitLive
+from app.web.access import Person
+from app.web.templating import render, templates_of
+from bus.contract import Action, Result, UnitOutcome
+
+OLDEST_S = 5.0
+"""A press that comes later than this was held up on the way: it is not carried out."""
+REVIEW_LASTS_S = 45.0
+"""Thirty seconds on the screen, and something for the way."""
+TIMEOUT_S = 2.0
+
+
+class Desktop:
+    """One request of a page: its unit or bus, its language, and the way to the wire."""
+
+    def __init__(
+        self,
+        request: Request,
+        asked_at: Annotated[float | None, Header(alias="Lineside-Asked-At")] = None,
+    ) -> None:
+        self.request = request
+        self.asked_at = asked_at
+        templates = templates_of(request)
+        language = templates.language_of(request)
+        self.voice = Voice(language, templates.formats(language.tag))
+        self.live = hub_of(request).live
+        self.desk = desk_of(request)
+        self.guards: Safeguards = safeguards_of(request)
+
+    def bus(self, name: str) -> BusLive:
+        """Raises Problem 404."""
+        return bus_or_404(self.live, name)
+
+    def unit(self, bus: str, unit: int) -> UnitLive:
+        """Raises Problem 404."""
+        return unit_or_404(self.live, bus, unit)
+
+    def shown(self, bus: str, unit: int) -> UnitOnLine:
+        """A unit as the templates want it."""
+        return unit_on_line(bus, self.unit(bus, unit))
+
+    def fields(self) -> dict[str, str]:
+        """All texts of the screen as they are now."""
+        return hub_of(self.request).screen(self.voice.language.tag).flat()
+
+    def render(self, template: str, /, *, status: int = 200, **context: Any) -> Response:
+        """A page or fragment."""
+        return render(self.request, template, status=status, **context)
+
+    def refuse_late(self, reviewed_at: float | None = None) -> None:
+        """Raises Problem 409 for a press that was held up, or a review that has lapsed. Nothing is sent."""
+        now = time.time()
+        if self.asked_at is not None and now - self.asked_at > OLDEST_S:
+            raise Problem(409, "late", "this press came too late to be carried out; nothing was sent")
+        if reviewed_at is not None and now - reviewed_at > REVIEW_LASTS_S:
+            raise Problem(409, "lapsed", "the review has lapsed; nothing was sent")
+
+    async def ask(
+        self, person: Person, bus: str, action: Action, id: str, timeout_s: float = TIMEOUT_S
+    ) -> Result:
+        """The reviewed wish, once. Raises Problem for what is not sent."""
+        return await self.desk.ask(
+            person, bus, action, timeout_s=timeout_s, confirm=True, id=id, origin="page"
+        )
+
+    def fate(self, result: Result, unit: UnitLive | None = None) -> Fate:
+        """The fate of a command; what was read back in the unit's own decimals."""
+        return fate_of(result, str, self.voice) if unit is None else self.fate_at(result, unit)
+
+    def fate_at(self, result: Result | UnitOutcome, unit: UnitLive) -> Fate:
+        """The fate of a setpoint at one unit."""
+        return fate_of(result, lambda raw: self.voice.formats.point(shown_setpoint(raw, unit)), self.voice)
+
+    def refused(self, problem: Problem, title: str) -> Response:
+        """The end of a review that sent nothing, in the dialog."""
+        fate = fate_of_problem(problem, self.voice)
+        return self.render("unit/_done.html", title=title, fate=fate, undo=None, status=problem.status)
+
+
+def new_id() -> str:
+    """The identity of a command: a form that is posted twice is carried out once."""
+    return uuid.uuid4().hex
+
+
+Desks = Annotated[Desktop, Depends(Desktop)]

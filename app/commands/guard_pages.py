@@ -1,0 +1,79 @@
+"""What keeps a unit from being commanded: its limits, its block, and who holds control of the line."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Form
+from starlette.responses import RedirectResponse, Response
+
+from app.commands.forms import Desks
+from app.commands.limits import Limits
+from app.errors import Problem
+from app.live.state import UnitLive
+from app.live.view import DECIMALS, follower
+from app.web.access import Engineer, Operator
+from bus.catalogue.values import ratio_raw, speed_raw
+from bus.errors import CallerError
+
+router = APIRouter()
+Typed = Annotated[str, Form(max_length=20)]
+SEE_OTHER = 303
+
+
+@router.post("/units/{bus}/{unit:int}/limits")
+async def set_limits(
+    person: Engineer,
+    desk: Desks,
+    bus: str,
+    unit: int,
+    lowest: Typed = "",
+    highest: Typed = "",
+    largest_step: Typed = "",
+    per_minute: Typed = "",
+) -> Response:
+    """All four at once; an empty field is no limit."""
+    live = desk.unit(bus, unit)
+    try:
+        limits = Limits(*(_raw(live, text) for text in (lowest, highest, largest_step, per_minute)))
+        if limits.lowest is not None and limits.highest is not None and limits.lowest > limits.highest:
+            raise CallerError("the lowest setpoint is above the highest; nothing was changed")
+    except CallerError as error:
+        return desk.render("unit/_not_so.html", reason=str(error), nearest="", status=422)
+    await desk.guards.set_limits(person, bus, unit, limits)
+    return desk.render("unit/_limits_set.html")
+
+
+def _raw(live: UnitLive, text: str) -> int | None:
+    if not text.strip():
+        return None
+    if follower(live):
+        return ratio_raw(text)
+    decimals = live.parameter_raw(DECIMALS)
+    if decimals is None:
+        raise CallerError("the unit's decimals (#3) are not known yet; try again when it answers")
+    return speed_raw(text, decimals)
+
+
+@router.post("/units/{bus}/{unit:int}/block")
+async def block(
+    person: Operator,
+    desk: Desks,
+    bus: str,
+    unit: int,
+    reason: Annotated[str, Form(max_length=200)] = "",
+) -> Response:
+    """Refuse every write to this unit, with the reason shown on every page."""
+    desk.unit(bus, unit)
+    if not reason.strip():
+        raise Problem(422, "invalid", "say why: the next shift reads it")
+    await desk.guards.block(person, bus, unit, reason.strip())
+    return RedirectResponse(f"/units/{bus}/{unit}", SEE_OTHER)
+
+
+@router.post("/units/{bus}/{unit:int}/unblock")
+async def unblock(person: Operator, desk: Desks, bus: str, unit: int) -> Response:
+    """Free this unit; the events keep who did."""
+    desk.unit(bus, unit)
+    await desk.guards.lift(person, bus, unit)
+    return RedirectResponse(f"/units/{bus}/{unit}", SEE_OTHER)

@@ -1,0 +1,219 @@
+"""Many units as one change: the setpoints page, and setting the line to zero from any page."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Annotated
+
+from fastapi import APIRouter, Form
+from starlette.datastructures import FormData
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.commands.bodies import Quantity
+from app.commands.fate import Fate
+from app.commands.forms import TIMEOUT_S, Desks, Desktop, new_id
+from app.commands.ramp import Change, change_of, present_setpoint
+from app.commands.typed import Typed
+from app.commands.words import shown_setpoint
+from app.commands.zero import ZeroPlan, plan_zero
+from app.errors import Problem
+from app.live.state import BusLive
+from app.live.view import DECIMALS, follower
+from app.web.access import Operator, Person, Viewer
+from bus.contract import Result, SetLine, SetSpeed
+from bus.errors import CallerError
+
+router = APIRouter()
+STAGE_S = 0.15
+"""Time allowed for each unit of a change, besides the two seconds of one."""
+
+
+def _timeout_s(units: int) -> float:
+    return TIMEOUT_S + STAGE_S * units
+
+
+# --- the setpoints page -----------------------------------------------------------------------------
+
+
+@router.get("/setpoints")
+async def setpoints(_: Viewer, desk: Desks) -> Response:
+    """Every unit with its present setpoint and room for a new one."""
+    buses = [
+        (name, [_line_of(desk, name, bus, number) for number in bus.units])
+        for name, bus in desk.live.buses.items()
+    ]
+    return desk.render("setpoints/page.html", fields=desk.fields(), buses=buses)
+
+
+def _line_of(desk: Desktop, name: str, bus: BusLive, number: int) -> dict[str, object]:
+    live = bus.units[number]
+    present = present_setpoint(bus, live)
+    decimals = 4 if follower(live) else live.parameter_raw(DECIMALS)
+    return {
+        "unit": desk.shown(name, number),
+        "present_raw": "" if present is None else present,
+        "decimals": "" if decimals is None else decimals,
+        "follower": bool(follower(live)),
+        "blocked": desk.guards.block_reason(name, number),
+    }
+
+
+@router.post("/setpoints/review")
+async def review_setpoints(request: Request, person: Operator, desk: Desks) -> Response:
+    """Each new setpoint that was typed, judged: old → new, limits, ramps, in one table."""
+    form = await request.form()
+    bus = str(form.get("bus", ""))
+    live = desk.bus(bus)
+    try:
+        changes = await _changes(person, desk, bus, live, form)
+        setpoints = {change.unit: change.new_raw for change in changes}
+        desk.desk.check(person, bus, SetLine(setpoints=setpoints), confirm=True)
+    except (CallerError, Problem) as error:
+        response = desk.render("unit/_not_so.html", reason=str(error), nearest="", status=422)
+        response.headers["HX-Retarget"] = f"#setpoints-error-{bus}"
+        return response
+    return desk.render(
+        "setpoints/_review.html", bus=bus, changes=changes, command_id=new_id(), reviewed_at=time.time()
+    )
+
+
+async def _changes(person: Person, desk: Desktop, bus: str, live: BusLive, form: FormData) -> list[Change]:
+    changes = []
+    for number, unit in live.units.items():
+        text = str(form.get(f"new-{number}", "")).strip()
+        if not text:
+            continue
+        try:
+            raw = await Typed(desk.desk, person, bus, unit, TIMEOUT_S).setpoint(Quantity(value=text))
+        except CallerError as error:
+            raise CallerError(f"{unit.settings.name}: {error}") from error
+        changes.append(change_of(live, unit, raw, desk.guards.limits.of(bus, number)))
+    if not changes:
+        raise CallerError("no new setpoint is given; empty is not zero")
+    return changes
+
+
+@router.post("/setpoints")
+async def set_setpoints(
+    request: Request,
+    person: Operator,
+    desk: Desks,
+    bus: Annotated[str, Form()],
+    id: Annotated[str, Form(max_length=64)],
+    reviewed_at: Annotated[float, Form()],
+) -> Response:
+    """Stage all, require every acknowledgement, one broadcast, prove each: all of them or none."""
+    live = desk.bus(bus)
+    form = await request.form()
+    title = desk.voice.t("Setpoints")
+    try:
+        desk.refuse_late(reviewed_at)
+        setpoints = _reviewed(live, form)
+        result = await desk.ask(person, bus, SetLine(setpoints=setpoints), id, _timeout_s(len(setpoints)))
+    except Problem as problem:
+        return desk.refused(problem, title)
+    return desk.render(
+        "setpoints/_done.html",
+        title=title,
+        fate=desk.fate(result),
+        proofs=_proofs(desk, live, setpoints, result),
+        skew=None if result.skew_s is None else desk.voice.formats.number(result.skew_s * 1000),
+    )
+
+
+def _reviewed(live: BusLive, form: FormData) -> dict[int, int]:
+    setpoints = {}
+    for number, unit in live.units.items():
+        text = str(form.get(f"raw-{number}", ""))
+        if not text:
+            continue
+        if not text.isdecimal() or len(text) > 6:
+            raise Problem(422, "invalid", "this is not what was reviewed; nothing was sent")
+        present = present_setpoint(live, unit)
+        if str(form.get(f"was-{number}", "")) != ("" if present is None else str(present)):
+            moved = f"{unit.settings.name}: the setpoint has moved since it was reviewed; nothing was sent"
+            raise Problem(409, "moved", moved)
+        setpoints[number] = int(text)
+    return setpoints
+
+
+def _proofs(
+    desk: Desktop, live: BusLive, setpoints: dict[int, int], result: Result
+) -> list[tuple[str, str, Fate]]:
+    """(name, asked, fate) of each unit, in floor order."""
+    said = {outcome.unit: outcome for outcome in result.units}
+    return [
+        (
+            live.units[number].settings.name,
+            shown_setpoint(raw, live.units[number]),
+            desk.fate_at(said.get(number, result), live.units[number]),
+        )
+        for number, raw in setpoints.items()
+    ]
+
+
+# --- to zero -----------------------------------------------------------------------------------------
+
+
+@router.get("/line/zero")
+async def review_zero(_: Operator, desk: Desks) -> Response:
+    """What setting the line to zero will do, and to whom."""
+    return desk.render(
+        "line/_review_zero.html",
+        plans=_plans(desk),
+        command_id=new_id(),
+        reviewed_at=time.time(),
+    )
+
+
+def _plans(desk: Desktop) -> list[ZeroPlan]:
+    now = time.time()
+    return [
+        plan_zero(bus, lambda unit, name=name: bool(desk.guards.block_reason(name, unit)), now)  # type: ignore[misc]
+        for name, bus in desk.live.buses.items()
+    ]
+
+
+@router.post("/line/zero")
+async def set_zero(
+    person: Operator,
+    desk: Desks,
+    id: Annotated[str, Form(max_length=64)],
+    reviewed_at: Annotated[float, Form()],
+) -> Response:
+    """Speed 0 to every unit that can be told, all at once where all acknowledge, else one by one."""
+    title = desk.voice.t("Set line to zero")
+    try:
+        desk.refuse_late(reviewed_at)
+        plans = [plan for plan in _plans(desk) if plan.units]
+        told = await asyncio.gather(*(_zero_bus(person, desk, plan, id) for plan in plans))
+    except Problem as problem:
+        return desk.refused(problem, title)
+    proofs = [proof for bus in told for proof in bus]
+    return desk.render("line/_zero_done.html", title=title, proofs=proofs, fate=_in_all(desk, proofs))
+
+
+async def _zero_bus(person: Person, desk: Desktop, plan: ZeroPlan, id: str) -> list[tuple[str, str, Fate]]:
+    live, setpoints = desk.bus(plan.bus), dict.fromkeys(plan.units, 0)
+    together = await desk.ask(
+        person, plan.bus, SetLine(setpoints=setpoints), f"{id}-{plan.bus}", _timeout_s(len(setpoints))
+    )
+    if together.outcome in ("verified", "bus_closed"):
+        return _proofs(desk, live, setpoints, together)
+    proofs = []
+    for number in setpoints:
+        alone = await desk.ask(
+            person, plan.bus, SetSpeed(unit=number, raw=0), f"{id}-{plan.bus}-{number}", _timeout_s(1)
+        )
+        proofs += _proofs(desk, live, {number: 0}, alone)
+    return proofs
+
+
+def _in_all(desk: Desktop, proofs: list[tuple[str, str, Fate]]) -> Fate:
+    at_zero = sum(fate.tone == "good" for _, _, fate in proofs)
+    if proofs and at_zero == len(proofs):
+        return Fate("good", desk.voice.t("{n} units took speed 0 and ramp down", n=at_zero))
+    text = "{n} of {units} units took speed 0: look at the others"
+    return Fate("bad", desk.voice.t(text, n=at_zero, units=len(proofs)))

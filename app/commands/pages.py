@@ -1,0 +1,58 @@
+"""The unit page, and with it every page that can set something."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter
+from starlette.responses import Response
+
+from app.commands import bus_pages, guard_pages, line_pages, output_pages, parameter_pages, speed_pages
+from app.commands.forms import Desks, Desktop
+from app.commands.ramp import nudges, present_setpoint, sensible_bounds
+from app.commands.words import shown_setpoint
+from app.live.state import UnitLive
+from app.live.view import follower
+from app.web.access import Viewer
+
+router = APIRouter(include_in_schema=False)
+for part in (line_pages, speed_pages, output_pages, parameter_pages, guard_pages, bus_pages):
+    router.include_router(part.router)
+
+
+@router.get("/units/{bus}/{unit:int}")
+async def unit_page(_: Viewer, desk: Desks, bus: str, unit: int) -> Response:
+    """The faceplate of one unit."""
+    live = desk.unit(bus, unit)
+    return desk.render("unit/page.html", **_faceplate(desk, bus, live))
+
+
+def _faceplate(desk: Desktop, bus: str, live: UnitLive) -> dict[str, Any]:
+    unit, limits = live.settings.id, desk.guards.limits.of(bus, live.settings.id)
+    lowest, highest = sensible_bounds(live, limits)
+    present = present_setpoint(desk.bus(bus), live)
+    fine, coarse = nudges(live)
+    return {
+        "fields": desk.fields(),
+        "bus": bus,
+        "unit": desk.shown(bus, unit),
+        "present": "" if present is None else desk.voice.formats.point(shown_setpoint(present, live)),
+        "present_raw": "" if present is None else present,
+        "lowest": desk.voice.formats.point(shown_setpoint(lowest, live)),
+        "highest": desk.voice.formats.point(shown_setpoint(highest, live)),
+        "follower": bool(follower(live)),
+        "nudges": [(sign * step, shown_setpoint(step, live), sign) for sign, step in _signed(fine, coarse)],
+        "limits": limits,
+        "limit_texts": {name: shown_setpoint(getattr(limits, name), live) for name in _LIMIT_NAMES},
+        "block": desk.guards.blocks.of(bus, unit),
+        "analog_low": live.parameter_raw(29),
+        "analog_high": live.parameter_raw(30),
+        "analog_by_link": live.parameter_raw(28) == 2,
+    }
+
+
+_LIMIT_NAMES = ("lowest", "highest", "largest_step", "per_minute")
+
+
+def _signed(fine: int, coarse: int) -> list[tuple[int, int]]:
+    return [(-1, coarse), (-1, fine), (1, fine), (1, coarse)]

@@ -1,0 +1,148 @@
+"""The parameters of a unit: the 40 by what they are for, each changed in place behind a review."""
+
+from __future__ import annotations
+
+import time
+from itertools import groupby
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Form, Path
+from starlette.responses import Response
+
+from app.commands.bodies import Quantity
+from app.commands.forms import TIMEOUT_S, Desks, Desktop, new_id
+from app.commands.typed import Typed
+from app.commands.words import known_parameter_text, text_of
+from app.errors import Problem
+from app.live.state import UnitLive
+from app.live.view import parameter_json
+from app.web.access import Engineer, Person, Viewer
+from bus.catalogue.parameter import Parameter, danger_of_writing
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import ReadParameters, WriteParameter
+from bus.errors import CallerError
+
+router = APIRouter(prefix="/units/{bus}/{unit:int}/parameters")
+Number = Annotated[int, Path(ge=1, le=40)]
+READ_TIMEOUT_S = 30.0
+CONFIRMING_WORD = "WRITE"
+
+
+@router.get("")
+async def parameters(_: Viewer, desk: Desks, bus: str, unit: int) -> Response:
+    """All 40 as last read."""
+    return desk.render("unit/parameters.html", **_table(desk, bus, unit))
+
+
+@router.post("/read")
+async def read_all(person: Viewer, desk: Desks, bus: str, unit: int) -> Response:
+    """All 40 as the unit gives them now."""
+    desk.unit(bus, unit)
+    action = ReadParameters(unit=unit, numbers=list(PARAMETERS))
+    result = await desk.desk.ask(person, bus, action, timeout_s=READ_TIMEOUT_S, origin="page")
+    missing = len(PARAMETERS) - len(result.values)
+    return desk.render("unit/_parameters.html", missing=missing, **_table(desk, bus, unit))
+
+
+def _table(desk: Desktop, bus: str, unit: int) -> dict[str, Any]:
+    live = desk.unit(bus, unit)
+    rows = [_row(live, number) for number in sorted(PARAMETERS, key=_by_group)]
+    groups = [(name, list(members)) for name, members in groupby(rows, key=lambda row: row["group"])]
+    return {"fields": desk.fields(), "bus": bus, "unit": desk.shown(bus, unit), "groups": groups}
+
+
+_GROUPS = list(dict.fromkeys(parameter.group for parameter in PARAMETERS.values()))
+
+
+def _by_group(number: int) -> tuple[int, int]:
+    return _GROUPS.index(PARAMETERS[number].group), number
+
+
+def _row(live: UnitLive, number: int) -> dict[str, Any]:
+    known = live.parameters.get(number)
+    return parameter_json(live, number) | {"at": None if known is None else known.at}
+
+
+@router.post("/{number:int}/review")
+async def review_parameter(
+    person: Engineer,
+    desk: Desks,
+    bus: str,
+    unit: int,
+    number: Number,
+    value: Annotated[str, Form(max_length=40)] = "",
+) -> Response:
+    """What was typed, judged and shown again: old → new, range, danger."""
+    live, parameter = desk.unit(bus, unit), PARAMETERS[number]
+    try:
+        raw = await Typed(desk.desk, person, bus, live, TIMEOUT_S).parameter(number, Quantity(value=value))
+        desk.desk.check(person, bus, WriteParameter(unit=unit, number=number, raw=raw), confirm=True)
+    except (CallerError, Problem) as error:
+        return _not_so(desk, live, parameter, error)
+    return desk.render(
+        "unit/_review_parameter.html",
+        bus=bus,
+        unit=desk.shown(bus, unit),
+        parameter=parameter,
+        raw=raw,
+        old=known_parameter_text(parameter, live),
+        new=text_of(parameter, raw, live),
+        danger=danger_of_writing(parameter, raw),
+        typed=CONFIRMING_WORD,
+        command_id=new_id(),
+        reviewed_at=time.time(),
+    )
+
+
+@router.post("/{number:int}")
+async def write_parameter(
+    person: Engineer,
+    desk: Desks,
+    bus: str,
+    unit: int,
+    number: Number,
+    raw: Annotated[int, Form(ge=0)],
+    id: Annotated[str, Form(max_length=64)],
+    reviewed_at: Annotated[float, Form()],
+    typed: Annotated[str, Form(max_length=20)] = "",
+) -> Response:
+    """86h, read back by 85h; a dangerous one only with the word typed."""
+    live, parameter = desk.unit(bus, unit), PARAMETERS[number]
+    title = f"#{number} {parameter.name}"
+    try:
+        desk.refuse_late(reviewed_at)
+        if danger_of_writing(parameter, raw) and typed.strip() != CONFIRMING_WORD:
+            raise Problem(409, "dangerous", "the word was not typed; nothing was sent")
+        return await _write(person, desk, bus, live, parameter, raw, id)
+    except Problem as problem:
+        return desk.refused(problem, title)
+
+
+async def _write(
+    person: Person, desk: Desktop, bus: str, live: UnitLive, parameter: Parameter, raw: int, id: str
+) -> Response:
+    unit, number = live.settings.id, parameter.number
+    result = await desk.ask(person, bus, WriteParameter(unit=unit, number=number, raw=raw), id)
+    fate = desk.fate(result, live)
+    if result.read_back is not None:
+        reads = desk.voice.formats.point(text_of(parameter, result.read_back, live))
+        said = "verified: reads {value}" if result.outcome == "verified" else "reads {value} instead"
+        fate = type(fate)(fate.tone, desk.voice.t(said, value=reads))
+    return desk.render(
+        "unit/_parameter_done.html",
+        title=f"#{number} {parameter.name}",
+        fate=fate,
+        bus=bus,
+        unit=desk.shown(bus, unit),
+        row=_row(live, number),
+    )
+
+
+def _not_so(desk: Desktop, live: UnitLive, parameter: Parameter, error: CallerError | Problem) -> Response:
+    nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
+    text = "" if nearest is None or parameter.secret else text_of(parameter, nearest, live)
+    response = desk.render(
+        "unit/_not_so.html", reason=str(error), nearest=desk.voice.formats.point(text), status=422
+    )
+    response.headers["HX-Retarget"] = f"#parameter-{parameter.number}-error"
+    return response

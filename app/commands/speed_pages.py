@@ -1,0 +1,216 @@
+"""A unit's setpoint on its page: choose, then review, then do.
+
+Nothing is sent before the review is confirmed, but for a nudge that is small enough to need none.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Form
+from starlette.responses import Response
+
+from app.commands.bodies import Quantity
+from app.commands.forms import TIMEOUT_S, Desks, Desktop, new_id
+from app.commands.ramp import change_of, nudges, present_setpoint, ramp_parameters_missing
+from app.commands.setpoints import bounds
+from app.commands.typed import Typed
+from app.commands.words import shown_setpoint
+from app.errors import Problem
+from app.live.state import UnitLive
+from app.live.view import follower
+from app.web.access import Operator, Person
+from bus.contract import ExecuteSpeed, ReadParameters, SetSpeed
+from bus.errors import CallerError
+
+router = APIRouter(prefix="/units/{bus}/{unit:int}")
+
+Raw = Annotated[int, Form(ge=0)]
+Was = Annotated[str, Form(pattern=r"^\d{0,6}$")]
+"""The setpoint that the person saw, raw; empty where it was not known."""
+
+
+@router.post("/review")
+async def review_speed(
+    person: Operator,
+    desk: Desks,
+    bus: str,
+    unit: int,
+    value: Annotated[str, Form(max_length=20)] = "",
+    how: Annotated[Literal["now", "stage"], Form()] = "now",
+) -> Response:
+    """What was typed, judged and shown again: old → new, limits, ramp."""
+    live = desk.unit(bus, unit)
+    try:
+        raw = await Typed(desk.desk, person, bus, live, TIMEOUT_S).setpoint(Quantity(value=value))
+        _refuse_outside(desk, bus, live, raw)
+        await _know_ramp(person, desk, bus, live)
+        return _review(person, desk, bus, live, raw, execute=how == "now")
+    except (CallerError, Problem) as error:
+        return _not_so(desk, live, error)
+
+
+def _refuse_outside(desk: Desktop, bus: str, live: UnitLive, raw: int) -> None:
+    lowest, highest, _ = bounds(live, desk.guards.limits.of(bus, live.settings.id))
+    if lowest <= raw <= highest or raw == 0:
+        return
+    shown = {
+        name: desk.voice.formats.point(shown_setpoint(value, live))
+        for name, value in (("value", raw), ("low", lowest), ("high", highest))
+    }
+    reason = desk.voice.t("{value} is outside {low} to {high}; nothing was sent", **shown)
+    raise Problem(422, "invalid", reason, nearest=min(max(raw, lowest), highest))
+
+
+async def _know_ramp(person: Person, desk: Desktop, bus: str, live: UnitLive) -> None:
+    missing = ramp_parameters_missing(live)
+    if missing:
+        action = ReadParameters(unit=live.settings.id, numbers=missing)
+        await desk.desk.ask(person, bus, action, timeout_s=TIMEOUT_S, origin="page")
+
+
+def _review(person: Person, desk: Desktop, bus: str, live: UnitLive, raw: int, *, execute: bool) -> Response:
+    unit = live.settings.id
+    desk.desk.check(person, bus, SetSpeed(unit=unit, raw=raw, execute=execute), confirm=True)
+    return desk.render(
+        "unit/_review_speed.html",
+        bus=bus,
+        unit=desk.shown(bus, unit),
+        change=change_of(desk.bus(bus), live, raw, desk.guards.limits.of(bus, unit)),
+        execute=execute,
+        follower=bool(follower(live)),
+        command_id=new_id(),
+        reviewed_at=time.time(),
+    )
+
+
+def _not_so(desk: Desktop, live: UnitLive, error: CallerError | Problem) -> Response:
+    nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
+    response = desk.render(
+        "unit/_not_so.html",
+        reason=str(error),
+        nearest="" if nearest is None else desk.voice.formats.point(shown_setpoint(nearest, live)),
+        status=error.status if isinstance(error, Problem) else 422,
+    )
+    response.headers["HX-Retarget"] = "#setpoint-error"
+    return response
+
+
+@router.post("/speed")
+async def set_speed(
+    person: Operator,
+    desk: Desks,
+    bus: str,
+    unit: int,
+    raw: Raw,
+    id: Annotated[str, Form(max_length=64)],
+    how: Annotated[Literal["now", "stage"], Form()],
+    reviewed_at: Annotated[float, Form()],
+    was: Was = "",
+) -> Response:
+    """The reviewed setpoint, once, to its fate."""
+    live = desk.unit(bus, unit)
+    action = SetSpeed(unit=unit, raw=raw, execute=how == "now")
+    try:
+        desk.refuse_late(reviewed_at)
+        _refuse_moved(desk, bus, live, was)
+        result = await desk.ask(person, bus, action, id)
+    except Problem as problem:
+        return desk.refused(problem, live.settings.name)
+    undo = {"value": shown_setpoint(int(was), live), "how": how} if was and action.execute else None
+    return desk.render(
+        "unit/_done.html",
+        title=live.settings.name,
+        fate=desk.fate(result, live),
+        undo=undo if result.outcome == "verified" else None,
+        bus=bus,
+        unit=desk.shown(bus, unit),
+    )
+
+
+def _refuse_moved(desk: Desktop, bus: str, live: UnitLive, was: str) -> None:
+    present = present_setpoint(desk.bus(bus), live)
+    if was != ("" if present is None else str(present)):
+        moved = "the setpoint has moved since it was reviewed; nothing was sent"
+        raise Problem(409, "moved", moved)
+
+
+@router.post("/nudge")
+async def nudge(
+    person: Operator,
+    desk: Desks,
+    bus: str,
+    unit: int,
+    step: Annotated[int, Form(ge=-99999, le=99999)],
+    id: Annotated[str, Form(max_length=64)],
+) -> Response:
+    """A small step from where the unit is now: without a review where it is no larger than one allowed so."""
+    live = desk.unit(bus, unit)
+    present = present_setpoint(desk.bus(bus), live)
+    try:
+        desk.refuse_late()
+        if present is None:
+            raise Problem(409, "unknown", "the present setpoint is not known; nothing was sent")
+        raw = max(0, present + step)
+        if not _is_small(desk, bus, live, step):
+            return _review(person, desk, bus, live, raw, execute=True)
+        result = await desk.ask(person, bus, SetSpeed(unit=unit, raw=raw), id)
+    except Problem as problem:
+        return _not_so(desk, live, problem)
+    response = desk.render(
+        "unit/_nudged.html",
+        asked=shown_setpoint(raw, live),
+        fate=desk.fate(result, live),
+        command_id=new_id(),
+    )
+    response.headers["HX-Retarget"] = "#setpoint-error"
+    return response
+
+
+def _is_small(desk: Desktop, bus: str, live: UnitLive, step: int) -> bool:
+    allowed = desk.guards.limits.of(bus, live.settings.id).largest_step
+    return abs(step) <= (max(nudges(live)) if allowed is None else allowed)
+
+
+@router.get("/execute")
+async def review_execute(person: Operator, desk: Desks, bus: str, unit: int) -> Response:
+    """What executing the staged speed will do."""
+    live = desk.unit(bus, unit)
+    try:
+        if live.staged is None:
+            raise Problem(409, "nothing_staged", "this unit has nothing staged; nothing was sent")
+        desk.desk.check(person, bus, ExecuteSpeed(unit=unit), confirm=True)
+    except Problem as problem:
+        return desk.refused(problem, live.settings.name)
+    return desk.render(
+        "unit/_review_execute.html",
+        bus=bus,
+        unit=desk.shown(bus, unit),
+        change=change_of(desk.bus(bus), live, live.staged, desk.guards.limits.of(bus, unit)),
+        command_id=new_id(),
+        reviewed_at=time.time(),
+    )
+
+
+@router.post("/execute")
+async def execute(
+    person: Operator,
+    desk: Desks,
+    bus: str,
+    unit: int,
+    id: Annotated[str, Form(max_length=64)],
+    raw: Raw,
+    reviewed_at: Annotated[float, Form()],
+) -> Response:
+    """83h to one unit, if what is staged is still what was reviewed."""
+    live = desk.unit(bus, unit)
+    try:
+        desk.refuse_late(reviewed_at)
+        if live.staged != raw:
+            raise Problem(409, "moved", "something else is staged now; nothing was sent")
+        result = await desk.ask(person, bus, ExecuteSpeed(unit=unit), id)
+    except Problem as problem:
+        return desk.refused(problem, live.settings.name)
+    fate = desk.fate(result, live)
+    return desk.render("unit/_done.html", title=live.settings.name, fate=fate, undo=None)

@@ -1,0 +1,18 @@
+// Who else has a page open.
+import { listen } from "./bind.js";
+
+function draw(here) {
+  for (const list of document.querySelectorAll("[data-people]")) {
+    const items = here.split("\n").filter(Boolean).map((line) => {
+      const [name, role] = line.split("\t");
+      const item = document.createElement("li");
+      item.textContent = `${name} · ${role}`;
+      return item;
+    });
+    list.replaceChildren(...items);
+  }
+}
+
+export function start() {
+  listen("people", (fields) => draw(fields.here ?? ""));
+}

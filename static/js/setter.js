@@ -1,0 +1,89 @@
+// The setpoint of a unit: the field follows what the unit says until a person touches it; the number pad; and on
+// the setpoints page the tools that fill in many fields at once. Nothing here sends anything.
+import { listen, value } from "./bind.js";
+import { language } from "./words.js";
+
+const DECIMAL_SIGN = new Intl.NumberFormat(language).formatToParts(1.5).find((part) => part.type === "decimal").value;
+
+/** The number a person typed, comma or point, or NaN. Empty is not zero. */
+export function numberOf(text) {
+  const plain = text.trim().replace(/[−–]/g, "-").replace(",", ".");
+  return /^[+-]?\d+(\.\d+)?$/.test(plain) ? Number(plain) : Number.NaN;
+}
+
+const textOf = (number, decimals) => number.toFixed(decimals).replace(".", DECIMAL_SIGN);
+
+// --- the field and its pad ----------------------------------------------------------------------------
+
+function followUnit(input) {
+  const key = input.dataset.follows;
+  const say = () => {
+    const said = value(key);
+    if (input.dataset.touched === undefined && said !== undefined && said !== "–") input.value = said;
+  };
+  listen(key.slice(0, key.indexOf(".")), say);
+  input.addEventListener("input", () => (input.dataset.touched = ""));
+  input.addEventListener("focus", () => input.select());
+  const forget = () => {
+    delete input.dataset.touched;
+    delete input.dataset.fresh;
+    say();
+  };
+  document.addEventListener("lineside:done", forget);
+  addEventListener("pageshow", forget);
+}
+
+function press(input, key) {
+  const whole = input.selectionStart === 0 && input.selectionEnd === input.value.length;
+  const fresh = input.dataset.touched === undefined || whole;
+  if (key === "erase") input.value = fresh ? "" : input.value.slice(0, -1);
+  else if (key.length === 1 && (fresh ? "" : input.value).length < input.maxLength) input.value = (fresh ? "" : input.value) + key;
+  input.setSelectionRange(input.value.length, input.value.length);
+  input.dispatchEvent(new Event("input", { bubbles: true }));
+}
+
+// --- many at once ----------------------------------------------------------------------------------------
+
+const TOOLS = {
+  scale: (present, by) => (present * by) / 100,
+  offset: (present, by) => present + by,
+  value: (_, by) => by,
+};
+
+function fillIn(form, tool) {
+  const source = form.querySelector(`[data-together="${tool}"]`);
+  const by = numberOf(source.value);
+  source.setAttribute("aria-invalid", Number.isNaN(by) ? "true" : "false");
+  if (Number.isNaN(by)) return source.focus();
+  for (const row of form.querySelectorAll("tr[data-unit]")) {
+    const field = row.querySelector("[data-new]");
+    if (!field?.dataset.new || !row.querySelector("[data-tick]")?.checked) continue;
+    const present = numberOf(value(`${field.dataset.new}.commanded`) ?? "");
+    if (tool !== "value" && Number.isNaN(present)) continue;
+    field.value = textOf(Math.max(0, TOOLS[tool](present, by)), Number(row.dataset.decimals || 0));
+  }
+}
+
+function together(form, what) {
+  if (what in TOOLS) return fillIn(form, what);
+  for (const tick of form.querySelectorAll("[data-tick]")) tick.checked = what === "all";
+  if (what === "clear") for (const field of form.querySelectorAll("[data-new]")) field.value = "";
+}
+
+export function start() {
+  for (const input of document.querySelectorAll("[data-follows]")) followUnit(input);
+  document.addEventListener("click", (event) => {
+    const button = event.target.closest("[data-pad], [data-use], [data-together-do]");
+    if (!button) return;
+    if (button.dataset.pad) press(document.getElementById(button.closest("[data-pad-for]").dataset.padFor), button.dataset.pad);
+    else if (button.dataset.togetherDo) together(button.closest("form"), button.dataset.togetherDo);
+    else {
+      const input = button.closest("form")?.querySelector("input:not([type=hidden])") ?? document.getElementById("setpoint");
+      input.value = button.dataset.use;
+      input.dispatchEvent(new Event("input", { bubbles: true }));
+      input.focus();
+    }
+  });
+  // Scrolling never changes a value.
+  document.addEventListener("wheel", (event) => event.target.matches?.("input[type=number]") && event.target.blur(), { passive: true });
+}

@@ -1,0 +1,40 @@
+// The frames of a bus as they pass, while somebody follows them.
+import { follow } from "./live.js";
+import { language } from "./words.js";
+
+const MOST_LINES = 400;
+const time = new Intl.DateTimeFormat(language, { hour: "2-digit", minute: "2-digit", second: "2-digit", fractionalSecondDigits: 3, hourCycle: "h23" });
+
+function cell(text) {
+  const span = document.createElement("span");
+  span.textContent = text;
+  return span;
+}
+
+function line(frame) {
+  const row = document.createElement("div");
+  row.className = "frames__line";
+  if (!frame.valid) row.dataset.valid = "no";
+  row.append(cell(time.format(frame.at * 1000)), cell(frame.direction === "out" ? "→" : "←"), cell(frame.hex), cell(frame.meaning));
+  return row;
+}
+
+function write(box, frames) {
+  const atEnd = box.scrollHeight - box.scrollTop - box.clientHeight < 40;
+  box.append(...frames.map(line));
+  while (box.childElementCount > MOST_LINES) box.firstElementChild.remove();
+  if (atEnd) box.scrollTop = box.scrollHeight;
+}
+
+export function start() {
+  const button = document.querySelector("[data-trace]");
+  const box = document.querySelector("[data-frames]");
+  if (!button) return;
+  button.addEventListener("click", () => {
+    const on = button.getAttribute("aria-pressed") !== "true";
+    button.setAttribute("aria-pressed", String(on));
+    button.textContent = on ? button.dataset.wordOn : button.dataset.wordOff;
+    if (on) follow([], button.dataset.trace, (frames) => write(box, frames));
+    else follow([]);
+  });
+}
