@@ -12,6 +12,8 @@ from pathlib import Path
 
 import structlog
 
+from app.cli.tether import tied_environment
+
 log = structlog.get_logger()
 
 FIRST_PAUSE_S = 0.5
@@ -29,7 +31,7 @@ class Workers:
         self._config = config
         self._buses = buses
         self._app_url = app_url
-        self._environment = {**os.environ, "LINESIDE_WORKER_TOKEN": token}
+        self._environment = {**tied_environment(), "LINESIDE_WORKER_TOKEN": token}
         self._processes: dict[str, Process] = {}
         self._tasks: list[asyncio.Task[None]] = []
 

@@ -18,6 +18,8 @@ from bus.worker.service import run_worker
 
 _PR_SET_PDEATHSIG = 1
 PARENT_CHECK_S = 0.5
+PARENT_VARIABLE = "LINESIDE_PARENT"
+"""Who started this process: by the time it can ask the kernel, that one may be gone already."""
 
 
 def run(bus: BusSettings, app_url: str, token: str, *, child: bool = False) -> int:
@@ -26,7 +28,7 @@ def run(bus: BusSettings, app_url: str, token: str, *, child: bool = False) -> i
     Gives the exit code.
     """
     configure_log()
-    parent = os.getppid()
+    parent = int(os.environ.get(PARENT_VARIABLE, os.getppid()))
     if child:
         _die_with_parent()
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
@@ -50,9 +52,9 @@ async def _until_told(bus: BusSettings, app_url: str, token: str, parent: int | 
 async def _leave_with(parent: int, leave: asyncio.Event) -> None:
     """The parent may have died before the kernel was asked to tell."""
     while not leave.is_set():
-        await asyncio.sleep(PARENT_CHECK_S)
         if os.getppid() != parent:
             leave.set()
+        await asyncio.sleep(PARENT_CHECK_S)
 
 
 def _die_with_parent() -> None:
