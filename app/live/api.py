@@ -11,7 +11,7 @@ from starlette.requests import HTTPConnection
 
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state import LiveState
-from app.live.view import bus_json, line_json, unit_json
+from app.live.view import BlockReason, bus_json, line_json, unit_json
 from app.web.access import Viewer
 from bus.errors import unit_error_name
 
@@ -28,27 +28,33 @@ def site_name_of(connection: HTTPConnection) -> str:
     return cast(str, connection.app.state.services.settings.site.name)
 
 
+def block_reason_of(connection: HTTPConnection) -> BlockReason:
+    """Why a unit is blocked, as the pages say it too."""
+    return cast(BlockReason, connection.app.state.services.hub.block)
+
+
+Blocked = Annotated[BlockReason, Depends(block_reason_of)]
 Live = Annotated[LiveState, Depends(live_of)]
 SiteName = Annotated[str, Depends(site_name_of)]
 
 
 @router.get("/line")
-async def get_line(_: Viewer, live: Live, site: SiteName) -> dict[str, Any]:
+async def get_line(_: Viewer, live: Live, site: SiteName, block: Blocked) -> dict[str, Any]:
     """Every bus and every unit, now."""
-    return line_json(site, live, time.time())
+    return line_json(site, live, time.time(), block)
 
 
 @router.get("/buses/{bus}")
-async def get_bus(_: Viewer, live: Live, bus: str) -> dict[str, Any]:
+async def get_bus(_: Viewer, live: Live, block: Blocked, bus: str) -> dict[str, Any]:
     """One bus with its units."""
-    return bus_json(bus_or_404(live, bus), time.time())
+    return bus_json(bus_or_404(live, bus), time.time(), block)
 
 
 @router.get("/buses/{bus}/units/{unit:int}")
-async def get_unit(_: Viewer, live: Live, bus: str, unit: int) -> dict[str, Any]:
+async def get_unit(_: Viewer, live: Live, block: Blocked, bus: str, unit: int) -> dict[str, Any]:
     """One unit, with the age of what it said."""
     found = unit_or_404(live, bus, unit)
-    return unit_json(live.buses[bus], found, time.time())
+    return unit_json(live.buses[bus], found, time.time(), block)
 
 
 @router.get("/buses/{bus}/figures")

@@ -6,6 +6,7 @@ that was never read is null. ``…_raw`` are the integers of the wire.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any
 
@@ -25,6 +26,8 @@ from bus.catalogue.values import (
 from bus.contract import Reading
 
 Json = dict[str, Any]
+BlockReason = Callable[[str, int], str]
+"""Why a unit of a bus is blocked; empty when it is not."""
 
 MAX_RPM, MAX_DISPLAY, DECIMALS, MODE, WINDOW, ANALOG_LOW, ANALOG_HIGH = 1, 2, 3, 8, 12, 22, 23
 _NEVER_READ = dict.fromkeys(
@@ -49,12 +52,13 @@ def iso(at: float) -> str:
     return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds")
 
 
-def line_json(site: str, live: LiveState, now: float) -> Json:
+def line_json(site: str, live: LiveState, now: float, block: BlockReason) -> Json:
     """Every bus with its units in floor order."""
-    return {"site": site, "time": iso(now), "buses": [bus_json(bus, now) for bus in live.buses.values()]}
+    buses = [bus_json(bus, now, block) for bus in live.buses.values()]
+    return {"site": site, "time": iso(now), "buses": buses}
 
 
-def bus_json(bus: BusLive, now: float) -> Json:
+def bus_json(bus: BusLive, now: float, block: BlockReason) -> Json:
     """One bus. Figures are null while no worker measures them."""
     figures = bus.figures
     return {
@@ -71,11 +75,11 @@ def bus_json(bus: BusLive, now: float) -> Json:
         "wire_utilisation": figures.wire_utilisation if figures else None,
         "diagnosis": figures.diagnosis if figures else "",
         "scan_s_expected": scan_s_of(bus),
-        "units": [unit_json(bus, unit, now) for unit in bus.units.values()],
+        "units": [unit_json(bus, unit, now, block) for unit in bus.units.values()],
     }
 
 
-def unit_json(bus: BusLive, unit: UnitLive, now: float) -> Json:
+def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason) -> Json:
     """One unit with the age of what it said, by the server's clock."""
     window = unit.parameter_raw(WINDOW)
     shown: Json = {
@@ -85,6 +89,7 @@ def unit_json(bus: BusLive, unit: UnitLive, now: float) -> Json:
         "labels": unit.settings.labels.model_dump(),
         "link": unit_link_now(bus, unit, now),
         "link_cause": unit.link.cause,
+        "blocked": block(bus.settings.name, unit.settings.id) or None,
         "decimals": unit.parameter_raw(DECIMALS),
         "follower": follower(unit),
         "staged_raw": unit.staged,

@@ -194,6 +194,7 @@ class Stage:
             safeguards=self.guards,
             workers=self.workers,
             events=self.events,
+            hub=SimpleNamespace(block=self.guards.block_reason),
             settings=SimpleNamespace(site=SimpleNamespace(name="Test line")),
         )
         for router in (

@@ -28,10 +28,16 @@ def live_with(**settings: Any) -> LiveState:
     return live
 
 
+def not_blocked(bus: str, unit: int) -> str:
+    """No unit is."""
+    assert unit > 0, bus
+    return ""
+
+
 def shown(live: LiveState, unit: int = 1, later_s: float = 0.0) -> dict[str, Any]:
     """One unit's JSON."""
     bus = live.buses["dry-end"]
-    return unit_json(bus, bus.units[unit], time.time() + later_s)
+    return unit_json(bus, bus.units[unit], time.time() + later_s, not_blocked)
 
 
 def parameter(number: int, raw: int | None, **more: Any) -> ParameterValue:
@@ -123,17 +129,17 @@ def test_a_follower_stages_a_ratio_and_shows_a_speed_or_a_ratio_by_dialect() -> 
 
 def test_a_bus_with_and_without_figures() -> None:
     live = live_with()
-    bus = bus_json(live.buses["dry-end"], time.time())
+    bus = bus_json(live.buses["dry-end"], time.time(), not_blocked)
     assert bus.keys() >= CONTRACT_BUS
     assert (bus["link"], bus["scan_hz"], len(bus["units"])) == ("open", None, 3)
     figures = BusFigures(at=1.0, scan_hz=12.5, scan_s=0.08, wire_utilisation=0.98, scan_s_with_one_more=0.1)
     live.apply("dry-end", [figures, BusLink(at=2.0, link="closed", cause="unplugged")])
-    bus = bus_json(live.buses["dry-end"], time.time())
+    bus = bus_json(live.buses["dry-end"], time.time(), not_blocked)
     assert (bus["link"], bus["link_cause"], bus["scan_hz"]) == ("closed", "unplugged", 12.5)
 
 
 def test_the_line_has_every_bus() -> None:
-    line = line_json("Paper machine 2", live_with(), time.time())
+    line = line_json("Paper machine 2", live_with(), time.time(), not_blocked)
     assert line["site"] == "Paper machine 2"
     assert [bus["name"] for bus in line["buses"]] == ["dry-end"]
 

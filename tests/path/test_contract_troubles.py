@@ -1,0 +1,158 @@
+"""What goes wrong on the floor: cable pulled, unit lost, worker killed, limits, blocks, a wish too late."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.e2e.site import eventually
+from tests.path.dashboard import Dashboard, dashboard
+from tests.path.independent_unit import Unit
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> Iterator[Dashboard]:
+    with dashboard(tmp_path, [Unit(1, commanded=1000, actual=1000), Unit(2)]) as made:
+        yield made
+
+
+def speed(plant: Dashboard, unit: int, raw: int, **body: Any) -> Any:
+    """Set a unit's speed at once."""
+    return plant.bus("POST", f"/units/{unit}/speed", {"raw": raw, "execute": True, **body})
+
+
+def workers(plant: Dashboard) -> list[int]:
+    """The processes that hold the port."""
+    found = subprocess.run(
+        ["pgrep", "-f", str(plant.folder / "lineside.toml")], capture_output=True, text=True
+    )
+    said = [int(line) for line in found.stdout.split()]
+    return [pid for pid in said if b"--bus" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
+
+def test_a_pulled_cable_closes_the_bus_and_nothing_is_sent_when_it_is_back(plant: Dashboard) -> None:
+    plant.cable.pull()
+    bus = eventually(
+        lambda: (shown := plant.line())["link"] == "closed" and shown, "the bus closed", within=10
+    )
+    assert bus["link_cause"]
+    assert {unit["link"] for unit in bus["units"]} <= {"stale", "offline"}
+    assert [unit["commanded_raw"] for unit in bus["units"]] == [1000, 0]
+    refused = speed(plant, 1, 4000)
+    assert refused.status_code == 503
+    assert refused.json()["code"] == refused.json()["outcome"] == "bus_closed"
+    plant.cable.plug()
+    plant.see(1, "online again", lambda shown: shown["link"] == "online")
+    assert plant.cable.units[1].writes == []
+    assert plant.cable.units[1].commanded == 1000
+    assert speed(plant, 1, 4000).status_code == 200
+
+
+def test_a_silent_unit_goes_stale_then_offline_and_comes_back(plant: Dashboard) -> None:
+    plant.cable.units[2].silent = True
+    plant.see(2, "stale or worse", lambda shown: shown["link"] in ("stale", "offline"))
+    plant.see(2, "offline", lambda shown: shown["link"] == "offline")
+    assert plant.unit(1)["link"] == "online"
+    assert plant.unit(2)["commanded_raw"] == 0
+    plant.cable.units[2].silent = False
+    plant.see(2, "online", lambda shown: shown["link"] == "online")
+    kinds = [(event["kind"], event["new"]) for event in _events(plant, "unit=2")]
+    assert ("unit", "online") in kinds
+    assert ("unit", "offline") in kinds
+
+
+def test_mode_estop_and_run_are_events(plant: Dashboard) -> None:
+    unit = plant.cable.units[1]
+    unit.remote = False
+    plant.see(1, "LOCAL", lambda shown: shown["remote"] is False)
+    unit.inputs = 0b01
+    plant.see(1, "stopped and running", lambda shown: shown["inputs"]["estop"] and shown["inputs"]["run"])
+    kinds = eventually(
+        lambda: (
+            {"mode", "estop", "run"} <= (found := {event["kind"] for event in _events(plant, "unit=1")})
+            and found
+        ),
+        "the three events",
+        within=10,
+    )
+    assert "command" not in kinds
+
+
+def test_a_killed_worker_is_seen_and_replaced(plant: Dashboard) -> None:
+    (worker,) = workers(plant)
+    os.kill(worker, signal.SIGKILL)
+    eventually(lambda: workers(plant) not in ([], [worker]), "another worker", within=20)
+    plant.see(1, "online again", lambda shown: shown["link"] == "online")
+    assert speed(plant, 1, 1200).status_code == 200
+    assert len([event for event in _events(plant, "kind=worker") if "started" in event["what"]]) == 2
+
+
+def test_a_stopped_worker_makes_everything_stale_and_sends_nothing_late(plant: Dashboard) -> None:
+    (worker,) = workers(plant)
+    os.kill(worker, signal.SIGSTOP)
+    try:
+        plant.see(1, "stale", lambda shown: shown["link"] in ("stale", "offline"))
+        asked: list[Any] = []
+        wish = threading.Thread(target=lambda: asked.append(speed(plant, 1, 4321, timeout_s=0.5)))
+        wish.start()
+        sent_at = time.monotonic()
+        eventually(lambda: time.monotonic() > sent_at + 1, "the time of the wish over", within=5)
+    finally:
+        os.kill(worker, signal.SIGCONT)
+    wish.join(40)
+    assert asked[0].status_code in (503, 504)
+    assert plant.cable.units[1].commanded == 1000
+    assert plant.cable.units[1].writes == []
+
+
+def test_limits_blocks_and_their_events(plant: Dashboard) -> None:
+    limits = {"lowest": 500, "highest": 1500, "largest_step": 200, "per_minute": None}
+    assert plant.bus("PUT", "/units/1/limits", limits, "engineer").status_code == 200
+    refused = speed(plant, 1, 1501)
+    assert (refused.status_code, refused.json()["nearest"]) == (422, 1500)
+    assert speed(plant, 1, 1300).json()["code"] == "confirm_needed"
+    assert speed(plant, 1, 1300, confirm=True).status_code == 200
+    assert plant.bus("POST", "/units/2/block", {"reason": "belt off"}, "operator").status_code == 200
+    assert plant.unit(2)["blocked"]
+    line = plant.bus("POST", "/speeds", {"setpoints": {"1": {"raw": 1310}, "2": {"raw": 10}}})
+    assert (line.status_code, line.json()["code"]) == (423, "blocked")
+    assert plant.cable.units[1].commanded == 1300
+    assert plant.cable.units[2].writes == []
+    assert plant.bus("DELETE", "/units/2/block", role="operator").status_code == 200
+    assert speed(plant, 2, 10).status_code == 200
+
+
+def test_a_killed_server_leaves_no_worker_behind(tmp_path: Path) -> None:
+    with dashboard(tmp_path, [Unit(1)]) as plant:
+        (worker,) = workers(plant)
+        parent = int(Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()[1])
+        os.kill(parent, signal.SIGKILL)
+        eventually(
+            lambda: not Path(f"/proc/{worker}/cmdline").exists() or _dead(worker), "no worker", within=15
+        )
+
+
+def test_control_of_a_line(tmp_path: Path) -> None:
+    with dashboard(tmp_path, [Unit(1)], site_toml="control = true") as plant:
+        assert speed(plant, 1, 10).json()["code"] == "controlled"
+        assert plant.bus("POST", "/control", role="operator").json()["holder"] == "operator"
+        assert speed(plant, 1, 10).status_code == 409
+        body = {"raw": 10, "execute": True}
+        assert plant.bus("POST", "/units/1/speed", body, "operator").status_code == 200
+
+
+def _events(plant: Dashboard, query: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = plant.call("GET", f"/events?limit=200&bus=dry-end&{query}").json()["events"]
+    return found
+
+
+def _dead(pid: int) -> bool:
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
