@@ -1,0 +1,267 @@
+"""GET /api/v1/history and its relatives: the contract, the limits, the refusals."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import time
+from collections.abc import AsyncIterator
+from datetime import UTC, datetime
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import httpx
+import pytest
+from fastapi import FastAPI
+from pyarrow import parquet
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from app.audit.log import EventLog
+from app.database import Database
+from app.history.api import router
+from app.history.service import History
+from app.settings import Server, Settings, Site
+from app.web.access import Person, Role
+from app.web.problems import install
+from bus.contract import UnitLink
+from tests.app.history_line import BUS, NOON, parameter, polls, until
+
+
+class AsViewer:
+    """Whoever asks is a viewer, or nobody with the header X-Nobody."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if b"x-nobody" not in dict(scope.get("headers", [])):
+            scope["person"] = Person("viewer", Role.VIEWER, "token")
+        await self.app(scope, receive, send)
+
+
+@pytest.fixture
+async def history(tmp_path: Path) -> AsyncIterator[History]:
+    settings = Settings(site=Site(time_zone="Europe/Berlin"), server=Server(data=tmp_path), bus=(BUS,))
+    history = History(settings)
+    history.start()
+    yield history
+    history.close()
+
+
+@pytest.fixture
+async def client(history: History, tmp_path: Path) -> AsyncIterator[httpx.AsyncClient]:
+    database = Database(tmp_path / "lineside.db")
+    events = EventLog(database, clock=lambda: NOON + 5)
+    await events.record(kind="mode", what="mode", bus="dry-end", unit=1, old="LOCAL", new="REMOTE")
+    await events.record(kind="mode", what="mode", bus="dry-end", unit=2, old="LOCAL", new="REMOTE")
+    await events.record(kind="login", what="signed in", who="anna")
+    app = FastAPI()
+    app.state.services = SimpleNamespace(history=history, events=events)
+    app.include_router(router)
+    app.add_middleware(AsViewer)
+    install(app)
+    transport = httpx.ASGITransport(app)
+    async with httpx.AsyncClient(transport=transport, base_url="http://line/api/v1") as client:
+        yield client
+    database.close()
+
+
+def at(offset: float) -> str:
+    return datetime.fromtimestamp(NOON + offset, UTC).isoformat()
+
+
+def query(**changes: Any) -> dict[str, Any]:
+    asked = {"bus": "dry-end", "unit": 1, "value": "actual", "from": at(0), "to": at(20), "points": 1000}
+    return {name: value for name, value in {**asked, **changes}.items() if value is not None}
+
+
+def fill(history: History) -> None:
+    """Twenty seconds of readings with a silence of three."""
+    history.append(
+        "dry-end", [parameter(3, 1), parameter(22, 0), parameter(23, 100), *polls(NOON, NOON + 10)]
+    )
+    history.append("dry-end", [UnitLink(1, NOON + 11, "offline"), UnitLink(1, NOON + 13, "online")])
+    history.append("dry-end", polls(NOON + 13, NOON + 20))
+    until(lambda: history.status.waiting == 0)
+
+
+async def test_columns_in_display_units_with_a_null_for_the_silence(
+    client: httpx.AsyncClient, history: History
+) -> None:
+    fill(history)
+    found = (await client.get("/history", params=query())).json()
+    assert len({len(found[name]) for name in ("t", "min", "max", "avg")}) == 1
+    assert found["min"] == found["max"] == found["avg"]
+    assert found["avg"][:3] == [100.0, 100.1, 100.2]
+    hole = found["avg"].index(None)
+    assert at(9.8) <= found["t"][hole] <= at(13)
+    assert (found["decimals"], found["resolution"], found["bucket_s"]) == (1, "readings", 0)
+    moments = [datetime.fromisoformat(t) for t in found["t"]]
+    assert moments == sorted(moments)
+    assert all(moment.tzinfo is not None for moment in moments)
+
+
+async def test_fewer_points_keep_the_extremes(client: httpx.AsyncClient, history: History) -> None:
+    fill(history)
+    found = (await client.get("/history", params=query(points=8))).json()
+    assert len(found["t"]) <= 8
+    assert min(v for v in found["min"] if v is not None) == 100.0
+    assert max(v for v in found["max"] if v is not None) == 100.6
+    assert found["bucket_s"] > 0
+
+
+@pytest.mark.parametrize(
+    "value", ["commanded", "analog", "run", "estop", "slave", "output.6", "at_speed", "remote"]
+)
+async def test_every_kind_of_value_is_there(client: httpx.AsyncClient, history: History, value: str) -> None:
+    fill(history)
+    found = (await client.get("/history", params=query(value=value))).json()
+    wanted = {"commanded": 100.0, "analog": 20.0, "run": 1.0, "at_speed": 1.0, "remote": 1.0}
+    assert {v for v in found["avg"] if v is not None} == {wanted.get(value, 0.0)}
+
+
+async def test_a_unit_that_was_never_heard_has_empty_columns(client: httpx.AsyncClient) -> None:
+    found = (await client.get("/history", params=query())).json()
+    assert (found["t"], found["avg"]) == ([], [])
+
+
+@pytest.mark.parametrize(
+    ("changes", "status", "word"),
+    [
+        ({"from": at(20), "to": at(0)}, 422, "begin before it ends"),
+        ({"to": at(0)}, 422, "begin before it ends"),
+        ({"from": "2026-11-21T12:00:00"}, 422, "zone"),
+        ({"to": "yesterday"}, 422, "ISO 8601"),
+        ({"points": 1_000_000}, 422, "20000"),
+        ({"points": 0}, 422, "from 1"),
+        ({"points": "many"}, 422, "points"),
+        ({"value": "torque"}, 422, "commanded"),
+        ({"value": "output.7"}, 422, "output.6"),
+        ({"unit": 9}, 404, "unit 9"),
+        ({"bus": "wet-end"}, 404, "dry-end"),
+        ({"bus": None}, 422, "bus"),
+        ({"format": "stars"}, 422, "format"),
+    ],
+)
+async def test_what_cannot_be_answered_is_refused_in_words(
+    client: httpx.AsyncClient, changes: dict[str, Any], status: int, word: str
+) -> None:
+    answer = await client.get("/history", params=query(**changes))
+    assert answer.status_code == status
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert word in answer.json()["detail"]
+
+
+async def test_a_plus_that_nobody_escaped_is_understood(client: httpx.AsyncClient, history: History) -> None:
+    fill(history)
+    span = f"from={at(0)}&to={at(20)}"
+    assert "+" in span
+    found = await client.get(f"/history?bus=dry-end&unit=1&value=actual&{span}")
+    assert found.status_code == 200
+    assert len(found.json()["t"]) > 50
+
+
+async def test_nobody_may_not(client: httpx.AsyncClient) -> None:
+    assert (await client.get("/history", params=query(), headers={"X-Nobody": "1"})).status_code == 401
+
+
+async def test_several_values_come_together(client: httpx.AsyncClient, history: History) -> None:
+    fill(history)
+    series = ["dry-end/1/actual", "dry-end/1/run"]
+    params = {"series": series, "from": at(0), "to": at(20), "format": "epoch"}
+    found = (await client.get("/history/series", params=params)).json()
+    assert [(one["unit"], one["value"]) for one in found] == [(1, "actual"), (1, "run")]
+    assert found[0]["t"][0] == NOON
+    refused = await client.get("/history/series", params={**params, "series": ["dry-end/1/actual"] * 33})
+    assert refused.status_code == 422
+    assert (await client.get("/history/series", params={**params, "series": ["dry-end"]})).status_code == 422
+
+
+async def test_small_pictures_of_many_units(client: httpx.AsyncClient, history: History) -> None:
+    fill(history)
+    params = {"series": ["dry-end/1/actual"], "from": at(0), "to": at(20)}
+    found = (await client.get("/history/sparks", params=params)).json()
+    assert len(found["dry-end/1/actual"]["t"]) <= 120
+    assert None in found["dry-end/1/actual"]["avg"]
+
+
+async def test_marks_are_what_happened_to_the_units_shown(client: httpx.AsyncClient) -> None:
+    params = {"from": at(0), "to": at(20), "unit": ["dry-end/1"]}
+    found = (await client.get("/history/marks", params=params)).json()
+    assert [(mark["kind"], mark["unit"], mark["t"]) for mark in found["marks"]] == [("mode", 1, NOON + 5)]
+    assert found["more"] is False
+    later = (await client.get("/history/marks", params={"from": at(10), "to": at(20)})).json()
+    assert later["marks"] == []
+
+
+async def test_csv_names_units_and_time_zone(client: httpx.AsyncClient, history: History) -> None:
+    fill(history)
+    series = ["dry-end/1/actual", "dry-end/1/run"]
+    answer = await client.get("/history/export", params={"series": series, "from": at(0), "to": at(20)})
+    assert answer.headers["content-type"] == "text/csv; charset=utf-8"
+    assert ".csv" in answer.headers["content-disposition"]
+    rows = list(csv.reader(io.StringIO(answer.text)))
+    assert rows[0] == ["time [Europe/Berlin]", "dry-end/1 actual", "dry-end/1 run", "note"]
+    assert rows[1] == ["2026-11-21T13:00:00.000+01:00", "100.0", "1", ""]
+    holes = [row for row in rows[1:] if row[-1]]
+    assert [(row[1], row[3]) for row in holes] == [("", "no readings of dry-end/1")]
+    assert len(rows) == 1 + 50 + 1 + 35
+
+
+async def test_parquet_holds_the_same(client: httpx.AsyncClient, history: History) -> None:
+    fill(history)
+    params = {"series": ["dry-end/1/actual"], "from": at(0), "to": at(20), "format": "parquet"}
+    answer = await client.get("/history/export", params=params)
+    table = parquet.read_table(io.BytesIO(answer.content))
+    assert table.schema.metadata[b"time_zone"] == b"Europe/Berlin"
+    values = table.column("dry-end/1 actual").to_pylist()
+    assert len(values) == 50 + 1 + 35
+    assert values[:2] == [100.0, 100.1]
+    assert table.column("time").to_pylist()[0] == datetime.fromtimestamp(NOON, UTC)
+
+
+async def test_an_export_by_minutes_has_least_greatest_and_average(
+    client: httpx.AsyncClient, history: History
+) -> None:
+    fill(history)
+    params = {"series": ["dry-end/1/actual"], "from": at(0), "to": at(20), "resolution": "minutes"}
+    rows = list(csv.reader(io.StringIO((await client.get("/history/export", params=params)).text)))
+    assert rows[0][1:4] == [f"dry-end/1 actual {part}" for part in ("min", "max", "avg")]
+    assert [rows[1][1], rows[1][2]] == ["100.0", "100.6"]
+
+
+async def test_an_export_of_nothing_has_its_headings(client: httpx.AsyncClient) -> None:
+    answer = await client.get("/history/export", params={"series": ["dry-end/1/actual"]})
+    assert answer.text.splitlines() == ["time [Europe/Berlin],dry-end/1 actual,note"]
+
+
+async def test_a_store_that_fails_is_said_and_the_rest_goes_on(tmp_path: Path) -> None:
+    (tmp_path / "history.db").write_bytes(b"rubbish" * 1000)
+    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)))
+    history.start()
+    app = FastAPI()
+    app.state.services = SimpleNamespace(history=history)
+    app.include_router(router)
+    app.add_middleware(AsViewer)
+    install(app)
+    base = "http://line/api/v1"
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url=base) as client:
+        status = (await client.get("/history/status")).json()
+        assert status["state"] == "failed"
+        answer = await client.get("/history", params=query())
+        assert answer.status_code == 503
+        assert "history is off" in json.loads(answer.content)["detail"]
+    history.append("dry-end", polls(NOON, NOON + 1))
+    history.close()
+
+
+async def test_the_last_hour_is_meant_when_no_span_is_said(
+    client: httpx.AsyncClient, history: History
+) -> None:
+    now = time.time()
+    history.append("dry-end", polls(now - 60, now - 50))
+    until(lambda: history.status.waiting == 0)
+    found = (await client.get("/history", params=query(**{"from": None, "to": None}))).json()
+    assert len(found["t"]) == 50
