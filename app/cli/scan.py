@@ -6,6 +6,7 @@ import asyncio
 import json
 import sys
 from collections.abc import Sequence
+from functools import partial
 from typing import Annotated, Any
 
 import typer
@@ -101,9 +102,8 @@ async def _scan(
     scans = []
     for baud in bauds:
         with typer.progressbar(length=len(addresses), label=f"{baud:>5} baud", file=sys.stderr) as bar:
-            scans.append(
-                await scan_baud(port, baud, addresses, turnaround_s, lambda _unit, bar=bar: bar.update(1))
-            )
+            done = partial(bar.update, 1)
+            scans.append(await scan_baud(port, baud, addresses, turnaround_s, done))
         if scans[-1].found and not every_baud:
             break
     return scans

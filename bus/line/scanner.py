@@ -73,6 +73,8 @@ async def _opened(port: str, baud: int, turnaround_s: float) -> AsyncIterator[_L
         yield _Line(opened, ear, baud, turnaround_s)
     finally:
         opened.close()
+        # The transport gives the device back in the loop's next turn; until then it is in use by us.
+        await asyncio.sleep(0)
 
 
 class _Ear:

@@ -1,0 +1,180 @@
+"""``lineside scan`` over a pseudo-terminal, with simulated units behind it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+import serial
+import typer
+from typer.testing import CliRunner, Result
+
+from app.cli import scan
+from app.cli.scan import announcement, bauds_to_try
+from bus.settings import Dialect
+from bus.simulator.faults import Faults, Kind
+from bus.simulator.line import SimulatedLine
+from bus.simulator.memory import Memory, Prm
+from bus.simulator.plant import Plant
+from bus.simulator.ports import PtyPort
+from bus.simulator.section import Section
+from bus.simulator.serve import LineServer
+from bus.simulator.unit import Traits, Unit
+
+cli = typer.Typer()
+scan.register(cli)
+
+
+def unit(address: int, baud: int = 9600, **traits: Any) -> Unit:
+    return Unit(Memory({Prm.ADDRESS: address, Prm.BAUD: baud // 100}), Traits(**traits))
+
+
+@contextmanager
+def line(*units: Unit, faults: Faults | None = None) -> Iterator[str]:
+    sections = [Section(one, seed=number) for number, one in enumerate(units)]
+    simulated = SimulatedLine(Plant(sections), faults or Faults(1))
+    with LineServer(simulated, PtyPort()) as server:
+        yield server.port.name
+
+
+def run(port: str, *options: str) -> Result:
+    return CliRunner().invoke(cli, ["--port", port, *options])
+
+
+def scanned(port: str, *options: str) -> dict[str, Any]:
+    result = run(port, "--json", "--last", "6", *options)
+    assert result.exit_code == 0, result.output
+    answer: dict[str, Any] = json.loads(result.stdout)
+    return answer
+
+
+def by_id(answer: dict[str, Any]) -> dict[int, dict[str, Any]]:
+    return {one["id"]: one for one in answer["units"]}
+
+
+def test_units_of_different_age_and_dialect() -> None:
+    with line(
+        unit(1),
+        unit(3, last_parameter=20),
+        unit(4, dialect=Dialect(parameter_numbers="bcd")),
+        unit(6, dialect=Dialect(parameter_reply_bytes=4, checksum_10h="twice")),
+    ) as port:
+        found = by_id(scanned(port, "--baud", "9600"))
+    assert sorted(found) == [1, 3, 4, 6]
+    assert {one["kind"] for one in found.values()} == {"digimax"}
+    assert {one["baud"] for one in found.values()} == {9600}
+    assert found[1]["parameters"] == list(range(1, 41))
+    assert found[3]["parameters"] == list(range(1, 21))
+    assert [found[address]["parameter_numbers"] for address in (1, 4)] == ["binary", "bcd"]
+    assert found[4]["parameters"] == list(range(1, 41))
+    assert found[6]["parameter_reply_bytes"] == [4]
+
+
+def test_the_baud_rate_is_found_from_the_fastest_on() -> None:
+    with line(unit(2, baud=4800)) as port:
+        answer = scanned(port)
+    assert [tried["baud"] for tried in answer["bauds"]] == [9600, 4800]
+    assert by_id(answer)[2]["baud"] == 4800
+
+
+def test_two_units_at_one_address_garble_each_other() -> None:
+    with line(unit(1), unit(2), unit(2)) as port:
+        found = by_id(scanned(port, "--baud", "9600"))
+    assert found[1]["kind"] == "digimax"
+    assert found[2]["kind"] == "garbled"
+    assert "two units" in found[2]["remarks"][0]
+
+
+def test_a_device_that_is_no_digimax() -> None:
+    faults = Faults(1)
+    faults.set(Kind.WRONG_LENGTH, 1.0, unit=2)
+    with line(unit(1), unit(2), faults=faults) as port:
+        found = by_id(scanned(port, "--baud", "9600"))
+    assert (found[1]["kind"], found[2]["kind"]) == ("digimax", "foreign")
+
+
+def test_a_unit_that_answers_to_every_address() -> None:
+    faults = Faults(1)
+    faults.set(Kind.EVERYBODY, 1.0, unit=3)
+    with line(unit(3), faults=faults) as port:
+        answer = scanned(port, "--baud", "9600")
+    assert answer["remarks"] == ["unit 3 answers to addresses that are not its own (5 of them)"]
+
+
+def test_an_adapter_that_hears_itself() -> None:
+    faults = Faults(1)
+    faults.set(Kind.ECHO, 1.0)
+    with line(unit(2), faults=faults) as port:
+        answer = scanned(port, "--baud", "9600")
+    assert by_id(answer)[2]["kind"] == "digimax"
+    assert "half duplex" in answer["remarks"][0]
+
+
+def test_words_for_people() -> None:
+    with line(unit(2)) as port:
+        result = run(port, "--baud", "9600", "--last", "3")
+    assert result.exit_code == 0
+    assert result.stdout.startswith(
+        "unit 2 at 9600 baud: DIGIMAX IV, parameters 1 to 40, remote, answers within"
+    )
+    assert "addresses 1 to 3, at 9600 baud" in result.stderr
+
+
+def test_nothing_there() -> None:
+    with line(unit(9)) as port:
+        result = run(port, "--baud", "9600", "--last", "3", "--json")
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["units"] == []
+    assert "nothing answered at 9600 baud" in result.stderr
+
+
+def test_a_line_that_talks_unasked_is_not_scanned() -> None:
+    faults = Faults(1)
+    faults.set(Kind.FLOOD, 1.0)
+    with line(unit(2), faults=faults) as port:
+        result = run(port, "--baud", "9600", "--last", "3")
+    assert result.exit_code == 1
+    assert "nobody asked" in result.stderr
+
+
+def test_a_port_that_is_not_there() -> None:
+    result = run("/dev/no-such-port")
+    assert result.exit_code == 1
+    assert "lineside: /dev/no-such-port is not there" in result.stderr
+
+
+def test_a_port_that_another_program_holds() -> None:
+    with line(unit(2)) as port, serial.Serial(port, exclusive=True):
+        result = run(port, "--baud", "9600")
+    assert result.exit_code == 1
+    assert "is in use" in result.stderr
+
+
+def test_a_port_that_is_no_serial_port() -> None:
+    assert run(os.devnull).exit_code == 1
+
+
+@pytest.mark.parametrize("options", [["--baud", "19200"], ["--first", "7", "--last", "3"], ["--last", "256"]])
+def test_wrong_use(options: Sequence[str]) -> None:
+    assert run("/dev/no-such-port", *options).exit_code == 2
+
+
+def test_a_device_server_keeps_its_own_baud_rate() -> None:
+    assert bauds_to_try("socket://10.0.0.1:4001", None) == (9600,)
+    assert bauds_to_try("socket://10.0.0.1:4001", 300) == (300,)
+    assert bauds_to_try("/dev/ttyUSB0", None) == (9600, 4800, 2400, 1200, 600, 300)
+
+
+def test_it_says_beforehand_how_long_it_takes() -> None:
+    every = range(1, 256)
+    assert "at 9600 baud: about 17 s;" in announcement("P", (9600,), every, 0.05, False)
+    six = announcement("P", (9600, 4800, 2400, 1200, 600, 300), every, 0.05, False)
+    assert "9600 baud, about 17 s, then the slower ones until something answers: 3 min 46 s at most" in six
+    assert "all six baud rates: about 3 min 46 s" in announcement(
+        "P", (9600, 4800, 2400, 1200, 600, 300), every, 0.05, True
+    )
+    assert "address 7, at 300 baud: about 1 s" in announcement("P", (300,), range(7, 8), 0.05, False)

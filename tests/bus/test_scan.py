@@ -1,0 +1,222 @@
+"""The rules of a scan, with made-up outcomes: what one address is taken for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+
+from bus.line.scan import (
+    Found,
+    Outcome,
+    Question,
+    conclude,
+    examine,
+    number_for_checksum_10h,
+    silent_seconds,
+)
+from bus.settings import Dialect
+from bus.wire.commands import (
+    Nak,
+    ParameterReply,
+    ReadParameter,
+    ReadStatus,
+    StatusReply,
+    encode_request,
+    is_write,
+)
+
+Answering = Callable[[Question], Outcome]
+SILENCE = Outcome()
+GARBAGE = Outcome(spoilt=True)
+
+
+def unit(address: int = 5, *, last: int = 40, bcd: bool = False, twice: bool = False) -> Answering:
+    """A unit as the manual has it, but for what is asked otherwise."""
+
+    def answer(question: Question) -> Outcome:
+        request = question.request
+        if isinstance(request, ReadStatus):
+            return Outcome(StatusReply(address, 0, 0, 0, 0x40, 2), answered_after_s=0.002)
+        assert isinstance(request, ReadParameter)
+        if encode_request(request, Dialect())[-1] == 0x10 and question.doubled is not twice:
+            return SILENCE
+        number = request.number // 16 * 10 + request.number % 16 if bcd else request.number
+        if number > last:
+            return Outcome(Nak(address, 0x82))
+        return Outcome(ParameterReply(address, address if number == 17 else 0, 4))
+
+    return answer
+
+
+def outcome_of(answering: Answering, address: int = 5) -> tuple[Found | None, list[Question]]:
+    examination = examine(address, 9600)
+    asked: list[Question] = []
+    try:
+        question = next(examination)
+        while True:
+            asked.append(question)
+            question = examination.send(answering(question))
+    except StopIteration as end:
+        return end.value, asked
+
+
+def found(answering: Answering, address: int = 5) -> Found:
+    one, asked = outcome_of(answering, address)
+    assert one is not None
+    assert not any(is_write(question.request) for question in asked)
+    assert all(getattr(question.request, "number", 0) != 21 for question in asked)
+    return one
+
+
+def test_a_silent_address_is_asked_once() -> None:
+    one, asked = outcome_of(lambda _: SILENCE)
+    assert one is None
+    assert asked == [Question(ReadStatus(5))]
+
+
+def test_a_unit() -> None:
+    one = found(unit())
+    assert (one.kind, one.parameters, one.remarks) == ("digimax", tuple(range(1, 41)), ())
+    assert (one.own_address, one.counts_in_bcd, one.remote, one.reply_bytes) == (5, False, True, (4,))
+    assert one.checksum_10h == "once"
+    assert one.answered_within_s == 0.002
+
+
+@pytest.mark.parametrize("last", [1, 16, 19, 20, 22, 33, 39, 40])
+def test_how_far_the_list_goes(last: int) -> None:
+    one = found(unit(last=last))
+    assert one.parameters == tuple(range(1, last + 1))
+    assert (f"has the parameters 1 to {last} only" in one.remarks) == (last < 40)
+
+
+def test_between_two_parameters_81h_is_asked() -> None:
+    """So that no answer to 85h, late or doubled, can pass for another one's."""
+    _, asked = outcome_of(unit(last=20))
+    commands = [question.request.COMMAND for question in asked]
+    assert all(not (a == b == ReadParameter.COMMAND) for a, b in pairwise(commands))
+
+
+def test_a_unit_that_counts_in_bcd() -> None:
+    one = found(unit(bcd=True))
+    assert one.counts_in_bcd
+    assert one.own_address == 5
+    assert one.parameters == tuple(range(1, 41))
+    assert 'parameter_numbers = "bcd"' in one.remarks[0]
+
+
+def test_a_unit_that_answers_for_another_address() -> None:
+    def answer(question: Question) -> Outcome:
+        outcome = unit(5)(question)
+        wrong = isinstance(outcome.reply, ParameterReply) and outcome.reply.raw == 5
+        return replace(outcome, reply=ParameterReply(5, 9, 4)) if wrong else outcome
+
+    one = found(answer)
+    assert one.own_address == 9
+    assert "#17 says 9, not 5" in one.remarks[0]
+
+
+def test_a_unit_that_wants_a_checksum_of_10h_twice() -> None:
+    assert found(unit(twice=True)).checksum_10h == "twice"
+
+
+def test_a_unit_that_sends_a_checksum_of_10h_twice() -> None:
+    one = found(lambda question: replace(unit()(question), checksum_10h="twice"))
+    assert one.checksum_10h == "twice"
+    assert any('checksum_10h = "twice"' in remark for remark in one.remarks)
+
+
+def test_two_units_that_garble_every_answer() -> None:
+    one = found(lambda _: GARBAGE)
+    assert one.kind == "garbled"
+    assert "two units" in one.remarks[0]
+
+
+def test_two_units_that_let_some_answers_through() -> None:
+    turns = iter(range(1000))
+    one = found(lambda question: unit()(question) if next(turns) % 2 == 0 else GARBAGE)
+    assert one.kind == "garbled"
+
+
+def test_two_units_that_answer_one_after_the_other() -> None:
+    one = found(lambda question: replace(unit()(question), twice=True))
+    assert one.kind == "garbled"
+
+
+def test_a_little_noise_makes_a_remark_only() -> None:
+    turns = iter(range(1000))
+    one = found(lambda question: replace(unit()(question), spoilt=next(turns) == 2))
+    assert one.kind == "digimax"
+    assert "1 of " in one.remarks[0]
+
+
+def test_noise_that_does_not_come_again_is_nobody() -> None:
+    outcomes = iter([GARBAGE])
+    assert outcome_of(lambda _: next(outcomes, SILENCE))[0] is None
+
+
+def test_what_refuses_81h_is_no_digimax() -> None:
+    one = found(lambda _: Outcome(Nak(5, 0x89)))
+    assert one.kind == "foreign"
+    assert "89h" in one.remarks[0]
+
+
+def test_what_answers_in_frames_of_another_shape_is_no_digimax() -> None:
+    one = found(lambda _: Outcome(strange=True))
+    assert one.kind == "foreign"
+
+
+def test_a_unit_that_answers_81h_only() -> None:
+    def answer(question: Question) -> Outcome:
+        return unit()(question) if isinstance(question.request, ReadStatus) else SILENCE
+
+    one = found(answer)
+    assert one.kind == "digimax"
+    assert one.parameters == ()
+    assert "does not say its own address (#17)" in one.remarks
+    assert one.checksum_10h is None
+
+
+@pytest.mark.parametrize("address", [address for address in range(1, 256) if address != 107])
+def test_every_address_but_one_has_a_read_whose_checksum_is_10h(address: int) -> None:
+    request = ReadParameter(address, number_for_checksum_10h(address))
+    assert encode_request(request, Dialect())[-1] == 0x10
+
+
+def test_the_address_whose_read_would_be_of_parameter_0() -> None:
+    assert number_for_checksum_10h(107) == 0
+    assert found(unit(107), 107).checksum_10h is None
+
+
+def test_the_read_of_the_password_is_left_out() -> None:
+    assert number_for_checksum_10h(86) == 21
+    assert found(unit(86), 86).kind == "digimax"
+
+
+def test_a_silent_address_costs_the_request_the_turnaround_and_a_byte() -> None:
+    assert silent_seconds(9600, 0.050) == pytest.approx(8 * 10 / 9600 + 0.050 + 0.010)
+    assert silent_seconds(300, 0.0) == pytest.approx(8 * 10 / 300 + 0.010)
+
+
+def test_one_unit_behind_many_addresses() -> None:
+    strays = [Found(address, 9600, "digimax", own_address=7) for address in (5, 6, 7, 8)]
+    assert conclude(strays) == ["unit 7 answers to addresses that are not its own (3 of them)"]
+    assert conclude(strays[2:]) == []
+
+
+def test_the_dialect_of_the_bus() -> None:
+    (remark,) = conclude([Found(5, 9600, "digimax", checksum_10h="twice"), Found(6, 9600, "digimax")])
+    assert 'checksum_10h = "twice"' in remark
+
+
+def test_what_the_app_is_told() -> None:
+    told = Found(5, 9600, "digimax", (1, 2), ("a remark",)).for_contract()
+    assert (told.unit, told.baud, told.kind, told.parameters, told.remarks) == (
+        5,
+        9600,
+        "digimax",
+        [1, 2],
+        ["a remark"],
+    )
