@@ -22,6 +22,7 @@ from app.feed import socket as feed
 from app.history import api as history_api
 from app.history import pages as history_pages
 from app.live import api as live_api
+from app.live import install as live_install
 from app.live import pages as live_pages
 from app.live import socket as live_socket
 from app.recipes import api as recipes_api
@@ -48,6 +49,7 @@ FEATURES = (
     feed,
     live_api,
     live_socket,
+    live_install,
     live_pages,
     commands_api,
     safeguards_api,

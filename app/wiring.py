@@ -105,6 +105,7 @@ def build(settings: Settings, *, demo: bool) -> Services:
     sets = SetKeeper(live, reader, SetStore(database), events, local_time)
     hub = Hub(live, templates, time)
     hub.block, hub.watch = safeguards.block_reason, workers.watch
+    hub.holder = safeguards.holder
     safeguards.on_block(hub.refresh_unit)
     return Services(
         settings=settings,

@@ -1,0 +1,207 @@
+"""Deny by default: every route and every WebSocket, as nobody and as each role."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from fastapi import APIRouter, FastAPI
+from starlette.testclient import TestClient, WebSocketDenialResponse
+
+from app.auth import rules
+from app.auth.access import COOKIE, PUBLIC_PATHS
+from app.main import create_app
+from app.web.access import Role
+from app.web.routes import demands, refuse_undeclared
+from tests.app.whole_app import EVERY_ROLE, HOST, PASSWORD, House, settings_in, whole_app
+
+FILLED = {"bus": "dry-end", "unit": "1", "number": "1", "name": "nobody", "version": "x"}
+SIGNING_IN = {"/login", "/login/panel"}
+"""They refuse an empty form by 401."""
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+def filled(path: str) -> str:
+    return re.sub(r"\{(\w+)(?::\w+)?\}", lambda found: FILLED.get(found[1], "1"), path)
+
+
+def http_calls(app: FastAPI) -> Iterator[tuple[str, str, set[Role | None]]]:
+    for route, roles in demands(app):
+        for method in sorted(route.methods or ()):
+            if method != "HEAD":
+                yield method, filled(route.path or ""), roles
+
+
+def sockets(app: FastAPI) -> list[tuple[str, set[Role | None]]]:
+    return [(filled(route.path or ""), roles) for route, roles in demands(app) if not route.methods]
+
+
+def may(role: Role, roles: set[Role | None]) -> bool:
+    return all(wanted is None or role.includes(wanted) for wanted in roles)
+
+
+def is_refusal_for_role(answer: httpx.Response) -> bool:
+    if answer.status_code != 403:
+        return False
+    return "this needs the role" in answer.text
+
+
+async def test_nobody_gets_nothing_but_what_is_public(house: House) -> None:
+    client = house.client(accept="text/html")
+    seen = 0
+    for method, path, roles in http_calls(house.app):
+        answer = await client.request(method, path)
+        seen += 1
+        if None in roles:
+            assert path in SIGNING_IN or answer.status_code not in (401, 403), path
+            assert path in PUBLIC_PATHS or path.startswith("/static/"), path
+        elif path.startswith("/api/") or path == "/metrics":
+            assert answer.status_code == 401, (method, path)
+            assert answer.headers["www-authenticate"] == "Bearer"
+            assert answer.json()["code"] == "unauthorized"
+        else:
+            assert answer.status_code == 303, (method, path)
+            assert answer.headers["location"].startswith("/login"), path
+    assert seen > 50
+
+
+@pytest.mark.parametrize("role", EVERY_ROLE)
+async def test_each_role_gets_what_it_may_and_nothing_else(house: House, role: Role) -> None:
+    program = await house.program(role)
+    for method, path, roles in http_calls(house.app):
+        if path in SIGNING_IN:
+            continue
+        answer = await program.request(method, path, headers={"accept": "application/json"})
+        assert answer.status_code != 401, (method, path)
+        assert answer.status_code < 500 or answer.status_code in (503, 504), (method, path, answer.text)
+        assert is_refusal_for_role(answer) is not may(role, roles), (method, path, role, answer.text)
+
+
+@pytest.mark.parametrize("role", [None, *EVERY_ROLE])
+def test_each_websocket(tmp_path: Path, role: Role | None) -> None:
+    app = create_app(settings_in(tmp_path))
+    with TestClient(app) as client:
+        headers = {}
+        if role:
+            make = app.state.services.accounts.create_token
+            token = client.portal.call(lambda: make("t", role, by="t", origin="t"))  # type: ignore[union-attr]
+            headers["authorization"] = f"Bearer {token}"
+        paths = sockets(app)
+        assert {path for path, _ in paths} >= {"/live", "/feed"}
+        for path, roles in paths:
+            if role and may(role, roles):
+                with client.websocket_connect(path, headers=headers):
+                    pass
+                continue
+            with (
+                pytest.raises(WebSocketDenialResponse) as refused,
+                client.websocket_connect(path, headers=headers),
+            ):
+                pass
+            assert refused.value.status_code == (403 if role else 401), path
+
+
+async def test_an_unknown_path_tells_nobody_anything(house: House) -> None:
+    assert (await house.client().get("/api/v1/nowhere")).status_code == 401
+    assert (await house.client(accept="text/html").get("/nowhere")).status_code == 303
+
+
+async def test_a_route_that_declares_nothing_stops_the_start() -> None:
+    app, router = FastAPI(openapi_url=None), APIRouter()
+
+    @router.get("/forgotten")
+    def forgotten() -> None: ...
+
+    app.include_router(router)
+    with pytest.raises(RuntimeError, match="/forgotten declares no role"):
+        refuse_undeclared(app)
+
+
+@pytest.mark.parametrize(
+    "header", ["Bearer nonsense", "bearer ", "Bearer", "BEARER \tx", "Bearer " + "x" * 9000]
+)
+async def test_a_bad_token_is_refused_even_with_a_good_cookie(house: House, header: str) -> None:
+    client = await house.signed_in(Role.ADMIN)
+    answer = await client.get("/api/v1/line", headers={"authorization": header})
+    assert (answer.status_code, answer.json()["code"]) == (401, "unauthorized")
+
+
+async def test_a_token_opens_pages_and_a_cookie_the_api(house: House) -> None:
+    program, browser = await house.program(Role.VIEWER), await house.signed_in(Role.VIEWER)
+    assert (await program.get("/events")).status_code == 200
+    assert (await browser.get("/api/v1/line")).status_code == 200
+
+
+async def test_a_session_that_is_over(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = await house.signed_in(Role.OPERATOR)
+    now = house.services.sign_in._clock() + rules.PERSON_LIFETIME.idle_s
+    monkeypatch.setattr(house.services.sign_in, "_clock", lambda: now)
+    assert (await client.get("/api/v1/line")).status_code == 401
+    page = await client.get("/events?unit=1", headers={"accept": "text/html"})
+    assert (page.status_code, page.headers["location"]) == (303, "/login?next=/events%3Funit%3D1")
+    fragment = {"hx-request": "true", "hx-current-url": f"http://{HOST}/units/dry-end/1?x=1"}
+    swapped = await client.post("/line/zero", headers=fragment)
+    assert (swapped.status_code, swapped.headers["hx-redirect"]) == (
+        401,
+        "/login?next=/units/dry-end/1%3Fx%3D1",
+    )
+    posted = await client.post("/account/language", data={"language": "de"}, headers={"accept": "text/html"})
+    assert (posted.status_code, posted.headers["location"]) == (303, "/login")
+
+
+@pytest.mark.parametrize(
+    ("client", "host", "is_let_in"),
+    [
+        ("127.0.0.1", "127.0.0.1:8000", True),
+        ("127.0.0.1", "localhost:8000", True),
+        ("::1", "[::1]:8000", True),
+        ("192.0.2.7", "127.0.0.1:8000", False),
+        ("127.0.0.1", "evil.example:8000", False),
+        ("127.0.0.1", "127.0.0.1.evil.example", False),
+    ],
+)
+async def test_the_demo_signs_in_this_machine_only(
+    tmp_path: Path, client: str, host: str, is_let_in: bool
+) -> None:
+    async with whole_app(tmp_path, demo=True) as house:
+        house.address = client
+        answer = await house.client(host=host).get("/api/v1/me")
+        assert answer.status_code == (200 if is_let_in else 401)
+        wrong = await house.client(host=host, authorization="Bearer x").get("/api/v1/me")
+        assert wrong.status_code == 401
+
+
+async def test_without_demo_this_machine_is_nobody(house: House) -> None:
+    house.address = "127.0.0.1"
+    assert (await house.client(host="127.0.0.1").get("/api/v1/me")).status_code == 401
+
+
+async def test_signing_in_and_out(house: House) -> None:
+    client = await house.signed_in(Role.VIEWER, "ann")
+    assert (await client.get("/api/v1/me")).json() == {"name": "ann", "role": "viewer", "via": "session"}
+    cookie = client.cookies[COOKIE]
+    out = await client.post("/logout")
+    assert (out.status_code, out.headers["location"]) == (303, "/login")
+    assert COOKIE not in client.cookies
+    again = house.client(cookie=f"{COOKIE}={cookie}")
+    assert (await again.get("/api/v1/me")).status_code == 401
+
+
+async def test_the_cookie_is_kept_from_scripts_and_other_sites(house: House) -> None:
+    await house.add("ann", Role.VIEWER)
+    for scheme, secure in (("http", False), ("https", True)):
+        client = house.client()
+        url = f"{scheme}://{HOST}/login"
+        answer = await client.post(url, data={"name": "ann", "password": PASSWORD})
+        said = answer.headers["set-cookie"]
+        assert "HttpOnly" in said
+        assert "SameSite=lax" in said
+        assert ("Secure" in said) is secure

@@ -1,0 +1,121 @@
+"""What a foreign page may make a browser do: nothing. And what our own pages are forbidden."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from starlette.testclient import TestClient, WebSocketDenialResponse
+
+from app.main import create_app
+from app.web.access import Role
+from app.web.security import same_origin
+from tests.app.whole_app import HOST, House, settings_in, whole_app
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+@pytest.mark.parametrize(
+    ("origin", "host", "same"),
+    [
+        ("http://plant:8000", "plant:8000", True),
+        ("http://PLANT:8000", "plant:8000", True),
+        ("http://plant", "plant:80", True),
+        ("https://plant", "plant", True),
+        ("http://[::1]:8000", "[::1]:8000", True),
+        ("http://plant:8001", "plant:8000", False),
+        ("http://evil", "plant", False),
+        ("http://plant.evil", "plant", False),
+        ("https://plant", "plant:80", False),
+        ("null", "plant", False),
+        ("", "", False),
+        ("http://plant:x", "plant", False),
+        ("http://[", "plant", False),
+    ],
+)
+def test_whether_an_origin_is_ours(origin: str, host: str, same: bool) -> None:
+    assert same_origin(origin, host) is same
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({}, 303),
+        ({"origin": f"http://{HOST}"}, 303),
+        ({"sec-fetch-site": "same-origin"}, 303),
+        ({"origin": "http://evil.example"}, 403),
+        ({"origin": "null"}, 403),
+        ({"origin": f"http://{HOST}:81"}, 403),
+        ({"sec-fetch-site": "cross-site"}, 403),
+        ({"sec-fetch-site": "same-site"}, 403),
+    ],
+)
+async def test_what_changes_something_must_come_from_our_own_page(
+    house: House, headers: dict[str, str], status: int
+) -> None:
+    client = await house.signed_in(Role.VIEWER)
+    answer = await client.post("/account/language", data={"language": "de"}, headers=headers)
+    assert answer.status_code == status
+    [user] = await house.services.accounts.users()
+    assert user.language == ("de" if status == 303 else "")
+
+
+async def test_a_foreign_page_cannot_sign_anybody_in(house: House) -> None:
+    await house.add("ann", Role.VIEWER)
+    answer = await house.client(origin="http://evil.example").post("/login", data={"name": "ann"})
+    assert (answer.status_code, answer.json()["code"]) == (403, "foreign_origin")
+
+
+async def test_looking_is_free(house: House) -> None:
+    client = await house.signed_in(Role.VIEWER)
+    assert (await client.get("/events", headers={"origin": "http://evil.example"})).status_code == 200
+
+
+@pytest.mark.parametrize("path", ["/live", "/feed"])
+def test_a_websocket_of_a_foreign_page_is_refused_even_with_a_good_token(tmp_path: Path, path: str) -> None:
+    app = create_app(settings_in(tmp_path))
+    with TestClient(app) as client:
+        make = app.state.services.accounts.create_token
+        token = client.portal.call(lambda: make("t", Role.ENGINEER, by="t", origin="t"))  # type: ignore[union-attr]
+        headers = {"authorization": f"Bearer {token}", "origin": "http://evil.example"}
+        with (
+            pytest.raises(WebSocketDenialResponse) as refused,
+            client.websocket_connect(path, headers=headers),
+        ):
+            pass
+        assert refused.value.status_code == 403
+        headers["origin"] = "http://testserver"
+        with client.websocket_connect(path, headers=headers):
+            pass
+
+
+@pytest.mark.parametrize("path", ["/login", "/healthz", "/api/v1/line", "/static/x/nothing"])
+async def test_every_answer_forbids_the_browser_what_we_do_not_need(house: House, path: str) -> None:
+    headers = (await house.client().get(path)).headers
+    policy = headers["content-security-policy"]
+    assert "default-src 'self'" in policy
+    assert "frame-ancestors 'none'" in policy
+    assert "unsafe" not in policy
+    assert headers["x-content-type-options"] == "nosniff"
+    assert headers["referrer-policy"] == "same-origin"
+
+
+async def test_no_page_is_kept_by_a_cache(house: House) -> None:
+    client = await house.signed_in(Role.ADMIN)
+    for path in ("/events", "/users", "/account"):
+        assert (await client.get(path)).headers["cache-control"] == "no-store"
+
+
+@pytest.mark.parametrize("path", ["/", "/login", "/users", "/account", "/events", "/nowhere"])
+async def test_no_page_has_inline_script_or_style(house: House, path: str) -> None:
+    client = await house.signed_in(Role.ADMIN)
+    html = (await client.get(path, headers={"accept": "text/html"}, follow_redirects=True)).text
+    assert "<style" not in html
+    assert " style=" not in html
+    assert " onclick=" not in html
+    assert "<script>" not in html
