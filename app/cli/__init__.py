@@ -24,6 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "diff": ("diff", "What differs between a unit and a file, or two files."),
     "restore": ("restore", "Write to a unit what a file says and it does not."),
     "backup-store": ("backup_store", "A copy of the whole store of a running dashboard."),
+    "restore-store": ("backup_store", "Put such a copy in the place of the present store."),
 }
 """Name → module in this package, and its line in the help."""
 

@@ -1,0 +1,168 @@
+"""``lineside backup-store`` and ``restore-store``: every store of a dashboard in one file, and back.
+
+A copy is taken while the dashboard runs: SQLite gives each store as it is at one instant.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import sqlite3
+import tarfile
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.cli.ending import ending
+from app.cli.serve import Config
+from app.database.connection import open_for_reading
+from app.database.words import in_words
+from app.errors import StoreError
+from app.settings import load
+
+LINESIDE_TOML = Path("lineside.toml")
+MANIFEST = "manifest.json"
+ASIDE = ".before-restore"
+_COMPANIONS = ("-wal", "-shm")
+
+
+def register(cli: typer.Typer) -> None:
+    """Add both commands."""
+    cli.command("backup-store")(backup_store)
+    cli.command("restore-store")(restore_store)
+
+
+def backup_store(
+    file: Annotated[Path, typer.Argument(help="The file to write; it must not exist yet.")],
+    config: Config = LINESIDE_TOML,
+) -> None:
+    """Copy every store (events, people, sets, history) of this configuration into one file, while it runs."""
+    with ending():
+        names = write_backup(load(config).server.data, file)
+    typer.echo(f"{file}: {', '.join(names)}")
+
+
+def restore_store(
+    file: Annotated[Path, typer.Argument(help="What backup-store wrote.")],
+    config: Config = LINESIDE_TOML,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+) -> None:
+    """Put the stores of a backup in the place of the present ones, which are kept beside. The dashboard must
+    not run."""
+    with ending():
+        data = load(config).server.data
+        if not yes:
+            typer.confirm(f"Replace the stores in {data} by those of {file}?", abort=True)
+        names = read_backup(file, data)
+    typer.echo(f"{data}: {', '.join(names)} restored; what was there ends in {ASIDE}")
+
+
+def write_backup(data: Path, file: Path) -> list[str]:
+    """Copy the stores of a data folder; gives their names. Raises StoreError; then there is no file."""
+    stores = sorted(data.glob("*.db"))
+    if not stores:
+        raise StoreError(f"there is no store in {data}; nothing was served with this configuration yet")
+    if file.exists():
+        raise StoreError(f"{file} exists already; name another file")
+    with in_words(file), tempfile.TemporaryDirectory(dir=file.absolute().parent) as folder:
+        copies = [_copy(store, Path(folder)) for store in stores]
+        whole = Path(folder) / "whole.tar"
+        with tarfile.open(whole, "w") as archive:
+            _add_text(archive, MANIFEST, _manifest(copies))
+            for copy in copies:
+                archive.add(copy, copy.name)
+        whole.rename(file)
+    return [store.name for store in stores]
+
+
+def _copy(store: Path, folder: Path) -> Path:
+    copy = folder / store.name
+    with in_words(store), closing(open_for_reading(store)) as live, closing(sqlite3.connect(copy)) as target:
+        live.backup(target)
+    return copy
+
+
+def _manifest(copies: list[Path]) -> str:
+    stores = {copy.name: _digest(copy) for copy in copies}
+    return json.dumps({"lineside": version("lineside"), "time": time.time(), "stores": stores}, indent=1)
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _add_text(archive: tarfile.TarFile, name: str, text: str) -> None:
+    data = text.encode("utf-8")
+    entry = tarfile.TarInfo(name)
+    entry.size = len(data)
+    archive.addfile(entry, io.BytesIO(data))
+
+
+def read_backup(file: Path, data: Path) -> list[str]:
+    """Put the stores of a backup into a data folder; gives their names. Raises StoreError; then all is as
+    it was: every store of the backup is proved before the first is put in its place."""
+    data.mkdir(parents=True, exist_ok=True)
+    with in_words(file), tempfile.TemporaryDirectory(dir=data) as folder:
+        proved = _unpack(file, Path(folder))
+        for store in sorted(data.glob("*.db")):
+            _refuse_while_open(store)
+        for fresh in proved:
+            _put(fresh, data / fresh.name)
+    return [fresh.name for fresh in proved]
+
+
+def _unpack(file: Path, folder: Path) -> list[Path]:
+    with _archive(file) as archive:
+        manifest = archive.extractfile(MANIFEST)
+        assert manifest is not None
+        stores: dict[str, str] = json.loads(manifest.read())["stores"]
+        for name in stores:
+            archive.extract(archive.getmember(name), folder, filter="data")
+    for name, digest in stores.items():
+        _prove(folder / name, digest, file)
+    return [folder / name for name in sorted(stores)]
+
+
+@contextmanager
+def _archive(file: Path) -> Iterator[tarfile.TarFile]:
+    try:
+        with tarfile.open(file, "r:") as archive:
+            yield archive
+    except (tarfile.TarError, KeyError, AssertionError, ValueError) as error:
+        raise StoreError(f"{file} is not a backup of Lineside's stores, or damaged: {error}") from error
+
+
+def _prove(store: Path, digest: str, file: Path) -> None:
+    if _digest(store) != digest:
+        raise StoreError(f"{file} is damaged: {store.name} is not what was backed up; take another backup")
+    with in_words(store), closing(open_for_reading(store)) as connection:
+        (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+    if verdict != "ok":
+        raise StoreError(f"{file}: {store.name} is not sound ({verdict}); take another backup")
+
+
+def _refuse_while_open(store: Path) -> None:
+    """A store in WAL mode gives the exclusive lock only to whoever is alone with it."""
+    try:
+        with closing(sqlite3.connect(store, timeout=0, isolation_level=None)) as connection:
+            connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+            connection.execute("BEGIN EXCLUSIVE")
+    except sqlite3.OperationalError as error:
+        if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY:
+            raise StoreError(f"{store} is in use: end the dashboard, then restore") from error
+
+
+def _put(fresh: Path, place: Path) -> None:
+    if place.exists():
+        place.replace(place.with_name(place.name + ASIDE))
+    for companion in _COMPANIONS:
+        place.with_name(place.name + companion).unlink(missing_ok=True)
+    fresh.replace(place)
