@@ -61,11 +61,21 @@ class Server(Strict):
         return self.data / "lineside.db"
 
 
+class History(Strict):
+    """How long readings are kept."""
+
+    raw_days: Annotated[int, Field(ge=1, le=3650)] = 30
+    """Every reading itself; after that one-minute and one-hour least, greatest and average."""
+    years: Annotated[int, Field(ge=1, le=100)] = 10
+    """Those, and the bits as intervals."""
+
+
 class Settings(Strict):
     """The whole configuration."""
 
     site: Site = Site()
     server: Server = Server()
+    history: History = History()
     bus: tuple[BusSettings, ...] = ()
 
     @field_validator("bus")

@@ -27,13 +27,12 @@ def _nobody(_step_s: float, _at: float) -> None:
 class History:
     """One for the app. Opening never fails: a store that cannot be used is said by :attr:`status`."""
 
-    def __init__(
-        self, settings: Settings, keep: Keep | None = None, on_clock_step: ClockStepped = _nobody
-    ) -> None:
+    def __init__(self, settings: Settings, on_clock_step: ClockStepped = _nobody) -> None:
         self.path = settings.server.data / FILE
         self.buses = {bus.name: bus for bus in settings.bus}
         self.time_zone = settings.site.time_zone
-        self._writer = Writer(self.path, keep or Keep(), on_clock_step)
+        keep = Keep(settings.history.raw_days, settings.history.years)
+        self._writer = Writer(self.path, keep, on_clock_step)
 
     def start(self) -> None:
         """Open the store and begin to write."""

@@ -162,7 +162,7 @@ export class Picture {
           : { ...axis(), values: axisLabels, space: 90, size: 44 },
         ...axes,
       ],
-      padding: [12, margin.right, 0, margin.left],
+      padding: [12, margin.right, barefoot ? 8 : 0, margin.left],
       series,
       bands,
       legend: { show: false },
