@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bus.line.steps import Answer, Ask, Fate
+from bus.line.steps import NO_RUBBISH, Answer, Ask, Fate, Rubbish
+from bus.settings import Dialect
 from bus.wire.commands import Reply, Request, is_write
 from bus.wire.fence import Doubt
 
@@ -21,6 +22,7 @@ class Heard:
     sent_at: float
     answered_at: float | None = None
     frame: bytes = b""
+    rubbish: Rubbish = NO_RUBBISH
 
 
 class Asking:
@@ -38,11 +40,16 @@ class Asking:
         self._fences = 0
         self._unanswered = 0
         self._sent_at: float | None = None
+        self._rubbish = NO_RUBBISH
 
     @property
     def begun(self) -> bool:
         """Whether the request itself has left."""
         return self._attempts > 0
+
+    def dialect_of(self, request: Request) -> Dialect | None:
+        """How ``request`` is written, where not as the bus does."""
+        return self.ask.dialect if request == self.ask.request else None
 
     def next_request(self, now: float, doubt: Doubt) -> Request | None:
         """What to send now; None once ``answer`` is there. ``doubt``: of the unit asked."""
@@ -68,6 +75,7 @@ class Asking:
         elif heard.reply is not None:
             self._end(Fate.ANSWERED, heard)
         else:
+            self._rubbish = heard.rubbish
             self._missed()
 
     def close(self) -> None:
@@ -99,4 +107,5 @@ class Asking:
         reply = heard.reply if heard is not None else None
         answered_at = heard.answered_at if heard is not None else None
         frame = heard.frame if heard is not None else b""
-        self.answer = Answer(fate, reply, self._attempts, self._sent_at, answered_at, frame)
+        rubbish = heard.rubbish if heard is not None else self._rubbish
+        self.answer = Answer(fate, reply, self._attempts, self._sent_at, answered_at, frame, rubbish)

@@ -8,7 +8,7 @@ from enum import IntEnum
 
 from bus.contract import Result
 from bus.line.asking import Asking, Heard
-from bus.line.steps import Answer, Ask, Procedure, Retune, Tell, Unstage, Wait, Wish
+from bus.line.steps import Answer, Ask, Note, Procedure, Wait, Wish
 from bus.line.trace import Passed
 from bus.wire.commands import Request
 from bus.wire.fence import Doubt
@@ -38,7 +38,7 @@ class Errand:
     """On the line's clock."""
     wish: Wish
     begin: Callable[[], Procedure]
-    notes: Callable[[Tell | Unstage | Retune], None]
+    notes: Callable[[Note], None]
     """Hears what the procedure tells on its way."""
     frames: list[Passed] = field(default_factory=list)
     resume_at: float = 0.0
@@ -108,7 +108,7 @@ class Errand:
         assert self._procedure is not None
         try:
             step = self._procedure.send(answer)
-            while isinstance(step, Tell | Unstage | Retune):
+            while isinstance(step, Note):
                 self.notes(step)
                 step = self._procedure.send(None)
         except StopIteration as end:

@@ -20,6 +20,7 @@ from bus.errors import WireError
 from bus.line.asking import Heard
 from bus.line.clock import Alarm, Clock
 from bus.line.roster import Roster
+from bus.line.steps import NO_RUBBISH, Rubbish
 from bus.line.trace import Passed, Trace
 from bus.settings import BITS_PER_BYTE, Dialect
 from bus.wire.commands import Nak, ReadStatus, Request, longest_reply_bytes
@@ -49,6 +50,9 @@ class Port(Protocol):
 
     def drop_output(self) -> None:
         """Forget what has not left yet."""
+
+    def retune(self, baud: int) -> None:
+        """Go on at ``baud``. Raises WireError where the port cannot."""
 
     def close(self) -> None:
         """Give the port back, at once."""
@@ -94,7 +98,10 @@ class _Current:
     ends_sending: float
     """When the request's last byte has left."""
     last_moment: float
+    dialect: Dialect
     frame: bytes = b""
+    spoilt: bool = False
+    strange: bool = False
 
 
 class Link:
@@ -139,6 +146,14 @@ class Link:
         self._twice.clear()
         self._idle = None
 
+    def retune(self, baud: int) -> None:
+        """Go on at ``baud``. Raises WireError where the port cannot."""
+        if self._port is not None:
+            self._port.retune(baud)
+        self._byte_s = BITS_PER_BYTE / baud
+        self._decoder = FrameDecoder(self._dialect)
+        self._doubts = Doubts(self._dialect)
+
     def detach(self) -> Heard | None:
         """The port is gone; gives the exchange under way, which has no answer."""
         current, self._current = self._current, None
@@ -175,12 +190,16 @@ class Link:
 
     # --- one exchange --------------------------------------------------------------------------
 
-    def send(self, request: Request) -> None:
-        """Begin an exchange. Raises CallerError for a request that no frame can carry."""
+    def send(self, request: Request, dialect: Dialect | None = None) -> None:
+        """Begin an exchange, ``dialect`` where it is not the bus's own.
+
+        Raises CallerError for a request that no frame can carry.
+        """
         assert self._port is not None
         assert self._current is None
         doubt = self.doubt(request.unit)
-        exchange = Exchange(request, self._dialect, decoder=self._decoder, doubt=doubt)
+        dialect = dialect or self._dialect
+        exchange = Exchange(request, dialect, decoder=self._decoder, doubt=doubt)
         began = self._clock.now()
         try:
             self._port.write(exchange.sent)
@@ -188,10 +207,10 @@ class Link:
             self.broke(str(error))
             return
         ends_sending = began + len(exchange.sent) * self._byte_s
-        longest = longest_reply_bytes(request, self._dialect) * self._byte_s
+        longest = longest_reply_bytes(request, dialect) * self._byte_s
         window_s = self._turnaround_s + MARGIN_S if request.unit else 0.0
         last_moment = ends_sending + window_s + (longest + MARGIN_S if request.unit else 0.0)
-        self._current = _Current(exchange, began, ends_sending, last_moment)
+        self._current = _Current(exchange, began, ends_sending, last_moment, dialect)
         self._arm(ends_sending + window_s)
         self._note(began, "out", exchange.sent, request)
 
@@ -230,10 +249,14 @@ class Link:
                 statistics.late += 1
             case Unexpected():
                 statistics.foreign += 1
+        if self._current is not None and isinstance(event, Unexpected | Foreign):
+            self._current.strange = True
         self._note(now, "in", event.frame.wire, request)
 
     def _take_noise(self, noise: Noise, request: Request, now: float) -> None:
         self.counts.noise_bytes += len(noise.data)
+        if self._current is not None:
+            self._current.spoilt = True
         if noise.reason is not Fault.CHECKSUM:
             return
         self._roster[request.unit].statistics.checksum_errors += 1
@@ -251,7 +274,7 @@ class Link:
         request = current.exchange.request
         self._heard_twice(request.unit, now)
         doubt = self.doubt(request.unit)
-        current.exchange = Exchange(request, self._dialect, decoder=self._decoder, doubt=doubt)
+        current.exchange = Exchange(request, current.dialect, decoder=self._decoder, doubt=doubt)
 
     def _heard_twice(self, unit: int, now: float) -> None:
         self._roster[unit].statistics.late += 1
@@ -284,6 +307,7 @@ class Link:
             self._clock.epoch(current.ends_sending),
             self._clock.epoch(now) if exchange.reply is not None else None,
             b"" if is_secret(request) else current.frame,
+            Rubbish(current.spoilt, current.strange) if current.spoilt or current.strange else NO_RUBBISH,
         )
         self.done(heard, current.began, now)
 

@@ -6,18 +6,21 @@ from collections.abc import Callable
 
 from bus.contract import (
     Action,
+    ChangeBaud,
     ExecuteAll,
     ExecuteSpeed,
     ReadParameters,
+    ScanBus,
     SetLine,
     SetSpeed,
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
 )
-from bus.line import reads, staging, writes
+from bus.line import reads, rebaud, staging, survey, writes
 from bus.line.errand import EVERY_UNIT, NO_UNIT, Claim, Errand
 from bus.line.poller import Poller
+from bus.line.roster import Roster
 from bus.line.steps import Procedure, Wish
 from bus.wire.commands import StageSpeed, usual_reply_bytes, wire_seconds
 
@@ -42,6 +45,8 @@ def _claim(action: Action) -> tuple[Claim, frozenset[int]]:
     match action:
         case ReadParameters(urgent=urgent):
             return (Claim.READ if urgent else Claim.SLOW), NO_UNIT
+        case ScanBus():
+            return Claim.SLOW, NO_UNIT
         case SetSpeed() | ExecuteSpeed() | WriteOutput() | WriteAnalogOutput() | WriteParameter():
             return Claim.WRITE, frozenset({action.unit})
         case _:
@@ -51,24 +56,35 @@ def _claim(action: Action) -> tuple[Claim, frozenset[int]]:
 def _procedure(poller: Poller, action: Action, wish: Wish) -> Callable[[], Procedure] | None:
     roster = poller.roster
     match action:
+        case ExecuteAll():
+            return lambda: staging.execute_all(roster, wish)
+        case SetLine(setpoints=setpoints):
+            return lambda: staging.set_line(roster, setpoints, wish)
+        case ReadParameters(unit=unit, numbers=numbers):
+            return lambda: reads.read_parameters(roster[unit], numbers, wish)
+        case ChangeBaud(baud=baud):
+            own_rate = "://" not in poller.bus.port
+            return lambda: rebaud.change_baud(roster, poller.baud, baud, wish, own_rate=own_rate)
+        case ScanBus(first=first, last=last):
+            return lambda: survey.survey(roster, first, last, poller.baud, wish)
+        case _:
+            return _write(poller.roster, action, wish)
+
+
+def _write(roster: Roster, action: Action, wish: Wish) -> Callable[[], Procedure] | None:
+    match action:
         case SetSpeed(unit=unit, raw=raw, execute=True):
             return lambda: writes.set_and_execute(roster[unit], raw, wish)
         case SetSpeed(unit=unit, raw=raw):
             return lambda: writes.stage(roster[unit], raw)
         case ExecuteSpeed(unit=unit):
             return lambda: writes.execute(roster[unit], wish)
-        case ExecuteAll():
-            return lambda: staging.execute_all(roster, wish)
-        case SetLine(setpoints=setpoints):
-            return lambda: staging.set_line(roster, setpoints, wish)
         case WriteOutput(unit=unit, number=number, on=on):
             return lambda: writes.write_output(unit, number, on)
         case WriteAnalogOutput(unit=unit, raw=raw):
             return lambda: writes.write_analog_output(unit, raw)
         case WriteParameter(unit=unit, number=number, raw=raw):
             return lambda: writes.write_parameter(unit, number, raw)
-        case ReadParameters(unit=unit, numbers=numbers):
-            return lambda: reads.read_parameters(roster[unit], numbers, wish)
         case _:
             return None
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import msgspec
 
 from bus.contract import BusFigures, BusLink, Progress, Result, Update, Watch
-from bus.errors import CallerError
+from bus.errors import CallerError, WireError
 from bus.line.asking import Asking, Heard
 from bus.line.clock import Alarm, Clock
 from bus.line.errand import Claim, Errand
@@ -19,7 +19,7 @@ from bus.line.figures import Figures
 from bus.line.link import Link, Port
 from bus.line.roster import Roster
 from bus.line.schedule import Kind, Schedule, Task
-from bus.line.steps import Ask, Retune, Tell, Unstage
+from bus.line.steps import Ask, Expect, Note, Retune, Tell, Unstage
 from bus.line.trace import Interpreter, Trace
 from bus.settings import BusSettings
 from bus.wire.commands import (
@@ -37,6 +37,8 @@ ERRANDS_AT_A_STRETCH_S = 1.0
 PACE = 0.8
 """On a port faster than its baud rate a round still takes this part of the time it would on the wire."""
 CLOSED_TO_OFFLINE_S = 3.0
+LOOK_ELSEWHERE_S = 3.0
+"""How long a wholly silent line is asked at one baud rate before it is asked at the other."""
 _TRIES = {Kind.FIRST: 1, Kind.PROBE: 1}
 
 
@@ -66,6 +68,8 @@ class Poller:
         self._sending: Request | None = None
         self._routine_at = 0.0
         self._not_before = 0.0
+        self._tuned_at = clock.now()
+        self._expected_baud: int | None = None
         self._closed_at = clock.now()
         self._wake: Alarm | None = None
 
@@ -100,6 +104,31 @@ class Poller:
             return []
         self.state = BusLink(at=self.clock.epoch(self.clock.now()), link="closed", cause=cause)
         return [self.state]
+
+    def tick(self) -> None:
+        """Now and then: a line that fell silent may have come back at the rate it was given."""
+        if self._expected_baud is None or not self.link.open or self._errands:
+            return
+        if len(self.schedule.round):
+            if self.baud == self._expected_baud:
+                self._expected_baud = None
+            return
+        now = self.clock.now()
+        if now - self._tuned_at > LOOK_ELSEWHERE_S and not self.link.busy:
+            other, self._expected_baud = self._expected_baud, self.baud
+            self._retune(other)
+            self.schedule.port_opened(now)
+            self._go(now)
+
+    def _retune(self, baud: int) -> None:
+        """Everything from here on goes at ``baud``."""
+        self._tuned_at = self.clock.now()
+        try:
+            self.link.retune(baud)
+        except WireError as error:
+            cause = str(error)
+            self.clock.call_at(self._tuned_at, lambda: self.port_lost(cause))
+        self.baud = baud
 
     def still_closed(self, cause: str) -> None:
         """Another try to open it failed."""
@@ -154,6 +183,8 @@ class Poller:
         errand, self._owner = self._owner, None
         if errand is not None:
             errand.settle(heard, ended)
+            if errand.claim is Claim.SLOW:
+                self.schedule.spent(Task(Kind.SLOW), began, ended, answered=True)
         elif self._routine is not None:
             self._settle_routine(heard, began, ended)
         if not self.link.busy:
@@ -222,8 +253,9 @@ class Poller:
         errand = self._owner
         self._sending = request
         self.trace.witness = errand.frames if errand is not None else None
+        asking = errand.asking if errand is not None else None
         try:
-            self.link.send(request)
+            self.link.send(request, asking.dialect_of(request) if asking is not None else None)
         except CallerError as error:
             self.trace.witness = None
             self._owner = None
@@ -282,7 +314,6 @@ class Poller:
                 break
             request = self._errands_request(now, slow=True)
             if request is not None:
-                self.schedule.spent(task, now, now + self._exchange_s(request), answered=True)
                 self._pace(request, now)
                 return request
             slow_waits = False
@@ -335,7 +366,7 @@ class Poller:
         at = self.clock.epoch(now)
         return msgspec.structs.replace(errand.result, id=errand.id, at=at, frames=frames)
 
-    def note(self, command_id: str, step: Tell | Unstage | Retune) -> None:
+    def note(self, command_id: str, step: Note) -> None:
         """What a procedure tells on its way."""
         at = self.clock.epoch(self.clock.now())
         match step:
@@ -343,6 +374,10 @@ class Poller:
                 self._emit([Progress(command_id, at, step.stage, step.unit, step.done, step.of)])
             case Unstage():
                 self._emit(self.roster.unstage(step.unit, at))
+            case Retune(baud=baud):
+                self._retune(baud)
+            case Expect(baud=baud):
+                self._expected_baud = baud
 
 
 def _ask_of(task: Task) -> Ask:

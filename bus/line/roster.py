@@ -64,6 +64,7 @@ class Roster:
 
     def __init__(self, units: Iterable[int], at: float) -> None:
         self._configured = tuple(units)
+        self._known = frozenset(self._configured)
         self._records = {unit: _stranger(unit, at) for unit in self._configured}
 
     def __iter__(self) -> Iterator[UnitRecord]:
@@ -82,7 +83,7 @@ class Roster:
 
     def is_configured(self, unit: int) -> bool:
         """Whether the configuration has ``unit``."""
-        return unit in self._configured
+        return unit in self._known
 
     def states(self) -> list[UnitState]:
         """For a snapshot."""
@@ -117,7 +118,7 @@ class Roster:
                 updates += self._stage(record, request.raw, at)
             case ((ExecuteSpeed() | SetAndExecuteSpeed()), Ack()):
                 updates += self._stage(record, None, at)
-        return updates
+        return updates if self.is_configured(record.unit) else []
 
     def unstage(self, unit: int, at: float) -> list[Update]:
         """``unit`` holds no staged speed any more."""
@@ -157,7 +158,7 @@ class Roster:
 
     def _learn(self, record: UnitRecord, value: ParameterValue) -> list[Update]:
         record.parameters[value.number] = value
-        return [value] if self.is_configured(record.unit) else []
+        return [value]
 
     def _stage(self, record: UnitRecord, raw: int | None, at: float) -> list[Update]:
         if record.staged == raw:
@@ -169,7 +170,7 @@ class Roster:
         if record.link.link == link:
             return []
         record.link = UnitLink(unit=record.unit, at=at, link=link, cause=cause)
-        return [record.link]
+        return [record.link] if self.is_configured(record.unit) else []
 
 
 def _stranger(unit: int, at: float) -> UnitRecord:

@@ -107,7 +107,7 @@ def silent_seconds(baud: int, turnaround_s: float) -> float:
 
 
 def examine(unit: int, baud: int) -> Examining:
-    """Everything about one address; None where nobody is."""
+    """Everything about one address; None where nobody is. The questions are in the plain dialect."""
     examination = _Examination(unit, baud)
     return (yield from examination.run())
 

@@ -197,7 +197,9 @@ def _strays(roster: Roster, members: list[_Member]) -> Generator[Step, Answer | 
     inside = {member.unit for member in members}
     moved: list[str] = []
     for record in roster:
-        if record.unit in inside or record.link.link != "online" or record.reading is None:
+        if record.unit in inside or not roster.is_configured(record.unit):
+            continue
+        if record.link.link != "online" or record.reading is None:
             continue
         proof = yield from prove_unchanged(record, record.reading.commanded)
         if not proof.shown and proof.read_back is not None:

@@ -31,6 +31,8 @@ class Ask:
     proves: bool = False
     withdraws: bool = False
     most_tries: int = 0
+    dialect: Dialect | None = None
+    """How to write it, where not as the bus does."""
 
     @property
     def tries(self) -> int:
@@ -69,6 +71,26 @@ class Retune:
     baud: int
 
 
+@dataclass(frozen=True, slots=True)
+class Expect:
+    """Units may be found at ``baud`` once they have been switched off and on."""
+
+    baud: int
+
+
+@dataclass(frozen=True, slots=True)
+class Rubbish:
+    """What else came in while an answer was awaited."""
+
+    spoilt: bool = False
+    """Bytes that are no frame."""
+    strange: bool = False
+    """Good frames that no unit gives as this answer."""
+
+
+NO_RUBBISH = Rubbish()
+
+
 class Fate(StrEnum):
     """How an Ask ended."""
 
@@ -93,6 +115,7 @@ class Answer:
     """The request's last byte on the wire."""
     answered_at: float | None = None
     frame: bytes = b""
+    rubbish: Rubbish = NO_RUBBISH
 
     @property
     def refusal(self) -> int | None:
@@ -100,7 +123,9 @@ class Answer:
         return self.reply.code if isinstance(self.reply, Nak) else None
 
 
-Step = Ask | Wait | Tell | Unstage | Retune
+Note = Tell | Unstage | Retune | Expect
+"""What needs no waiting."""
+Step = Ask | Wait | Note
 Procedure = Generator[Step, Answer | None, Result]
 """Gets an Answer for an Ask, None for every other step."""
 

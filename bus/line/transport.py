@@ -49,6 +49,9 @@ class OpenPort(Protocol):
     def drop_output(self) -> None:
         """Forget what has not left yet."""
 
+    def retune(self, baud: int) -> None:
+        """Go on at ``baud``. Raises WireError where the port cannot."""
+
     def check(self) -> None:
         """Raises WireError when the port is gone and nobody has said so yet."""
 
@@ -131,6 +134,12 @@ class _Device:
     def drop_output(self) -> None:
         with suppress(termios.error, OSError):
             termios.tcflush(self._descriptor, termios.TCOFLUSH)
+
+    def retune(self, baud: int) -> None:
+        try:
+            self._transport.serial.baudrate = baud
+        except (serial.SerialException, termios.error, OSError, ValueError) as error:
+            raise WireError(f"{self._name} cannot go to {baud} baud ({error})") from error
 
     def check(self) -> None:
         try:
@@ -228,6 +237,9 @@ class _Stream:
 
     def drop_output(self) -> None:
         """The kernel's buffer cannot be emptied; a server that takes nothing is lost by its timeout."""
+
+    def retune(self, baud: int) -> None:
+        raise WireError(f"{self._name} has its own baud rate; {baud} is to be set in the device server")
 
     def check(self) -> None:
         if self._transport.is_closing():

@@ -189,6 +189,7 @@ class BusWorker:
         while True:
             await asyncio.sleep(FIGURES_S)
             self.clock.settle()
+            self.poller.tick()
             figures = self.poller.figures()
             self._figures = msgspec.structs.replace(figures, updates_lost=self.outbox.lost)
             self.outbox.put([self._figures])

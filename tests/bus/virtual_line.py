@@ -94,23 +94,29 @@ class VirtualClock:
 class VirtualPort:
     """The host's end of a simulated line."""
 
-    def __init__(self, line: SimulatedLine, receiver: Receiver, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, line: SimulatedLine, receiver: Receiver, loop: asyncio.AbstractEventLoop, baud: int
+    ) -> None:
         self._line = line
         self._receiver = receiver
         self._loop = loop
         self._alarm: asyncio.TimerHandle | None = None
         self.gone = False
+        self.baud = baud
         self.written: list[tuple[float, bytes]] = []
 
     def write(self, data: bytes) -> None:
         if self.gone:
             raise WireError("the port is gone")
         self.written.append((self._loop.time(), data))
-        self._line.receive(self._loop.time(), data)
+        self._line.receive(self._loop.time(), data, self.baud)
         self._advance_later()
 
     def drop_output(self) -> None:
         """Nothing is ever held back here."""
+
+    def retune(self, baud: int) -> None:
+        self.baud = baud
 
     def check(self) -> None:
         if self.gone:
@@ -167,10 +173,10 @@ class VirtualLine:
         self.worker.outbox.put = self.updates.extend  # type: ignore[method-assign]
         self._count = 0
 
-    async def _open(self, _port: str, _baud: int, receiver: Receiver) -> OpenPort:
+    async def _open(self, _port: str, baud: int, receiver: Receiver) -> OpenPort:
         if not self.plugged:
             raise WireError("/dev/virtual is not there: is the adapter plugged in?")
-        self.port = VirtualPort(self.line, receiver, self.loop)
+        self.port = VirtualPort(self.line, receiver, self.loop, baud)
         self.port.written = self.written
         self.port.start()
         return self.port
