@@ -103,6 +103,7 @@ def build(settings: Settings, *, demo: bool) -> Services:
     reader = ParameterReader(live, desk)
     local_time = partial(datetime.now, zone(settings.site.time_zone))
     sets = SetKeeper(live, reader, SetStore(database), events, local_time)
+    desk.before_parameter_write = sets.keep_known
     hub = Hub(live, templates, time)
     hub.block, hub.watch = safeguards.block_reason, workers.watch
     hub.holder = safeguards.holder

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 import time
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from typing import Any
 
 import structlog
@@ -55,6 +56,19 @@ class EventLog:
         """What is about to be asked, on disk before it is. Returns the event's number for `conclude`."""
         said = {"bus": bus, "unit": unit, "old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
         return await self._append(kind=kind, who=who, origin=origin, what=what, **said)
+
+    async def intend_parts(self, parts: Sequence[Mapping[str, Any]]) -> list[int]:
+        """What one broadcast is about to change at several units, on disk together; ``parts`` are as for
+        `intend`. Returns their numbers for `conclude_parts`."""
+        return await self._append_all([self._entry(kind="command", **part) for part in parts])
+
+    async def conclude_parts(self, fates: Mapping[int, tuple[Outcome, str]]) -> None:
+        """The fate of each part, by its event's number: outcome and message."""
+        entries = [
+            self._entry(kind="fate", about=event, outcome=outcome, message=message)
+            for event, (outcome, message) in fates.items()
+        ]
+        await self._append_all(entries, tell=list(fates))
 
     async def conclude(
         self, event: int, outcome: Outcome, message: str = "", frames: Sequence[Frame] = ()
@@ -124,6 +138,15 @@ class EventLog:
         number = await self._database.write(lambda connection: store.append(connection, entry))
         await self._tell(number)
         return number
+
+    async def _append_all(self, entries: Sequence[Event], tell: Sequence[int] = ()) -> list[int]:
+        def append(connection: sqlite3.Connection) -> list[int]:
+            return [store.append(connection, entry) for entry in entries]
+
+        numbers = await self._database.write(append)
+        for number in tell or numbers:
+            await self._tell(number)
+        return numbers
 
     def _entry(self, **said: Any) -> dict[str, Any]:
         nothing = dict.fromkeys(("about", "bus", "unit", "old", "new", "old_raw", "new_raw", "outcome"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Iterable
 
 from fastapi import APIRouter
 from starlette.requests import Request
@@ -11,7 +11,6 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from app.auth import rules
 from app.auth.accounts import Accounts
 from app.auth.pages import Keeping, Text, address_of
-from app.errors import Problem
 from app.web.access import PEOPLE_ROLES, Admin, Person, Role, Viewer
 from app.web.templating import render
 from bus.errors import CallerError
@@ -111,11 +110,11 @@ async def create_token(
 ) -> HTMLResponse:
     """The token is on this one answer and nowhere else."""
     try:
-        chosen = Role(token_role)
+        chosen = _role(token_role, Role)
         secret = await accounts.create_token(
             token.strip(), chosen, by=person.name, origin=address_of(request)
         )
-    except (CallerError, ValueError) as error:
+    except CallerError as error:
         return await _page(request, accounts, status=422, fault=str(error))
     return await _page(request, accounts, token_name=token.strip(), token=secret)
 
@@ -143,9 +142,10 @@ async def _reset(accounts: Accounts, person: Person, name: str, password: str, o
     await accounts.set_password(name, password, by=person.name, origin=origin)
 
 
-def _role(word: str) -> Role:
-    if word not in PEOPLE_ROLES:
-        raise Problem(422, "invalid", f"there is no role {word!r}; take one of {', '.join(PEOPLE_ROLES)}")
+def _role(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
+    roles = list(among)
+    if word not in roles:
+        raise CallerError(f"there is no role {word!r}; take one of {', '.join(roles)}")
     return Role(word)
 
 

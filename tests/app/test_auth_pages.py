@@ -1,0 +1,181 @@
+"""Login, account and users as pages: what is typed, what is answered."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from app.auth.failures import PER_NAME
+from app.web.access import Role
+from tests.app.whole_app import PASSWORD, House, whole_app
+
+HTML = {"accept": "text/html"}
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+@pytest.fixture
+async def admin(house: House) -> httpx.AsyncClient:
+    return await house.signed_in(Role.ADMIN, "ada")
+
+
+async def names(house: House) -> dict[str, str]:
+    return {user.name: user.role.value for user in await house.services.accounts.users()}
+
+
+async def test_an_empty_house_says_how_to_begin(house: House) -> None:
+    assert "lineside user add NAME" in (await house.client().get("/login")).text
+    await house.add("ann", Role.VIEWER)
+    assert "lineside user add NAME" not in (await house.client().get("/login")).text
+
+
+async def test_login_goes_where_one_wanted_to_go(house: House) -> None:
+    await house.add("ann", Role.VIEWER)
+    client = house.client()
+    wanted = await client.get("/events?unit=2", headers=HTML)
+    form = await client.get(wanted.headers["location"])
+    assert 'name="next" value="/events?unit=2"' in form.text
+    data = {"name": " ann ", "password": PASSWORD, "next": "/events?unit=2"}
+    answer = await client.post("/login", data=data)
+    assert (answer.status_code, answer.headers["location"]) == (303, "/events?unit=2")
+    assert (await client.get("/login?next=/account")).headers["location"] == "/account"
+
+
+@pytest.mark.parametrize("target", ["https://evil.example", "//evil.example", "/\\evil.example"])
+async def test_login_never_leads_elsewhere(house: House, target: str) -> None:
+    await house.add("ann", Role.VIEWER)
+    data = {"name": "ann", "password": PASSWORD, "next": target}
+    assert (await house.client().post("/login", data=data)).headers["location"] == "/"
+    client = await house.signed_in(Role.VIEWER)
+    assert (await client.get("/login", params={"next": target})).headers["location"] == "/"
+
+
+async def test_a_wrong_password_keeps_the_name_but_not_the_password(house: House) -> None:
+    await house.add("ann", Role.VIEWER)
+    answer = await house.client().post("/login", data={"name": "ann", "password": "my-wrong-one"})
+    assert answer.status_code == 401
+    assert 'value="ann"' in answer.text
+    assert "my-wrong-one" not in answer.text
+    assert "the name or the password is not right" in answer.text
+
+
+async def test_too_many_failures_are_said_with_the_time_to_wait(house: House) -> None:
+    client = house.client()
+    for _ in range(PER_NAME):
+        await client.post("/login", data={"name": "ann", "password": "x"})
+    answer = await client.post("/login", data={"name": "ann", "password": "x"})
+    assert (answer.status_code, answer.headers["retry-after"]) == (429, "300")
+    assert "try again in five minutes" in answer.text
+
+
+async def test_a_panel_begins_at_its_home_page(house: House) -> None:
+    by = {"by": "t", "origin": "t"}
+    await house.services.accounts.add_panel("p1", Role.VIEWER, "4711", "/units/dry-end/1", **by)
+    client = house.client()
+    assert 'name="pin"' in (await client.get("/login?panel=true")).text
+    answer = await client.post("/login/panel", data={"name": "p1", "pin": "4711"})
+    assert answer.headers["location"] == "/units/dry-end/1"
+    assert (await client.post("/account/password", data={"password": "x"})).status_code == 403
+
+
+@pytest.mark.parametrize(
+    ("present", "password", "again", "said"),
+    [
+        (PASSWORD, "short", "short", "8 to 256 characters"),
+        (PASSWORD, "long enough", "but different", "the two new passwords differ"),
+        ("not mine", "long enough", "long enough", "the present password is not right"),
+    ],
+)
+async def test_ones_own_password_is_not_changed_for_nothing(
+    house: House, present: str, password: str, again: str, said: str
+) -> None:
+    client = await house.signed_in(Role.VIEWER, "ann")
+    form = {"present": present, "password": password, "again": again}
+    answer = await client.post("/account/password", data=form)
+    assert answer.status_code == 422
+    assert said in answer.text
+    assert await house.services.sign_in.is_secret_of("ann", PASSWORD)
+
+
+async def test_ones_own_password_is_changed_and_every_other_device_is_out(house: House) -> None:
+    client, other = await house.signed_in(Role.VIEWER, "ann"), house.client()
+    await other.post("/login", data={"name": "ann", "password": PASSWORD})
+    form = {"present": PASSWORD, "password": "a new long one", "again": "a new long one"}
+    assert (await client.post("/account/password", data=form)).status_code == 303
+    assert (await client.get("/api/v1/me")).status_code == 200
+    assert (await other.get("/api/v1/me")).status_code == 401
+
+
+async def test_a_token_has_no_account(house: House) -> None:
+    program = await house.program(Role.ADMIN)
+    assert (await program.post("/account/password", data={"password": "x"})).status_code == 403
+    assert (await program.get("/account")).status_code == 200
+
+
+async def test_an_admin_adds_changes_and_removes_people(house: House, admin: httpx.AsyncClient) -> None:
+    form = {"name": "bob", "role": "operator", "password": "long enough"}
+    assert (await admin.post("/users", data=form)).headers["location"] == "/users"
+    assert 'data-user="bob"' in (await admin.get("/users")).text
+    await admin.post("/users/bob/role", data={"role": "engineer"})
+    assert (await names(house))["bob"] == "engineer"
+    await admin.post("/users/bob/password", data={"password": "another long one"})
+    assert await house.services.sign_in.is_secret_of("bob", "another long one")
+    await admin.post("/users/bob/disable")
+    assert not await house.services.sign_in.is_secret_of("bob", "another long one")
+    await admin.post("/users/bob/enable")
+    assert await house.services.sign_in.is_secret_of("bob", "another long one")
+    await admin.post("/users/bob/remove")
+    assert list(await names(house)) == ["ada"]
+
+
+@pytest.mark.parametrize(
+    ("path", "form", "said"),
+    [
+        ("/users", {"name": "a b", "password": "long enough"}, "1 to 40 letters"),
+        ("/users", {"name": "bob", "password": "short"}, "8 to 256 characters"),
+        ("/users", {"name": "ada", "password": "long enough"}, "there is a user ada already"),
+        ("/users", {"name": "bob", "role": "king", "password": "long enough"}, "there is no role"),
+        ("/users", {"name": "bob", "role": "worker", "password": "long enough"}, "there is no role"),
+        ("/users/panels", {"panel": "p1", "pin": "12"}, "4 to 12 digits"),
+        ("/users/panels", {"panel": "p1", "pin": "1234", "home": "//evil"}, "a path on this server"),
+        ("/users/ada/disable", {}, "ada is the last admin"),
+        ("/users/eve/role", {"role": "viewer"}, "there is no user eve"),
+        ("/users/ada/password", {"password": "short"}, "8 to 256 characters"),
+        ("/users/tokens", {"token": "a b"}, "1 to 40 letters"),
+        ("/users/tokens", {"token": "t", "token_role": "king"}, "there is no role"),
+        ("/users/tokens/none/revoke", {}, "there is no token none"),
+    ],
+)
+async def test_what_is_refused_says_why(
+    house: House, admin: httpx.AsyncClient, path: str, form: dict[str, str], said: str
+) -> None:
+    answer = await admin.post(path, data=form, headers=HTML)
+    assert answer.status_code == 422
+    assert said in answer.text
+    assert await names(house) == {"ada": "admin"}
+
+
+async def test_a_panel_is_given_a_new_pin(house: House, admin: httpx.AsyncClient) -> None:
+    await admin.post("/users/panels", data={"panel": "p1", "pin": "1234", "home": "/"})
+    assert (await admin.post("/users/p1/password", data={"password": "abcdefgh"})).status_code == 422
+    assert (await admin.post("/users/p1/password", data={"password": "98765"})).status_code == 303
+    assert (await house.client().post("/login/panel", data={"name": "p1", "pin": "98765"})).status_code == 303
+
+
+async def test_a_token_is_shown_once(house: House, admin: httpx.AsyncClient) -> None:
+    answer = await admin.post("/users/tokens", data={"token": "plc", "token_role": "operator"})
+    found = re.search(r"data-token>([\w-]+)<", answer.text)
+    assert found
+    program = house.client(authorization=f"Bearer {found[1]}")
+    assert (await program.get("/api/v1/me")).json()["role"] == "operator"
+    assert found[1] not in (await admin.get("/users")).text
+    await admin.post("/users/tokens/plc/revoke")
+    assert (await program.get("/api/v1/me")).status_code == 401

@@ -1,0 +1,54 @@
+"""Numbers and times in one's own writing."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.web.formats import UNKNOWN, Formats
+
+NOON = datetime(2026, 3, 29, 10, 0, tzinfo=UTC).timestamp()
+"""The day on which Berlin's clocks went forward: noon there."""
+
+
+@pytest.mark.parametrize(
+    ("raw", "decimals", "english", "german"),
+    [
+        (12345, 1, "1234.5", "1234,5"),
+        (12345, 0, "12345", "12345"),
+        (5, 3, "0.005", "0,005"),
+        (0, 2, "0.00", "0,00"),
+        (99999, None, "99999", "99999"),
+        (-15, 1, "-1.5", "-1,5"),
+        (None, 1, UNKNOWN, UNKNOWN),
+    ],
+)
+def test_fixed_decimals(raw: int | None, decimals: int | None, english: str, german: str) -> None:
+    assert Formats("en").fixed(raw, decimals) == english
+    assert Formats("de").fixed(raw, decimals) == german
+
+
+@given(st.integers(0, 99999), st.integers(0, 4))
+def test_fixed_is_exact(raw: int, decimals: int) -> None:
+    text = Formats("en").fixed(raw, decimals)
+    assert int(text.replace(".", "")) == raw
+    assert len(text.partition(".")[2]) == decimals
+
+
+def test_numbers() -> None:
+    assert Formats("de").number(3.14159, 2) == "3,14"
+    assert Formats("de").number(None) == UNKNOWN
+    assert Formats("de").amount(1234567) == "1.234.567"
+
+
+def test_times_are_the_sites() -> None:
+    berlin = Formats("de", "Europe/Berlin")
+    assert berlin.moment(NOON) == "29.03.2026, 12:00:00"
+    assert berlin.clock(NOON) == "12:00:00"
+    assert berlin.day(NOON) == "29.03.2026"
+    assert berlin.iso(NOON) == "2026-03-29T12:00:00.000+02:00"
+    assert berlin.moment(None) == UNKNOWN
+    assert "12:00:00" in Formats("en", "Europe/Berlin").moment(datetime.fromtimestamp(NOON, UTC))

@@ -1,0 +1,71 @@
+"""Languages: one file each, chosen by the person, then the browser, then the site."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from app.web.access import Role
+from app.web.languages import Languages
+from tests.app.whole_app import House, whole_app
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+@pytest.mark.parametrize(
+    ("wished", "accepted", "otherwise", "chosen"),
+    [
+        ("", "", "en", "en"),
+        ("", "", "de", "de"),
+        ("", "de-AT,de;q=0.9,en;q=0.8", "en", "de"),
+        ("", "fr,en;q=0.5,de;q=0.9", "en", "de"),
+        ("", "fr", "de", "de"),
+        ("", "DE", "en", "de"),
+        ("", "de;q=nonsense, ,;;q=", "en", "en"),
+        ("en", "de", "de", "en"),
+        ("xx", "de", "en", "de"),
+    ],
+)
+def test_which_language(wished: str, accepted: str, otherwise: str, chosen: str) -> None:
+    assert Languages().choose(wished, accepted, otherwise).tag == chosen
+
+
+def test_one_file_adds_a_language(tmp_path: Path) -> None:
+    (tmp_path / "en.toml").write_text('name = "English"\nlocale = "en"\n[texts]\n')
+    text = 'name = "Norsk"\nlocale = "nb"\n[texts]\n"Set {unit} to {value}" = "Still {unit} til {value}"\n'
+    (tmp_path / "nb.toml").write_text(text)
+    norwegian = Languages(tmp_path).choose("", "nb-NO", "en")
+    assert norwegian.t("Set {unit} to {value}", unit="Nip", value="1,0") == "Still Nip til 1,0"
+    assert norwegian.t("not translated yet {x}") == "not translated yet {x}"
+    assert str(norwegian) == "nb"
+
+
+@pytest.mark.parametrize("language", [each.tag for each in Languages()])
+def test_every_translation_has_the_same_names_to_fill_in(language: str) -> None:
+    for text, translated in Languages()[language].texts.items():
+        names = [sorted(re.findall(r"\{(\w*)\}", each)) for each in (text, translated)]
+        assert names[0] == names[1], text
+
+
+async def test_the_browsers_language_and_then_ones_own(house: House) -> None:
+    german = {"accept-language": "de"}
+    client = await house.signed_in(Role.VIEWER)
+    assert '<html lang="de"' in (await client.get("/account", headers=german)).text
+    await client.post("/account/language", data={"language": "en"})
+    assert '<html lang="en"' in (await client.get("/account", headers=german)).text
+    await client.post("/account/language", data={"language": ""})
+    assert '<html lang="de"' in (await client.get("/account", headers=german)).text
+
+
+async def test_a_language_that_is_not_there(house: House) -> None:
+    client = await house.signed_in(Role.VIEWER)
+    answer: httpx.Response = await client.post("/account/language", data={"language": "../x"})
+    assert answer.status_code == 422

@@ -1,0 +1,134 @@
+"""Refusals: problem+json for programs, a page or a fragment for people."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from app.errors import StoreError
+from app.web.access import Role
+from tests.app.whole_app import House, whole_app
+
+SPEED = "/api/v1/buses/dry-end/units/1/speed"
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+@pytest.fixture
+async def engineer(house: House) -> httpx.AsyncClient:
+    return await house.program(Role.ENGINEER)
+
+
+def check_problem(answer: httpx.Response, status: int, code: str) -> None:
+    assert answer.status_code == status
+    assert answer.headers["content-type"] == "application/problem+json"
+    problem = answer.json()
+    assert (problem["type"], problem["status"], problem["code"]) == ("about:blank", status, code)
+    assert problem["title"]
+    assert problem["detail"]
+
+
+async def test_an_unknown_call(engineer: httpx.AsyncClient) -> None:
+    check_problem(await engineer.get("/api/v1/nowhere"), 404, "not_found")
+
+
+async def test_a_wrong_method(engineer: httpx.AsyncClient) -> None:
+    answer = await engineer.delete("/api/v1/line")
+    check_problem(answer, 405, "method_not_allowed")
+    assert answer.headers["allow"] == "GET"
+
+
+async def test_an_unknown_bus_and_an_unknown_unit(engineer: httpx.AsyncClient) -> None:
+    check_problem(await engineer.get("/api/v1/buses/nix/units/1"), 404, "unknown_bus")
+    check_problem(await engineer.get("/api/v1/buses/dry-end/units/99"), 404, "unknown_unit")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"{",
+        b"",
+        b"[]",
+        b"null",
+        b"\xff\xfe",
+        b'{"raw": "x"}',
+        b'{"raw": 1e400}',
+        b'{"raw": NaN}',
+        b'{"raw": 1, "surplus": 2}',
+        b"[" * 5000,
+        b'{"raw": 1' + b"0" * 5000 + b"}",
+    ],
+)
+async def test_malformed_input_is_invalid_and_says_that_nothing_was_sent(
+    engineer: httpx.AsyncClient, body: bytes
+) -> None:
+    answer = await engineer.post(SPEED, content=body, headers={"content-type": "application/json"})
+    check_problem(answer, 422, "invalid")
+    assert "nothing was sent" in answer.json()["detail"]
+
+
+async def test_each_fault_of_a_body_is_named(engineer: httpx.AsyncClient) -> None:
+    answer = await engineer.put("/api/v1/buses/dry-end/units/1/outputs/1", json={"on": "maybe"})
+    assert answer.json()["errors"][0]["where"] == "on"
+
+
+async def test_a_page_for_people_and_a_fragment_for_htmx(house: House) -> None:
+    client = await house.signed_in(Role.VIEWER)
+    page = await client.get("/nowhere", headers={"accept": "text/html"})
+    assert page.status_code == 404
+    assert "<!doctype html>" in page.text
+    assert "there is nothing at /nowhere" in page.text
+    part = await client.get("/nowhere", headers={"hx-request": "true"})
+    assert part.status_code == 404
+    assert "<!doctype" not in part.text
+    assert 'role="alert"' in part.text
+
+
+async def test_words_of_a_request_are_never_markup(house: House) -> None:
+    client = await house.signed_in(Role.VIEWER)
+    page = await client.get("/<img src=x>", headers={"accept": "text/html"})
+    assert "<img src=x>" not in page.text
+
+
+async def test_a_store_that_fails_is_said(
+    house: House, engineer: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def fail(*_: object) -> None:
+        raise StoreError("the store x: the disk is full; free some space, nothing was stored")
+
+    monkeypatch.setattr(house.services.events, "page", fail)
+    answer = await engineer.get("/api/v1/events")
+    check_problem(answer, 503, "store")
+    assert "the disk is full" in answer.json()["detail"]
+
+
+async def test_a_store_that_fails_at_the_door_refuses(
+    house: House, engineer: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def fail(*_: object) -> None:
+        raise StoreError("the store x: the disk failed at it; check the disk")
+
+    monkeypatch.setattr(house.services.sign_in, "by_token", fail)
+    check_problem(await engineer.get("/api/v1/line"), 503, "store")
+    assert (await house.client().get("/healthz")).status_code == 200
+
+
+async def test_our_own_failure_says_nothing_of_itself(
+    house: House, engineer: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def fail(*_: object) -> None:
+        raise ZeroDivisionError("a secret of the inside")
+
+    monkeypatch.setattr(house.services.events, "page", fail)
+    transport = httpx.ASGITransport(house.app, raise_app_exceptions=False)
+    async with httpx.AsyncClient(transport=transport, base_url="http://x", headers=engineer.headers) as other:
+        answer = await other.get("/api/v1/events")
+    check_problem(answer, 500, "failed")
+    assert "secret" not in answer.text
