@@ -76,6 +76,11 @@ class Safeguards:
         """Who holds control of a line now, if anybody."""
         return self.control.holding(bus, self._now())
 
+    def holder(self, bus: str) -> str:
+        """The name of who holds control of a line; empty when nobody does."""
+        holding = self.holding(bus)
+        return holding.holder if holding is not None else ""
+
     async def take(self, person: Person, bus: str) -> Holding:
         """Take control that nobody else holds. Raises Problem 409."""
         before = self.holding(bus)

@@ -44,6 +44,8 @@ class Hub:
         self._watched: dict[str, tuple[list[int], bool]] = {}
         self.block: Block = _unblocked
         self.watch: Watcher = _unwatched
+        self.holder: Callable[[str], str] = _unheld
+        """Who holds control of a bus; empty where nobody does."""
         live.subscribe(self._on_updates)
 
     @property
@@ -105,7 +107,14 @@ class Hub:
         """One heartbeat: what has aged, and the server's time."""
         now = self._clock()
         for language in self._languages():
-            self._publish(language, self._screens[language].settle(now), always=True)
+            screen = self._screens[language]
+            groups = screen.settle(now)
+            for group, fields in screen.put("line", {"holder": self._holders()}).items():
+                groups.setdefault(group, {}).update(fields)
+            self._publish(language, groups, always=True)
+
+    def _holders(self) -> str:
+        return ", ".join(sorted({holder for bus in self.live.buses if (holder := self.holder(bus))}))
 
     # --- what the workers report -------------------------------------------------------------------
 
@@ -180,7 +189,8 @@ class Hub:
         roles = {browser.name: browser.role for browser in self._browsers}
         here = "\n".join(f"{name}\t{roles[name]}" for name in sorted(roles))
         for language in self._languages():
-            self._publish(language, self._screens[language].put("people", {"here": here}))
+            fields = {"here": here, "count": str(len(roles))}
+            self._publish(language, self._screens[language].put("people", fields))
 
     def _tell_watched(self) -> None:
         for bus in self.live.buses:
@@ -194,6 +204,10 @@ class Hub:
 
 
 def _unblocked(_bus: str, _unit: int) -> str:
+    return ""
+
+
+def _unheld(_bus: str) -> str:
     return ""
 
 

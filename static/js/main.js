@@ -7,6 +7,8 @@ import * as review from "./review.js";
 import * as setter from "./setter.js";
 import * as trace from "./trace.js";
 import * as people from "./people.js";
+import * as kiosk from "./kiosk.js";
+import * as minutes from "./minutes.js";
 
 rebind();
 quality.findUnits();
@@ -16,7 +18,12 @@ review.start();
 setter.start();
 trace.start();
 people.start();
+kiosk.start();
+minutes.start();
 live.follow([...new Set([...document.querySelectorAll("[data-watch-unit]")].map((element) => element.dataset.watchUnit))]);
 live.start();
 document.addEventListener("lineside:changed", quality.findUnits);
 document.addEventListener("lineside:found", quality.findUnits);
+
+// Only for the page that says there is no connection; see sw.js. Browsers allow it on https and on this machine.
+navigator.serviceWorker?.register("/sw.js").catch(() => {});

@@ -1,0 +1,79 @@
+"""What makes the pages an app on a device: manifest, service worker, and the page for no connection.
+
+The service worker keeps nothing but that page: old values must never look like new ones.
+"""
+
+from __future__ import annotations
+
+import json
+
+from fastapi import APIRouter, Depends
+from starlette.requests import Request
+from starlette.responses import JSONResponse, RedirectResponse, Response
+
+from app.web.access import public
+from app.web.assets import Assets
+from app.web.templating import render, templates_of
+
+router = APIRouter(dependencies=[Depends(public)], include_in_schema=False)
+KEPT = ("css/tokens.css", "css/base.css", "css/components.css", "js/theme.js", "icons/sprite.svg")
+OFFLINE = "/offline"
+
+
+def _assets(request: Request) -> Assets:
+    assets: Assets = request.app.state.services.assets
+    return assets
+
+
+def _is_unreal(request: Request) -> bool:
+    shown = templates_of(request).environment("en").globals
+    return bool(shown["demo"]) or bool(getattr(shown["site"], "simulated", False))
+
+
+@router.get("/manifest.webmanifest")
+async def manifest(request: Request) -> Response:
+    """The app's name, colours and icons; another name and icon where no drive is connected."""
+    assets, unreal = _assets(request), _is_unreal(request)
+    site = templates_of(request).environment("en").globals["site"]
+    name = getattr(site, "name", "Lineside")
+    icon = "icons/lineside-unreal" if unreal else "icons/lineside"
+    content = {
+        "name": f"[SIM] {name}" if unreal else name,
+        "short_name": "Lineside",
+        "start_url": "/",
+        "scope": "/",
+        "display": "standalone",
+        "background_color": "#d6d9db",
+        "theme_color": "#5a4a8a" if unreal else "#e4e6e8",
+        "icons": [
+            {"src": assets.url(f"{icon}.svg"), "sizes": "any", "type": "image/svg+xml"},
+            {"src": assets.url(f"{icon}-192.png"), "sizes": "192x192", "type": "image/png"},
+            {"src": assets.url(f"{icon}-512.png"), "sizes": "512x512", "type": "image/png"},
+        ],
+    }
+    return JSONResponse(
+        content, media_type="application/manifest+json", headers={"Cache-Control": "no-cache"}
+    )
+
+
+@router.get("/sw.js")
+async def service_worker(request: Request) -> Response:
+    """The service worker, for the whole site; it changes with the assets."""
+    assets = _assets(request)
+    kept = json.dumps([assets.url(name) for name in KEPT])
+    head = f"const OFFLINE = {json.dumps(OFFLINE)};\nconst KEPT = {kept};\n"
+    body = head.encode() + assets.get("js/sw.js").body
+    return Response(body, media_type="text/javascript", headers={"Cache-Control": "no-cache"})
+
+
+@router.get(OFFLINE)
+async def offline(request: Request) -> Response:
+    """What a device shows that reaches no server: that it does not."""
+    return render(request, "web/offline.html")
+
+
+@router.get("/favicon.ico")
+async def favicon(request: Request) -> Response:
+    """For browsers that ask without reading the page."""
+    icon = "icons/lineside-unreal.svg" if _is_unreal(request) else "icons/lineside.svg"
+    return RedirectResponse(_assets(request).url(icon))

@@ -1,0 +1,23 @@
+// Keeps nothing of the line: old values must never look like new ones. Only one page is kept, the one that says that
+// there is no connection. OFFLINE and KEPT stand above this text, written by the server.
+const CACHE = "lineside-offline";
+
+self.addEventListener("install", (event) => {
+  event.waitUntil(
+    (async () => {
+      await caches.delete(CACHE);
+      const cache = await caches.open(CACHE);
+      await cache.addAll([OFFLINE, ...KEPT]);
+      await self.skipWaiting();
+    })(),
+  );
+});
+
+self.addEventListener("activate", (event) => event.waitUntil(self.clients.claim()));
+
+self.addEventListener("fetch", (event) => {
+  const { request } = event;
+  const path = new URL(request.url).pathname;
+  if (request.mode === "navigate") event.respondWith(fetch(request).catch(() => caches.match(OFFLINE)));
+  else if (KEPT.includes(path)) event.respondWith(fetch(request).catch(() => caches.match(path)));
+});
