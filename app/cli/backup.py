@@ -50,7 +50,7 @@ def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows]
     missing: dict[int, str] = {}
     for unit in wanted:
         try:
-            read.append(there.read_unit(bus, unit))
+            read.append(there.read_unit(bus, unit, gaps=True))
         except DashboardError as error:
             missing[unit] = str(error)
     return read, missing

@@ -43,13 +43,14 @@ class Dashboard:
             )
         return {unit["id"]: unit["name"] for unit in buses[bus]["units"]}
 
-    def read_unit(self, bus: str, unit: int) -> UnitRows:
-        """All parameters of a unit, read from it now."""
+    def read_unit(self, bus: str, unit: int, *, gaps: bool = False) -> UnitRows:
+        """All parameters of a unit, read from it now; with ``gaps`` only in the gaps of the scan."""
         units = self.units(bus)
         if unit not in units:
             known = ", ".join(str(number) for number in units)
             raise CallerError(f"bus {bus!r} has no unit {unit}; it has {known or 'none'}")
-        rows = [_row(given) for given in self.get(f"/buses/{bus}/units/{unit}/parameters", refresh="true")]
+        query = {"refresh": "true", "gaps": str(gaps).lower()}
+        rows = [_row(given) for given in self.get(f"/buses/{bus}/units/{unit}/parameters", **query)]
         return UnitRows(unit, units[unit], {row.number: row for row in rows})
 
     def _answer(self, method: str, path: str, **request: Any) -> Any:

@@ -6,7 +6,7 @@ import asyncio
 import time
 import uuid
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 
 import structlog
@@ -34,6 +34,9 @@ REMEMBERED = 1000
 STATUS_OF_OBJECTION = {"invalid": 422, "dangerous": 409, "confirm_needed": 409, "blocked": 423}
 ACTED = ("verified", "acknowledged", "unverified")
 """Outcomes after which a unit has acted, or may have."""
+
+
+BeforeParameterWrite = Callable[[Person, str, int], Awaitable[None]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +77,8 @@ class Desk:
         self._now = now
         self._moves = Moves()
         self._kept: OrderedDict[str, _Kept] = OrderedDict()
+        self.before_parameter_write: BeforeParameterWrite | None = None
+        """Who wants to keep what a unit was, before its parameters are changed."""
 
     async def ask(
         self,
@@ -160,6 +165,8 @@ class Desk:
         live = self._live.buses[wish.bus]
         if not is_write(wish.action) and not isinstance(wish.action, ScanBus):
             return await self._send(wish, live)
+        if isinstance(wish.action, WriteParameter) and self.before_parameter_write is not None:
+            await self.before_parameter_write(wish.person, wish.bus, wish.action.unit)
         entry = await self._intend(wish, live)
         steps = _steps(wish.action, live)
         result = await self._send(wish, live)
