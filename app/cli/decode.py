@@ -11,11 +11,12 @@ from typing import Annotated
 import typer
 
 from app.cli.ending import ending
+from app.commands.trace_file import is_trace_line, parse_trace_line
+from bus.contract import Frame
 from bus.errors import CallerError
 from bus.settings import Dialect
 from bus.wire.describe import Described, Describer, Rubbish, describe_bytes
 from bus.wire.framing import FrameDecoder
-from bus.wire.trace import TracedFrame, is_trace_line, parse_trace_line
 
 _SEPARATORS = re.compile(r"[\s,;:\[\]]+|0[xX]|\\x")
 _HEX = re.compile(r"(?:[0-9a-fA-F]{2})+")
@@ -70,7 +71,7 @@ def parse_hex(text: str) -> bytes:
     return bytes.fromhex("".join(tokens))
 
 
-def _decode_trace(traced: list[TracedFrame]) -> list[Described | Rubbish]:
+def _decode_trace(traced: list[Frame]) -> list[Described | Rubbish]:
     """Each direction is a stream of its own; an answer is read in the light of the request before it."""
     dialect = Dialect()
     describer = Describer(dialect)

@@ -16,6 +16,7 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from app.commands.answers import frame_json
 from app.commands.api import desk_of
 from app.commands.desk import Desk
+from app.commands.trace_file import trace_line
 from app.errors import Problem
 from app.web.access import Engineer, Person
 from bus.contract import Frame, ReadTrace
@@ -68,10 +69,3 @@ async def _lines(first: list[Frame], pieces: AsyncIterator[list[Frame]]) -> Asyn
 
 def _text(frames: list[Frame]) -> str:
     return "".join(f"{trace_line(frame)}\n" for frame in frames)
-
-
-def trace_line(frame: Frame) -> str:
-    """Time, direction, bytes and meaning between tabs (``bus.wire.trace`` reads it back)."""
-    at = datetime.fromtimestamp(frame.at, UTC).isoformat(timespec="microseconds")
-    meaning = " ".join(frame.meaning.split())
-    return f"{at}\t{frame.direction}\t{frame.data.hex(' ').upper()}\t{meaning}"

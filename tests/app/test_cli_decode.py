@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from app.cli import decode
 from app.cli.decode import parse_hex
+from app.commands.trace_file import trace_line
 from bus.contract import Frame
 from bus.errors import CallerError
-from bus.wire.trace import trace_line
 
 MANUAL = "10 02 04 82 00 00 02 10 10 10 03 68"
 JSON_OF_MANUAL = [{"uid": 4, "kind": "set_speed", "fields": {"raw": 528}, "checksum_ok": True}]

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from app.commands.trace_file import parse_trace_line
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Command,
@@ -27,7 +28,6 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from bus.wire.trace import parse_trace_line
 from tests.app.stage import PlayedWorker, Stage, fate, reading, snapshot, staged, unit_state
 
 
@@ -344,6 +344,24 @@ async def test_every_command_is_an_event_with_old_new_and_fate(stage: Stage) -> 
     assert event.items() >= expected.items()
     assert (event["old"], event["new"]) == ("100.0", "150.0")
     assert (event["old_raw"], event["new_raw"]) == (1000, 1500)
+
+
+async def test_a_change_of_several_is_an_event_for_the_line_and_one_for_each_unit(
+    stage: Stage, worker: PlayedWorker
+) -> None:
+    units = [UnitOutcome(unit=1, outcome="verified"), UnitOutcome(unit=2, outcome="unverified")]
+    worker.play = answering("unverified", units=units, message="unit 2 did not answer")
+    await stage.ask("POST", "/speeds", {"setpoints": {"1": {"raw": 1100}, "2": {"raw": 1200}}})
+    events = (await stage.http().get("/api/v1/events?kind=command")).json()["events"]
+    said = [(event["unit"], event["old"], event["new"], event["outcome"]) for event in reversed(events)]
+    assert said == [
+        (None, "1: 100.0, 2: 100.0", "1: 110.0, 2: 120.0", "unverified"),
+        (1, "100.0", "110.0", "verified"),
+        (2, "100.0", "120.0", "unverified"),
+    ]
+    of_unit = (await stage.http().get("/api/v1/events?bus=dry-end&unit=2")).json()["events"]
+    assert (of_unit[0]["old_raw"], of_unit[0]["new_raw"]) == (1000, 1200)
+    assert (await stage.events.prove()).fault == ""
 
 
 @pytest.mark.usefixtures("worker")

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.contract import Frame
+from app.commands.trace_file import is_trace_line, parse_trace_line, trace_line
+from bus.contract import Direction, Frame
 from bus.errors import CallerError
-from bus.wire.trace import Direction, is_trace_line, parse_trace_line, trace_line
 
 LINE = "2026-11-21T02:01:33.123456+00:00\tout\t10 02 04 81 10 03 7B\tunit 4: read speed and status"
 
