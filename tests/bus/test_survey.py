@@ -1,0 +1,87 @@
+"""A worker's scan of addresses in the gaps of its round, on a virtual clock."""
+
+from __future__ import annotations
+
+import asyncio
+
+from bus.contract import FoundUnit, Progress, Reading, Result, ScanBus, UnitLink
+from bus.simulator.faults import Kind
+from tests.bus.virtual_line import VirtualLine, run
+
+CONFIGURED, PRESENT = 3, 5
+
+
+def kinds(result: Result) -> dict[int, str]:
+    return {found.unit: found.kind for found in result.found}
+
+
+async def scan(line: VirtualLine, last: int = 8) -> Result:
+    await asyncio.sleep(2.0)
+    return await line.ask(ScanBus(1, last), within_s=600.0)
+
+
+def test_it_finds_units_that_nobody_configured() -> None:
+    result = run(scan, PRESENT, configured=CONFIGURED)
+    assert result.outcome == "verified"
+    assert result.found == [
+        FoundUnit(unit, 9600, "digimax", list(range(1, 41)), []) for unit in range(1, PRESENT + 1)
+    ]
+
+
+def test_the_app_hears_of_strangers_only_in_the_result() -> None:
+    async def scene(line: VirtualLine) -> set[int]:
+        await scan(line)
+        return {update.unit for update in line.updates if isinstance(update, Reading | UnitLink)}
+
+    assert run(scene, PRESENT, configured=CONFIGURED) <= set(range(1, CONFIGURED + 1))
+
+
+def test_the_round_goes_on_meanwhile_and_progress_is_told() -> None:
+    async def scene(line: VirtualLine) -> tuple[int, list[Progress]]:
+        await asyncio.sleep(2.0)
+        before = len(line.readings())
+        await line.ask(ScanBus(1, 8), within_s=600.0)
+        told = [update for update in line.updates if isinstance(update, Progress) and update.of == 8]
+        return len(line.readings()) - before, told
+
+    readings, told = run(scene, PRESENT, configured=CONFIGURED)
+    assert readings > 10
+    assert [progress.unit for progress in told] == list(range(1, 9))
+
+
+def test_what_is_no_digimax_is_called_so() -> None:
+    async def scene(line: VirtualLine) -> Result:
+        line.faults.set(Kind.WRONG_LENGTH, 1.0, unit=4)
+        line.faults.set(Kind.CORRUPT, 1.0, unit=5)
+        return await scan(line)
+
+    found = kinds(run(scene, PRESENT, configured=CONFIGURED))
+    assert (found[1], found[4]) == ("digimax", "foreign")
+    assert found.get(5, "garbled") == "garbled"
+
+
+def test_a_scan_without_a_port_says_so() -> None:
+    async def scene(line: VirtualLine) -> Result:
+        await asyncio.sleep(2.0)
+        line.unplug()
+        await asyncio.sleep(2.0)
+        return await line.ask(ScanBus(1, 8))
+
+    assert run(scene, PRESENT, configured=CONFIGURED).outcome == "bus_closed"
+
+
+def test_a_port_lost_meanwhile_ends_it() -> None:
+    async def scene(line: VirtualLine) -> Result:
+        await asyncio.sleep(2.0)
+        command = line.command(ScanBus(1, 255))
+        await asyncio.sleep(5.0)
+        line.unplug()
+        await asyncio.sleep(2.0)
+        fate = line.fate_of(command)
+        assert fate is not None
+        return fate
+
+    result = run(scene, PRESENT, configured=CONFIGURED)
+    assert result.outcome == "unverified"
+    assert "the link to the bus was lost after" in result.message
+    assert 1 in kinds(result)
