@@ -57,13 +57,12 @@ class EventLog:
         said = {"bus": bus, "unit": unit, "old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
         return await self._append(kind=kind, who=who, origin=origin, what=what, **said)
 
-    async def intend_parts(self, parts: Sequence[Mapping[str, Any]]) -> list[int]:
-        """What one broadcast is about to change at several units, on disk together; ``parts`` are as for
-        `intend`. Returns their numbers for `conclude_parts`."""
-        return await self._append_all([self._entry(kind="command", **part) for part in parts])
+    async def intend_together(self, intents: Sequence[Mapping[str, Any]]) -> list[int]:
+        """Several intents (each with the words of `intend`) in one transaction; their numbers in order."""
+        return await self._append_all([self._entry(kind="command", **intent) for intent in intents])
 
-    async def conclude_parts(self, fates: Mapping[int, tuple[Outcome, str]]) -> None:
-        """The fate of each part, by its event's number: outcome and message."""
+    async def conclude_together(self, fates: Mapping[int, tuple[Outcome, str]]) -> None:
+        """By event number the outcome and message of each, in one transaction."""
         entries = [
             self._entry(kind="fate", about=event, outcome=outcome, message=message)
             for event, (outcome, message) in fates.items()

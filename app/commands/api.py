@@ -19,8 +19,9 @@ from app.commands.bodies import (
     SetpointsBody,
     SpeedBody,
 )
-from app.commands.desk import Desk, writes_secret
+from app.commands.desk import Desk
 from app.commands.typed import Typed
+from app.commands.wish import writes_secret
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404

@@ -9,25 +9,21 @@ from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 
-import structlog
-
 from app.audit.log import EventLog
 from app.commands.control import ControlledError
 from app.commands.moves import Moves
 from app.commands.objection import Circumstances, ObjectionError
+from app.commands.record import Record
 from app.commands.rules import check, is_write, setpoints_of, units_named
 from app.commands.safeguards import Safeguards
 from app.commands.setpoints import commanded_setpoint
-from app.commands.words import wording
-from app.errors import Problem, StoreError
+from app.commands.wish import Wish
+from app.errors import Problem
 from app.feed.channel import Channel, ProgressListener
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state import BusLive, LiveState
 from app.web.access import Person
-from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Action, Command, Result, ScanBus, SetSpeed, WriteParameter
-
-log = structlog.get_logger()
 
 REMEMBERED = 1000
 """Fates kept for whoever asks with the same id again."""
@@ -37,19 +33,6 @@ ACTED = ("verified", "acknowledged", "unverified")
 
 
 BeforeParameterWrite = Callable[[Person, str, int], Awaitable[None]]
-
-
-@dataclass(frozen=True, slots=True)
-class Wish:
-    """One command as it was asked. ``deadline``: the last moment a frame that writes may leave."""
-
-    id: str
-    person: Person
-    bus: str
-    action: Action
-    deadline: float
-    origin: str
-    listener: ProgressListener | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +55,7 @@ class Desk:
     ) -> None:
         self._live = live
         self._channels = channels
-        self._events = events
+        self._record = Record(events)
         self._guards = guards
         self._now = now
         self._moves = Moves()
@@ -129,7 +112,7 @@ class Desk:
         try:
             self._object(wish.person, wish.bus, wish.action, live, confirm)
         except Problem as problem:
-            await self._record_rejected(wish, live, problem)
+            await self._record.reject(wish, live, problem)
             raise
 
     def _object(self, person: Person, bus: str, action: Action, live: BusLive, confirm: bool) -> None:
@@ -167,13 +150,13 @@ class Desk:
             return await self._send(wish, live)
         if isinstance(wish.action, WriteParameter) and self.before_parameter_write is not None:
             await self.before_parameter_write(wish.person, wish.bus, wish.action.unit)
-        entry = await self._intend(wish, live)
+        intent = await self._record.intend(wish, live)
         steps = _steps(wish.action, live)
         result = await self._send(wish, live)
         if result.outcome in ACTED:
             for unit, step in steps.items():
                 self._moves.note(wish.bus, unit, step, self._now())
-        await self._conclude(entry, wish, result)
+        await self._record.conclude(intent, wish, result)
         return result
 
     async def _send(self, wish: Wish, live: BusLive) -> Result:
@@ -182,57 +165,6 @@ class Desk:
             return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=message)
         command = Command(id=wish.id, deadline=wish.deadline, action=wish.action)
         return await self._channels[wish.bus].ask(command, wish.listener)
-
-    async def _intend(self, wish: Wish, live: BusLive) -> int:
-        words = wording(wish.action, live)
-        return await self._events.intend(
-            kind="command",
-            who=wish.person.name,
-            origin=wish.origin,
-            bus=wish.bus,
-            unit=_one_unit(wish.action),
-            what=words.what,
-            old=words.old or None,
-            new=words.new or None,
-            old_raw=words.old_raw,
-            new_raw=words.new_raw,
-        )
-
-    async def _conclude(self, entry: int, wish: Wish, result: Result) -> None:
-        frames = [] if writes_secret(wish.action) else result.frames
-        try:
-            await self._events.conclude(entry, result.outcome, result.message, frames)
-        except StoreError as error:
-            log.error(
-                "fate of a command not stored", command=wish.id, outcome=result.outcome, error=str(error)
-            )
-
-    async def _record_rejected(self, wish: Wish, live: BusLive, problem: Problem) -> None:
-        words = wording(wish.action, live)
-        await self._events.record(
-            kind="command",
-            who=wish.person.name,
-            origin=wish.origin,
-            bus=wish.bus,
-            unit=_one_unit(wish.action),
-            what=words.what,
-            old=words.old or None,
-            new=words.new or None,
-            old_raw=words.old_raw,
-            new_raw=words.new_raw,
-            outcome=problem.code,
-            message=problem.detail,
-        )
-
-
-def writes_secret(action: Action) -> bool:
-    """Whether the frames of this action carry what is not to be shown (#21)."""
-    return isinstance(action, WriteParameter) and PARAMETERS[action.number].secret
-
-
-def _one_unit(action: Action) -> int | None:
-    unit = getattr(action, "unit", None)
-    return unit if isinstance(unit, int) else None
 
 
 def _steps(action: Action, live: BusLive) -> dict[int, int]:

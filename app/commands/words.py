@@ -62,6 +62,19 @@ def wording(action: Action, bus: BusLive) -> Wording:
             return _without_values(action, bus)
 
 
+def wordings_by_unit(action: Action, bus: BusLive) -> dict[int, Wording]:
+    """What a change of several means for each of its units; empty for any other action."""
+    match action:
+        case SetLine():
+            what = f"set speed, one of {len(action.setpoints)} at once (82h, 83h)"
+        case ExecuteAll():
+            what = "execute staged speed, with every unit (83h to all)"
+        case _:
+            return {}
+    setpoints = setpoints_of(action, bus)
+    return {unit: _setpoint(what, bus, unit, setpoints[unit]) for unit in sorted(setpoints)}
+
+
 def shown_setpoint(raw: int | None, live: UnitLive) -> str:
     """A setpoint as the unit shows it; the bare integer, marked, while its decimals are not known."""
     return "" if raw is None else setpoint_text(live, raw) or f"{raw} raw"

@@ -1,0 +1,78 @@
+"""A command in the events: its intent on disk before anything is sent, its fate once it is known.
+
+A change of several units is one event for the line and one for each unit, all in one transaction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+
+from app.audit.log import EventLog
+from app.commands.wish import Wish, writes_secret
+from app.commands.words import Wording, wording, wordings_by_unit
+from app.errors import Problem, StoreError
+from app.live.state import BusLive
+from bus.contract import Outcome, Result
+
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True, slots=True)
+class Intent:
+    """The events of one command. ``parts``: unit → event, for a change of several."""
+
+    event: int
+    parts: dict[int, int]
+
+
+class Record:
+    """Writes commands into the events."""
+
+    def __init__(self, events: EventLog) -> None:
+        self._events = events
+
+    async def intend(self, wish: Wish, live: BusLive) -> Intent:
+        """On disk when this returns. Raises StoreError, and then nothing may be sent."""
+        by_unit = wordings_by_unit(wish.action, live)
+        whole = _entry(wish, wish.unit, wording(wish.action, live))
+        parts = [_entry(wish, unit, words) for unit, words in by_unit.items()]
+        event, *others = await self._events.intend_together([whole, *parts])
+        return Intent(event, dict(zip(by_unit, others, strict=True)))
+
+    async def conclude(self, intent: Intent, wish: Wish, result: Result) -> None:
+        """The fate of what was intended. A store that fails now changes nothing of the fate."""
+        frames = [] if writes_secret(wish.action) else result.frames
+        try:
+            if intent.parts:
+                await self._events.conclude_together(_fates(intent, result))
+            await self._events.conclude(intent.event, result.outcome, result.message, frames)
+        except StoreError as error:
+            log.error("fate not stored", command=wish.id, outcome=result.outcome, error=str(error))
+
+    async def reject(self, wish: Wish, live: BusLive, problem: Problem) -> None:
+        """A wish that was not sent, with the reason."""
+        entry = _entry(wish, wish.unit, wording(wish.action, live))
+        await self._events.record(kind="command", **entry, outcome=problem.code, message=problem.detail)
+
+
+def _entry(wish: Wish, unit: int | None, words: Wording) -> dict[str, Any]:
+    return {
+        "who": wish.person.name,
+        "origin": wish.origin,
+        "bus": wish.bus,
+        "unit": unit,
+        "what": words.what,
+        "old": words.old or None,
+        "new": words.new or None,
+        "old_raw": words.old_raw,
+        "new_raw": words.new_raw,
+    }
+
+
+def _fates(intent: Intent, result: Result) -> dict[int, tuple[Outcome, str]]:
+    said: dict[int, tuple[Outcome, str]] = {fate.unit: (fate.outcome, fate.message) for fate in result.units}
+    whole = (result.outcome, result.message)
+    return {event: said.get(unit, whole) for unit, event in intent.parts.items()}
