@@ -104,6 +104,8 @@ def build(settings: Settings, *, demo: bool) -> Services:
     local_time = partial(datetime.now, zone(settings.site.time_zone))
     sets = SetKeeper(live, reader, SetStore(database), events, local_time)
     desk.before_parameter_write = sets.keep_known
+    accounts = Accounts(database, passwords, events)
+    accounts.on_rights_changed(safeguards.control.release_all_of)
     hub = Hub(live, templates, time)
     hub.block, hub.watch = safeguards.block_reason, workers.watch
     hub.holder = safeguards.holder
@@ -115,7 +117,7 @@ def build(settings: Settings, *, demo: bool) -> Services:
         database=database,
         events=events,
         passwords=passwords,
-        accounts=Accounts(database, passwords, events),
+        accounts=accounts,
         sign_in=SignIn(database, passwords, events),
         live=live,
         history=history,
