@@ -8,6 +8,7 @@ from starlette.requests import HTTPConnection
 from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from app.auth.lasting import while_allowed
 from app.auth.signin import SignIn
 from app.errors import Problem, StoreError
 from app.web.access import Person, Role, not_signed_in
@@ -48,14 +49,27 @@ class Identify:
             await _turn_away(connection, receive, send)
             return
         scope["person"] = person
-        await self._app(scope, receive, send)
+        running = self._app(scope, receive, send)
+        if scope["type"] == "websocket":
+            await while_allowed(running, lambda: self._is_still(connection, person), send)
+        else:
+            await running
 
-    async def _person(self, connection: HTTPConnection) -> Person | None:
+    async def _is_still(self, connection: HTTPConnection, person: Person | None) -> bool:
+        """Whether who opened a socket may have it still; a store that fails ends nothing that runs."""
+        try:
+            return await self._person(connection, is_use=person is not None and person.panel) == person
+        except Problem:
+            return False
+        except StoreError:
+            return True
+
+    async def _person(self, connection: HTTPConnection, *, is_use: bool = True) -> Person | None:
         scheme, _, bearer = connection.headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer":
             return await self._by_bearer(bearer.strip())
         cookie = connection.cookies.get(COOKIE)
-        person = await self._sign_in.by_cookie(cookie) if cookie else None
+        person = await self._sign_in.by_cookie(cookie, is_use=is_use) if cookie else None
         if person is None and self._demo and _is_loopback(connection):
             return Person("demo", Role.ADMIN, "demo")
         return person

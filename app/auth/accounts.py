@@ -15,7 +15,7 @@ from app.database import Database
 from app.web.access import Role
 from bus.errors import CallerError
 
-Ended = Callable[[str], None]
+Ended = Callable[[str], object]
 
 
 class Accounts:

@@ -63,14 +63,18 @@ class SignIn:
         """Whether there is no user yet."""
         return not await self._database.read(store.users)
 
-    async def by_cookie(self, cookie: str) -> Person | None:
-        """Who a session cookie stands for; None when it is over or was never good."""
+    async def by_cookie(self, cookie: str, *, is_use: bool = True) -> Person | None:
+        """Who a session cookie stands for; None when it is over or was never good.
+
+        ``is_use`` False: the look prolongs nothing.
+        """
         hash_ = rules.secret_hash(cookie)
         session = await self._database.read(lambda connection: store.session(connection, hash_))
         now = self._clock()
         if session is None or session.expires_at <= now or session.user.disabled:
             return None
-        await self._note_use(hash_, session, now)
+        if is_use:
+            await self._note_use(hash_, session, now)
         user = session.user
         return Person(user.name, user.role, "session", user.language, user.panel, user.home)
 
