@@ -66,6 +66,8 @@ class Poller:
         self._routine: tuple[Task, Asking] | None = None
         self._owner: Errand | None = None
         self._sending: Request | None = None
+        self._held: list[Update] | None = None
+        """What is told once the next request has left."""
         self._routine_at = 0.0
         self._not_before = 0.0
         self._tuned_at = clock.now()
@@ -179,7 +181,7 @@ class Poller:
 
     def _heard(self, heard: Heard, began: float, ended: float) -> None:
         self.trace.witness = None
-        updates = self._learn(heard, ended)
+        self._held = self._learn(heard, ended)
         errand, self._owner = self._owner, None
         if errand is not None:
             errand.settle(heard, ended)
@@ -189,8 +191,9 @@ class Poller:
             self._settle_routine(heard, began, ended)
         if not self.link.busy:
             self._go(ended)
-        if updates:
-            self._emit(updates)
+        held, self._held = self._held, None
+        if held:
+            self._emit(held)
         self._sweep(ended)
 
     def _learn(self, heard: Heard, now: float) -> list[Update]:
@@ -371,13 +374,20 @@ class Poller:
         at = self.clock.epoch(self.clock.now())
         match step:
             case Tell():
-                self._emit([Progress(command_id, at, step.stage, step.unit, step.done, step.of)])
+                self._tell([Progress(command_id, at, step.stage, step.unit, step.done, step.of)])
             case Unstage():
-                self._emit(self.roster.unstage(step.unit, at))
+                self._tell(self.roster.unstage(step.unit, at))
             case Retune(baud=baud):
                 self._retune(baud)
             case Expect(baud=baud):
                 self._expected_baud = baud
+
+    def _tell(self, updates: list[Update]) -> None:
+        """In the order of happening, but after the next request has left."""
+        if self._held is not None:
+            self._held += updates
+        elif updates:
+            self._emit(updates)
 
 
 def _ask_of(task: Task) -> Ask:

@@ -1,0 +1,133 @@
+"""What is known of each unit, and what is told about it."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus.contract import ParameterValue, Reading, Staged, UnitLink
+from bus.line.roster import Roster
+from bus.line.statistics import AnswerTimes
+from bus.wire.commands import (
+    Ack,
+    ExecuteSpeed,
+    Nak,
+    ParameterReply,
+    ReadParameter,
+    ReadStatus,
+    SetAndExecuteSpeed,
+    StageSpeed,
+    StatusReply,
+    WriteOutput,
+)
+
+STATUS = StatusReply(1, 500, 498, 77, 0xC1, 0x03)
+
+
+@pytest.fixture
+def roster() -> Roster:
+    return Roster([1, 2], at=100.0)
+
+
+def links(updates: list[object]) -> list[str]:
+    return [update.link for update in updates if isinstance(update, UnitLink)]
+
+
+def test_a_unit_never_heard_is_unknown(roster: Roster) -> None:
+    assert [state.link.link for state in roster.states()] == ["unknown", "unknown"]
+    assert roster.states()[0].reading is None
+
+
+def test_an_answer_makes_it_online_and_gives_a_reading(roster: Roster) -> None:
+    updates = roster.heard(ReadStatus(1), STATUS, 101.0, b"")
+    assert links(updates) == ["online"]
+    assert Reading(1, 101.0, 500, 498, 77, 0xC1, 0x03) in updates
+    assert links(roster.heard(ReadStatus(1), STATUS, 102.0, b"")) == [], "only news is told"
+
+
+def test_one_miss_is_nobodys_business_two_are_stale_three_are_offline(roster: Roster) -> None:
+    roster.heard(ReadStatus(1), STATUS, 101.0, b"")
+    told = [links(roster.missed(1, 102.0 + miss)) for miss in range(4)]
+    assert told == [[], ["stale"], ["offline"], []]
+
+
+def test_misses_are_counted_in_a_row(roster: Roster) -> None:
+    roster.heard(ReadStatus(1), STATUS, 101.0, b"")
+    for _ in range(5):
+        assert roster.missed(1, 102.0) == []
+        roster.heard(ReadStatus(1), STATUS, 103.0, b"")
+
+
+def test_a_silent_unit_keeps_its_last_reading_with_its_age(roster: Roster) -> None:
+    roster.heard(ReadStatus(1), STATUS, 101.0, b"")
+    for _ in range(3):
+        roster.missed(1, 102.0)
+    assert roster.states()[0].reading is not None
+    assert roster.states()[0].reading.at == 101.0
+
+
+def test_a_parameter_comes_with_the_frame_that_said_it(roster: Roster) -> None:
+    updates = roster.heard(ReadParameter(1, 6), ParameterReply(1, 50), 101.0, b"frame")
+    assert ParameterValue(1, 6, 101.0, 50, frame=b"frame") in updates
+    assert roster[1].raw(6) == 50
+
+
+def test_a_parameter_that_it_does_not_have_is_told_as_such(roster: Roster) -> None:
+    updates = roster.heard(ReadParameter(1, 38), Nak(1, 0x82), 101.0, b"f")
+    assert ParameterValue(1, 38, 101.0, None, available=False, frame=b"f") in updates
+    assert roster[1].raw(38) is None
+
+
+def test_another_refusal_says_nothing_about_the_parameter(roster: Roster) -> None:
+    roster.heard(ReadParameter(1, 38), Nak(1, 0x89), 101.0, b"f")
+    assert roster[1].parameters == {}
+
+
+def test_staged_until_executed(roster: Roster) -> None:
+    assert Staged(1, 101.0, 640) in roster.heard(StageSpeed(1, 640), Ack(1), 101.0, b"")
+    assert roster[1].staged == 640
+    assert roster.heard(StageSpeed(1, 700), Nak(1, 0x81), 102.0, b"") == []
+    assert roster[1].staged == 640, "a refused stage changes nothing"
+    assert Staged(1, 103.0, None) in roster.heard(ExecuteSpeed(1), Ack(1), 103.0, b"")
+    roster.heard(StageSpeed(1, 640), Ack(1), 104.0, b"")
+    assert Staged(1, 105.0, None) in roster.heard(SetAndExecuteSpeed(1, 5), Ack(1), 105.0, b"")
+    assert roster.unstage(1, 106.0) == []
+
+
+def test_other_writes_leave_the_staged_speed(roster: Roster) -> None:
+    roster.heard(StageSpeed(1, 640), Ack(1), 101.0, b"")
+    roster.heard(WriteOutput(1, 1, True), Ack(1), 102.0, b"")
+    assert roster[1].staged == 640
+
+
+def test_a_closed_port_makes_stale_and_then_offline(roster: Roster) -> None:
+    roster.heard(ReadStatus(1), STATUS, 101.0, b"")
+    assert links(roster.port_closed(102.0, "pulled")) == ["stale"]
+    assert links(roster.port_closed(102.5, "pulled")) == []
+    assert links(roster.port_stays_closed(105.0, "pulled")) == ["offline"]
+    assert roster.states()[0].link.cause == "pulled"
+    assert roster.states()[1].link.link == "unknown", "never seen stays never seen"
+
+
+def test_a_unit_of_no_configuration_is_known_but_not_told(roster: Roster) -> None:
+    assert roster.heard(ReadStatus(9), StatusReply(9, 1, 1, 0, 0, 0), 101.0, b"") == []
+    assert roster[9].reading is not None
+    assert [state.unit for state in roster.states()] == [1, 2]
+
+
+@given(st.lists(st.floats(0, 5.0), min_size=1, max_size=200))
+def test_quantiles_are_within_a_class_of_the_truth(seconds: list[float]) -> None:
+    times = AnswerTimes()
+    for each in seconds:
+        times.add(each)
+    median = times.quantile(0.5)
+    assert median is not None
+    assert times.smallest == min(seconds)
+    assert times.largest == max(seconds)
+    true = sorted(seconds)[(len(seconds) + 1) // 2 - 1]
+    assert median == pytest.approx(true, rel=0.09, abs=0.0002)
+
+
+def test_no_answer_has_no_quantile() -> None:
+    assert AnswerTimes().quantile(0.5) is None
