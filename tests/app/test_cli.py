@@ -1,0 +1,199 @@
+"""The command as a person types it: check, user, token, audit; exit codes and one sentence on stderr."""
+
+from __future__ import annotations
+
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from app.cli import COMMANDS, cli
+
+CONFIG = """\
+[site]
+name = "Mill 7"
+[[bus]]
+name = "dry-end"
+port = "/dev/ttyUSB99"
+[[bus.unit]]
+id = 1
+name = "Unwind"
+"""
+
+
+class Shell:
+    """Runs the command in a folder that has a lineside.toml."""
+
+    def __init__(self, folder: Path) -> None:
+        self.config = folder / "lineside.toml"
+        self.config.write_text(CONFIG)
+        self.store = folder / "data" / "lineside.db"
+
+    def __call__(self, *words: str, typed: str = "") -> tuple[int, str, str]:
+        result = CliRunner().invoke(cli, [*words, "--config", str(self.config)], input=typed)
+        return result.exit_code, result.stdout, result.stderr
+
+
+@pytest.fixture
+def lineside(tmp_path: Path) -> Shell:
+    return Shell(tmp_path)
+
+
+def test_every_command_is_there_and_explains_itself() -> None:
+    for name in COMMANDS:
+        result = CliRunner().invoke(cli, [name, "--help"])
+        assert result.exit_code == 0, name
+        assert "Usage:" in result.stdout
+
+
+def test_help_reads_nothing_heavy() -> None:
+    """Sixteen commands are listed without importing the web, the store or the wire."""
+    script = (
+        "import sys; from app.cli import cli; cli(['--help'], standalone_mode=False); print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert "serve" in done.stdout
+    assert not loaded & {"fastapi", "pydantic", "sqlite3", "httpx", "bus.simulator.demo", "app.main"}
+
+
+@pytest.mark.parametrize(
+    "words", [["nonsense"], ["serve", "--nonsense"], ["user", "add"], ["token", "create"]]
+)
+def test_wrong_use_is_2(words: list[str]) -> None:
+    result = CliRunner().invoke(cli, words)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+
+
+def test_check(lineside: Shell) -> None:
+    code, out, _ = lineside("check")
+    assert code == 0
+    assert "dry-end: 1 units at /dev/ttyUSB99, which is not there now, 9600 baud" in out
+
+
+def test_check_says_what_is_wrong(lineside: Shell) -> None:
+    lineside.config.write_text(CONFIG.replace("id = 1", "id = 0"))
+    code, out, err = lineside("check")
+    assert (code, out) == (1, "")
+    assert f"{lineside.config}:7: bus.unit.id = 0: it must be greater than or equal to 1" in err
+
+
+def test_serve_refuses_a_bad_configuration(lineside: Shell) -> None:
+    lineside.config.write_text(CONFIG.replace("[site]", "[sight]"))
+    code, _, err = lineside("serve")
+    assert code == 1
+    assert ":1: unknown key sight in the file; did you mean site?" in err
+
+
+def test_users(lineside: Shell) -> None:
+    add = ("user", "add", "ann", "--role", "operator", "--password-stdin")
+    assert lineside(*add, typed="correct horse\n") == (0, "", "")
+    assert lineside("user", "list")[1] == "ann\toperator\n"
+    assert lineside("user", "password", "ann", "--password-stdin", typed="another one") == (0, "", "")
+    code, _, err = lineside(*add, typed="correct horse")
+    assert (code, err) == (2, "lineside: there is a user ann already; take another name\n")
+    assert lineside("user", "remove", "ann")[0] == 0
+    assert lineside("user", "list")[1] == ""
+
+
+def test_a_password_typed_by_hand_is_asked_for_twice(lineside: Shell) -> None:
+    code, out, _ = lineside("user", "add", "ann", "--role", "viewer", typed="correct horse\ncorrect horse\n")
+    assert code == 0
+    assert "correct horse" not in out
+
+
+def test_a_short_password_is_taken_from_here_with_a_word(lineside: Shell) -> None:
+    code, _, err = lineside("user", "add", "ann", "--role", "viewer", "--password-stdin", typed="1234\n")
+    assert code == 0
+    assert "this password is short" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "typed", "said"),
+    [
+        (["user", "add", "ann", "--role", "king", "--password-stdin"], "x" * 9, "there is no role 'king'"),
+        (["user", "add", "a b", "--role", "viewer", "--password-stdin"], "x" * 9, "1 to 40 letters"),
+        (["user", "add", "ann", "--role", "viewer", "--password-stdin"], "", "1 to 256 characters"),
+        (["user", "remove", "eve"], "", "there is no user eve"),
+        (["token", "create", "t", "--role", "king"], "", "there is no role 'king'"),
+        (["token", "revoke", "t"], "", "there is no token t"),
+    ],
+)
+def test_what_cannot_be_done_as_asked_is_2(lineside: Shell, words: list[str], typed: str, said: str) -> None:
+    code, out, err = lineside(*words, typed=typed)
+    assert (code, out) == (2, "")
+    assert said in err
+
+
+def test_tokens(lineside: Shell) -> None:
+    code, out, err = lineside("token", "create", "plc", "--role", "worker")
+    assert (code, err) == (0, "")
+    assert len(out.strip()) >= 43
+    assert out.count("\n") == 1
+    assert lineside("token", "list")[1].startswith("plc\tworker\t")
+    assert out.strip() not in lineside("token", "list")[1]
+    assert lineside("token", "revoke", "plc")[0] == 0
+    assert lineside("token", "list")[1] == ""
+
+
+def tamper(store: Path, sql: str) -> None:
+    with closing(sqlite3.connect(store)) as connection:
+        names = connection.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall()
+        for (name,) in names:
+            connection.execute(f"DROP TRIGGER {name}")
+        connection.execute(sql)
+        connection.commit()
+
+
+def test_the_log_is_proved_whole(lineside: Shell) -> None:
+    for name in ("a", "b", "c"):
+        lineside("token", "create", name, "--role", "viewer")
+    assert lineside("audit", "verify") == (0, "the audit log is whole: 3 entries\n", "")
+
+
+@pytest.mark.parametrize(
+    ("sql", "broken"),
+    [
+        ("UPDATE events SET who = 'nobody' WHERE id = 2", 2),
+        ("DELETE FROM events WHERE id = 1", 1),
+        ("DELETE FROM events WHERE id = 3", 3),
+        ("DELETE FROM events", 1),
+        ("UPDATE events SET id = 9 WHERE id = 3", 3),
+    ],
+)
+def test_the_first_broken_entry_is_named(lineside: Shell, sql: str, broken: int) -> None:
+    for name in ("a", "b", "c"):
+        lineside("token", "create", name, "--role", "viewer")
+    tamper(lineside.store, sql)
+    code, out, err = lineside("audit", "verify")
+    assert (code, out) == (1, "")
+    assert f"the audit log is broken at entry {broken}: " in err
+
+
+def test_no_store_and_no_log(lineside: Shell) -> None:
+    code, _, err = lineside("audit", "verify")
+    assert code == 1
+    assert "nothing was served with this configuration yet" in err
+    assert not lineside.store.exists(), "to look is not to make"
+
+
+def test_a_store_that_is_none(lineside: Shell) -> None:
+    lineside.store.parent.mkdir()
+    lineside.store.write_bytes(b"nonsense" * 200)
+    for words in (("audit", "verify"), ("user", "list"), ("serve",)):
+        code, _, err = lineside(*words)
+        assert code == 1, words
+        assert "it is not a Lineside store, or damaged" in err
+
+
+def test_a_worker_without_its_bus(lineside: Shell) -> None:
+    call = ("worker", "--bus", "nix", "--app", "http://127.0.0.1:1", "--token", "t")
+    code, _, err = lineside(*call)
+    assert code == 1
+    assert "there is no [[bus]] named 'nix'; it has dry-end" in err
+    assert lineside("worker", "--bus", "dry-end", "--app", "plant", "--token", "t")[0] == 2

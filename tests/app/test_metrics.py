@@ -1,0 +1,67 @@
+"""``/metrics``: the counters of units, buses, browsers and commands, as Prometheus reads them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from app.web.access import Role
+from bus.contract import BusFigures, BusLink, UnitFigures
+from tests.app.whole_app import House, whole_app
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+async def samples(house: House) -> dict[tuple[str, ...], float]:
+    program = await house.program(Role.VIEWER)
+    answer = await program.get("/metrics")
+    assert answer.headers["content-type"].startswith("text/plain; version=")
+    return {
+        (sample.name, *sample.labels.values()): sample.value
+        for family in text_string_to_metric_families(answer.text)
+        for sample in family.samples
+    }
+
+
+async def test_before_anything_is_known(house: House) -> None:
+    found = await samples(house)
+    assert found["lineside_bus_open", "dry-end"] == 0
+    assert found["lineside_browsers",] == 0
+    assert found["lineside_commands_total", "verified"] == 0
+    assert not any(name[0] == "lineside_polls_total" for name in found)
+
+
+async def test_what_the_workers_say(house: House) -> None:
+    now = time.time()
+    unit = UnitFigures(unit=2, polls=50, answers=48, timeouts=2, checksum_errors=1, naks={128: 3})
+    figures = BusFigures(
+        at=now, scan_hz=4.5, scan_s=0.2, wire_utilisation=0.97, scan_s_with_one_more=0.3, units=[unit]
+    )
+    house.services.live.apply("dry-end", [BusLink(at=now, link="open"), figures])
+    found = await samples(house)
+    assert found["lineside_polls_total", "dry-end", "2"] == 50
+    assert found["lineside_timeouts_total", "dry-end", "2"] == 2
+    assert found["lineside_checksum_errors_total", "dry-end", "2"] == 1
+    assert found["lineside_naks_total", "dry-end", "128", "2"] == 3
+    assert found["lineside_scan_hz", "dry-end"] == 4.5
+    assert found["lineside_wire_utilisation", "dry-end"] == 0.97
+    assert found["lineside_bus_open", "dry-end"] == 1
+
+
+async def test_commands_by_their_fate(house: House) -> None:
+    events = house.services.events
+    for outcome in ("verified", "refused", "refused"):
+        number = await events.intend(who="a", origin="api", bus="dry-end", unit=1, what="x")
+        await events.conclude(number, outcome)  # type: ignore[arg-type]
+    await events.record(kind="restore", what="x", outcome="verified")
+    found = await samples(house)
+    assert found["lineside_commands_total", "verified"] == 1
+    assert found["lineside_commands_total", "refused"] == 2

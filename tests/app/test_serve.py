@@ -1,0 +1,187 @@
+"""``lineside serve`` and ``lineside demo`` as processes: they begin, restart what dies, and end whole."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+LINESIDE = Path(sys.executable).with_name("lineside")
+PATIENCE_S = 60.0
+"""This machine may be busy; nothing here is a measurement but the end within 5 s."""
+CONFIG = """\
+[server]
+port = 0
+[[bus]]
+name = "dry-end"
+port = "{port}"
+[[bus.unit]]
+id = 1
+name = "Unwind"
+"""
+
+
+def eventually(condition: Callable[[], Any], what: str) -> Any:
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
+        result = condition()
+        if result:
+            return result
+        time.sleep(0.05)
+    raise AssertionError(f"never: {what}")
+
+
+def children_of(pid: int) -> list[int]:
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = status.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == pid and fields[0] != "Z":
+            found.append(int(status.parent.name))
+    return sorted(found)
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@contextmanager
+def started(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The process and the URL that it prints."""
+    process = subprocess.Popen([LINESIDE, *words], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        line = process.stdout.readline()
+        url = re.search(r"http://127\.0\.0\.1:\d+", line)
+        assert url, f"no URL in {line!r}"
+        yield process, url[0]
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "lineside.toml"
+    path.write_text(CONFIG.format(port=tmp_path / "absent"))
+    return path
+
+
+def is_serving(url: str) -> bool:
+    return httpx.get(f"{url}/healthz", trust_env=False).json() == {"status": "ok"}
+
+
+def only_child(process: subprocess.Popen[str]) -> int:
+    return int(eventually(lambda: children_of(process.pid), "a worker runs")[0])
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_it_ends_whole_within_five_seconds(config: Path, number: int) -> None:
+    with started("serve", "--config", str(config)) as (process, url):
+        assert is_serving(url)
+        worker = only_child(process)
+        process.send_signal(number)
+        assert process.wait(timeout=5) == 0
+        assert not is_alive(worker)
+    proof = subprocess.run(
+        [LINESIDE, "audit", "verify", "--config", str(config)], capture_output=True, text=True
+    )
+    assert proof.returncode == 0, proof.stderr
+
+
+def test_no_worker_outlives_a_killed_parent(config: Path) -> None:
+    with started("serve", "--config", str(config)) as (process, _):
+        worker = only_child(process)
+        process.kill()
+        process.wait()
+        eventually(lambda: not is_alive(worker), "the worker ends too")
+
+
+def test_a_worker_that_dies_is_started_again(config: Path) -> None:
+    with started("serve", "--config", str(config)) as (process, url):
+        first = only_child(process)
+        os.kill(first, signal.SIGKILL)
+        second = eventually(
+            lambda: [pid for pid in children_of(process.pid) if pid != first], "another worker runs"
+        )
+        assert is_serving(url)
+        assert second != [first]
+
+
+def test_the_app_knows_its_worker_and_says_that_the_port_is_not_there(config: Path) -> None:
+    create = [LINESIDE, "token", "create", "t", "--role", "viewer", "--config", str(config)]
+    token = subprocess.run(create, capture_output=True, text=True, check=True).stdout.strip()
+    with started("serve", "--config", str(config)) as (_, url):
+
+        def bus() -> Any:
+            headers = {"Authorization": f"Bearer {token}"}
+            return httpx.get(f"{url}/api/v1/line", headers=headers, trust_env=False).json()["buses"][0]
+
+        eventually(lambda: bus()["worker"], "the worker is linked")
+        eventually(lambda: "absent" in bus()["link_cause"], "the cause names the port")
+        assert bus()["link"] == "closed"
+
+
+def test_a_busy_port_is_one_sentence_and_1(config: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        config.write_text(config.read_text().replace("port = 0", f"port = {port}"))
+        done = subprocess.run([LINESIDE, "serve", "--config", str(config)], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.count("\n") == 1
+    assert f"port {port} of 127.0.0.1 is taken by another program" in done.stderr
+
+
+def test_two_servers_never_share_their_data(config: Path) -> None:
+    with started("serve", "--config", str(config)):
+        done = subprocess.run([LINESIDE, "serve", "--config", str(config)], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "another Lineside server uses" in done.stderr
+
+
+def test_the_demo_shows_a_line_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with started("demo", "--units", "3", "--port", "0") as (process, url):
+
+        def line() -> Any:
+            return httpx.get(f"{url}/api/v1/line", trust_env=False).json()
+
+        units = eventually(
+            lambda: [unit for unit in line()["buses"][0]["units"] if unit["link"] == "online"][2:], "3 units"
+        )
+        assert units[0]["id"] == 3
+        page = httpx.get(f"{url}/", trust_env=False)
+        assert (page.status_code, "SIMULATED" in page.text) == (200, True)
+        assert list(tmp_path.iterdir())
+        pids = children_of(process.pid)
+        assert len(pids) == 2
+        process.terminate()
+        assert process.wait(timeout=5) == 0
+        assert not any(is_alive(pid) for pid in pids)
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_of_a_killed_demo_lives_on() -> None:
+    with started("demo", "--units", "1", "--port", "0") as (process, _):
+        pids = eventually(lambda: children_of(process.pid)[1:] and children_of(process.pid), "both run")
+        process.kill()
+        process.wait()
+        eventually(lambda: not any(is_alive(pid) for pid in pids), "both end too")
