@@ -1,0 +1,218 @@
+"""The memory of a real line: what is drawn, how it is moved, what a silence and a crash leave."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import signal
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import Site, eventually
+from tests.e2e.site import site as one_site
+
+OFFICE = {"width": 1280, "height": 900}
+NOTHING = "\N{EN DASH}"
+PHONE = {"width": 360, "height": 740}
+
+
+@pytest.fixture(scope="module")
+def own_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """Two units, for tests that hurt the server."""
+    with one_site(tmp_path_factory.mktemp("hurt"), 2, line_options=("--no-script",)) as made:
+        yield made
+
+
+def history(served: Site, value: str = "actual", seconds: float = 60, unit: int = 1) -> dict[str, Any]:
+    """A value of the last so many seconds."""
+    now = time.time()
+    span = {
+        name: datetime.fromtimestamp(t, UTC).isoformat() for name, t in (("from", now - seconds), ("to", now))
+    }
+    with served.api("viewer") as client:
+        asked = {"bus": "line", "unit": unit, "value": value, "points": 20_000, **span}
+        answer = client.get("/history", params=asked)
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+def opened(page: Page, query: str = "") -> Page:
+    page.goto(f"/trends{query}")
+    expect(page.locator("#trends[data-drawn]")).to_be_attached(timeout=20_000)
+    return page
+
+
+def view_of(page: Page) -> dict[str, str]:
+    return dict(re.findall(r"[?&](\w+)=([^&]*)", page.evaluate("location.search")))
+
+
+def test_the_history_says_what_the_unit_said(site: Site) -> None:
+    raw = site.unit(2)["commanded_raw"]
+    with site.api("operator") as client:
+        client.post("/buses/line/units/2/speed", json={"raw": raw + 55, "execute": True}).raise_for_status()
+    eventually(
+        lambda: (raw + 55) / 10 in history(site, "commanded", 20, 2)["avg"], "the new setpoint in the history"
+    )
+    found = history(site, "commanded", 20, 2)
+    place = found["avg"].index((raw + 55) / 10)
+    assert set(found["avg"][:place]) <= {raw / 10}
+    assert set(found["avg"][place:]) == {(raw + 55) / 10}
+
+
+def test_a_unit_that_was_silent_leaves_a_hole_and_its_neighbour_none(site: Site) -> None:
+    site.line.remote.do("fault", kind="dead", rate=1, unit=4)
+    eventually(lambda: site.unit(4)["link"] == "offline", "unit 4 is lost")
+    site.line.remote.do("clear")
+    eventually(lambda: site.unit(4)["link"] == "online", "unit 4 is back")
+    eventually(lambda: None in history(site, "actual", 60, 4)["avg"][1:-1], "the hole")
+    found = history(site, "actual", 60, 4)
+    assert found["avg"].count(None) == found["min"].count(None) == found["max"].count(None) >= 1
+    assert None not in history(site, "actual", 30, 5)["avg"]
+
+
+def test_the_page_draws_and_follows_now(browser_page: OpensPages) -> None:
+    page = opened(browser_page("viewer", viewport=OFFICE))
+    expect(page.locator("#trend-values tr")).to_have_count(8)
+    first = page.locator("#trends").get_attribute("data-drawn")
+    page.locator('[data-span="600"]').click()
+    expect(page.locator('[data-span="600"]')).to_have_attribute("aria-pressed", "true")
+    expect(page.locator("#trends")).not_to_have_attribute("data-drawn", first or "")
+    assert view_of(page)["span"] == "600"
+    assert page.locator("#trend-plot canvas").count() == 1
+
+
+def test_a_link_reopens_the_same_view(browser_page: OpensPages) -> None:
+    page = opened(browser_page("viewer", viewport=OFFICE), "?s=line/1/actual&span=600")
+    page.locator("#trend-add select[name=unit]").select_option("line/3")
+    page.locator("#trend-add select[name=value]").select_option("run")
+    page.locator("#trend-add button").click()
+    page.locator("#trend-scale").select_option("own")
+    page.locator('[data-move="in"]').click()
+    page.locator("#trend-marks").uncheck()
+    expect(page.locator("#trend-values tr")).to_have_count(2)
+    expect(page.locator("#trend-lanes canvas")).to_have_count(1)
+    again = opened(browser_page("viewer", viewport=OFFICE), page.evaluate("location.search"))
+    expect(again.locator("#trend-values tr")).to_have_count(2)
+    expect(again.locator("#trend-scale")).to_have_value("own")
+    expect(again.locator("#trend-marks")).not_to_be_checked()
+    assert view_of(again)["span"] == "300"
+
+
+def test_wheel_drag_and_keys_move_the_picture(browser_page: OpensPages) -> None:
+    page = opened(browser_page("viewer", viewport=OFFICE), "?s=line/1/actual&span=600")
+    picture = page.locator("#trend-plot .u-over")
+    box = picture.bounding_box()
+    assert box is not None
+    middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.move(*middle)
+    page.mouse.wheel(0, -200)
+    page.wait_for_function("location.search.includes('from=')")
+    page.mouse.down()
+    page.mouse.move(middle[0] + box["width"] / 4, middle[1], steps=5)
+    before = page.evaluate("location.search")
+    page.mouse.up()
+    page.wait_for_function("before => location.search !== before", arg=before)
+    view = view_of(page)
+    assert "from" in view
+    assert "to" in view
+    page.locator("#trend-picture").focus()
+    page.keyboard.press("l")
+    page.wait_for_function("!location.search.includes('to=')")
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("a")
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("b")
+    expect(page.locator("#time-difference")).not_to_have_text(NOTHING)
+    page.keyboard.press("Escape")
+    expect(page.locator("#time-difference")).to_have_text(NOTHING)
+
+
+def test_the_table_reads_at_the_cursor(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page("viewer", viewport=OFFICE), "?s=line/1/commanded&s=line/1/run&span=10")
+    box = page.locator("#trend-plot .u-over").bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] * 0.8, box["y"] + 50)
+    cell = page.locator("#trend-values tr").first.locator("td").first
+    expect(cell).to_have_text(re.compile(r"^\d+\.\d$"))
+    assert float(cell.inner_text()) == site.unit(1)["commanded_raw"] / 10
+
+
+def test_what_happened_is_listed_beside_the_picture(site: Site, browser_page: OpensPages) -> None:
+    raw = site.unit(3)["commanded_raw"]
+    with site.api("operator") as client:
+        client.post("/buses/line/units/3/speed", json={"raw": raw + 10, "execute": True}).raise_for_status()
+    page = opened(browser_page("viewer", viewport=OFFICE), "?s=line/3/actual&span=600")
+    page.locator("#trend-events summary").click()
+    expect(page.locator("#trend-list li").filter(has_text="line/3").first).to_be_visible()
+
+
+@pytest.mark.parametrize("size", [OFFICE, PHONE], ids=["office", "phone"])
+def test_it_is_accessible(
+    browser_page: OpensPages, axe: Callable[..., list[str]], size: dict[str, int]
+) -> None:
+    page = opened(browser_page("viewer", viewport=size), "?s=line/1/actual&s=line/1/run&span=60")
+    assert axe(page) == []
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert "actual" in page.locator("#trend-summary").inner_text()
+
+
+def test_the_export_of_the_page_is_what_it_shows(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page("viewer", viewport=OFFICE), "?s=line/1/actual&s=line/2/run&span=30")
+    address = page.locator("#export-csv").get_attribute("href")
+    assert address is not None
+    with site.api("viewer") as client:
+        rows = list(csv.reader(io.StringIO(client.get(f"{site.url}{address}").text)))
+    assert [re.sub(r" \[.*", "", head) for head in rows[0]] == ["time", "line/1 actual", "line/2 run", "note"]
+    assert len(rows) > 50
+
+
+def test_a_killed_server_loses_a_second_at_most_and_no_event(own_site: Site) -> None:
+    for _ in range(3):
+        raw = own_site.unit(1)["commanded_raw"]
+        with own_site.api("operator") as client:
+            answer = client.post("/buses/line/units/1/speed", json={"raw": raw + 7, "execute": True})
+            events = client.get("/events", params={"kind": "command"}).json()["events"]
+        assert answer.status_code == 200
+        eventually(lambda: len(history(own_site)["t"]) > 3, "some history")
+        killed = time.time()
+        own_site.stop(signal.SIGKILL)
+        own_site.start()
+        own_site.wait_for_units()
+        times = [datetime.fromisoformat(t).timestamp() for t in history(own_site, "actual", 120)["t"]]
+        assert max(t for t in times if t <= killed + 1) > killed - 1.2
+        with own_site.api("viewer") as client:
+            after = client.get("/events", params={"kind": "command"}).json()["events"]
+        assert [e["id"] for e in after if e["id"] <= events[0]["id"]][: len(events)] == [
+            e["id"] for e in events
+        ]
+        assert None in history(own_site, "actual", 120)["avg"]
+    assert "whole" in own_site.command("audit", "verify")
+    with sqlite3.connect(own_site.folder / "data" / "history.db") as connection:
+        assert connection.execute("PRAGMA quick_check").fetchone() == ("ok",)
+
+
+def test_a_store_that_is_damaged_is_said_and_the_line_goes_on(
+    own_site: Site, browser_page: OpensPages
+) -> None:
+    own_site.stop()
+    store = own_site.folder / "data" / "history.db"
+    for path in store.parent.glob("history.db*"):
+        path.unlink()
+    store.write_bytes(b"this is no store " * 1000)
+    own_site.start()
+    own_site.wait_for_units()
+    page = browser_page("viewer", own_site, viewport=OFFICE)
+    page.goto("/trends")
+    expect(page.locator(".notice").first).to_contain_text("history is off")
+    with own_site.api("viewer") as client:
+        assert client.get("/history/status").json()["state"] == "failed"
+    assert own_site.unit(1)["link"] == "online"
