@@ -7,18 +7,23 @@ import time
 from pathlib import Path
 from typing import Any
 
+import httpx
+
 from benchmarks.tables import median, milliseconds, quantile, show
 from bus.settings import Dialect
 from bus.wire.commands import (
+    Ack,
     ExecuteSpeed,
     ReadStatus,
+    Reply,
     Request,
     StageSpeed,
+    StatusReply,
+    encode_reply,
     encode_request,
-    longest_reply_bytes,
     wire_seconds,
 )
-from tests.e2e.site import Site, site
+from tests.e2e.site import Site, eventually, site
 
 BAUD = 9600
 WISHES = 150
@@ -59,12 +64,11 @@ def _show_wishes(served: Site) -> None:
             assert answer.json()["outcome"] == "verified", answer.text
             to_wire.append(_first_came(served, since, SET_AND_EXECUTE)["at"] - begun)
             time.sleep(PAUSE_S)
-    transaction = _wire_s(ReadStatus(1))
     rows = [
         [
             "the wire itself: half a poll is in flight",
-            milliseconds(transaction / 2),
-            milliseconds(transaction),
+            milliseconds(_poll_s() / 2),
+            milliseconds(_poll_s()),
         ],
         ["request → first byte of 84h on the wire", _middle(to_wire), _worst(to_wire)],
         ["request → fate, read back", _middle(to_fate), _worst(to_fate)],
@@ -76,13 +80,14 @@ def _show_many(served: Site) -> None:
     rows = []
     least = _change_wire_s()
     with served.api("operator") as client:
+        units = eventually(lambda: _known_units(client), "whether each unit follows")
         for turn in range(REPEATS):
-            setpoints = {str(unit): {"raw": 900 + 10 * turn + unit} for unit in range(1, MANY + 1)}
+            setpoints = {str(unit["id"]): {"raw": _near(unit) + turn} for unit in units}
             since = _last_number(served)
             answer = client.post(
                 "/buses/line/speeds", json={"setpoints": setpoints, "timeout_s": 30}, timeout=60
             )
-            assert answer.status_code == 200, answer.text
+            assert answer.status_code == 200, answer.json()["detail"]
             took = _took(served, since)
             rows.append([str(turn + 1), f"{took:.3f} s", f"{took / least:.3f}"])
     note = f"The wire alone needs {least:.3f} s: {MANY} stages acknowledged, one broadcast, {MANY} proofs."
@@ -94,6 +99,17 @@ def _show_many(served: Site) -> None:
     )
 
 
+def _known_units(client: httpx.Client) -> list[dict[str, Any]]:
+    """All units, once each has been asked whether it follows another by ratio; else none."""
+    found: list[dict[str, Any]] = client.get("/line").json()["buses"][0]["units"]
+    return [] if any(unit["follower"] is None for unit in found) else found
+
+
+def _near(unit: dict[str, Any]) -> int:
+    """A setpoint that this unit takes: a ratio for one that follows."""
+    return 10_000 if unit["follower"] else 1_100
+
+
 def _took(served: Site, since: int) -> float:
     """From the host's first stage to the end of the last unit's proof."""
     begun: float = _first_came(served, since, STAGE)["at"]
@@ -103,14 +119,18 @@ def _took(served: Site, since: int) -> float:
 
 def _change_wire_s() -> float:
     units = range(1, MANY + 1)
-    stages = sum(_wire_s(StageSpeed(unit, 900)) for unit in units)
-    proofs = sum(_wire_s(ReadStatus(unit)) for unit in units)
-    return stages + wire_seconds(len(encode_request(ExecuteSpeed(0), Dialect())), BAUD) + proofs
+    stages = sum(_wire_s(StageSpeed(unit, 1100), Ack(unit)) for unit in units)
+    return stages + _wire_s(ExecuteSpeed(0)) + sum(_poll_s(unit) for unit in units)
 
 
-def _wire_s(request: Request) -> float:
+def _poll_s(unit: int = 1) -> float:
+    return _wire_s(ReadStatus(unit), StatusReply(unit, 1100, 1100, 128, 0xC0, 3))
+
+
+def _wire_s(request: Request, *answers: Reply) -> float:
     dialect = Dialect()
-    return wire_seconds(len(encode_request(request, dialect)) + longest_reply_bytes(request, dialect), BAUD)
+    frames = [encode_request(request, dialect), *(encode_reply(answer, dialect) for answer in answers)]
+    return wire_seconds(sum(map(len, frames)), BAUD)
 
 
 def _record(served: Site, since: int, *kinds: str) -> list[dict[str, Any]]:

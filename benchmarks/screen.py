@@ -50,7 +50,7 @@ def run() -> None:
 
 def _show_weight(page: Page) -> None:
     answers: list[Any] = []
-    page.on("requestfinished", answers.append)
+    page.on("requestfinished", lambda request: answers.append(request))
     page.goto("/", wait_until="networkidle")
     sizes = [request.sizes() for request in answers]
     on_the_way = sum(size["responseBodySize"] + size["responseHeadersSize"] for size in sizes)
