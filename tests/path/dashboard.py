@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import atexit
+import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import httpx
@@ -71,10 +75,9 @@ def dashboard(
         made = Dashboard(folder, f"http://127.0.0.1:{free_port()}", cable)
         config = folder / "lineside.toml"
         config.write_text(_configuration(made, site_toml, bus_toml), encoding="utf-8")
-        for role in ROLES:
-            command = [LINESIDE, "token", "create", role, "--role", role, "--config", config]
-            done = subprocess.run(command, capture_output=True, text=True, check=True)
-            made.tokens[role] = done.stdout.split()[-1]
+        store, tokens = _people()
+        shutil.copytree(store, folder / "data")
+        made.tokens.update(tokens)
         with (folder / "serve.log").open("ab") as log:
             server = subprocess.Popen([LINESIDE, "serve", "--config", config], stdout=log, stderr=log)
             try:
@@ -85,6 +88,21 @@ def dashboard(
                 yield made
             finally:
                 end(server)
+
+
+@cache
+def _people() -> tuple[Path, dict[str, str]]:
+    """A store with a token for each role, made once by the command, to begin every test from."""
+    folder = Path(mkdtemp(prefix="lineside-people-"))
+    atexit.register(shutil.rmtree, folder)
+    config = folder / "lineside.toml"
+    config.write_text('[server]\ndata = "./data"\n')
+    tokens = {}
+    for role in ROLES:
+        command = [LINESIDE, "token", "create", role, "--role", role, "--config", config]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        tokens[role] = done.stdout.split()[-1]
+    return folder / "data", tokens
 
 
 def _serves(made: Dashboard) -> bool:
