@@ -1,0 +1,58 @@
+"""A live line for tests of what is shown: one bus, readings put in by hand, time passed in."""
+
+from __future__ import annotations
+
+from app.live.fields import Voice
+from app.live.screen import Screen, motions_for, watch_motions
+from app.live.state import LiveState
+from app.web.formats import Formats
+from app.web.languages import Languages
+from bus.contract import BusLink, ParameterValue, Reading, UnitLink
+from bus.settings import BusSettings, UnitLabels, UnitSettings
+
+AT_SPEED, REMOTE, RUN, HEALTHY = 0x80, 0x40, 0x01, 0x02
+PARAMETERS = {2: 2000, 3: 1, 6: 100, 7: 200, 8: 0, 12: 10, 22: 0, 23: 510}
+
+
+def voice(tag: str = "en") -> Voice:
+    language = Languages()[tag]
+    return Voice(language, Formats(language.locale))
+
+
+def line(units: int = 2) -> LiveState:
+    """Online, at 120.0 of 200.0, everything well at the time 100."""
+    settings = tuple(
+        UnitSettings(id=n, name=f"Unit {n}", labels=UnitLabels(unit="m/min")) for n in range(1, units + 1)
+    )
+    live = LiveState([BusSettings(name="dry", port="/dev/null", unit=settings)], 0.0)
+    live.buses["dry"].worker_connected = True
+    live.apply("dry", [BusLink(at=100.0, link="open")])
+    for number in range(1, units + 1):
+        parameters = [
+            ParameterValue(unit=number, number=n, at=100.0, raw=raw) for n, raw in PARAMETERS.items()
+        ]
+        live.apply("dry", [UnitLink(unit=number, at=100.0, link="online"), *parameters, reading(number)])
+    return live
+
+
+def reading(
+    unit: int = 1,
+    at: float = 100.0,
+    commanded: int = 1200,
+    actual: int = 1200,
+    outputs: int = AT_SPEED | REMOTE,
+    inputs: int = RUN | HEALTHY,
+) -> Reading:
+    return Reading(
+        unit=unit, at=at, commanded=commanded, actual=actual, analog=127, outputs=outputs, inputs=inputs
+    )
+
+
+def screen(live: LiveState, tag: str = "en", blocks: dict[int, str] | None = None) -> Screen:
+    """What is shown, brought up to date at the time 100."""
+    motions = motions_for(live)
+    for name, bus in live.buses.items():
+        watch_motions(motions, name, bus, list(bus.units), 0.2)
+    made = Screen(live, voice(tag), motions, lambda _bus, unit: (blocks or {}).get(unit, ""))
+    made.refresh(100.0)
+    return made

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import pytest
+
+from app.live.abnormal import Sight, Tally, bus_trouble, unit_trouble, verdict
+from app.live.motion import State
+from bus.contract import BusLink, UnitLinkState
+from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, voice
+
+
+def trouble(
+    link: UnitLinkState = "online", state: State = "at_speed", blocked: str = "", **changes: int
+) -> tuple[str, str] | None:
+    live = line()
+    bus = live.buses["dry"]
+    live.apply("dry", [reading(**changes)])
+    found = unit_trouble(bus, Sight(bus.units[1], link, state, blocked), voice())
+    return (found.level, found.code) if found else None
+
+
+def test_a_unit_at_speed_in_remote_is_nothing() -> None:
+    assert trouble() is None
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        ({"inputs": RUN}, ("urgent", "estop")),
+        ({"state": "off_speed"}, ("high", "off_speed")),
+        ({"link": "stale"}, ("low", "stale")),
+        ({"link": "offline"}, ("high", "offline")),
+        ({"blocked": "belt off"}, ("low", "blocked")),
+        ({"outputs": AT_SPEED}, ("low", "mode")),
+        ({"inputs": HEALTHY}, ("low", "run")),
+    ],
+)
+def test_each_trouble_has_its_step(given: dict[str, str], found: tuple[str, str]) -> None:
+    assert trouble(**given) == found  # type: ignore[arg-type]
+
+
+def test_the_worst_is_said() -> None:
+    assert trouble(state="off_speed", inputs=RUN, blocked="x") == ("urgent", "estop")
+
+
+def test_run_may_be_off_while_nothing_is_commanded() -> None:
+    assert trouble(inputs=HEALTHY, commanded=0, actual=0, state="at_zero") is None
+
+
+def test_one_poll_missed_is_no_trouble_yet() -> None:
+    bus = line().buses["dry"]
+    assert unit_trouble(bus, Sight(bus.units[1], "stale", "at_speed", overdue=False), voice()) is None
+
+
+def test_a_bus_says_worker_or_port() -> None:
+    live = line()
+    bus = live.buses["dry"]
+    assert bus_trouble(bus, voice()) is None
+    live.apply("dry", [BusLink(at=1, link="closed", cause="no such device")])
+    found = bus_trouble(bus, voice())
+    assert found is not None
+    assert found.text == "the port is closed: no such device"
+    bus.worker_connected = False
+    found = bus_trouble(bus, voice())
+    assert found is not None
+    assert found.code == "worker"
+
+
+@pytest.mark.parametrize(
+    ("tally", "abnormal", "said"),
+    [
+        (Tally(), 0, "No unit is configured"),
+        (Tally(units=8, heard=8, at_speed=8), 0, "All 8 units at speed"),
+        (Tally(units=8, heard=8, at_zero=8), 0, "All 8 units at zero"),
+        (Tally(units=8, heard=8, at_speed=5, ramping=3), 0, "3 of 8 ramping"),
+        (Tally(units=8, heard=8, at_speed=5, at_zero=3), 0, "5 of 8 at speed, the others at zero"),
+        (Tally(units=8, heard=8, at_speed=7), 1, "1 needs a look"),
+        (Tally(units=8, heard=8, at_speed=6), 2, "2 need a look"),
+    ],
+)
+def test_the_verdict_is_one_sentence(tally: Tally, abnormal: int, said: str) -> None:
+    assert verdict(tally, abnormal, voice()) == said
+
+
+def test_only_units_that_are_heard_are_in_a_state() -> None:
+    bus = line().buses["dry"]
+    tally = Tally()
+    tally.count(Sight(bus.units[1], "stale", "at_speed"))
+    assert (tally.units, tally.heard, tally.at_speed) == (1, 0, 0)

@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from app.live.browser import MOST_FRAMES, Browser, Diff
+
+
+def diff(n: int, **fields: str) -> Diff:
+    return Diff.of(n - 1, n, 100.0 + n, {"dry/1": fields} if fields else {})
+
+
+async def told(browser: Browser) -> list[dict[str, Any]]:
+    return [json.loads(text) for text in await browser.next()]
+
+
+async def test_a_diff_is_sent_as_it_was_encoded_for_all() -> None:
+    browser = Browser("anna", "operator", "en")
+    one = diff(1, actual="1")
+    browser.tell(one)
+    assert await browser.next() == [one.text]
+    assert json.loads(one.text) == {"is": "diff", "p": 0, "n": 1, "t": 101.0, "f": {"dry/1": {"actual": "1"}}}
+
+
+async def test_newest_wins_for_a_slow_browser_and_nothing_is_queued() -> None:
+    browser = Browser("anna", "operator", "en")
+    for n in range(1, 1001):
+        browser.tell(diff(n, actual=str(n)))
+    browser.tell(diff(1001, mode="local"))
+    (only,) = await told(browser)
+    assert only["f"] == {"dry/1": {"actual": "1000", "mode": "local"}}
+    assert (only["p"], only["n"], only["t"]) == (0, 1001, 1101.0)
+
+
+async def test_a_merged_diff_leaves_the_shared_one_as_it_was() -> None:
+    browser = Browser("anna", "operator", "en")
+    first = diff(1, actual="1")
+    browser.tell(first)
+    browser.tell(diff(2, actual="2"))
+    assert first.groups == {"dry/1": {"actual": "1"}}
+
+
+async def test_a_snapshot_makes_what_was_pending_worthless() -> None:
+    browser = Browser("anna", "operator", "en")
+    browser.tell(diff(1, actual="1"))
+    browser.say({"is": "snapshot", "n": 1})
+    browser.tell(diff(2, actual="2"))
+    assert [(message["is"], message["n"]) for message in await told(browser)] == [
+        ("snapshot", 1),
+        ("diff", 2),
+    ]
+
+
+async def test_frames_are_bounded() -> None:
+    browser = Browser("anna", "operator", "en")
+    browser.show_frames([{"hex": str(n)} for n in range(MOST_FRAMES + 50)])
+    (message,) = await told(browser)
+    assert len(message["frames"]) == MOST_FRAMES
+    assert message["frames"][0] == {"hex": "50"}

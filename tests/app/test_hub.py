@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from app.live.browser import Browser
+from app.live.hub import Hub
+from app.live.state import LiveState
+from app.settings import Site
+from app.web.assets import Assets, static_dir, templates_dir
+from app.web.templating import Templates
+from bus.contract import BusFigures, Frame, Frames, Progress, UnitFigures
+from tests.app.screens import line, reading
+
+
+@dataclass
+class World:
+    live: LiveState = field(default_factory=line)
+    now: float = 100.0
+    watched: list[tuple[str, list[int], bool]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        templates = Templates(templates_dir(), Assets(static_dir()), Site())
+        self.hub = Hub(self.live, templates, lambda: self.now)
+        self.hub.watch = lambda bus, units, trace: self.watched.append((bus, units, trace))
+
+    def join(self, name: str = "anna", language: str = "en") -> Browser:
+        browser = Browser(name, "operator", language)
+        self.hub.join(browser)
+        return browser
+
+
+@pytest.fixture
+def world() -> World:
+    return World()
+
+
+async def told(browser: Browser) -> list[dict[str, Any]]:
+    return [json.loads(text) for text in await browser.next()]
+
+
+async def test_the_whole_comes_first_then_what_changed(world: World) -> None:
+    browser = world.join()
+    first, _people = await told(browser)
+    assert first["is"] == "snapshot"
+    assert first["f"]["dry/1"]["actual"] == "120.0"
+    world.live.apply("dry", [reading(1, at=100.1, actual=1210)])
+    (diff,) = await told(browser)
+    assert diff["f"]["dry/1"]["actual"] == "121.0"
+    assert "dry/2" not in diff["f"]
+    assert diff["p"] == _people["n"]
+
+
+async def test_numbers_follow_each_other_without_a_gap(world: World) -> None:
+    browser = world.join()
+    last = (await told(browser))[-1]["n"]
+    for step in range(1, 20):
+        world.live.apply("dry", [reading(1, at=100 + step / 10, actual=1200 + step)])
+        (diff,) = await told(browser)
+        assert diff["p"] == last
+        last = diff["n"]
+
+
+async def test_every_language_is_told_in_its_own_words(world: World) -> None:
+    english, german = world.join("anna", "en"), world.join("bernd", "de")
+    await told(english)
+    await told(german)
+    world.live.apply("dry", [reading(1, at=100.1, actual=1210)])
+    assert (await told(english))[-1]["f"]["dry/1"]["actual"] == "121.0"
+    assert (await told(german))[-1]["f"]["dry/1"]["actual"] == "121,0"
+
+
+async def test_the_same_text_goes_to_all_of_a_language(world: World) -> None:
+    one, other = world.join("anna"), world.join("bernd")
+    await told(one)
+    await told(other)
+    world.live.apply("dry", [reading(1, at=100.1, actual=1210)])
+    (first,), (second,) = await one.next(), await other.next()
+    assert first is second
+
+
+async def test_a_heartbeat_comes_each_second_with_the_server_s_time(world: World) -> None:
+    browser = world.join()
+    await told(browser)
+    world.now = 101.0
+    world.hub.tick()
+    (beat,) = await told(browser)
+    assert (beat["t"], beat["f"].get("dry/1")) == (101.0, None)
+
+
+async def test_silence_shows_with_the_heartbeat(world: World) -> None:
+    browser = world.join()
+    await told(browser)
+    world.now = 103.0
+    world.hub.tick()
+    (beat,) = await told(browser)
+    assert beat["f"]["dry/1"]["link"] == "stale"
+
+
+async def test_who_is_here_is_said_once_per_name(world: World) -> None:
+    one = world.join("anna")
+    world.join("anna")
+    other = world.join("bernd")
+    await told(one)
+    assert world.hub.connected == 3
+    world.hub.leave(other)
+    (diff,) = await told(one)
+    assert diff["f"]["people"] == {"here": "anna\toperator", "count": "1"}
+
+
+async def test_how_far_a_command_is_goes_to_the_pages_and_is_not_kept(world: World) -> None:
+    browser = world.join("bernd", "de")
+    await told(browser)
+    world.live.apply("dry", [Progress(id="x1", at=100.1, stage="sent")])
+    (diff,) = await told(browser)
+    assert diff["f"] == {"command/x1": {"stage": "gesendet"}}
+    assert "command/x1" not in world.hub.screen("de").shown
+
+
+async def test_frames_go_only_to_who_follows(world: World) -> None:
+    follower, other = world.join("anna"), world.join("bernd")
+    await told(follower)
+    await told(other)
+    world.hub.follow(follower, frozenset(), "dry")
+    frame = Frame(at=100.1, direction="out", data=b"\x10\x02", meaning="a beginning")
+    world.live.apply("dry", [Frames(frames=[frame])])
+    (shown,) = await told(follower)
+    assert shown["frames"][0]["hex"] == "10 02"
+    world.hub.tick()
+    assert [message["is"] for message in await told(other)] == ["diff"]
+
+
+async def test_the_worker_is_told_which_units_are_watched_and_when_no_more(world: World) -> None:
+    browser = world.join()
+    world.hub.follow(browser, frozenset({("dry", 2), ("elsewhere", 1)}), "")
+    world.hub.follow(browser, frozenset({("dry", 2)}), "")
+    world.hub.leave(browser)
+    assert world.watched == [("dry", [2], False), ("dry", [], False)]
+
+
+async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
+    browser = world.join()
+    world.hub.follow(browser, frozenset({("dry", 2)}), "")
+    await told(browser)
+    units = [UnitFigures(unit=n, polls=5, answers=5) for n in (1, 2)]
+    world.live.apply(
+        "dry",
+        [
+            BusFigures(
+                at=100.1, scan_hz=4, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3, units=units
+            )
+        ],
+    )
+    (diff,) = await told(browser)
+    assert diff["f"]["health/dry/2"]["answers"] == "5 / 5"
+    assert "health/dry/1" not in diff["f"]
+
+
+async def test_who_holds_control_is_on_every_page(world: World) -> None:
+    world.hub.holder = lambda _bus: "anna"
+    browser = world.join()
+    await told(browser)
+    world.hub.tick()
+    assert (await told(browser))[-1]["f"]["line"] == {"holder": "anna"}

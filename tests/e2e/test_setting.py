@@ -1,0 +1,256 @@
+"""Setting a speed, an output, a parameter and a whole line as a person does it, with the wire as witness."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import Site, eventually
+
+PANEL = {"width": 1280, "height": 800}
+WRITES = (0x82, 0x83, 0x84, 0x86, 0x87, 0x88)
+
+
+def writes(site: Site) -> list[str]:
+    """Every request that writes, as the units heard it."""
+    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["heard"])
+    return [entry["hex"] for entry in entries if bytes.fromhex(entry["hex"])[1] in WRITES]
+
+
+def state(site: Site, unit: int) -> dict[str, Any]:
+    """A simulated unit from inside."""
+    found: dict[str, Any] = site.line.remote.do("state", unit=unit)
+    return found
+
+
+def opened(page: Page, path: str) -> Page:
+    """A page whose link is up."""
+    page.goto(path)
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+    return page
+
+
+def type_on_pad(page: Page, text: str) -> None:
+    for key in text:
+        page.locator(f'[data-pad="{key}"]').click()
+
+
+def test_nothing_leaves_before_the_confirm(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/3")
+    before = writes(site)
+    type_on_pad(page, "101.5")
+    page.get_by_role("button", name="Set now").click()
+    confirm = page.get_by_role("button", name=re.compile(r"^Set .* to 101\.5$"))
+    expect(confirm).to_be_visible()
+    expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+    assert writes(site) == before
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.locator("dialog[open]")).to_have_count(0)
+    assert writes(site) == before
+
+    type_on_pad(page, "101.5")
+    page.get_by_role("button", name="Set now").click()
+    confirm.click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("verified: reads 101.5")
+    assert state(site, 3)["setpoint"] == 1015
+    assert len(writes(site)) == len(before) + 1
+
+
+def test_enter_reviews_and_does_not_execute_and_escape_leaves(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/3")
+    before = writes(site)
+    page.locator("#setpoint").fill("99,5")
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(page.locator("dialog[open]")).to_have_count(0)
+    page.locator("#setpoint").fill("99,5")
+    page.keyboard.press("Enter")
+    expect(page.locator("dialog[open]")).to_have_count(1)
+    page.keyboard.press("Escape")
+    expect(page.locator("dialog[open]")).to_have_count(0)
+    assert writes(site) == before
+
+
+def test_keyboard_alone_sets_a_speed(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/4")
+    page.locator("#setpoint").focus()
+    page.keyboard.type("88.0")
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    expect(page.locator("[data-review-done=good]")).to_contain_text("reads 88.0")
+    assert state(site, 4)["setpoint"] == 880
+
+
+def test_undo_is_an_ordinary_command_with_a_review(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/5")
+    former = page.locator("#setpoint").input_value()
+    page.locator("#setpoint").fill("77.0")
+    page.get_by_role("button", name="Set now").click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    page.get_by_role("button", name=re.compile("Undo")).click()
+    act = page.locator("[data-review-act]")
+    expect(act).to_have_text(re.compile(re.escape(former) + "$"))
+    act.click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text(former)
+    assert state(site, 5)["setpoint"] == round(float(former) * 10)
+
+
+def test_a_review_ends_when_the_value_has_moved(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/6")
+    page.locator("#setpoint").fill("66.0")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("[data-review-act]")).to_be_visible()
+    with site.api("operator") as client:
+        assert client.post("/buses/line/units/6/speed", json={"value": "50.0"}).status_code == 200
+    expect(page.locator("[data-review-act]")).to_have_count(0)
+    expect(page.locator("[data-review-end]")).to_contain_text("50.0")
+    assert state(site, 6)["setpoint"] == 500
+
+
+def test_out_of_range_is_refused_with_the_nearest(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/3")
+    before = writes(site)
+    page.locator("#setpoint").fill("99999")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("#setpoint-error")).to_contain_text("outside 0.0 to 9999.9")
+    page.get_by_role("button", name="Use 9999.9").click()
+    expect(page.locator("#setpoint")).to_have_value("9999.9")
+    page.locator("#setpoint").fill("")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("#setpoint-error")).not_to_be_empty()
+    assert writes(site) == before
+
+
+def test_a_small_nudge_needs_no_review(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/7")
+    was = state(site, 7)["setpoint"]
+    page.locator(".nudges button").nth(2).click()
+    expect(page.locator("#setpoint-error")).to_contain_text("verified")
+    assert state(site, 7)["setpoint"] == was + 2
+
+
+def test_staging_changes_nothing_until_executed(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/8")
+    was = state(site, 8)["setpoint"]
+    page.locator("#setpoint").fill("91.0")
+    page.get_by_role("button", name="Stage…", exact=True).click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("acknowledged")
+    assert state(site, 8)["setpoint"] == was
+    page.get_by_role("button", name="Close").click()
+    expect(page.locator('[data-live="line/8.staged"]').first).to_have_text("91.0")
+    page.get_by_role("button", name="Execute staged").click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    eventually(lambda: state(site, 8)["setpoint"] == 910, "the staged speed executed")
+
+
+def test_an_output_is_switched_behind_a_review(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/2")
+    was = state(site, 2)["outputs"]
+    page.get_by_role("button", name="Switch output 1").click()
+    expect(page.locator("[data-review-act]")).to_contain_text("output 1")
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("verified: output 1 is on")
+    assert state(site, 2)["outputs"] == was | 1
+
+
+def test_a_unit_in_local_takes_the_controls_away_and_says_why(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/1")
+    site.line.remote.do("mode", unit=1, to="local")
+    try:
+        expect(page.locator(".by-mode__not")).to_be_visible()
+        expect(page.locator("#setpoint")).to_be_hidden()
+    finally:
+        site.line.remote.do("mode", unit=1, to="remote")
+    expect(page.locator("#setpoint")).to_be_visible()
+
+
+def test_several_units_are_one_change(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/setpoints")
+    before = writes(site)
+    for unit, text in ((3, "70.0"), (4, "71.0")):
+        page.locator(f'[name="new-{unit}"]').fill(text)
+    page.get_by_role("button", name="Review the change").click()
+    act = page.get_by_role("button", name="Set 2 units now")
+    expect(act).to_be_visible()
+    assert writes(site) == before
+    act.click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("reads 71.0")
+    assert (state(site, 3)["setpoint"], state(site, 4)["setpoint"]) == (700, 710)
+
+
+def test_scaling_fills_in_what_is_ticked(browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/setpoints")
+    commanded = float(page.locator('[data-live="line/2.commanded"]').inner_text())
+    page.locator("tr[data-unit='line/2'] [data-tick]").check()
+    page.locator('[data-together="scale"]').fill("50")
+    page.locator('[data-together-do="scale"]').click()
+    expect(page.locator('[name="new-2"]')).to_have_value(f"{commanded / 2:.1f}")
+    expect(page.locator('[name="new-3"]')).to_have_value("")
+
+
+def test_a_parameter_is_written_and_its_row_shows_it(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page("engineer", viewport=PANEL), "/units/line/2/parameters")
+    row = page.locator("#parameter-6")
+    row.locator("[name=value]").fill("12.5")
+    row.get_by_role("button", name="Write").click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("12.5")
+    page.get_by_role("button", name="Close").click()
+    expect(row).to_contain_text("125")
+    assert site.line.remote.do("parameter", unit=2, number=6) == 125
+
+
+def test_a_dangerous_parameter_wants_a_word(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page("engineer", viewport=PANEL), "/units/line/2/parameters")
+    before = writes(site)
+    row = page.locator("#parameter-19")
+    row.locator("[name=value]").select_option("Local")
+    row.get_by_role("button", name="Write").click()
+    act = page.locator("[data-review-act]")
+    expect(act).to_be_disabled()
+    page.locator("[name=typed]").fill("WRITE")
+    expect(act).to_be_enabled()
+    page.get_by_role("button", name="Cancel").click()
+    assert writes(site) == before
+
+
+@pytest.mark.parametrize(
+    "path", ["/", "/units/line/1", "/setpoints", "/bus/line", "/events", "/trends", "/sets"]
+)
+def test_the_line_is_two_presses_from_zero_on_every_page(browser_page: OpensPages, path: str) -> None:
+    page = opened(browser_page(viewport=PANEL), path)
+    page.get_by_role("button", name="Set line to zero").click()
+    expect(page.locator("[data-review-act]")).to_have_text("Set 8 units to speed 0")
+    page.get_by_role("button", name="Cancel").click()
+
+
+def test_a_block_is_said_and_lifted(browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/7")
+    page.locator("summary").click()
+    page.locator("#reason").fill("belt off since 14:20")
+    page.get_by_role("button", name=re.compile("^Block ")).click()
+    expect(page.locator(".plate__set")).to_contain_text("belt off since 14:20")
+    opened(page, "/")
+    expect(page.locator("[data-strip]")).to_contain_text("belt off since 14:20")
+    opened(page, "/units/line/7")
+    page.locator("summary").click()
+    page.get_by_role("button", name=re.compile("^Lift ")).click()
+    expect(page.locator("#setpoint")).to_be_visible()
+
+
+def test_the_line_goes_to_zero(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/")
+    page.get_by_role("button", name="Set line to zero").click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("8 units took speed 0", timeout=15_000)
+    assert {state(site, unit)["setpoint"] for unit in range(1, 9)} == {0}
