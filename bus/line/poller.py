@@ -32,7 +32,7 @@ from bus.wire.commands import (
     wire_seconds,
 )
 
-ERRANDS_AT_A_STRETCH_S = 1.0
+ERRANDS_AT_A_STRETCH_S = 0.5
 """Operators' writes without end leave one poll in this time, unless a change of many units is under way."""
 PACE = 0.8
 """On a port faster than its baud rate a round still takes this part of the time it would on the wire."""
@@ -244,7 +244,10 @@ class Poller:
         """Send what is next; nothing to send: be waked when there is."""
         if not self.link.open:
             return
-        request = self._errands_request(now) if self._errands else None
+        starved = bool(self._errands) and self._leave_a_poll(now)
+        if starved and self._routine is None and (poll := self.schedule.next_poll()) is not None:
+            self._routine = (poll, Asking(_ask_of(poll)))
+        request = self._errands_request(now) if self._errands and not starved else None
         if request is None:
             request = self._routine_request(now)
         if request is None:
@@ -268,8 +271,6 @@ class Poller:
             self._go(self.clock.now())
 
     def _errands_request(self, now: float, *, slow: bool = False) -> Request | None:
-        if not slow and self._leave_a_poll(now):
-            return None
         for errand in self._errands:
             if (errand.claim is Claim.SLOW) != slow or errand.result is not None:
                 continue

@@ -127,8 +127,12 @@ class Schedule:
         task = self._gap(now, slow_waits=slow_waits)
         if task is not None:
             return task
+        return self.next_poll() or self._gap(None, slow_waits=slow_waits)
+
+    def next_poll(self) -> Task | None:
+        """The unit whose turn it is, whatever else would be due."""
         unit = self.round.take()
-        return Task(Kind.POLL, unit) if unit is not None else self._gap(None, slow_waits=slow_waits)
+        return Task(Kind.POLL, unit) if unit is not None else None
 
     def wake_at(self) -> float | None:
         """When something becomes due, after ``next`` had nothing; None: only when something happens."""

@@ -52,8 +52,8 @@ class _Member:
 
     @property
     def may_hold(self) -> bool:
-        """Whether its memory may hold the value: it was sent, and not refused."""
-        return self.answer is not None and self.answer.attempts > 0 and self.answer.refusal is None
+        """Whether its memory may hold the value: it was sent, and not surely refused."""
+        return self.answer is not None and self.answer.may_have_acted
 
 
 def set_line(roster: Roster, setpoints: Mapping[int, int], wish: Wish) -> Procedure:
@@ -184,7 +184,7 @@ def _prove(member: _Member, broadcast: Answer, wish: Wish) -> Part:
 def _tell_singly(member: _Member, wish: Wish) -> Part:
     """It acknowledged its stage and does not show it: it may have missed the one frame nobody answers."""
     answer = yield from ask(Ask(ExecuteSpeed(member.unit)))
-    if answer.attempts == 0 or answer.refusal is not None:
+    if not answer.may_have_acted:
         return
     yield from _prove(member, answer, wish)
     if member.outcome is not None and member.outcome.outcome == "verified":
@@ -275,8 +275,9 @@ def _withdrawn(member: _Member, present: int | None) -> UnitOutcome:
         unit=member.unit,
         outcome="not_sent" if present is not None else "unverified",
         message=message,
+        unit_error=member.answer.refusal,
         sent_at=member.answer.sent_at,
-        acknowledged_at=member.answer.answered_at,
+        acknowledged_at=member.answer.answered_at if member.staged else None,
         attempts=member.answer.attempts,
     )
 

@@ -122,6 +122,12 @@ class Answer:
         """The unit's error code where it said NAK."""
         return self.reply.code if isinstance(self.reply, Nak) else None
 
+    @property
+    def may_have_acted(self) -> bool:
+        """Whether a write may have been carried out: a NAK speaks for its own try, not for an earlier one
+        whose answer was lost."""
+        return self.attempts > 1 or (self.attempts == 1 and self.refusal is None)
+
 
 Note = Tell | Unstage | Retune | Expect
 """What needs no waiting."""

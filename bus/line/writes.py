@@ -76,9 +76,9 @@ def write_analog_output(unit: int, raw: int) -> Procedure:
 def write(unit: int, request: Request, prove: Callable[[], Proving] | None) -> Procedure:
     """Send ``request`` and, unless refused, prove it. ``prove`` None: an ACK is all there is."""
     answer = yield from ask(Ask(request))
-    if answer.refusal is not None or answer.attempts == 0:
+    if not answer.may_have_acted:
         return result_of_one(without_proof(unit, answer))
-    if answer.fate is Fate.ANSWERED:
+    if answer.fate is Fate.ANSWERED and answer.refusal is None:
         yield Tell("acknowledged", unit)
     if prove is None:
         return result_of_one(without_proof(unit, answer))
@@ -103,7 +103,10 @@ def without_proof(unit: int, answer: Answer) -> UnitOutcome:
 
 def _fate_without_proof(unit: int, answer: Answer) -> tuple[Outcome, str]:
     if answer.refusal is not None:
-        return "refused", f"unit {unit} refused: {unit_error_name(answer.refusal)}"
+        refused = f"unit {unit} refused: {unit_error_name(answer.refusal)}"
+        if answer.may_have_acted:
+            return "unverified", f"{refused}; but an earlier try was not answered, and may have been taken"
+        return "refused", refused
     if answer.fate is Fate.ANSWERED:
         return "acknowledged", NOTHING_TO_READ_BACK
     if answer.attempts == 0:
@@ -124,23 +127,28 @@ def not_sent(unit: int, answer: Answer) -> tuple[Outcome, str]:
 
 def with_proof(unit: int, answer: Answer, proof: Proof) -> UnitOutcome:
     """The fate of a write that was read back."""
-    lost_ack = answer.fate is not Fate.ANSWERED
+    refused = answer.refusal is not None and not proof.shown and proof.read_back is not None
+    unproven: Outcome = "refused" if refused else "unverified"
     return UnitOutcome(
         unit=unit,
-        outcome="verified" if proof.shown else "unverified",
-        message=_message_of(unit, proof, lost_ack=lost_ack),
+        outcome="verified" if proof.shown else unproven,
+        message=_message_of(unit, answer, proof),
+        unit_error=answer.refusal if refused else None,
         read_back=proof.read_back,
         sent_at=answer.sent_at,
-        acknowledged_at=answer.answered_at,
+        acknowledged_at=answer.answered_at if answer.refusal is None else None,
         proven_at=proof.at if proof.shown else None,
         attempts=answer.attempts,
     )
 
 
-def _message_of(unit: int, proof: Proof, *, lost_ack: bool) -> str:
+def _message_of(unit: int, answer: Answer, proof: Proof) -> str:
+    acknowledged = answer.fate is Fate.ANSWERED and answer.refusal is None
     if proof.shown:
-        return "not acknowledged, but the read-back shows it" if lost_ack else ""
-    said = "did not acknowledge" if lost_ack else "acknowledged"
+        return "" if acknowledged else "not acknowledged, but the read-back shows it"
+    said = "acknowledged" if acknowledged else "did not acknowledge"
+    if answer.refusal is not None:
+        said = f"refused: {unit_error_name(answer.refusal)}"
     looks = f" ({1 + LOOKS_AGAIN} looks)" if proof.read_back is not None else ""
     return f"unit {unit} {said}, but {proof.why}{looks}: its state is not what was asked"
 

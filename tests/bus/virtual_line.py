@@ -193,17 +193,17 @@ class VirtualLine:
         self.plugged = True
 
     async def until(self, true: Callable[[], object], within_s: float = 60.0) -> None:
-        """Look every millisecond of the line's time."""
-        for _ in range(int(within_s / 0.001)):
+        """Look every two milliseconds of the line's time."""
+        for _ in range(int(within_s / 0.002)):
             if true():
                 return
-            await asyncio.sleep(0.001)
+            await asyncio.sleep(0.002)
         raise AssertionError(f"it did not come about within {within_s} s")
 
     @property
     def units(self) -> range:
-        """The addresses of the plant."""
-        return range(1, len(self.plant.units) + 1)
+        """The addresses of the configuration."""
+        return range(1, len(self.bus.unit) + 1)
 
     def command(self, action: Action, *, timeout_s: float = 2.0, command_id: str = "") -> str:
         """Ask the worker; gives the id."""

@@ -1,0 +1,393 @@
+"""The master at work on a virtual line: who is asked when, what silence costs, what a cable does."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+
+import pytest
+
+from bus.catalogue.parameters import NEEDED_TO_SHOW
+from bus.contract import (
+    Action,
+    BusLink,
+    ChangeBaud,
+    ExecuteAll,
+    ExecuteSpeed,
+    ReadParameters,
+    Result,
+    ScanBus,
+    SetLine,
+    SetSpeed,
+    UnitLink,
+    Watch,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.line.poller import LOOK_ELSEWHERE_S
+from bus.simulator.faults import Kind
+from bus.simulator.memory import Prm
+from bus.simulator.record import Happened
+from tests.bus.judge import made_up
+from tests.bus.virtual_line import EPOCH, VirtualLine, run
+
+POLL_S = 25 * 10 / 9600
+
+
+def polls(line: VirtualLine, since: float) -> list[int]:
+    return [data[2] for at, data in line.written if at >= since and len(data) == 7 and data[3] == 0x81]
+
+
+def bus_links(line: VirtualLine) -> list[str]:
+    return [update.link for update in line.updates if isinstance(update, BusLink)]
+
+
+def unit_links(line: VirtualLine, unit: int) -> list[str]:
+    return [u.link for u in line.updates if isinstance(u, UnitLink) and u.unit == unit]
+
+
+async def settled(line: VirtualLine) -> None:
+    await line.until(lambda: all(line.readings(unit) for unit in line.units))
+    await asyncio.sleep(1.5)
+
+
+def test_cold_start_to_the_first_reading_of_all_and_to_all_that_shows_them_right() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await line.until(lambda: all(line.readings(unit) for unit in line.units))
+        assert line.loop.time() < 0.25
+        needed = {(unit, number) for unit in line.units for number in NEEDED_TO_SHOW}
+        await line.until(lambda: {(value.unit, value.number) for value in line.parameters()} >= needed)
+        assert line.loop.time() < 3.0
+
+    run(scene, 8)
+
+
+def test_the_wire_is_never_idle() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        number, began = line.line.record.count, line.loop.time()
+        await asyncio.sleep(10)
+        entries = line.line.record.since(number, Happened.CAME, Happened.SENT)
+        used = sum(len(entry.data) for entry in entries) * 10 / 9600
+        assert used / (line.loop.time() - began) > 0.995
+
+    run(scene, 8)
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        SetSpeed(3, 640),
+        SetSpeed(3, 640, execute=False),
+        ExecuteSpeed(3),
+        ExecuteAll(),
+        SetLine({3: 640}),
+        WriteOutput(3, 1, True),
+        WriteAnalogOutput(3, 50),
+        WriteParameter(3, 6, 50),
+        ReadParameters(3, [6]),
+    ],
+    ids=lambda action: type(action).__name__,
+)
+def test_what_an_operator_asks_is_the_very_next_frame(action: Action) -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        for _ in range(20):
+            await asyncio.sleep(0.0137)
+            number, began = len(line.written), line.loop.time()
+            command = line.command(action)
+            await line.until(lambda command=command: line.fate_of(command))
+            at, data = line.written[number]
+            assert at - began <= POLL_S + 1e-6
+            assert data[2] in (0, 3)
+            assert data[3] != 0x81
+
+    run(scene, 8)
+
+
+def test_a_read_back_follows_its_write_at_once() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        number = len(line.written)
+        await line.ask(SetSpeed(3, 640))
+        sent = [(data[2], data[3]) for _, data in line.written[number:]]
+        place = sent.index((3, 0x84))
+        assert sent[place : place + 2] == [(3, 0x84), (3, 0x81)]
+
+    run(scene, 8)
+
+
+def test_writes_without_end_do_not_starve_the_round() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        began = line.loop.time()
+        while line.loop.time() < began + 20:
+            line.command(SetSpeed(1, 640))
+            await asyncio.sleep(0.02)
+        seen = polls(line, began)
+        assert set(seen) == set(line.units)
+
+    run(scene, 4)
+
+
+def test_one_of_eight_dead_the_others_keep_their_rate() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        await asyncio.sleep(10)
+        well = len(line.readings(1))
+        await asyncio.sleep(20)
+        well = len(line.readings(1)) - well
+        line.faults.set(Kind.DEAD, 1.0, 5)
+        before = len(line.readings(1))
+        await asyncio.sleep(20)
+        assert len(line.readings(1)) - before >= 0.98 * well
+        assert unit_links(line, 5) == ["online", "stale", "offline"]
+
+    run(scene, 8)
+
+
+def test_a_unit_that_was_never_there_costs_little_and_is_called_offline() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await asyncio.sleep(30)
+        assert unit_links(line, 4) == ["offline"]
+        assert line.worker.poller.figures().wire_utilisation > 0.9
+
+    run(scene, 3, configured=4)
+
+
+def test_watched_units_are_polled_more_often() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        line.worker.watch(Watch(units=[2]))
+        began = line.loop.time()
+        await asyncio.sleep(10)
+        counts = [polls(line, began).count(unit) for unit in line.units]
+        assert counts[1] > 80
+        assert min(counts) > 25
+        line.worker.watch(Watch(units=[]))
+        began = line.loop.time()
+        await asyncio.sleep(10)
+        counts = [polls(line, began).count(unit) for unit in line.units]
+        assert max(counts) - min(counts) <= 2
+
+    run(scene, 8)
+
+
+def test_a_pulled_cable_is_seen_within_a_second_and_found_within_three() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        line.unplug()
+        await line.until(lambda: bus_links(line)[-1] == "closed", within_s=1.0)
+        assert [unit_links(line, unit)[-1] for unit in line.units] == ["stale"] * 4
+        fate = await line.ask(SetSpeed(1, 640))
+        assert fate.outcome == "bus_closed"
+        assert "adapter" in fate.message or "gone" in fate.message
+        await asyncio.sleep(5)
+        assert [unit_links(line, unit)[-1] for unit in line.units] == ["offline"] * 4
+        line.plug()
+        seen = len(line.readings())
+        await line.until(lambda: len(line.readings()) > seen + 4, within_s=3.0)
+        assert [unit_links(line, unit)[-1] for unit in line.units] == ["online"] * 4
+        assert line.acted() == []
+
+    run(scene, 4)
+
+
+def test_a_port_that_is_absent_at_start_is_waited_for() -> None:
+    async def scene(line: VirtualLine) -> None:
+        line.plugged = False
+        await asyncio.sleep(5)
+        state = line.worker.snapshot(0).bus
+        assert state.link == "closed"
+        assert "is the adapter plugged in?" in state.cause
+        assert len([u for u in line.updates if isinstance(u, BusLink)]) == 1, "told once, not at every try"
+        line.plug()
+        await line.until(lambda: line.readings(1), within_s=3.0)
+
+    run(scene, 2)
+
+
+def test_a_flood_that_never_frames_holds_nothing_up() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        line.faults.set(Kind.FLOOD, 1.0)
+        await asyncio.sleep(1)
+        began, number = line.loop.time(), len(line.written)
+        fate = await line.ask(SetSpeed(1, 640))
+        assert fate.outcome == "unverified"
+        assert line.loop.time() - began < 3.0
+        await asyncio.sleep(20)
+        assert len(line.written) > number + 10, "it goes on asking"
+        assert not made_up(line.updates, line.line.record, EPOCH)
+        line.faults.clear()
+        await line.until(lambda: unit_links(line, 1)[-1] == "online", within_s=15)
+
+    run(scene, 2)
+
+
+@pytest.mark.parametrize("kind", [Kind.HUGE, Kind.ECHO, Kind.EVERYBODY, Kind.DOUBLED, Kind.FOREIGN], ids=str)
+def test_strange_lines_are_bounded_and_named_in_figures(kind: Kind) -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        line.faults.set(kind, 0.5, 0 if kind is Kind.ECHO else 2)
+        await asyncio.sleep(15)
+        assert not made_up(line.updates, line.line.record, EPOCH)
+        figures = line.worker.poller.figures()
+        unit = figures.units[1]
+        counted = figures.noise_bytes + figures.echoes + unit.foreign + unit.late + unit.checksum_errors
+        assert counted > 0
+        assert figures.diagnosis
+
+    run(scene, 3)
+
+
+def test_late_answers_are_never_taken_for_others() -> None:
+    async def scene(line: VirtualLine) -> None:
+        line.faults.set(Kind.LATE, 0.3)
+        for _ in range(10):
+            await line.ask(ReadParameters(1, list(range(1, 41))), within_s=120)
+        assert not made_up(line.updates, line.line.record, EPOCH)
+        for value in line.parameters():
+            assert value.raw == line.plant.unit(value.unit).memory[value.number]
+
+    run(scene, 2)
+
+
+def test_a_full_read_of_a_bus_nobody_watches_costs_hardly_more_than_its_frames() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await asyncio.sleep(20)
+        began = line.loop.time()
+        ids = [line.command(ReadParameters(unit, urgent=False)) for unit in line.units]
+        await line.until(lambda: all(line.fate_of(each) for each in ids), within_s=200)
+        took = line.loop.time() - began
+        frames = [frame for each in ids for frame in _fate(line, each).frames]
+        assert took <= 1.1 * sum(len(frame.data) * 10 / 9600 for frame in frames)
+
+    run(scene, 8)
+
+
+def test_a_full_read_while_watched_costs_the_scan_no_more_than_a_tenth() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await asyncio.sleep(20)
+        line.worker.watch(Watch(units=list(line.units)))
+        began = line.loop.time()
+        await asyncio.sleep(10)
+        usual = len(polls(line, began))
+        line.command(ReadParameters(1, urgent=False))
+        began = line.loop.time()
+        await asyncio.sleep(5)
+        assert len(polls(line, began)) >= 0.88 * usual / 2
+
+    run(scene, 8)
+
+
+def test_reading_what_a_short_list_does_not_have() -> None:
+    async def scene(line: VirtualLine) -> None:
+        line.plant.unit(1).memory.last = 20
+        await settled(line)
+        fate = await line.ask(ReadParameters(1, [19, 20, 21, 22]))
+        assert fate.outcome == "verified"
+        assert [(value.number, value.available) for value in fate.values] == [
+            (19, True),
+            (20, True),
+            (21, False),
+            (22, False),
+        ]
+
+    run(scene, 2)
+
+
+def test_a_secret_is_read_but_its_frames_are_not_kept() -> None:
+    async def scene(line: VirtualLine) -> None:
+        line.plant.unit(1).memory[21] = 4242
+        await settled(line)
+        fate = await line.ask(ReadParameters(1, [21]))
+        assert fate.values[0].raw == 4242
+        assert fate.values[0].frame == b""
+        assert all(frame.data == b"" for frame in fate.frames if "secret" in frame.meaning)
+        assert any("secret" in frame.meaning for frame in fate.frames)
+        kept = b"".join(passed.data for passed in line.worker.poller.trace.since(0.0))
+        assert (4242).to_bytes(4, "big") not in kept
+
+    run(scene, 2)
+
+
+# --- scan and baud -------------------------------------------------------------------------------
+
+
+def test_a_scan_between_the_polls_finds_whoever_is_there() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        began = line.loop.time()
+        fate = await line.ask(ScanBus(1, 8), within_s=300)
+        assert fate.outcome == "verified"
+        assert [(found.unit, found.kind) for found in fate.found] == [(u, "digimax") for u in range(1, 6)]
+        assert all(len(line.readings(unit)) > 5 for unit in (1, 2, 3)), "the round went on"
+
+    run(scene, 5, configured=3)
+
+
+@pytest.mark.parametrize("at_once", [True, False], ids=["at once", "at power-up"])
+def test_the_whole_line_goes_to_another_baud_rate(at_once: bool) -> None:
+    async def scene(line: VirtualLine) -> None:
+        _decide(line, [at_once] * 4)
+        await settled(line)
+        fate = await line.ask(ChangeBaud(4800), timeout_s=10)
+        assert fate.outcome == "verified"
+        assert "baud = 4800" in fate.message
+        for unit in line.plant.units:
+            unit.power_up()
+        await asyncio.sleep(4 * LOOK_ELSEWHERE_S)
+        assert line.worker.poller.baud == 4800
+        assert [unit_links(line, unit)[-1] for unit in line.units] == ["online"] * 4
+
+    run(scene, 4)
+
+
+@pytest.mark.parametrize("odd", ["stays", "refuses", "dead", "dies"])
+def test_a_unit_that_does_not_come_along_brings_all_the_others_back(odd: str) -> None:
+    async def scene(line: VirtualLine) -> None:
+        _decide(line, [True, True, odd != "stays", True])
+        await settled(line)
+        if odd == "refuses":
+            line.plant.unit(3).memory[Prm.MODE] = 0
+        if odd == "dead":
+            line.faults.set(Kind.DEAD, 1.0, 3)
+        command = line.command(ChangeBaud(4800), timeout_s=10)
+        if odd == "dies":
+            await line.until(lambda: line.plant.unit(3).baud == 4800)
+            line.faults.set(Kind.DEAD, 1.0, 3)
+        await line.until(lambda: line.fate_of(command))
+        fate = _fate(line, command)
+        assert fate.outcome == ("refused" if odd == "refuses" else "unverified")
+        assert "back at 9600" in fate.message
+        assert [line.plant.unit(unit).baud for unit in (1, 2, 4)] == [9600] * 3
+        if odd in ("dead", "dies"):
+            assert "panel of unit 3" in fate.message
+        await asyncio.sleep(3)
+        assert line.worker.poller.baud == 9600
+        assert unit_links(line, 1)[-1] == "online"
+
+    run(scene, 4)
+
+
+def test_an_impossible_baud_rate_is_not_tried() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        assert (await line.ask(ChangeBaud(9600))).outcome == "invalid"
+        assert (await line.ask(ChangeBaud(1234))).outcome == "invalid"
+        assert line.acted() == []
+
+    run(scene, 2)
+
+
+def _decide(line: VirtualLine, at_once: list[bool]) -> None:
+    for unit, now in zip(line.plant.units, at_once, strict=True):
+        unit.traits = dataclasses.replace(unit.traits, baud_changes="at once" if now else "at power-up")
+
+
+def _fate(line: VirtualLine, command: str) -> Result:
+    fate = line.fate_of(command)
+    assert fate is not None
+    return fate
