@@ -1,0 +1,163 @@
+"""The link to the app: its order of speech, its patience, its words."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, MutableMapping
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+from structlog.testing import capture_logs
+
+from bus.contract import (
+    CONTRACT_VERSION,
+    BusLink,
+    Cancel,
+    Clock,
+    Command,
+    Hello,
+    Reading,
+    SetSpeed,
+    Snapshot,
+    WantSnapshot,
+    Watch,
+)
+from bus.worker.deadline import AppClock
+from bus.worker.outbox import Outbox
+from bus.worker.uplink import Uplink, feed_url
+from tests.bus.fake_app import TOKEN, FakeApp
+
+
+class Desk:
+    """What the app asked for."""
+
+    def __init__(self) -> None:
+        self.asked: list[object] = []
+        self.news = asyncio.Event()
+
+    def hello(self) -> Hello:
+        return Hello(CONTRACT_VERSION, "b", "worker-1", 0.0, "test", "/dev/none", time.time())
+
+    def snapshot(self, seq: int) -> Snapshot:
+        return Snapshot(seq, time.time(), BusLink(0.0, "closed"), [])
+
+    def command(self, command: Command) -> None:
+        self._keep(command)
+
+    def cancel(self, command_id: str) -> None:
+        self._keep(command_id)
+
+    def watch(self, watch: Watch) -> None:
+        self._keep(watch)
+
+    def _keep(self, what: object) -> None:
+        self.asked.append(what)
+        self.news.set()
+
+    async def until(self, what: object) -> None:
+        async with asyncio.timeout(20):
+            while what not in self.asked:
+                self.news.clear()
+                await self.news.wait()
+
+
+@asynccontextmanager
+async def linked(app: FakeApp, token: str = TOKEN) -> AsyncIterator[tuple[Outbox, Desk]]:
+    outbox, desk = Outbox(), Desk()
+    uplink = Uplink(app.url, token, outbox, desk, AppClock(), time.time)
+    running = asyncio.create_task(uplink.run())
+    try:
+        yield outbox, desk
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+
+@pytest.mark.parametrize(
+    ("given", "feed"),
+    [
+        ("http://127.0.0.1:8000", "ws://127.0.0.1:8000/feed"),
+        ("http://127.0.0.1:8000/", "ws://127.0.0.1:8000/feed"),
+        ("https://mill.example", "wss://mill.example/feed"),
+        ("ws://10.0.0.1:80/feed", "ws://10.0.0.1:80/feed"),
+        ("https://mill.example/line", "wss://mill.example/line/feed"),
+    ],
+)
+def test_the_address_of_the_feed(given: str, feed: str) -> None:
+    assert feed_url(given) == feed
+
+
+async def test_hello_snapshot_then_batches_that_are_forgotten_once_delivered() -> None:
+    async with FakeApp() as app, linked(app) as (outbox, _):
+        await app.until(app.snapshots)
+        outbox.put([Reading(1, 1.0, 2, 3, 4, 5, 6)])
+        await app.until(app.readings)
+        assert [type(message).__name__ for message in app.messages] == ["Hello", "Snapshot", "Batch"]
+        assert app.batches()[0].live
+        for _ in range(1000):
+            if not len(outbox):
+                break
+            await asyncio.sleep(0.01)
+        assert len(outbox) == 0
+
+
+async def test_what_the_app_wants_reaches_the_desk() -> None:
+    async with FakeApp() as app, linked(app) as (_, desk):
+        await app.until(app.snapshots)
+        command = Command("c", time.time() + 2, SetSpeed(1, 5))
+        for message in (Watch(units=[1]), Clock(app_time=time.time()), command, Cancel("c")):
+            await app.say(message)
+        await desk.until("c")
+        assert [each for each in desk.asked if each != Watch(units=[])] == [Watch(units=[1]), command, "c"]
+        await app.say(WantSnapshot())
+        await app.until(lambda: len(app.snapshots()) == 2)
+
+
+async def test_it_comes_back_for_ever_and_nobody_watches_meanwhile() -> None:
+    async with FakeApp() as app, linked(app) as (outbox, desk):
+        await app.until(app.snapshots)
+        await app.say(Watch(units=[1]))
+        await desk.until(Watch(units=[1]))
+        await app.stop()
+        await desk.until(Watch(units=[]))
+        outbox.put([Reading(1, 1.0, 2, 3, 4, 5, 6)])
+        await app.start()
+        await app.until(app.readings)
+        assert [batch.live for batch in app.batches()] == [False]
+
+
+async def test_a_wrong_token_is_named() -> None:
+    with capture_logs() as logs:
+        async with FakeApp() as app, linked(app, token="wrong"):
+            await _said(logs)
+    assert "does not accept the token (401)" in logs[0]["why"]
+
+
+async def test_a_refusal_and_another_version_are_named() -> None:
+    for refuses, version, words in (("no [[bus]] is called b", 1, "no [[bus]]"), ("", 99, "version 99")):
+        with capture_logs() as logs:
+            async with FakeApp() as app:
+                app.refuses, app.version = refuses, version
+                async with linked(app):
+                    await _said(logs)
+        assert words in logs[0]["why"]
+
+
+async def test_words_it_does_not_know_do_not_end_the_link() -> None:
+    async with FakeApp() as app, linked(app) as (outbox, _):
+        await app.until(app.snapshots)
+        assert app._connection is not None
+        await app._connection.send(b"\x81\xa2is\xa7unknown")
+        outbox.put([Reading(1, 1.0, 2, 3, 4, 5, 6)])
+        await app.until(app.readings)
+        assert len(app.snapshots()) == 1
+
+
+async def _said(logs: list[MutableMapping[str, Any]]) -> None:
+    for _ in range(1000):
+        if logs:
+            return
+        await asyncio.sleep(0.02)
+    raise AssertionError("nothing was logged")
