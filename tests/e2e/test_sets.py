@@ -1,0 +1,162 @@
+"""Parameter sets, recipes, batch edit and unit swap as a person uses them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import Site
+from tests.e2e.site import site as one_site
+
+OFFICE = {"width": 1280, "height": 900}
+PHONE = {"width": 360, "height": 740}
+SLOW = 60_000
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """Three units at rest, at a tenfold baud rate: a reading of all parameters is over in a moment."""
+    folder = tmp_path_factory.mktemp("sets")
+    with one_site(folder, 3, line_options=("--no-script", "--speedup", "10")) as made:
+        yield made
+
+
+def writes(served: Site, command: int) -> list[dict[str, Any]]:
+    entries = served.line.remote.do("record", kinds=["acted"])
+    return [entry for entry in entries if bytes.fromhex(entry["hex"])[1] == command]
+
+
+def take_set(page: Page) -> str:
+    page.goto("/sets")
+    page.get_by_label("Name", exact=True).fill("before the felt")
+    page.get_by_role("button", name="Read and keep").click()
+    page.get_by_role("link", name="Open the set").click(timeout=SLOW)
+    expect(page.get_by_role("heading", level=1)).to_have_text("before the felt")
+    return page.url
+
+
+def test_a_set_is_taken_marked_golden_and_compared_with_the_unit_now(
+    site: Site, browser_page: OpensPages
+) -> None:
+    page = browser_page("engineer", viewport=OFFICE)
+    address = take_set(page)
+    expect(page.get_by_role("row", name=re.compile("Acceleration Ramp Rate")).first).to_contain_text("20.0 s")
+    page.get_by_role("button", name="Mark golden").first.click()
+    expect(page.get_by_text("Golden: this is what the unit ought to be.")).to_have_count(1)
+    with site.api("engineer") as client:
+        answer = client.put("/buses/line/units/1/parameters/6", json={"raw": 77})
+        assert answer.json()["outcome"] == "verified"
+    page.goto(address)
+    page.get_by_role("link", name="Compare with the unit now").first.click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("1 rows differ")
+    expect(page.get_by_text("accelerates in 7.7 s instead of 20.0 s")).to_be_visible()
+
+
+def test_a_restore_is_reviewed_first_and_proven_afterwards(site: Site, browser_page: OpensPages) -> None:
+    page = browser_page("engineer", viewport=OFFICE)
+    address = take_set(page)
+    with site.api("engineer") as client:
+        for number, raw in ((6, 33), (9, 444)):
+            assert (
+                client.put(f"/buses/line/units/2/parameters/{number}", json={"raw": raw}).status_code == 200
+            )
+    before = len(writes(site, 0x86))
+    page.goto(address)
+    page.get_by_role("button", name="Review a restore").nth(1).click()
+    expect(page.get_by_role("status").first).to_contain_text("Nothing has been written")
+    assert len(writes(site, 0x86)) == before
+    page.get_by_role("button", name=re.compile("Write 2 rows to unit 2")).click()
+    expect(page.get_by_text("The unit is now what was asked, proven by a full read.")).to_be_visible(
+        timeout=SLOW
+    )
+    expect(page.get_by_role("heading", name=re.compile("^Proof"))).to_be_visible()
+    assert len(writes(site, 0x86)) == before + 2
+
+
+def test_a_file_that_is_no_set_is_refused_in_words(
+    site: Site, browser_page: OpensPages, tmp_path: Path
+) -> None:
+    assert site.units == 3
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text('format = "something else"\n')
+    page = browser_page("engineer", viewport=OFFICE)
+    page.goto("/units/line/2/restore")
+    page.get_by_label("Or from a TOML file").set_input_files(wrong)
+    page.get_by_role("button", name="Read the unit and show the difference").click()
+    expect(page.get_by_text("wrong.toml: not a parameter set")).to_be_visible()
+
+
+def test_a_recipe_is_saved_tried_out_and_loaded_as_one_change(site: Site, browser_page: OpensPages) -> None:
+    page = browser_page("engineer", viewport=OFFICE)
+    page.goto("/recipes")
+    page.get_by_label(re.compile("Name of the product")).fill("Kraft 80")
+    for name, value in (("Unwind", "100,0"), ("Infeed nip", "100.5"), ("Coater", "101.0")):
+        page.get_by_label(name, exact=True).fill(value)
+    page.get_by_role("button", name="Save as a recipe").click()
+    expect(page.get_by_role("heading", level=1)).to_contain_text("Kraft 80")
+    staged, executed = len(writes(site, 0x82)), len(writes(site, 0x83))
+    page.get_by_role("button", name="Load Kraft 80").click()
+    expect(page.locator("#review")).to_be_visible()
+    assert len(writes(site, 0x82)) == staged
+    page.get_by_role("button", name="Set 3 units to Kraft 80").click()
+    expect(page.locator("[data-review-done=good]")).to_be_visible(timeout=SLOW)
+    assert len(writes(site, 0x82)) == staged + 3
+    assert len(writes(site, 0x83)) == executed + 3
+    assert [site.unit(number)["commanded_raw"] for number in (1, 2, 3)] == [1000, 1005, 1010]
+    page.goto("/recipes")
+    expect(page.get_by_text("Every unit still commands what the recipe says.")).to_be_visible()
+
+
+def test_one_parameter_over_many_units(site: Site, browser_page: OpensPages) -> None:
+    page = browser_page("engineer", viewport=OFFICE)
+    page.goto("/batch/line?number=12")
+    before = len(writes(site, 0x86))
+    page.get_by_label("New value for Unwind").fill("2.5")
+    page.get_by_label("New value for Coater").fill("3.5")
+    page.get_by_role("button", name="Review").click()
+    expect(page.locator("#review")).to_contain_text("2.5")
+    assert len(writes(site, 0x86)) == before
+    page.get_by_role("button", name=re.compile("Write Up to Speed Tolerance to 2 units")).click()
+    expect(page.get_by_text("2 of 2 units verified")).to_be_visible(timeout=SLOW)
+    assert len(writes(site, 0x86)) == before + 2
+
+
+def test_a_swap_says_what_only_the_keypad_can_do(site: Site, browser_page: OpensPages) -> None:
+    page = browser_page("engineer", viewport=OFFICE)
+    take_set(page)
+    site.line.remote.do("mode", unit=3, to="local")
+    try:
+        page.goto("/swap/line/3")
+        expect(page.get_by_text(re.compile("set parameter 19 to 1"))).to_be_visible(timeout=SLOW)
+        site.line.remote.do("mode", unit=3, to="remote")
+        expect(page.get_by_role("button", name="Review the restore")).to_be_visible(timeout=SLOW)
+    finally:
+        site.line.remote.do("mode", unit=3, to="remote")
+
+
+@pytest.mark.parametrize("size", [PHONE, OFFICE], ids=["phone", "office"])
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/sets",
+        "/recipes",
+        "/batch/line",
+        "/units/line/1/restore",
+        "/swap/line/1",
+        "/sets/compare?left=live:line:1&right=live:line:2",
+    ],
+)
+def test_accessible_and_as_wide_as_the_screen(
+    browser_page: OpensPages, axe: Callable[..., list[str]], path: str, size: dict[str, int]
+) -> None:
+    page = browser_page("engineer", viewport=size)
+    page.goto(path)
+    expect(page.get_by_role("heading", level=1)).to_be_visible()
+    assert axe(page) == []
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
