@@ -313,16 +313,22 @@ def parse_reply(request: Request, body: bytes, dialect: Dialect) -> Reply | None
 def acknowledged_lengths(request: Request, dialect: Dialect) -> frozenset[int]:
     """How many data bytes an ACK to ``request`` may carry."""
     width = dialect.parameter_reply_bytes
-    values = frozenset((width,)) if width else frozenset((1, 2, 4))
-    match request:
-        case ReadStatus():
-            return frozenset((11,))
-        case ReadParameter():
-            return values
-        case WriteParameter():
-            return frozenset((0, 1, 2, 4))
-        case _:
-            return frozenset((0,))
+    if width and request.COMMAND == ReadParameter.COMMAND:
+        return frozenset((width,))
+    return _ACKNOWLEDGED_LENGTHS[request.COMMAND]
+
+
+_NOTHING, _STATUS = frozenset((0,)), frozenset((11,))
+_ACKNOWLEDGED_LENGTHS = {
+    0x81: _STATUS,
+    0x82: _NOTHING,
+    0x83: _NOTHING,
+    0x84: _NOTHING,
+    0x85: frozenset((1, 2, 4)),
+    0x86: frozenset((0, 1, 2, 4)),
+    0x87: _NOTHING,
+    0x88: _NOTHING,
+}
 
 
 # --- what it costs -------------------------------------------------------------------------------

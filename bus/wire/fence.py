@@ -26,7 +26,8 @@ that knows the commands gives it, and in doubt it is not believed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 from bus.errors import UnitErrorCode
@@ -42,6 +43,8 @@ from bus.wire.framing import ACK, NAK
 
 OWN_ADDRESS = 17
 """The parameter that a fence reads: every unit has it and its value is known beforehand."""
+LONG_RUN = 3
+"""Equal reads in a row beyond this are as good as any number of them."""
 MOST_OUTSTANDING = 32
 """An answer that is late by more requests than this to one unit is not reckoned with."""
 
@@ -79,15 +82,25 @@ def ordinary_shapes(request: Request, dialect: Dialect) -> frozenset[Shape]:
     """The answers the manual gives to ``request``, without "illegal command"; none to a broadcast."""
     if request.unit == 0:
         return frozenset()
-    acks = {Shape(ACK, length) for length in acknowledged_lengths(request, dialect)}
-    return frozenset(acks | {Shape(NAK, code) for code in _REFUSALS[request.COMMAND]})
+    return _ordinary(request.COMMAND, acknowledged_lengths(request, dialect))
 
 
 def possible_shapes(request: Request, dialect: Dialect) -> frozenset[Shape]:
     """Every answer that ``request`` can cause."""
     if request.unit == 0:
         return frozenset()
-    return ordinary_shapes(request, dialect) | {Shape(NAK, code) for code in _ILLEGAL_COMMAND}
+    return _possible(request.COMMAND, acknowledged_lengths(request, dialect))
+
+
+@cache
+def _ordinary(command: int, lengths: frozenset[int]) -> frozenset[Shape]:
+    acks = {Shape(ACK, length) for length in lengths}
+    return frozenset(acks | {Shape(NAK, code) for code in _REFUSALS[command]})
+
+
+@cache
+def _possible(command: int, lengths: frozenset[int]) -> frozenset[Shape]:
+    return _ordinary(command, lengths) | {Shape(NAK, code) for code in _ILLEGAL_COMMAND}
 
 
 def fence_needed(timed_out: Request, following: Request, dialect: Dialect | None = None) -> bool:
@@ -126,21 +139,38 @@ class Doubt:
         """``request`` has gone out (a broadcast changes nothing, for it has no answer)."""
         if request.unit != self.unit or request.unit == 0:
             return self
-        outstanding = (*self.outstanding, request)[-MOST_OUTSTANDING:]
-        return replace(self, outstanding=outstanding, last=None, fading=self.last)
+        outstanding = self.outstanding
+        if not self._is_a_long_run(len(outstanding) - LONG_RUN) or outstanding[-1] != request:
+            outstanding = (*outstanding, request)[-MOST_OUTSTANDING:]
+        return Doubt(self.unit, self.dialect, outstanding, last=None, fading=self.last)
 
     def heard(self, body: bytes) -> Doubt:
         """A frame of this unit came in, awaited or not (rule 1). What may be a second copy ends nothing."""
         shape = shape_of(body)
+        if shape is None:
+            return self
         for position, request in enumerate(self.outstanding):
-            if shape is not None and shape in possible_shapes(request, self.dialect):
-                ended = 0 if self._may_be_a_copy(shape) else position + 1
-                return replace(self, outstanding=self.outstanding[ended:], last=Answer(request, shape))
+            if shape in possible_shapes(request, self.dialect):
+                ended = position
+                if self._may_be_a_copy(shape):
+                    ended = 0
+                elif not self._is_a_long_run(position):
+                    ended = position + 1
+                answer = Answer(request, shape)
+                return Doubt(self.unit, self.dialect, self.outstanding[ended:], answer, self.fading)
         return self
 
     def moved_on(self) -> Doubt:
         """The bus has asked another unit since; the last answer cannot come again."""
-        return replace(self, last=None, fading=None)
+        if self.last is None and self.fading is None:
+            return self
+        return Doubt(self.unit, self.dialect, self.outstanding)
+
+    def _is_a_long_run(self, position: int) -> bool:
+        """Whether so many equal reads stand at ``position`` that more of them are not kept: that run ends
+        only with an answer that none of them can have caused."""
+        run = self.outstanding[position : position + LONG_RUN] if position >= 0 else ()
+        return len(run) == LONG_RUN and not is_write(run[0]) and all(sent == run[0] for sent in run)
 
     def believes(self, request: Request, body: bytes) -> bool:
         """Whether ``body``, which fits ``request``, can only be its answer (rule 3)."""

@@ -193,22 +193,24 @@ def _judge(buffer: bytearray) -> _Verdict | None:
     """Read the candidate at the head of ``buffer``; None while it may still become a frame."""
     body = bytearray()
     at = len(_START)
-    while at < len(buffer):
-        byte = buffer[at]
-        at += 1
-        if byte == DLE:
-            if at == len(buffer):
-                return None
-            follower = buffer[at]
-            at += 1
-            if follower == ETX:
-                return _judge_end(buffer, at, bytes(body))
-            if follower != DLE:
-                return _Verdict(at, Fault.RESTART if follower == STX else Fault.ESCAPE)
-        body.append(byte)
+    while True:
+        room = LONGEST_BODY + 1 - len(body)
+        dle = buffer.find(DLE, at, at + room)
+        plain_ends = dle if dle >= 0 else min(at + room, len(buffer))
+        body += buffer[at:plain_ends]
+        if len(body) > LONGEST_BODY:
+            return _Verdict(plain_ends, Fault.TOO_LONG)
+        at = plain_ends + 2
+        if at > len(buffer):
+            return None
+        follower = buffer[at - 1]
+        if follower == ETX:
+            return _judge_end(buffer, at, bytes(body))
+        if follower != DLE:
+            return _Verdict(at, Fault.RESTART if follower == STX else Fault.ESCAPE)
+        body.append(DLE)
         if len(body) > LONGEST_BODY:
             return _Verdict(at, Fault.TOO_LONG)
-    return None
 
 
 def _judge_end(buffer: bytearray, at: int, body: bytes) -> _Verdict | None:

@@ -28,7 +28,7 @@ from bus.wire.commands import (
     is_write,
 )
 from bus.wire.exchange import Answered, Exchange
-from bus.wire.fence import MOST_OUTSTANDING, Doubt, Doubts, fence_for, fence_needed, possible_shapes
+from bus.wire.fence import LONG_RUN, MOST_OUTSTANDING, Doubt, Doubts, fence_for, fence_needed, possible_shapes
 from bus.wire.framing import ACK
 
 PLAIN = Dialect()
@@ -100,7 +100,20 @@ class TestDoubt:
         doubt = Doubt(1, PLAIN)
         for _ in range(3 * MOST_OUTSTANDING):
             doubt = doubt.sent(POLL)
+        assert doubt.outstanding == (POLL,) * LONG_RUN
+        for _ in range(3 * MOST_OUTSTANDING):
+            doubt = doubt.sent(POLL).sent(READ)
         assert len(doubt.outstanding) == MOST_OUTSTANDING
+
+    def test_a_long_run_ends_only_with_an_answer_of_another_shape(self) -> None:
+        doubt = Doubt(1, PLAIN)
+        for _ in range(2 * LONG_RUN):
+            doubt = doubt.sent(READ)
+        for _ in range(2 * LONG_RUN):
+            doubt = doubt.heard(b"\x01\x06\x02").moved_on()
+        assert doubt.fence_before(ReadParameter(1, 4)) == POLL
+        doubt = doubt.sent(POLL).heard(bytes((1, ACK, *bytes(11)))).moved_on()
+        assert doubt.outstanding == ()
 
     @given(st.lists(st.sampled_from(ALL), max_size=10), st.sampled_from(ALL))
     def test_answered_fences_always_lead_to_the_request(self, lost: list[Request], wanted: Request) -> None:
