@@ -68,6 +68,8 @@ class Faults:
 
     seed: int = 0
     late_s: float = LATE_S
+    foreign_address: int = 0
+    """Under which address FOREIGN answers come; 0: that of the next unit."""
     _rates: dict[int, dict[Kind, float]] = field(default_factory=lambda: defaultdict(dict))
     _random: random.Random = field(init=False)
 
@@ -90,9 +92,9 @@ class Faults:
         rate = max(self._rates[WHOLE_LINE].get(kind, 0.0), self._rates[unit].get(kind, 0.0))
         return rate > 0 and self._random.random() < rate
 
-    def refusal(self) -> int:
-        """The code of a NAK out of nowhere."""
-        return self._random.choice(list(UnitErrorCode))
+    def refusal(self, command: int) -> int:
+        """The code of a NAK out of nowhere: one of those that the manual lists for ``command``."""
+        return self._random.choice(_LISTED.get(command, (UnitErrorCode.ILLEGAL_COMMAND,)))
 
     def rubbish(self, count: int) -> bytes:
         """``count`` bytes without a frame in them: no 10h, so nothing ever starts or ends."""
@@ -118,7 +120,7 @@ class Faults:
         return [Piece(0.0, frame), Piece(0.0, frame)]
 
     def _foreign(self, _frame: bytes, body: bytes) -> list[Piece]:
-        other = body[0] % 255 + 1
+        other = self.foreign_address or body[0] % 255 + 1
         return [Piece(0.0, encode_frame(bytes((other,)) + body[1:], _PLAIN))]
 
     def _cut(self, frame: bytes, _body: bytes) -> list[Piece]:
@@ -143,6 +145,15 @@ class Faults:
         return [Piece(0.0, b"\x10\x02" + whole + b"\x10\x03" + bytes((checksum(whole),)))]
 
 
+_LISTED = {
+    0x82: (0x80, 0x81, 0x89),
+    0x83: (0x80, 0x89),
+    0x84: (0x80, 0x81, 0x89),
+    0x85: (0x82, 0x89),
+    0x86: (0x80, 0x82, 0x83, 0x89),
+    0x87: (0x80, 0x84, 0x85, 0x89),
+    0x88: (0x80, 0x87, 0x88, 0x89),
+}
 _PLAIN = Dialect()
 _NO_DLE = bytes(value for value in range(256) if value != 0x10)
 _SPOILERS: dict[Kind, Callable[[Faults, bytes, bytes], list[Piece]]] = {

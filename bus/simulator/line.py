@@ -92,7 +92,7 @@ class SimulatedLine:
         self._decoder = FrameDecoder(Dialect())
 
     def _step_physics(self, now: float, behind: float) -> None:
-        """The steps up to ``behind`` before ``now``: when a request is in, its answer leaves time for them."""
+        """Up to ``behind`` before ``now``; best when a request is in, for its answer leaves time."""
         while self._physics_at + behind <= now:
             self.plant.step(STEP_S)
             if self.faults.strikes(Kind.FLOOD):
@@ -136,7 +136,7 @@ class SimulatedLine:
 
     def _turn(self, unit: Unit, body: bytes) -> Turn:
         if body[0] != ALL_UNITS and self.faults.strikes(Kind.NAK, unit.address):
-            return Turn(None, Nak(body[0], self.faults.refusal()), acted=False)
+            return Turn(None, Nak(body[0], self.faults.refusal(body[1])), acted=False)
         return respond(unit, body)
 
     def _send(self, talker: int, at: float, data: bytes, byte_s: float) -> None:

@@ -51,10 +51,13 @@ class Record:
         self._entries.append(Entry(self._count, at, what, unit, data))
 
     def since(self, number: int = 0, *what: Happened) -> Iterator[Entry]:
-        """Entries after ``number``, of the kinds asked for (all when none is named)."""
-        return (
-            entry for entry in self._entries if entry.number > number and (not what or entry.what in what)
-        )
+        """Entries after ``number``, of the kinds asked for (all when none is named), as they are now.
+
+        The copy is one step for the interpreter, so another thread may ask while the line goes on.
+        """
+        entries = tuple(self._entries)
+        known = number - entries[0].number + 1 if entries else 0
+        return (entry for entry in entries[max(known, 0) :] if not what or entry.what in what)
 
     @property
     def count(self) -> int:

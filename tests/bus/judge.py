@@ -1,0 +1,242 @@
+"""The judge of a host: what it told, held against the simulated line's own record.
+
+The record is the other witness: what each unit heard, did and said, before any fault touched it. Every
+function gives the complaints, in words; none is the verdict.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+
+from bus.contract import (
+    Action,
+    ParameterValue,
+    Reading,
+    Result,
+    SetLine,
+    SetSpeed,
+    Update,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.simulator.record import Entry, Happened, Record
+from bus.simulator.unit import Unit
+from bus.wire.framing import ACK, NAK
+
+READ_STATUS, STAGE, EXECUTE, SET, READ_PARAMETER = 0x81, 0x82, 0x83, 0x84, 0x85
+WRITES = frozenset((STAGE, EXECUTE, SET, 0x86, 0x87, 0x88))
+UNSENT = frozenset(("not_sent", "bus_closed", "invalid"))
+Speeds = dict[int, tuple[int, int]]
+"""By unit: its executed and its staged speed."""
+Times = defaultdict[tuple[int, int, int | None], list[float]]
+
+
+# --- readings -------------------------------------------------------------------------------------
+
+
+@dataclass
+class Said:
+    """What units said: each status body and each parameter's value, with the times."""
+
+    statuses: defaultdict[bytes, list[float]] = field(default_factory=lambda: defaultdict(list))
+    parameters: Times = field(default_factory=lambda: defaultdict(list))
+
+    @classmethod
+    def of(cls, record: Record) -> Said:
+        """All that is on record."""
+        said, asked = cls(), dict[int, bytes]()
+        for entry in record.since(0, Happened.HEARD, Happened.SAID):
+            if entry.what is Happened.HEARD:
+                asked[entry.unit] = entry.data
+            else:
+                said._note(asked[entry.unit], entry)
+        return said
+
+    def _note(self, request: bytes, entry: Entry) -> None:
+        body = entry.data
+        if request[1] == READ_STATUS and body[1] == ACK:
+            self.statuses[body].append(entry.at)
+        elif request[1] == READ_PARAMETER:
+            raw = None if body[1] == NAK else int.from_bytes(body[2:], "big")
+            self.parameters[body[0], request[2], raw].append(entry.at)
+
+
+def status_body(reading: Reading) -> bytes:
+    """The body of the answer that ``reading`` claims to be."""
+    speeds = reading.commanded.to_bytes(4, "big") + reading.actual.to_bytes(4, "big")
+    return bytes((reading.unit, ACK)) + speeds + bytes((reading.analog, reading.outputs, reading.inputs))
+
+
+def made_up(updates: Iterable[Update], record: Record, epoch: float) -> list[str]:
+    """Readings and parameters that no unit had said when they were told; ``epoch``: the record's zero."""
+    said = Said.of(record)
+    return [f"no unit ever said {update}" for update in updates if not _was_said(update, said, epoch)]
+
+
+def _was_said(update: Update, said: Said, epoch: float) -> bool:
+    match update:
+        case Reading():
+            times = said.statuses.get(status_body(update), [])
+        case ParameterValue():
+            times = said.parameters.get((update.unit, update.number, update.raw), [])
+        case _:
+            return True
+    return any(at <= update.at - epoch for at in times)
+
+
+# --- writes ---------------------------------------------------------------------------------------
+
+
+@dataclass
+class Case:
+    """One command from its asking to its fate. Times on the record's clock."""
+
+    action: Action
+    asked_at: float
+    deadline: float
+    result: Result
+    told_at: float
+
+    def wanted(self) -> dict[bytes, int]:
+        """Every request that may act for it, as a body, and the unit meant (0: all)."""
+        match self.action:
+            case SetSpeed(unit=unit, raw=raw, execute=execute):
+                return {_body(unit, SET if execute else STAGE, raw): unit}
+            case SetLine(setpoints=setpoints):
+                stages = {_body(unit, STAGE, raw): unit for unit, raw in setpoints.items()}
+                singly = {bytes((unit, EXECUTE)): unit for unit in setpoints}
+                return stages | singly | {bytes((0, EXECUTE)): 0}
+            case WriteParameter(unit=unit, number=number, raw=raw):
+                return {bytes((unit, 0x86, number)) + raw.to_bytes(4, "big"): unit}
+            case WriteOutput(unit=unit, number=number, on=on):
+                return {bytes((unit, 0x87, number, on)): unit}
+            case WriteAnalogOutput(unit=unit, raw=raw):
+                return {_body(unit, 0x88, raw): unit}
+        raise AssertionError(f"the judge knows nothing of {self.action}")
+
+
+def _body(unit: int, command: int, raw: int) -> bytes:
+    return bytes((unit, command)) + raw.to_bytes(4, "big")
+
+
+def untrue_fate(case: Case, record: Record, unit_at: Callable[[int], Unit]) -> list[str]:
+    """What was told to have come of ``case``, against what its units did; asked before the next case."""
+    acted = [entry.data for entry in _acted(case, record)]
+    outcome, complaints = case.result.outcome, list[str]()
+    for unit, shown in _shown(case.action, unit_at).items():
+        if outcome == "verified" and not shown:
+            complaints.append(f"verified, and unit {unit} does not hold it")
+    if isinstance(case.action, SetLine):
+        return complaints
+    if outcome == "acknowledged" and not acted:
+        complaints.append("acknowledged, and the unit did not act")
+    if outcome in UNSENT | {"refused"} and acted:
+        complaints.append(f"{outcome}, and the unit acted")
+    return [f"{case.action}: {complaint}" for complaint in complaints]
+
+
+def _acted(case: Case, record: Record) -> list[Entry]:
+    wanted = case.wanted()
+    return [
+        entry
+        for entry in record.since(0, Happened.ACTED)
+        if entry.data in wanted and case.asked_at <= entry.at <= case.told_at
+    ]
+
+
+def _shown(action: Action, unit_at: Callable[[int], Unit]) -> dict[int, bool]:
+    match action:
+        case SetSpeed(unit=unit, raw=raw, execute=True):
+            return {unit: unit_at(unit).setpoint == raw}
+        case SetLine(setpoints=setpoints):
+            return {unit: unit_at(unit).setpoint == raw for unit, raw in setpoints.items()}
+        case WriteParameter(unit=unit, number=number, raw=raw):
+            return {unit: unit_at(unit).memory[number] == raw}
+        case WriteOutput(unit=unit, number=number, on=on):
+            return {unit: unit_at(unit).outputs[number - 1] == on}
+    return {}
+
+
+def unasked(cases: list[Case], record: Record) -> list[str]:
+    """Writes that a unit carried out and nobody had asked for at that time.
+
+    A whole-line change may also put a unit's present speed back into its memory.
+    """
+    present: dict[int, int] = {}
+    complaints = []
+    for entry in record.since(0, Happened.ACTED):
+        case = next((case for case in cases if case.asked_at <= entry.at <= case.told_at), None)
+        back = isinstance(case and case.action, SetLine) and _puts_back(entry, present)
+        if case is None or not (entry.data in case.wanted() or back):
+            complaints.append(f"unit {entry.unit} did {entry.data.hex(' ')} at {entry.at:.3f}, unasked")
+        _follow(entry, present)
+    return complaints
+
+
+def _puts_back(entry: Entry, present: dict[int, int]) -> bool:
+    raw = int.from_bytes(entry.data[2:], "big")
+    return entry.data[1] == STAGE and present.get(entry.data[0], raw) == raw
+
+
+def _follow(entry: Entry, present: dict[int, int]) -> None:
+    """Keep track of the speed that a unit has, as far as the record tells it."""
+    if entry.data[1] == SET:
+        present[entry.data[0]] = int.from_bytes(entry.data[2:], "big")
+    elif entry.data[1] == EXECUTE:
+        present.pop(entry.data[0] or entry.unit, None)
+
+
+def too_late(cases: list[Case], written: Iterable[tuple[float, bytes]], slack_s: float = 0.0) -> list[str]:
+    """Writes that left the host after the deadline of their command. ``written``: when and which body."""
+    complaints = []
+    for at, body in written:
+        if body[1] not in WRITES:
+            continue
+        for case in cases:
+            if body in case.wanted() and case.asked_at <= at <= case.told_at and at > case.deadline + slack_s:
+                complaints.append(f"{case.action}: {body.hex(' ')} left {at - case.deadline:.3f} s late")
+    return complaints
+
+
+def rash_broadcasts(cases: list[Case], record: Record) -> list[str]:
+    """83h to all before every unit of that very change had taken its 82h."""
+    complaints = []
+    for case, broadcast in _broadcasts(cases, record):
+        assert isinstance(case.action, SetLine)
+        staged = {entry.data for entry in _acted(case, record) if entry.at < broadcast.at}
+        missing = [
+            unit for unit, raw in case.action.setpoints.items() if _body(unit, STAGE, raw) not in staged
+        ]
+        if missing:
+            complaints.append(f"broadcast at {broadcast.at:.3f} while units {missing} had not staged")
+    return complaints
+
+
+def _broadcasts(cases: list[Case], record: Record) -> Iterator[tuple[Case, Entry]]:
+    heard: dict[float, Entry] = {
+        entry.at: entry for entry in record.since(0, Happened.HEARD) if entry.data == bytes((0, EXECUTE))
+    }
+    for entry in heard.values():
+        for case in cases:
+            if case.asked_at <= entry.at <= case.told_at and isinstance(case.action, SetLine):
+                yield case, entry
+
+
+def half_done(case: Case, before: Speeds, record: Record, unit_at: Callable[[int], Unit]) -> list[str]:
+    """A whole-line change without a broadcast must leave every speed as it was, and nothing staged unsaid.
+
+    What an operator had staged before may stay, or give way to the present speed.
+    """
+    if not isinstance(case.action, SetLine) or list(_broadcasts([case], record)):
+        return []
+    complaints = []
+    for unit, (speed, entered) in before.items():
+        now = unit_at(unit)
+        if now.setpoint != speed:
+            complaints.append(f"unit {unit} was changed from {speed} to {now.setpoint}")
+        if now.entered not in (speed, entered) and "staged" not in case.result.message:
+            complaints.append(f"unit {unit} still holds {now.entered} staged, unsaid: {case.result.message}")
+    return complaints

@@ -1,0 +1,230 @@
+"""Proof of truth: no reading that no unit said, no fate that is not so, whatever the line suffers.
+
+Each fault alone, then all together, over hundreds of writes. The worker runs as it is: on a virtual clock,
+and once more over a real pseudo-terminal and a real WebSocket. The judge holds what it told against the
+line's own record.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable, Iterable, Iterator
+from contextlib import suppress
+
+import pytest
+import structlog
+
+from bus.contract import (
+    Action,
+    Result,
+    SetLine,
+    SetSpeed,
+    Update,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.settings import BusSettings, Dialect
+from bus.simulator.demo import demo_line
+from bus.simulator.faults import Faults, Kind
+from bus.simulator.line import SimulatedLine
+from bus.simulator.memory import Mode, Prm
+from bus.simulator.ports import PtyPort
+from bus.simulator.record import Happened, Record
+from bus.simulator.serve import LineServer
+from bus.simulator.unit import Unit
+from bus.wire.framing import FrameDecoder, ReceivedFrame
+from bus.worker.service import run_worker
+from tests.bus.fake_app import TOKEN, FakeApp
+from tests.bus.judge import Case, half_done, made_up, rash_broadcasts, too_late, unasked, untrue_fate
+from tests.bus.virtual_line import EPOCH, VirtualLine, run
+
+UNITS = 4
+ALONE = 0.25
+TOGETHER = 0.05
+JAM = 0.002
+"""Floods and frames of 10,000 bytes fill the cable for seconds: at this rate others are seen as well."""
+LARGE = (Kind.FLOOD, Kind.HUGE)
+STRANGER = 99
+"""Among other faults a foreign answer carries an address that no unit here has. A unit that speaks in the
+name of another at the very moment when that one is asked cannot be told from it by anybody."""
+ALL_AT_ONCE = {kind: JAM if kind in LARGE else TOGETHER for kind in Kind if kind is not Kind.EVERYBODY}
+SPEEDUP = 10.0
+CLOCK_SLACK_S = 0.5
+"""Between the clocks of the worker and of the record, where both are real."""
+
+
+@pytest.fixture(autouse=True)
+def _quiet_log() -> Iterator[None]:
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))
+    yield
+    structlog.reset_defaults()
+
+
+def wishes(seed: int, count: int) -> Iterator[Action]:
+    """Writes of every kind; each value is asked for once, so that whoever has it has it from here."""
+    dice = random.Random(seed)
+    for fresh in range(1, count + 1):
+        unit = dice.randrange(1, UNITS + 1)
+        yield dice.choice(
+            (
+                SetSpeed(unit, fresh),
+                SetSpeed(unit, fresh, execute=False),
+                SetLine({each: 1000 - fresh * UNITS + each for each in range(1, UNITS + 1)}),
+                WriteParameter(unit, 9, 10_000 + fresh),
+                WriteOutput(unit, dice.randrange(1, 7), dice.random() < 0.5),
+                WriteAnalogOutput(unit, fresh),
+            )
+        )
+
+
+class Trial:
+    """A list of wishes to one worker: what came of each, and what is wrong with it.
+
+    ``ask`` gives the fate of a wish, ``now`` the time of the record's clock.
+    """
+
+    def __init__(
+        self,
+        ask: Callable[[Action, float], Awaitable[Result]],
+        now: Callable[[], float],
+        record: Record,
+        units: list[Unit],
+    ) -> None:
+        self.cases: list[Case] = []
+        self.complaints: list[str] = []
+        self._ask, self._now, self._record, self._units = ask, now, record, units
+
+    async def play(self, seed: int, count: int) -> None:
+        """One wish after the other, each judged as soon as its fate is known."""
+        dice = random.Random(seed)
+        for wish in wishes(seed, count):
+            await asyncio.sleep(dice.uniform(0.0, 0.3))
+            await self._judge(wish, dice.choice((0.03, 0.2, 2.0)))
+        self.complaints += unasked(self.cases, self._record)
+        self.complaints += rash_broadcasts(self.cases, self._record)
+
+    async def _judge(self, wish: Action, timeout_s: float) -> None:
+        asked_at = self._now()
+        before = {unit.address: (unit.setpoint, unit.entered) for unit in self._units}
+        result = await self._ask(wish, timeout_s)
+        case = Case(wish, asked_at, asked_at + timeout_s, result, self._now())
+        self.cases.append(case)
+        self.complaints += untrue_fate(case, self._record, self._unit_at)
+        self.complaints += half_done(case, before, self._record, self._unit_at)
+
+    def _unit_at(self, address: int) -> Unit:
+        return next(unit for unit in self._units if unit.address == address)
+
+    def outcomes(self) -> Counter[str]:
+        return Counter(case.result.outcome for case in self.cases)
+
+
+def suffer(faults: Faults, rates: dict[Kind, float]) -> None:
+    """From now on."""
+    if len(rates) > 1:
+        faults.foreign_address = STRANGER
+    for kind, rate in rates.items():
+        faults.set(kind, rate)
+
+
+def bodies(written: Iterable[tuple[float, bytes]]) -> Iterator[tuple[float, bytes]]:
+    """What the host's writes carried, and when they left."""
+    for at, data in written:
+        for event in FrameDecoder(Dialect()).feed(data):
+            if isinstance(event, ReceivedFrame):
+                yield at, event.body
+
+
+def virtual_trial(rates: dict[Kind, float], seed: int, count: int) -> Trial:
+    """Play wishes on a virtual clock on a line with these faults."""
+
+    async def scene(line: VirtualLine) -> Trial:
+        def ask(wish: Action, timeout_s: float) -> Awaitable[Result]:
+            return line.ask(wish, timeout_s=timeout_s, within_s=300.0)
+
+        record = line.line.record
+        trial = Trial(ask, line.loop.time, record, line.plant.units)
+        await asyncio.sleep(2.0)
+        suffer(line.faults, rates)
+        await trial.play(seed, count)
+        trial.complaints += made_up(line.updates, record, EPOCH)
+        trial.complaints += too_late(trial.cases, bodies(line.written))
+        return trial
+
+    return run(scene, UNITS, seed=seed)
+
+
+def test_on_a_good_line_every_write_that_had_the_time_is_proven() -> None:
+    trial = virtual_trial({}, seed=7, count=100)
+    assert trial.complaints == []
+    for case in trial.cases:
+        assert case.result.outcome in ("verified", "acknowledged") or case.deadline - case.asked_at < 0.1
+
+
+@pytest.mark.parametrize("kind", [kind for kind in Kind if kind is not Kind.EVERYBODY])
+def test_each_fault_alone(kind: Kind) -> None:
+    trial = virtual_trial({kind: JAM if kind in LARGE else ALONE}, seed=7, count=100)
+    assert trial.complaints == []
+    assert trial.outcomes()["verified"] > 10
+
+
+def test_a_unit_that_takes_every_address_for_its_own() -> None:
+    """It carries out what others are asked, so what it holds staged is not in the host's hands."""
+    trial = virtual_trial({Kind.EVERYBODY: TOGETHER}, seed=7, count=100)
+    assert [complaint for complaint in trial.complaints if "still holds" not in complaint] == []
+    assert trial.outcomes()["verified"] > 10
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_all_faults_together(seed: int) -> None:
+    trial = virtual_trial(ALL_AT_ONCE, seed, count=200)
+    assert trial.complaints == []
+    assert trial.outcomes()["verified"] > 10
+
+
+def test_a_refusal_speaks_for_its_own_try_only() -> None:
+    """The first try was carried out and its answer lost; then somebody took the unit to LOCAL."""
+
+    async def scene(line: VirtualLine) -> Result:
+        def take_to_local() -> None:
+            if line.acted(1):
+                line.plant.unit(1).memory[Prm.MODE] = Mode.LOCAL
+                line.faults.clear()
+            else:
+                line.loop.call_later(0.001, take_to_local)
+
+        await asyncio.sleep(1.0)
+        line.faults.set(Kind.LOST, 1.0)
+        take_to_local()
+        return await line.ask(SetSpeed(1, 321))
+
+    fate = run(scene, UNITS)
+    assert (fate.outcome, fate.read_back) == ("verified", 321)
+
+
+async def test_all_faults_together_over_a_real_pseudo_terminal() -> None:
+    faults = Faults(seed=5)
+    simulated = SimulatedLine(demo_line(UNITS, script=False).plant, faults, speedup=SPEEDUP)
+    with LineServer(simulated, PtyPort()) as server:
+        settings = demo_line(UNITS).settings
+        bus = BusSettings(name="b", port=server.port.name, unit=settings)
+        async with FakeApp() as app:
+            leave = asyncio.Event()
+            worker = asyncio.create_task(run_worker(bus, app.url, TOKEN, leave=leave))
+            await app.until(lambda: all(app.readings(unit) for unit in range(1, UNITS + 1)))
+            trial = Trial(app.ask, time.monotonic, simulated.record, simulated.plant.units)
+            server.call(lambda line: suffer(line.faults, ALL_AT_ONCE))
+            await trial.play(seed=5, count=120)
+            leave.set()
+            with suppress(asyncio.CancelledError):
+                await worker
+            told: list[Update] = app.updates()
+    came = ((entry.at, entry.data) for entry in simulated.record.since(0, Happened.CAME))
+    trial.complaints += made_up(told, simulated.record, time.time() - time.monotonic() - CLOCK_SLACK_S)
+    trial.complaints += too_late(trial.cases, bodies(came), slack_s=CLOCK_SLACK_S)
+    assert trial.complaints == []
+    assert trial.outcomes()["verified"] > 10
