@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from app.errors import StoreError
+from bus.errors import CallerError
 
 __all__ = ["StoreError", "in_words"]
 
@@ -30,11 +31,14 @@ def in_words(path: Path) -> Iterator[None]:
     """Turn what SQLite or the file system raises into a StoreError that names the store.
 
     A broken rule of a table (sqlite3.IntegrityError) passes through: that is for the caller to answer.
+    A number past 64 bits can only have been asked for: CallerError.
     """
     try:
         yield
     except sqlite3.IntegrityError:
         raise
+    except OverflowError as error:
+        raise CallerError("a number is larger than any that is stored; nothing was done") from error
     except sqlite3.Error as error:
         code = getattr(error, "sqlite_errorcode", None)
         meaning = _MEANINGS.get(code & _PRIMARY) if isinstance(code, int) else None

@@ -11,6 +11,7 @@ import pytest
 
 from app.database import Database, StoreError
 from app.database.connection import open_for_reading
+from bus.errors import CallerError
 
 STEP = "CREATE TABLE things (name TEXT PRIMARY KEY) STRICT;\n"
 
@@ -58,6 +59,11 @@ async def test_a_broken_rule_is_for_the_caller(database: Database) -> None:
     with pytest.raises(sqlite3.IntegrityError):
         await database.write(lambda c: insert(c, "a"))
     assert await database.read(names) == ["a"]
+
+
+async def test_a_number_that_no_column_holds_is_the_askers_fault(database: Database) -> None:
+    with pytest.raises(CallerError, match="a number is larger than any that is stored"):
+        await database.read(lambda c: c.execute("SELECT ?", (2**63,)).fetchone())
 
 
 async def test_a_reader_cannot_write(database: Database) -> None:
