@@ -74,8 +74,13 @@ class Pipeline:
                 what=change.what,
                 old=change.old,
                 new=change.new,
+                at=change.at,
             )
             self._to_record.task_done()
+
+    async def recorded(self) -> None:
+        """Wait until everything that was noted is in the events."""
+        await self._to_record.join()
 
     def _note(self, bus: str | None, change: Change) -> None:
         self._to_record.put_nowait((bus, change))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -43,6 +43,8 @@ log = structlog.get_logger()
 SERVER = Person("server", Role.ENGINEER, "worker")
 """Who acts when nobody asked: the schedule of parameter sets."""
 AGAIN_AFTER_S = 1.0
+RECORDED_WITHIN_S = 1.0
+"""What the end waits for the last changes of the line to be written down."""
 
 
 class ClockSteps:
@@ -149,6 +151,9 @@ async def running(services: Services) -> AsyncIterator[None]:
     try:
         yield
     finally:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(RECORDED_WITHIN_S):
+                await services.pipeline.recorded()
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)

@@ -67,7 +67,9 @@ class EventLog:
             self._entry(kind="fate", about=event, outcome=outcome, message=message)
             for event, (outcome, message) in fates.items()
         ]
-        await self._append_all(entries, tell=list(fates))
+        await self._write_all(entries)
+        for event in fates:
+            await self._tell(event)
 
     async def conclude(
         self, event: int, outcome: Outcome, message: str = "", frames: Sequence[Frame] = ()
@@ -134,18 +136,19 @@ class EventLog:
 
     async def _append(self, **said: Any) -> int:
         entry = self._entry(**said)
-        number = await self._database.write(lambda connection: store.append(connection, entry))
-        await self._tell(number)
-        return number
+        return (await self._append_all([entry]))[0]
 
-    async def _append_all(self, entries: Sequence[Event], tell: Sequence[int] = ()) -> list[int]:
+    async def _append_all(self, entries: Sequence[Event]) -> list[int]:
+        numbers = await self._write_all(entries)
+        for number, entry in zip(numbers, entries, strict=True):
+            self._say({**entry, "id": number, "concluded_at": None})
+        return numbers
+
+    async def _write_all(self, entries: Sequence[Event]) -> list[int]:
         def append(connection: sqlite3.Connection) -> list[int]:
             return [store.append(connection, entry) for entry in entries]
 
-        numbers = await self._database.write(append)
-        for number in tell or numbers:
-            await self._tell(number)
-        return numbers
+        return await self._database.write(append)
 
     def _entry(self, **said: Any) -> dict[str, Any]:
         nothing = dict.fromkeys(("about", "bus", "unit", "old", "new", "old_raw", "new_raw", "outcome"))
@@ -157,11 +160,15 @@ class EventLog:
         if not self._subscribers:
             return
         event = await self._database.read(lambda connection: store.one(connection, number))
+        if event is not None:
+            self._say(event)
+
+    def _say(self, event: Event) -> None:
         for subscriber in tuple(self._subscribers):
             try:
-                subscriber(event or {})
+                subscriber(event)
             except Exception:
-                log.exception("subscriber of events failed", event_id=number)
+                log.exception("subscriber of events failed", event_id=event["id"])
 
 
 def _frame(frame: Frame) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,8 @@ async def events(stage: Stage, count: int) -> list[dict[str, Any]]:
 async def test_what_happens_on_the_line_is_written_down_in_order(stage: Stage) -> None:
     worker = await stage.worker()
     await worker.update(reading(1))
-    await worker.update(reading(1, outputs=0))
+    local = reading(1, outputs=0)
+    await worker.update(local)
     await worker.update(reading(1, outputs=0, inputs=HEALTHY | 1))
     await worker.update(BusLink(at=1.0, link="open"))
     await worker.update(BusLink(at=1.0, link="closed", cause="unplugged"))
@@ -41,6 +43,8 @@ async def test_what_happens_on_the_line_is_written_down_in_order(stage: Stage) -
         ("bus", None, "open", "closed"),
     ]
     assert "unplugged" in found[-1]["what"]
+    assert abs(datetime.fromisoformat(found[1]["time"]).timestamp() - local.at) < 0.001
+    await stage.pipeline.recorded()
 
 
 async def test_workers_come_go_and_come_back(stage: Stage) -> None:
