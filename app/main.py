@@ -66,12 +66,13 @@ FEATURES = (
 )
 
 
-def create_app(settings: Settings, *, demo: bool = False) -> FastAPI:
+def create_app(settings: Settings, *, demo: bool = False, worker_token: str = "") -> FastAPI:
     """The whole app over ``settings``. ``demo``: whoever comes from this machine is signed in.
+    ``worker_token``: what the workers that the server starts itself open /feed with.
 
     Raises StoreError when the data cannot be used, RuntimeError for a route that declares no role.
     """
-    services = build(settings, demo=demo)
+    services = build(settings, demo=demo, worker_token=worker_token)
     app = FastAPI(
         title="Lineside",
         summary="Watch and set a line of DIGIMAX IV drives",

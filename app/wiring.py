@@ -88,7 +88,7 @@ class Services:
     counts: Counts
 
 
-def build(settings: Settings, *, demo: bool) -> Services:
+def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     """Open the stores and connect everything. Raises StoreError in words."""
     database = Database(settings.server.store)
     events, passwords = EventLog(database), Passwords()
@@ -120,7 +120,7 @@ def build(settings: Settings, *, demo: bool) -> Services:
         events=events,
         passwords=passwords,
         accounts=accounts,
-        sign_in=SignIn(database, passwords, events),
+        sign_in=SignIn(database, passwords, events, worker_token),
         live=live,
         history=history,
         clock_steps=steps,

@@ -27,6 +27,7 @@ class SignIn:
         database: Database,
         passwords: Passwords,
         events: EventLog,
+        worker_token: str = "",
         clock: Callable[[], float] = time.time,
     ) -> None:
         self._database = database
@@ -35,7 +36,7 @@ class SignIn:
         self._clock = clock
         self._failures = Failures()
         self._one_at_a_time = asyncio.Lock()
-        self.worker_token = rules.new_secret()
+        self.worker_token = worker_token or rules.new_secret()
         """For the workers that this server starts itself; it ends with the server."""
 
     async def sign_in(self, name: str, secret: str, address: str, *, panel: bool = False) -> str:

@@ -8,46 +8,25 @@ import fcntl
 import os
 import signal
 import socket
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import typer
-import uvicorn
 import uvloop
 
+from app.auth.rules import new_secret
 from app.cli.workers import Workers
-from app.main import create_app
 from app.settings import Server, Settings
 from bus.errors import LinesideError
 from bus.worker.process import configure_log
 
-GRACEFUL_S = 1
-"""What requests in flight get when the server ends."""
 _ENDINGS = (signal.SIGTERM, signal.SIGINT)
 
 
 class HostingError(LinesideError):
     """The dashboard could not begin to serve."""
-
-
-class _Uvicorn(uvicorn.Server):
-    """Leaves the signals to us, and says when it serves."""
-
-    def __init__(self, config: uvicorn.Config, serving: Callable[[], None]) -> None:
-        super().__init__(config)
-        self._serving = serving
-
-    def capture_signals(self) -> Any:
-        """The workers must end before the server does."""
-        return nullcontext()
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """As it is, then the word that it serves."""
-        await super().startup(sockets)
-        if self.started:
-            self._serving()
 
 
 def listen(server: Server) -> socket.socket:
@@ -102,21 +81,22 @@ def host(settings: Settings, config: Path, *, demo: bool = False) -> None:
 
 
 async def _host(settings: Settings, config: Path, listening: socket.socket, *, demo: bool) -> None:
-    app = create_app(settings, demo=demo)
-    url = url_of(listening)
-    buses = [bus.name for bus in settings.bus]
-    workers = Workers(config, buses, url, app.state.services.sign_in.worker_token)
-    server = _Uvicorn(_config(app), lambda: typer.echo(f"Lineside: {url}"))
+    """The workers begin while the dashboard is still being read, and end before it does."""
+    url, token = url_of(listening), new_secret()
+    workers = Workers(config, [bus.name for bus in settings.bus], url, token)
     ending = _ending_asked()
     workers.start()
-    serving = asyncio.create_task(server.serve([listening]))
-    asked = asyncio.create_task(ending.wait())
-    await asyncio.wait({serving, asked}, return_when=asyncio.FIRST_COMPLETED)
-    asked.cancel()
-    await workers.stop()
+    try:
+        server_module = await asyncio.to_thread(import_module, "app.cli.server")
+        server = server_module.Server(settings, demo, token, lambda: typer.echo(f"Lineside: {url}"))
+        serving = asyncio.create_task(server.serve([listening]))
+        asked = asyncio.create_task(ending.wait())
+        await asyncio.wait({serving, asked}, return_when=asyncio.FIRST_COMPLETED)
+        asked.cancel()
+    finally:
+        await workers.stop()
     server.should_exit = True
-    with suppress(asyncio.CancelledError):
-        await serving
+    await serving
     if not server.started:
         raise HostingError("the dashboard could not begin; what stands above says why")
 
@@ -126,20 +106,3 @@ def _ending_asked() -> asyncio.Event:
     for number in _ENDINGS:
         asyncio.get_running_loop().add_signal_handler(number, ending.set)
     return ending
-
-
-def _config(app: Any) -> uvicorn.Config:
-    """No deflate on WebSockets: at ten messages a second it costs a quarter of a core."""
-    return uvicorn.Config(
-        app,
-        loop="none",
-        http="httptools",
-        ws="websockets-sansio",
-        ws_per_message_deflate=False,
-        ws_max_size=4 * 1024 * 1024,
-        access_log=False,
-        log_level="warning",
-        server_header=False,
-        lifespan="on",
-        timeout_graceful_shutdown=GRACEFUL_S,
-    )

@@ -30,7 +30,7 @@ class House:
         self.passwords = Passwords()
         self.log = EventLog(database, lambda: self.now)
         self.accounts = Accounts(database, self.passwords, self.log, lambda: self.now)
-        self.sign_in = SignIn(database, self.passwords, self.log, lambda: self.now)
+        self.sign_in = SignIn(database, self.passwords, self.log, "the-workers-own", lambda: self.now)
 
     async def add(self, name: str = "ann", role: Role = Role.OPERATOR) -> None:
         await self.accounts.add_user(name, role, PASSWORD, by="t", origin="t")

@@ -1,0 +1,54 @@
+"""Uvicorn as the dashboard wants it."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from contextlib import nullcontext
+from typing import Any
+
+import uvicorn
+
+from app.main import create_app
+from app.settings import Settings
+
+GRACEFUL_S = 1
+"""What requests in flight get when the server ends."""
+MOST_MESSAGE_BYTES = 4 * 1024 * 1024
+
+
+class Server(uvicorn.Server):
+    """Leaves the signals to the host, and says when it serves."""
+
+    def __init__(
+        self, settings: Settings, demo: bool, worker_token: str, serving: Callable[[], None]
+    ) -> None:
+        super().__init__(_config(create_app(settings, demo=demo, worker_token=worker_token)))
+        self._serving = serving
+
+    def capture_signals(self) -> Any:
+        """The workers must end before the server does."""
+        return nullcontext()
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """As it is, then the word that it serves."""
+        await super().startup(sockets)
+        if self.started:
+            self._serving()
+
+
+def _config(app: Any) -> uvicorn.Config:
+    """No deflate on WebSockets: at ten messages a second it costs a quarter of a core."""
+    return uvicorn.Config(
+        app,
+        loop="none",
+        http="httptools",
+        ws="websockets-sansio",
+        ws_per_message_deflate=False,
+        ws_max_size=MOST_MESSAGE_BYTES,
+        access_log=False,
+        log_level="warning",
+        server_header=False,
+        lifespan="on",
+        timeout_graceful_shutdown=GRACEFUL_S,
+    )
