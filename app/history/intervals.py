@@ -21,16 +21,15 @@ class Interval(NamedTuple):
 
 def intervals(parts: Iterable[Run | Interval], marks: Marks, usual: int = 0) -> list[Interval]:
     """Neighbours with the same bits and no hole between them as one, in order of time."""
-    ordered = sorted(Interval(part.at, part.until, _word(part)) for part in parts)
-    ends = [time for part in ordered for time in (part.at, part.until)]
-    broken = {i // 2 for i in holes(ends, marks, usual) if i % 2} if _rising(ends) else set()
-    joined: list[Interval] = []
-    for position, part in enumerate(ordered):
-        if joined and joined[-1].word == part.word and position - 1 not in broken:
-            joined[-1] = joined[-1]._replace(until=max(joined[-1].until, part.until))
-        else:
-            joined.append(part)
-    return joined
+    ordered = sorted((part.at, part.until, part.word) for part in parts)
+    if not ordered:
+        return []
+    starts, ends, words = zip(*ordered, strict=True)
+    edges = [time for pair in zip(starts, ends, strict=True) for time in pair]
+    broken = {i // 2 + 1 for i in holes(edges, marks, usual) if i % 2} if _rising(edges) else set()
+    changed = {i for i, (before, word) in enumerate(pairwise(words), 1) if word != before}
+    cuts = sorted({0, len(ordered)} | broken | changed)
+    return [Interval(starts[i], max(ends[i:j]), words[i]) for i, j in pairwise(cuts)]
 
 
 def splice(stored: Sequence[Interval], minute: int, runs: Sequence[Run], marks: Marks) -> list[Interval]:
@@ -41,10 +40,6 @@ def splice(stored: Sequence[Interval], minute: int, runs: Sequence[Run], marks: 
     around += [part._replace(at=max(part.at, after)) for part in stored if part.until >= after]
     usual = usual_interval([b.at - a.until for a, b in pairwise(runs)])
     return intervals([*around, *runs], marks, usual)
-
-
-def _word(part: Run | Interval) -> int:
-    return part.word
 
 
 def _rising(times: Sequence[int]) -> bool:

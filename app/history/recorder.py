@@ -21,7 +21,7 @@ GRACE = 2 * SECOND
 """How long after a minute its last readings are waited for."""
 MOST_IN_TAIL = 400_000
 """Runs in memory at which even the current minute is folded."""
-AT_ONCE = 16
+AT_ONCE = 64
 """Minutes of units folded in one transaction."""
 _LOOK_EVERY = 64
 

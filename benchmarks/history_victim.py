@@ -1,0 +1,49 @@
+"""A process to be killed: it stores 5,000 readings a second and some events, and says what it has done.
+
+``python -m benchmarks.history_victim FOLDER``: each line is the number of an event that is on disk, and
+the time of the newest reading that was taken in.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import time
+from pathlib import Path
+
+from app.audit.log import EventLog
+from app.database.connection import Database
+from app.history.service import History
+from app.settings import Server, Settings
+from bus.contract import Reading
+
+UNITS = 130
+A_SECOND = 5_000
+STEP_S = 0.02
+EVENTS_FROM_STEP = 5
+
+
+async def _live(folder: Path) -> None:
+    history = History(Settings(server=Server(data=folder / "flood")))
+    events = EventLog(Database(folder / "flood" / "lineside.db"))
+    history.start()
+    step = 0
+    while True:
+        now = time.time()
+        count = round(A_SECOND * STEP_S)
+        batch = [
+            Reading(1 + (step * count + i) % UNITS, now, 1000, 1000 + (step + i) % 9, 128, 0xC0, 3)
+            for i in range(count)
+        ]
+        history.append("line", batch)
+        step += 1
+        if step % EVENTS_FROM_STEP == 0:
+            number = await events.record(
+                kind="mode", what="mode", bus="line", unit=1, old="LOCAL", new="REMOTE"
+            )
+            print(number, now, flush=True)
+        await asyncio.sleep(max(0.0, STEP_S - (time.time() - now)))
+
+
+if __name__ == "__main__":
+    asyncio.run(_live(Path(sys.argv[1])))
