@@ -13,12 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 from bus.contract import Direction
-from bus.errors import WireError
 from bus.line.asking import Heard
 from bus.line.clock import Alarm, Clock
+from bus.line.port import OpenPort
 from bus.line.roster import Roster
 from bus.line.steps import NO_RUBBISH, Rubbish
 from bus.line.trace import Passed, Trace
@@ -40,22 +39,6 @@ ON_TIME_TO_BELIEVE = 50
 TIMER_SLACK_S = 0.0005
 SUSPECTED_S = 60.0
 """How long a unit that was heard twice is suspected of it."""
-
-
-class Port(Protocol):
-    """What the link needs of ``bus.line.transport``."""
-
-    def write(self, data: bytes) -> None:
-        """Hand over one request. Raises WireError when the port does not take it."""
-
-    def drop_output(self) -> None:
-        """Forget what has not left yet."""
-
-    def retune(self, baud: int) -> None:
-        """Go on at ``baud``. Raises WireError where the port cannot."""
-
-    def close(self) -> None:
-        """Give the port back, at once."""
 
 
 @dataclass(slots=True)
@@ -116,7 +99,7 @@ class Link:
         self._clock = clock
         self._roster = roster
         self._trace = trace
-        self._port: Port | None = None
+        self._port: OpenPort | None = None
         self._pace = Pace()
         self._decoder = FrameDecoder(dialect)
         self._doubts = Doubts(dialect)
@@ -130,13 +113,11 @@ class Link:
         self._last_answer = b""
         self.done: Callable[[Heard, float, float], None] = _nobody
         """Called with what was heard and when the exchange began and ended."""
-        self.broke: Callable[[str], None] = _nobody_told
-        """Called when the port does not take a request."""
         self.counts = WireCounts()
 
     # --- the port ------------------------------------------------------------------------------
 
-    def attach(self, port: Port, baud: int) -> None:
+    def attach(self, port: OpenPort, baud: int) -> None:
         """The port is open: nothing that was under way before can still arrive."""
         self._port = port
         self._byte_s = BITS_PER_BYTE / baud
@@ -193,7 +174,7 @@ class Link:
     def send(self, request: Request, dialect: Dialect | None = None) -> None:
         """Begin an exchange, ``dialect`` where it is not the bus's own.
 
-        Raises CallerError for a request that no frame can carry.
+        Raises CallerError for a request that no frame can carry, WireError when the port does not take it.
         """
         assert self._port is not None
         assert self._current is None
@@ -201,11 +182,7 @@ class Link:
         dialect = dialect or self._dialect
         exchange = Exchange(request, dialect, decoder=self._decoder, doubt=doubt)
         began = self._clock.now()
-        try:
-            self._port.write(exchange.sent)
-        except WireError as error:
-            self.broke(str(error))
-            return
+        self._port.write(exchange.sent)
         ends_sending = began + len(exchange.sent) * self._byte_s
         longest = longest_reply_bytes(request, dialect) * self._byte_s
         window_s = self._turnaround_s + MARGIN_S if request.unit else 0.0
@@ -364,8 +341,4 @@ class Link:
 
 
 def _nobody(_heard: Heard, _began: float, _ended: float) -> None:
-    """Until the poller listens."""
-
-
-def _nobody_told(_cause: str) -> None:
     """Until the poller listens."""

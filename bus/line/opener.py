@@ -10,7 +10,8 @@ import structlog
 
 from bus.errors import WireError
 from bus.line.poller import Poller
-from bus.line.transport import OpenPort, Receiver, open_port
+from bus.line.port import OpenPort, Receiver
+from bus.line.transport import open_port
 
 RETRY_S = 0.5
 CHECK_S = 0.5

@@ -15,8 +15,10 @@ from bus.errors import CallerError, WireError
 from bus.line.asking import Asking, Heard
 from bus.line.clock import Alarm, Clock
 from bus.line.errand import Claim, Errand
+from bus.line.errands import Errands
 from bus.line.figures import Figures
-from bus.line.link import Link, Port
+from bus.line.link import Link
+from bus.line.port import OpenPort, PartlySent
 from bus.line.roster import Roster
 from bus.line.schedule import Kind, Schedule, Task
 from bus.line.steps import Ask, Expect, Note, Retune, Tell, Unstage
@@ -56,13 +58,12 @@ class Poller:
         self.schedule = Schedule(self.roster.configured, self._poll_s(), seed)
         self.link = Link(bus.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
         self.link.done = self._heard
-        self.link.broke = self.port_lost
         self.state = BusLink(at=clock.epoch(clock.now()), link="closed", cause="not opened yet")
         self.lost: Callable[[str], None] = lambda _cause: None
         """Called when the port proved unusable; whoever opened it opens it again."""
         self._emit = emit
         self._figures = Figures()
-        self._errands: list[Errand] = []
+        self.errands = Errands()
         self._routine: tuple[Task, Asking] | None = None
         self._owner: Errand | None = None
         self._sending: Request | None = None
@@ -77,7 +78,7 @@ class Poller:
 
     # --- the port ------------------------------------------------------------------------------
 
-    def port_opened(self, port: Port) -> None:
+    def port_opened(self, port: OpenPort) -> None:
         """Ask from now on."""
         now = self.clock.now()
         self.link.attach(port, self.baud)
@@ -95,7 +96,7 @@ class Poller:
         updates: list[Update] = self.not_opened(cause)
         updates += self.roster.port_closed(self.clock.epoch(now), cause)
         self._emit(updates)
-        for errand in tuple(self._errands):
+        for errand in self.errands:
             errand.close(now)
         self._sweep(now)
         self.lost(cause)
@@ -109,7 +110,7 @@ class Poller:
 
     def tick(self) -> None:
         """Now and then: a line that fell silent may have come back at the rate it was given."""
-        if self._expected_baud is None or not self.link.open or self._errands:
+        if self._expected_baud is None or not self.link.open or len(self.errands):
             return
         if len(self.schedule.round):
             if self.baud == self._expected_baud:
@@ -149,8 +150,7 @@ class Poller:
     def submit(self, errand: Errand) -> None:
         """Carry out ``errand``: its first frame is the next one, if its claim allows."""
         now = self.clock.now()
-        self._errands.append(errand)
-        self._errands.sort(key=lambda each: each.claim)
+        self.errands.add(errand)
         if not self.link.open:
             errand.close(now)
             self._sweep(now)
@@ -159,17 +159,8 @@ class Poller:
 
     def cancel(self, command_id: str) -> None:
         """Give it up where nothing is half done."""
-        for errand in self._errands:
-            if errand.id == command_id:
-                errand.wish.cancelled = True
-                if not errand.begun:
-                    errand.end(_never_begun("given up before it was sent: nothing was sent"))
+        self.errands.cancel(command_id)
         self._sweep(self.clock.now())
-
-    @property
-    def errands(self) -> tuple[Errand, ...]:
-        """Under way or waiting."""
-        return tuple(self._errands)
 
     def figures(self) -> BusFigures:
         """The figures of this moment."""
@@ -244,10 +235,10 @@ class Poller:
         """Send what is next; nothing to send: be waked when there is."""
         if not self.link.open:
             return
-        starved = bool(self._errands) and self._leave_a_poll(now)
+        starved = len(self.errands) > 0 and self._leave_a_poll(now)
         if starved and self._routine is None and (poll := self.schedule.next_poll()) is not None:
             self._routine = (poll, Asking(_ask_of(poll)))
-        request = self._errands_request(now) if self._errands and not starved else None
+        request = self._errands_request(now) if not starved else None
         if request is None:
             request = self._routine_request(now)
         if request is None:
@@ -262,8 +253,12 @@ class Poller:
         asking = errand.asking if errand is not None else None
         try:
             self.link.send(request, asking.dialect_of(request) if asking is not None else None)
+        except PartlySent as error:
+            self.port_lost(str(error))
+        except WireError as error:
+            self._sending = None
+            self.port_lost(str(error))
         except CallerError as error:
-            self.trace.witness = None
             self._owner = None
             if errand is None:
                 raise
@@ -271,36 +266,15 @@ class Poller:
             self._go(self.clock.now())
 
     def _errands_request(self, now: float, *, slow: bool = False) -> Request | None:
-        for errand in self._errands:
-            if (errand.claim is Claim.SLOW) != slow or errand.result is not None:
-                continue
-            if not self._may_run(errand, now):
-                continue
-            request = errand.next_request(now, self.link.doubt)
-            if request is not None:
-                self._owner = errand
-                return request
-        return None
-
-    def _may_run(self, errand: Errand, now: float) -> bool:
-        """Whether its turn has come. One that waited too long for its turn ends here."""
-        if errand.begun:
-            return True
-        for earlier in self._errands:
-            if earlier is errand:
-                return True
-            if earlier.result is None and earlier.conflicts_with(errand):
-                if now > errand.deadline:
-                    errand.end(
-                        _never_begun("another change of these units took all its time: nothing was sent")
-                    )
-                return False
-        return True
+        chosen = self.errands.next_request(now, self.link.doubt, slow=slow)
+        if chosen is None:
+            return None
+        self._owner, request = chosen
+        return request
 
     def _leave_a_poll(self, now: float) -> bool:
-        whole_line = any(errand.begun and len(errand.units) > 1 for errand in self._errands)
         return (
-            not whole_line
+            not self.errands.whole_line_changes
             and now - self._routine_at > ERRANDS_AT_A_STRETCH_S
             and len(self.schedule.round) > 0
         )
@@ -308,7 +282,7 @@ class Poller:
     def _routine_request(self, now: float) -> Request | None:
         if now < self._not_before:
             return None
-        slow_waits = any(errand.claim is Claim.SLOW for errand in self._errands)
+        slow_waits = self.errands.slow_waits
         while self._routine is None:
             task = self.schedule.next(now, slow_waits=slow_waits)
             if task is None:
@@ -340,8 +314,7 @@ class Poller:
     # --- waiting and telling -------------------------------------------------------------------
 
     def _sleep(self, now: float) -> None:
-        moments = [self.schedule.wake_at(), self._not_before]
-        moments += [errand.resume_at if errand.begun else errand.deadline for errand in self._errands]
+        moments = [self.schedule.wake_at(), self._not_before, *self.errands.moments()]
         ahead = [moment for moment in moments if moment is not None and now < moment < float("inf")]
         if self._wake is not None:
             self._wake.cancel()
@@ -356,11 +329,7 @@ class Poller:
 
     def _sweep(self, now: float) -> None:
         """Tell the fate of every errand that has one."""
-        over = [errand for errand in self._errands if errand.result is not None]
-        if not over:
-            return
-        self._errands = [errand for errand in self._errands if errand.result is None]
-        for errand in over:
+        for errand in self.errands.take_finished():
             self._emit([self._fate(errand, now)])
 
     def _fate(self, errand: Errand, now: float) -> Result:
@@ -396,7 +365,3 @@ def _ask_of(task: Task) -> Ask:
     if task.kind is Kind.PARAMETER:
         return Ask(ReadParameter(task.unit, task.number), most_tries=tries)
     return Ask(ReadStatus(task.unit), most_tries=tries)
-
-
-def _never_begun(message: str) -> Result:
-    return Result(id="", at=0.0, outcome="not_sent", message=message)

@@ -15,7 +15,7 @@ import socket
 import termios
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import urlsplit
 
 import serial
@@ -23,44 +23,14 @@ import serial_asyncio
 
 from bus.errors import WireError
 from bus.line.holders import holders_of
+from bus.line.port import OpenPort as OpenPort
+from bus.line.port import PartlySent, PortUnavailable
+from bus.line.port import Receiver as Receiver
 
 CONNECT_TIMEOUT_S = 3.0
 TCP_LOST_AFTER_MS = 800
 """Unacknowledged bytes for so long mean that the device server is gone."""
 _TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", 18)
-
-
-class Receiver(Protocol):
-    """Who hears of the port."""
-
-    def data_received(self, data: bytes) -> None:
-        """Bytes came in."""
-
-    def connection_lost(self, cause: str) -> None:
-        """The port is gone, and why in words. Called once, never after ``close``."""
-
-
-class OpenPort(Protocol):
-    """An open port."""
-
-    def write(self, data: bytes) -> None:
-        """Hand over one request, at once. Raises WireError when the port does not take all of it."""
-
-    def drop_output(self) -> None:
-        """Forget what has not left yet."""
-
-    def retune(self, baud: int) -> None:
-        """Go on at ``baud``. Raises WireError where the port cannot."""
-
-    def check(self) -> None:
-        """Raises WireError when the port is gone and nobody has said so yet."""
-
-    def close(self) -> None:
-        """Give it back, at once."""
-
-
-class PortUnavailable(WireError):
-    """The port cannot be opened now; the text says why and what to do."""
 
 
 async def open_port(port: str, baud: int, receiver: Receiver) -> OpenPort:
@@ -129,7 +99,7 @@ class _Device:
         except OSError as error:
             raise WireError(f"{self._name} is gone ({os.strerror(error.errno or 0)})") from error
         if written != len(data):
-            raise WireError(f"{self._name} took {written} of {len(data)} bytes")
+            raise PartlySent(f"{self._name} took {written} of {len(data)} bytes")
 
     def drop_output(self) -> None:
         with suppress(termios.error, OSError):

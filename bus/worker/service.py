@@ -86,7 +86,7 @@ class BusWorker:
         self._leaving = True
         for errand in self.poller.errands:
             self.poller.cancel(errand.id)
-        await _wait_while(lambda: bool(self.poller.errands), FINISH_WITHIN_S)
+        await _wait_while(lambda: len(self.poller.errands) > 0, FINISH_WITHIN_S)
         await _wait_while(lambda: self.outbox.connected and len(self.outbox) > 0, SAY_WITHIN_S)
 
     # --- what the uplink asks ------------------------------------------------------------------

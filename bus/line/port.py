@@ -1,0 +1,46 @@
+"""What a port is to the rest of the line, whoever opened it."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from bus.errors import WireError
+
+
+class PortUnavailable(WireError):
+    """The port cannot be opened now; the text says why and what to do."""
+
+
+class PartlySent(WireError):
+    """The port took some of a request and broke: whether a unit heard it is not known."""
+
+
+class Receiver(Protocol):
+    """Who hears of the port."""
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes came in."""
+
+    def connection_lost(self, cause: str) -> None:
+        """The port is gone, and why in words. Called once, never after ``close``."""
+
+
+class OpenPort(Protocol):
+    """An open port. It is single-use: once lost or closed it is opened anew."""
+
+    def write(self, data: bytes) -> None:
+        """Hand over one request, at once. Raises PartlySent when the port took only some of it,
+        any other WireError when it took nothing.
+        """
+
+    def drop_output(self) -> None:
+        """Forget what has not left yet."""
+
+    def retune(self, baud: int) -> None:
+        """Go on at ``baud``. Raises WireError where the port cannot."""
+
+    def check(self) -> None:
+        """Raises WireError when the port is gone and nobody has said so yet."""
+
+    def close(self) -> None:
+        """Give it back, at once."""
