@@ -102,7 +102,7 @@ class Trial:
         """One wish after the other, each judged as soon as its fate is known."""
         dice = random.Random(seed)
         for wish in wishes(seed, count):
-            await asyncio.sleep(dice.uniform(0.0, 0.3))
+            await asyncio.sleep(dice.uniform(0.0, 0.1))
             await self._judge(wish, dice.choice((0.03, 0.2, 2.0)))
         self.complaints += unasked(self.cases, self._record)
         self.complaints += rash_broadcasts(self.cases, self._record)
@@ -139,8 +139,13 @@ def bodies(written: Iterable[tuple[float, bytes]]) -> Iterator[tuple[float, byte
                 yield at, event.body
 
 
-def virtual_trial(rates: dict[Kind, float], seed: int, count: int) -> Trial:
-    """Play wishes on a virtual clock on a line with these faults."""
+def virtual_trial(
+    rates: dict[Kind, float],
+    seed: int,
+    count: int,
+    meddle: Callable[[VirtualLine], Awaitable[None]] | None = None,
+) -> Trial:
+    """Play wishes on a virtual clock on a line with these faults, while ``meddle`` does what it does."""
 
     async def scene(line: VirtualLine) -> Trial:
         def ask(wish: Action, timeout_s: float) -> Awaitable[Result]:
@@ -150,7 +155,10 @@ def virtual_trial(rates: dict[Kind, float], seed: int, count: int) -> Trial:
         trial = Trial(ask, line.loop.time, record, line.plant.units)
         await asyncio.sleep(2.0)
         suffer(line.faults, rates)
+        meddling = asyncio.ensure_future(meddle(line)) if meddle is not None else None
         await trial.play(seed, count)
+        if meddling is not None:
+            meddling.cancel()
         trial.complaints += made_up(line.updates, record, EPOCH)
         trial.complaints += too_late(trial.cases, bodies(line.written))
         return trial
@@ -184,6 +192,38 @@ def test_all_faults_together(seed: int) -> None:
     trial = virtual_trial(ALL_AT_ONCE, seed, count=200)
     assert trial.complaints == []
     assert trial.outcomes()["verified"] > 10
+
+
+async def pull_the_cable(line: VirtualLine) -> None:
+    """Out and in again, in the middle of whatever is under way."""
+    dice = random.Random(line.line.faults.seed)
+    while True:
+        await asyncio.sleep(dice.uniform(0.2, 3.0))
+        line.unplug()
+        await asyncio.sleep(dice.uniform(0.1, 1.0))
+        line.plug()
+
+
+async def work_at_the_panels(line: VirtualLine) -> None:
+    """Somebody takes units to LOCAL and back, and switches one off and on."""
+    dice = random.Random(line.line.faults.seed)
+    while True:
+        await asyncio.sleep(dice.uniform(0.05, 0.5))
+        unit = dice.choice(line.plant.units)
+        unit.memory[Prm.MODE] = dice.choice((Mode.LOCAL, Mode.REMOTE, Mode.REMOTE, Mode.KEYLOCK))
+        if dice.random() < 0.1:
+            unit.power_up()
+
+
+@pytest.mark.parametrize("meddle", [pull_the_cable, work_at_the_panels])
+@pytest.mark.parametrize("rates", [{}, ALL_AT_ONCE], ids=["alone", "among faults"])
+def test_hands_at_the_line(
+    meddle: Callable[[VirtualLine], Awaitable[None]], rates: dict[Kind, float]
+) -> None:
+    trial = virtual_trial(rates, 7, 150, meddle)
+    assert trial.complaints == []
+    assert trial.outcomes()["verified"] > 10
+    assert trial.outcomes().keys() & {"bus_closed", "refused"}
 
 
 def test_a_refusal_speaks_for_its_own_try_only() -> None:

@@ -124,3 +124,9 @@ def test_the_same_seed_has_the_same_bad_luck() -> None:
 
     assert luck(1) == luck(1)
     assert luck(1) != luck(2)
+
+
+def test_a_foreign_answer_can_carry_a_given_address() -> None:
+    faults = Faults(foreign_address=99)
+    faults.set(Kind.FOREIGN, 1.0)
+    assert heard(faults.spoil(4, FRAME, BODY)) == [b"\x63" + BODY[1:]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import deque
 
 import pytest
 from hypothesis import given
@@ -14,7 +15,7 @@ from bus.simulator.faults import Faults, Kind
 from bus.simulator.line import SimulatedLine
 from bus.simulator.memory import Mode, Prm
 from bus.simulator.pacer import WAKE_S, ReplyLine, RequestLine, byte_seconds
-from bus.simulator.record import Happened
+from bus.simulator.record import Happened, Record
 from bus.simulator.unit import ORDINARY, Traits
 from bus.wire.commands import (
     ExecuteSpeed,
@@ -331,3 +332,12 @@ def test_what_is_due_at_a_wake_is_done_at_it(start: float) -> None:
         line.advance(wake.at)
         assert line.wake().at > wake.at
         wake = line.wake()
+
+
+def test_the_record_is_bounded_and_its_numbers_go_on() -> None:
+    record = Record(deque(maxlen=5))
+    for moment in range(12):
+        record.add(float(moment), Happened.CAME, 0, b"")
+    assert [entry.number for entry in record.since()] == [8, 9, 10, 11, 12]
+    assert [entry.number for entry in record.since(10)] == [11, 12]
+    assert list(record.since(12)) == list(Record().since()) == []
