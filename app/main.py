@@ -35,7 +35,7 @@ from app.swap import pages as swap_pages
 from app.web import pages as web_pages
 from app.web import problems, schema
 from app.web.routes import refuse_undeclared
-from app.web.security import OwnPagesOnly, SecurityHeaders
+from app.web.security import BoundedBody, OwnPagesOnly, SecurityHeaders
 from app.wiring import Services, build, running
 
 FEATURES = (
@@ -85,6 +85,7 @@ def create_app(settings: Settings, *, demo: bool = False, worker_token: str = ""
         app.include_router(feature.router)
     problems.install(app)
     app.add_middleware(Identify, sign_in=services.sign_in, demo=demo)
+    app.add_middleware(BoundedBody)
     app.add_middleware(OwnPagesOnly)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(SecurityHeaders)

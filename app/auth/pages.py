@@ -33,6 +33,8 @@ def accounts_of(connection: HTTPConnection) -> Accounts:
 SigningIn = Annotated[SignIn, Depends(sign_in_of)]
 Keeping = Annotated[Accounts, Depends(accounts_of)]
 Text = Annotated[str, Form()]
+LONGEST_NAME = 64
+"""What is kept of a name that somebody typed; no user has one so long."""
 
 
 def address_of(connection: HTTPConnection) -> str:
@@ -122,6 +124,7 @@ async def change_password(
 async def _sign_in(
     request: Request, sign_in: SignIn, name: str, secret: str, next: str, *, panel: bool
 ) -> Response:
+    name = name[:LONGEST_NAME]
     try:
         cookie = await sign_in.sign_in(name, secret, address_of(request), panel=panel)
     except Problem as problem:

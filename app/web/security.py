@@ -30,6 +30,8 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
 }
+MOST_BODY_BYTES = 4 * 1024 * 1024
+"""The largest thing anybody sends is a file of parameter sets: 255 units are half a megabyte."""
 _DEFAULT_PORTS = {"http": 80, "https": 443, "ws": 80, "wss": 443}
 
 
@@ -101,3 +103,40 @@ class OwnPagesOnly:
             await refuse(scope, receive, send, Problem(403, "foreign_origin", detail))
             return
         await self._app(scope, receive, send)
+
+
+class BoundedBody:
+    """Refuses a body larger than anything that is asked for here, before it fills the memory."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        said = Headers(scope=scope).get("content-length", "0")
+        if said.isdecimal() and int(said) > MOST_BODY_BYTES:
+            await refuse(scope, receive, send, _too_large())
+            return
+        await self._app(scope, _counting(receive), send)
+
+
+def _too_large() -> Problem:
+    megabytes = MOST_BODY_BYTES // 1024**2
+    return Problem(413, "too_large", f"more than {megabytes} MB were sent; nothing was done")
+
+
+def _counting(receive: Receive) -> Receive:
+    """For a body that does not say its length."""
+    seen = 0
+
+    async def counting() -> Message:
+        nonlocal seen
+        message = await receive()
+        seen += len(message.get("body", b""))
+        if seen > MOST_BODY_BYTES:
+            raise _too_large()
+        return message
+
+    return counting

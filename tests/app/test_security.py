@@ -10,7 +10,7 @@ from starlette.testclient import TestClient, WebSocketDenialResponse
 
 from app.main import create_app
 from app.web.access import Role
-from app.web.security import same_origin
+from app.web.security import MOST_BODY_BYTES, same_origin
 from tests.app.whole_app import HOST, House, settings_in, whole_app
 
 
@@ -119,3 +119,20 @@ async def test_no_page_has_inline_script_or_style(house: House, path: str) -> No
     assert " style=" not in html
     assert " onclick=" not in html
     assert "<script>" not in html
+
+
+async def test_nobody_fills_the_memory(house: House) -> None:
+    client, much = house.client(), MOST_BODY_BYTES + 1
+    answer = await client.post("/login", content=b"x" * much)
+    assert (answer.status_code, answer.json()["code"]) == (413, "too_large")
+
+    async def pieces() -> AsyncIterator[bytes]:
+        for _ in range(much // 1024 + 1):
+            yield b"x" * 1024
+
+    form = {"content-type": "application/x-www-form-urlencoded"}
+    unsaid = await client.post("/login", content=pieces(), headers=form)
+    assert unsaid.status_code in (413, 422)
+    long_name = await client.post("/login", content=b"name=" + b"x" * 500_000, headers=form)
+    assert long_name.status_code == 401
+    assert "x" * 100 not in long_name.text
