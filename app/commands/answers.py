@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NotRequired
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
+from typing_extensions import TypedDict
 
 from app.errors import Problem
 from app.live.state import BusLive
 from app.live.view import iso
 from app.web.problems import respond
-from bus.contract import Frame, Result, UnitOutcome
+from bus.contract import Direction, Frame, Outcome, Result, UnitOutcome
 from bus.errors import unit_error_name
 
 STATUS = {
@@ -32,6 +33,55 @@ _WORDS = {
     "bus_closed": "no link to the bus; nothing was sent",
     "not_sent": "the wire was not free in time; nothing was sent",
 }
+
+
+class FrameShown(TypedDict):
+    """One frame as it passed the port; ``time`` in seconds since the epoch."""
+
+    at: str
+    time: float
+    direction: Direction
+    hex: str
+    meaning: str
+    valid: bool
+
+
+class UnitFateShown(TypedDict):
+    """The fate at one unit, with the times of its frames."""
+
+    unit: int
+    outcome: Outcome
+    code: Outcome
+    message: str
+    read_back: int | None
+    unit_error: int | None
+    unit_error_name: str | None
+    sent_at: str | None
+    acknowledged_at: str | None
+    proven_at: str | None
+    attempts: int
+
+
+class FateShown(TypedDict):
+    """The one fate of a command; where it is about one unit, also that unit's times."""
+
+    id: str
+    at: str
+    bus: str
+    unit: int | None
+    outcome: Outcome
+    code: Outcome
+    message: str
+    read_back: int | None
+    unit_error: int | None
+    unit_error_name: str | None
+    skew_s: float | None
+    units: dict[str, UnitFateShown]
+    frames: list[FrameShown]
+    sent_at: NotRequired[str | None]
+    acknowledged_at: NotRequired[str | None]
+    proven_at: NotRequired[str | None]
+    attempts: NotRequired[int]
 
 
 def answer(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from contextlib import suppress
 from typing import Annotated, Any, cast
 
@@ -9,7 +10,7 @@ from fastapi import APIRouter, Depends, Header, Query
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import Response
 
-from app.commands.answers import answer
+from app.commands.answers import FateShown, answer
 from app.commands.bodies import (
     DEFAULT_TIMEOUT_S,
     AnalogOutputBody,
@@ -25,6 +26,7 @@ from app.commands.wish import writes_secret
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
+from app.live.shown import ParameterShown
 from app.live.state import LiveState
 from app.live.view import parameter_json
 from app.web.access import Engineer, Operator, Person, Viewer
@@ -44,6 +46,9 @@ from bus.contract import (
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"])
 READ_TIMEOUT_S = 30.0
+FIRST_READ_WITHIN_S = 5.0
+"""What a plain look at the parameters waits for those that were never read; the reading itself goes on."""
+FATE: dict[int | str, dict[str, Any]] = {200: {"model": FateShown, "description": "verified or acknowledged"}}
 GAPS_TIMEOUT_S = 600.0
 """Forty reads in a tenth of the wire at 300 baud."""
 
@@ -97,7 +102,7 @@ class Asking:
 Ask = Annotated[Asking, Depends(Asking)]
 
 
-@router.post("/units/{unit:int}/speed")
+@router.post("/units/{unit:int}/speed", responses=FATE)
 async def set_speed(person: Operator, ask: Ask, unit: int, body: SpeedBody) -> Response:
     """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
     typed = ask.typed(person, unit, body)
@@ -105,19 +110,19 @@ async def set_speed(person: Operator, ask: Ask, unit: int, body: SpeedBody) -> R
     return await ask.ask(person, action, body, unit, typed.left_s)
 
 
-@router.post("/units/{unit:int}/execute")
+@router.post("/units/{unit:int}/execute", responses=FATE)
 async def execute(person: Operator, ask: Ask, unit: int, body: Body | None = None) -> Response:
     """83h to one unit: its staged speed becomes its commanded speed."""
     return await ask.ask(person, ExecuteSpeed(unit=unit), body or Body(), unit)
 
 
-@router.post("/execute")
+@router.post("/execute", responses=FATE)
 async def execute_all(person: Operator, ask: Ask, body: Body | None = None) -> Response:
     """83h to all, then the proof from every unit."""
     return await ask.ask(person, ExecuteAll(), body or Body())
 
 
-@router.post("/speeds")
+@router.post("/speeds", responses=FATE)
 async def set_speeds(person: Operator, ask: Ask, body: SetpointsBody) -> Response:
     """Stage all, require every acknowledgement, broadcast, prove: all of them or none."""
     bus_or_404(ask.live, ask.bus)
@@ -130,7 +135,7 @@ async def set_speeds(person: Operator, ask: Ask, body: SetpointsBody) -> Respons
     return await ask.ask(person, SetLine(setpoints=setpoints), body, left_s=left_s)
 
 
-@router.put("/units/{unit:int}/outputs/{number:int}")
+@router.put("/units/{unit:int}/outputs/{number:int}", responses=FATE)
 async def write_output(person: Operator, ask: Ask, unit: int, number: int, body: OutputBody) -> Response:
     """87h, proven by the bit in ST2."""
     unit_or_404(ask.live, ask.bus, unit)
@@ -139,13 +144,13 @@ async def write_output(person: Operator, ask: Ask, unit: int, number: int, body:
     return await ask.ask(person, WriteOutput(unit=unit, number=number, on=body.on), body, unit)
 
 
-@router.put("/units/{unit:int}/analog-output")
+@router.put("/units/{unit:int}/analog-output", responses=FATE)
 async def write_analog_output(person: Engineer, ask: Ask, unit: int, body: AnalogOutputBody) -> Response:
     """88h: acknowledged at best, for there is nothing to read back."""
     return await ask.ask(person, WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
 
 
-@router.get("/units/{unit:int}/parameters")
+@router.get("/units/{unit:int}/parameters", response_model=list[ParameterShown])
 async def get_parameters(
     person: Viewer,
     ask: Ask,
@@ -162,8 +167,9 @@ async def get_parameters(
     if refresh:
         await _read(person, ask, unit, list(PARAMETERS), gaps=gaps)
     elif never_read := [number for number in PARAMETERS if number not in found.parameters]:
-        with suppress(Problem):
-            await _read(person, ask, unit, never_read, gaps=gaps)
+        with suppress(Problem, TimeoutError):
+            async with asyncio.timeout(FIRST_READ_WITHIN_S):
+                await _read(person, ask, unit, never_read, gaps=gaps)
     return [parameter_json(found, number) for number in PARAMETERS]
 
 
@@ -181,7 +187,7 @@ async def _read(person: Person, ask: Asking, unit: int, numbers: list[int], *, g
     raise Problem(status, code, detail, outcome=code, unit=unit)
 
 
-@router.put("/units/{unit:int}/parameters/{number:int}")
+@router.put("/units/{unit:int}/parameters/{number:int}", responses=FATE)
 async def write_parameter(
     person: Engineer, ask: Ask, unit: int, number: int, body: ParameterBody
 ) -> Response:

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Depends
 from starlette.requests import HTTPConnection
 
 from app.live.lookup import bus_or_404, unit_or_404
+from app.live.shown import BusShown, LineShown, UnitShown
 from app.live.state import LiveState
 from app.live.view import BlockReason, bus_json, line_json, unit_json
 from app.web.access import Viewer
@@ -38,19 +39,19 @@ Live = Annotated[LiveState, Depends(live_of)]
 SiteName = Annotated[str, Depends(site_name_of)]
 
 
-@router.get("/line")
+@router.get("/line", response_model=LineShown)
 async def get_line(_: Viewer, live: Live, site: SiteName, block: Blocked) -> dict[str, Any]:
     """Every bus and every unit, now."""
     return line_json(site, live, time.time(), block)
 
 
-@router.get("/buses/{bus}")
+@router.get("/buses/{bus}", response_model=BusShown)
 async def get_bus(_: Viewer, live: Live, block: Blocked, bus: str) -> dict[str, Any]:
     """One bus with its units."""
     return bus_json(bus_or_404(live, bus), time.time(), block)
 
 
-@router.get("/buses/{bus}/units/{unit:int}")
+@router.get("/buses/{bus}/units/{unit:int}", response_model=UnitShown)
 async def get_unit(_: Viewer, live: Live, block: Blocked, bus: str, unit: int) -> dict[str, Any]:
     """One unit, with the age of what it said."""
     found = unit_or_404(live, bus, unit)

@@ -1,0 +1,62 @@
+"""What the OpenAPI document promises is what the answers hold, no more and no less."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from pydantic import ConfigDict, TypeAdapter, with_config
+
+from app.commands.answers import FateShown, fate_json
+from app.live.shown import BusShown, ParameterShown, UnitShown
+from app.live.state import LiveState
+from app.live.view import bus_json, parameter_json
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import Command, Frame, Result, UnitOutcome, Update
+from tests.app.stage import Stage, bus_settings, fate, snapshot, staged
+
+EXACT = with_config(ConfigDict(extra="forbid", strict=True))
+
+
+@pytest.fixture
+async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
+    async with staged(tmp_path) as built:
+        yield built
+
+
+def test_units_and_buses_read_and_unread() -> None:
+    live = LiveState([bus_settings()], time.time())
+    for _ in range(2):
+        bus = bus_json(live.buses["dry-end"], time.time(), lambda bus, unit: f"{bus} {unit}")
+        TypeAdapter(EXACT(BusShown)).validate_python(bus)
+        for unit in bus["units"]:
+            TypeAdapter(EXACT(UnitShown)).validate_python(unit)
+            assert unit.keys() == UnitShown.__annotations__.keys()
+        live.worker_came("dry-end", snapshot(), "1.0")
+    for number in PARAMETERS:
+        row = parameter_json(live.buses["dry-end"].units[1], number)
+        TypeAdapter(EXACT(ParameterShown)).validate_python(row)
+
+
+def test_fates() -> None:
+    live = LiveState([bus_settings()], time.time())
+    frame = Frame(at=1.0, direction="out", data=b"x", meaning="m")
+    parts = [UnitOutcome(unit=1, outcome="verified", sent_at=1.0, proven_at=2.0, attempts=1)]
+    result = Result(id="a", at=1.0, outcome="verified", units=parts, frames=[frame])
+    for unit in (None, 1):
+        fate = fate_json(live.buses["dry-end"], result, unit)
+        TypeAdapter(EXACT(FateShown)).validate_python(fate)
+
+
+async def test_the_api_gives_them(stage: Stage) -> None:
+    worker = await stage.worker()
+
+    async def silent(command: Command) -> list[Update]:
+        return [fate(command, "unverified", message="no answer")]
+
+    worker.play = silent
+    for path in ("/units/1", "", "/units/1/parameters"):
+        assert (await stage.ask("GET", path)).status_code == 200
+    assert (await stage.http().get("/api/v1/line")).status_code == 200
