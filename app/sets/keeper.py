@@ -17,6 +17,7 @@ from app.sets.model import Origin, ParameterSet, UnitRows
 from app.sets.reading import ParameterReader, known_rows
 from app.sets.store import SetStore
 from app.web.access import Person
+from bus.contract import ParameterValue, Update
 
 _log = structlog.get_logger(__name__)
 
@@ -36,10 +37,13 @@ class SetKeeper:
         self._events = events
         self._clock = clock
         self._golden: dict[tuple[str, int], UnitRows] = {}
+        self._drifted: dict[tuple[str, int], int] = {}
+        state.subscribe(self._see)
 
     async def load(self) -> None:
         """Read which sets are golden; once at start, and after a mark has moved."""
         self._golden = await self.store.golden()
+        self._drifted = {key: len(self.drift(*key)) for key in self._golden if key[0] in self._state.buses}
 
     def golden(self, bus: str, unit: int) -> UnitRows | None:
         """What a unit ought to be, where somebody has said so."""
@@ -50,6 +54,10 @@ class SetKeeper:
         golden = self.golden(bus, unit)
         live = self._state.buses[bus].units.get(unit)
         return drift(golden, known_rows(live)) if golden is not None and live is not None else []
+
+    def drifted(self, bus: str, unit: int) -> int:
+        """In how many rows a unit departs from its golden set; 0 where it has none."""
+        return self._drifted.get((bus, unit), 0)
 
     async def take(
         self,
@@ -124,6 +132,12 @@ class SetKeeper:
                 _log.warning(
                     "a scheduled parameter set was not taken", bus=bus, unit=unit, why=problem.detail
                 )
+
+    def _see(self, bus: str, updates: Sequence[Update]) -> None:
+        """A parameter was read: count anew, so that nobody has to compare forty rows at every reading."""
+        for unit in {update.unit for update in updates if isinstance(update, ParameterValue)}:
+            if (bus, unit) in self._golden:
+                self._drifted[bus, unit] = len(self.drift(bus, unit))
 
     async def keep(
         self, person: Person, bus: str, rows: Sequence[UnitRows], name: str, comment: str, origin: Origin

@@ -72,6 +72,9 @@ async def test_drift_is_what_departs_from_the_golden_set(scene: Scene) -> None:
     scene.tells(1, 6, 30)
     scene.tells(1, 20, 500)
     assert [row.number for row in scene.keeper.drift("dry-end", 1)] == [6]
+    assert (scene.keeper.drifted("dry-end", 1), scene.keeper.drifted("dry-end", 2)) == (1, 0)
+    scene.tells(1, 6, 0)
+    assert scene.keeper.drifted("dry-end", 1) == 0
     with pytest.raises(Problem):
         await scene.keeper.mark_golden(ANNA, kept.id, 2)
 
