@@ -79,7 +79,7 @@ def unit_trouble(bus: BusLive, sight: Sight, voice: Voice) -> Trouble | None:
     if sight.link == "unknown" or reading is None:
         return Trouble("low", voice.t("not heard yet"), "unknown")
     if sight.link == "offline":
-        return Trouble("high", voice.t("does not answer"), "offline")
+        return Trouble("high", voice.t("no answer"), "offline")
     bits = bits_of(bus, reading)
     findings: list[tuple[bool, Callable[[], Trouble]]] = [
         (bits.estop_active, lambda: Trouble("urgent", voice.t("e-stop input active"), "estop")),
@@ -118,4 +118,4 @@ def verdict(tally: Tally, abnormal: int, voice: Voice) -> str:
 
 def _not_remote(mode: str, voice: Voice) -> Trouble:
     word = "KEYLOCK" if mode == "keylock" else "LOCAL"
-    return Trouble("low", voice.t("in {mode}: refuses commands", mode=word), "mode")
+    return Trouble("low", voice.t("{mode}: refuses", mode=word), "mode")

@@ -7,7 +7,9 @@ one update's memory and is always shown the present.
 from __future__ import annotations
 
 import asyncio
+import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +19,11 @@ from app.live.screen import Groups
 
 MOST_FRAMES = 300
 """Frames of the trace kept for a browser that cannot keep up; older ones are dropped and counted."""
+
+FLOOD = 60
+WINDOW_S = 0.25
+"""More changes than this within a window, which is more than six full wires bring, and the page is told once
+in a window until it is quieter: it could not draw them all, and its device has other things to do."""
 
 encode = msgspec.json.Encoder().encode
 
@@ -38,6 +45,30 @@ class Diff:
         return cls(before, after, at, groups, encode(message).decode())
 
 
+@dataclass(slots=True)
+class Flow:
+    """How much there was to tell a page lately, by a monotonic clock in seconds."""
+
+    clock: Callable[[], float] = time.monotonic
+    _began: float = 0.0
+    _count: int = 0
+    _flooded: bool = False
+
+    def came(self) -> None:
+        """There is something new for the page."""
+        now = self.clock()
+        if now - self._began >= WINDOW_S:
+            self._flooded = self._count > FLOOD and now - self._began < 2 * WINDOW_S
+            self._began, self._count = now, 0
+        self._count += 1
+
+    def pause_s(self) -> float:
+        """How long to wait before telling it: nothing unless there is a flood."""
+        if self._flooded or self._count > FLOOD:
+            return max(0.0, self._began + WINDOW_S - self.clock())
+        return 0.0
+
+
 @dataclass(eq=False, slots=True)
 class Browser:
     """What one open page wants and has not had yet. ``units``: the pages' own, for the worker's schedule."""
@@ -51,9 +82,11 @@ class Browser:
     _messages: deque[str] = field(default_factory=deque)
     _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
     _wake: asyncio.Event = field(default_factory=asyncio.Event)
+    _flow: Flow = field(default_factory=Flow)
 
     def tell(self, diff: Diff) -> None:
         """Newest wins: merged with what has not been sent."""
+        self._flow.came()
         if self._pending is None:
             self._pending = diff
         else:
@@ -74,6 +107,9 @@ class Browser:
     async def next(self) -> list[str]:
         """Wait until there is something; all of it, in order."""
         await self._wake.wait()
+        pause_s = self._flow.pause_s()
+        if pause_s:
+            await asyncio.sleep(pause_s)
         self._wake.clear()
         texts = list(self._messages)
         self._messages.clear()

@@ -1,7 +1,7 @@
 """One unit, one bus, as the texts and positions that a browser puts on the page. Pure.
 
 A group (``bus/unit``, ``bus``, ``line``) has fields; a field is a short text, rendered here once per
-language for all browsers. Positions are percent or fractions as text; bits are strings of ``0`` and
+language for all browsers. Positions are fractions as text; bits are strings of ``0`` and
 ``1``, of which a lamp shows one place. An empty text means: not known.
 """
 
@@ -197,7 +197,7 @@ def _positions(unit: UnitLive, reading: Reading) -> Fields:
         return {"fill": "", "mark": "", "band": "", "off": deviation}
     return {
         "fill": f"{min(1.0, reading.actual / span):.4f}",
-        "mark": f"{100 * min(1.0, reading.commanded / span):.2f}",
+        "mark": f"{min(1.0, reading.commanded / span):.4f}",
         "band": f"{min(1.0, 2 * (window or 0) / span):.4f}",
         "off": deviation,
     }
@@ -207,7 +207,7 @@ def _deviation(reading: Reading, window: int) -> str:
     if window <= 0:
         return ""
     share = (reading.actual - reading.commanded) / (window * 2 * DEVIATION_WINDOWS)
-    return f"{100 * max(-0.5, min(0.5, share)):.1f}"
+    return f"{0.5 + max(-0.5, min(0.5, share)):.3f}"
 
 
 def _bits(*bits: bool) -> str:

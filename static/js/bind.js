@@ -2,8 +2,7 @@
 // measured, so a change costs one write. Attributes, each naming a field as GROUP.FIELD:
 //   data-live="dry-end/1.actual"          the text
 //   data-live-is="dry-end/1.state"        data-is, for CSS; "dry-end/1.inputs@2" takes one place of the text
-//   data-live-fill="dry-end/1.fill"       scale in x, 0…1
-//   data-live-at="dry-end/1.mark"         shift in x, percent of its own width
+//   data-live-var="off=dry-end/1.off …"   custom properties of its style, here --off; for bars
 const values = new Map();
 const listeners = new Map();
 let bound = new Map();
@@ -29,41 +28,48 @@ function stateOf(element, place) {
   };
 }
 
-function positionOf(element, write) {
+function variableOf(element, name) {
+  const property = `--${name}`;
   return (value) => {
     if (value === "") element.dataset.none = "";
-    else if (element.dataset.none !== undefined) delete element.dataset.none;
-    if (value !== "") write(element.style, value);
+    else {
+      if (element.dataset.none !== undefined) delete element.dataset.none;
+      element.style.setProperty(property, value);
+    }
   };
 }
 
-const KINDS = {
-  live: (element) => textOf(element),
-  liveIs: (element, place) => stateOf(element, place),
-  liveFill: (element) => positionOf(element, (style, value) => (style.scale = `${value} 1`)),
-  liveAt: (element) => positionOf(element, (style, value) => (style.translate = `${value}% 0`)),
-};
-
-function bind(element, kind) {
-  const [key, place] = element.dataset[kind].split("@");
+function add(key, write) {
   const dot = key.indexOf(".");
   const group = key.slice(0, dot);
   const field = key.slice(dot + 1);
   if (!bound.has(group)) bound.set(group, new Map());
   const fields = bound.get(group);
   if (!fields.has(field)) fields.set(field, []);
-  const write = KINDS[kind](element, place);
   fields.get(field).push(write);
   const known = values.get(group)?.[field];
   if (known !== undefined) write(known);
 }
 
+const KINDS = {
+  "data-live": (element) => add(element.dataset.live, textOf(element)),
+  "data-live-is": (element) => {
+    const [key, place] = element.dataset.liveIs.split("@");
+    add(key, stateOf(element, place));
+  },
+  "data-live-var": (element) => {
+    for (const pair of element.dataset.liveVar.split(" ")) {
+      const [name, key] = pair.split("=");
+      add(key, variableOf(element, name));
+    }
+  },
+};
+
 /** Bind every marked element of the document: once, and again after a fragment came in. */
 export function rebind() {
   bound = new Map();
-  for (const kind of Object.keys(KINDS)) {
-    const attribute = `data-${kind.replace(/[A-Z]/g, (letter) => `-${letter.toLowerCase()}`)}`;
-    for (const element of document.querySelectorAll(`[${attribute}]`)) bind(element, kind);
+  for (const [attribute, bind] of Object.entries(KINDS)) {
+    for (const element of document.querySelectorAll(`[${attribute}]`)) bind(element);
   }
 }
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from app.live.browser import MOST_FRAMES, Browser, Diff
+from app.live.browser import FLOOD, MOST_FRAMES, WINDOW_S, Browser, Diff, Flow
 
 
 def diff(n: int, **fields: str) -> Diff:
@@ -57,3 +57,29 @@ async def test_frames_are_bounded() -> None:
     (message,) = await told(browser)
     assert len(message["frames"]) == MOST_FRAMES
     assert message["frames"][0] == {"hex": "50"}
+
+
+def flow() -> tuple[Flow, list[float]]:
+    now = [100.0]
+    return Flow(lambda: now[0]), now
+
+
+def test_what_one_wire_brings_is_never_held_up() -> None:
+    made, now = flow()
+    for _ in range(200):
+        now[0] += 1 / 38.4
+        made.came()
+        assert made.pause_s() == 0.0
+
+
+def test_a_flood_is_told_once_in_a_window_until_it_is_over() -> None:
+    made, now = flow()
+    for _ in range(FLOOD + 1):
+        made.came()
+    assert made.pause_s() == WINDOW_S
+    now[0] += WINDOW_S
+    made.came()
+    assert made.pause_s() == WINDOW_S, "the next window begins flooded"
+    now[0] += WINDOW_S
+    made.came()
+    assert made.pause_s() == 0.0, "that window was quiet"

@@ -26,17 +26,17 @@ def test_the_error_has_a_sign(actual: int, said: str) -> None:
 
 def test_positions_are_parts_of_the_span() -> None:
     shown = fields(commanded=1000, actual=500)
-    assert (shown["fill"], shown["mark"], shown["band"]) == ("0.2500", "50.00", "0.0100")
+    assert (shown["fill"], shown["mark"], shown["band"]) == ("0.2500", "0.5000", "0.0100")
 
 
-@pytest.mark.parametrize(("actual", "off"), [(1200, "0.0"), (1210, "16.7"), (1230, "50.0"), (100, "-50.0")])
+@pytest.mark.parametrize(("actual", "off"), [(1200, "0.500"), (1210, "0.667"), (1230, "1.000"), (100, "0.000")])
 def test_the_band_is_the_middle_third_of_the_deviation_bar(actual: int, off: str) -> None:
     assert fields(actual=actual)["off"] == off
 
 
 def test_more_than_the_span_fills_the_bar_and_no_more() -> None:
     shown = fields(commanded=2500, actual=2500)
-    assert (shown["fill"], shown["mark"]) == ("1.0000", "100.00")
+    assert (shown["fill"], shown["mark"]) == ("1.0000", "1.0000")
 
 
 def test_without_the_span_there_is_no_position() -> None:

@@ -14,7 +14,7 @@ def test_only_what_changed_is_given() -> None:
     live.apply("dry", [reading(1, at=100.2, actual=1199)])
     changed = shown.see("dry", [1], 100.2, whole_bus=False)
     assert changed == {
-        "dry/1": {"at": "100.20", "actual": "119.9", "deviation": "−0.1", "fill": "0.5995", "off": "-1.7"}  # noqa: RUF001
+        "dry/1": {"at": "100.20", "actual": "119.9", "deviation": "−0.1", "fill": "0.5995", "off": "0.483"}  # noqa: RUF001
     }
     assert shown.see("dry", [1], 100.2, whole_bus=False) == {}
 
