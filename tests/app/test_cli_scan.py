@@ -25,6 +25,9 @@ from bus.simulator.section import Section
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import Traits, Unit
 
+PATIENCE_MS = "400"
+"""A unit of these tests answers at once, but on a busy machine its process may have to wait its turn."""
+
 cli = typer.Typer()
 scan.register(cli)
 
@@ -46,7 +49,7 @@ def run(port: str, *options: str) -> Result:
 
 
 def scanned(port: str, *options: str) -> dict[str, Any]:
-    result = run(port, "--json", "--last", "6", *options)
+    result = run(port, "--json", "--last", "6", "--turnaround-ms", PATIENCE_MS, *options)
     assert result.exit_code == 0, result.output
     answer: dict[str, Any] = json.loads(result.stdout)
     return answer
@@ -116,7 +119,7 @@ def test_an_adapter_that_hears_itself() -> None:
 
 def test_words_for_people() -> None:
     with line(unit(2)) as port:
-        result = run(port, "--baud", "9600", "--last", "3")
+        result = run(port, "--baud", "9600", "--last", "3", "--turnaround-ms", PATIENCE_MS)
     assert result.exit_code == 0
     assert result.stdout.startswith(
         "unit 2 at 9600 baud: DIGIMAX IV, parameters 1 to 40, remote, answers within"
