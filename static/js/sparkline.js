@@ -3,6 +3,8 @@
 const MINUTES = 10;
 const EVERY_MS = 10_000;
 const [WIDTH, HEIGHT] = [240, 40];
+/** The height of the drawing, as a part of the value, at least. */
+const LEAST_REACH = 0.02;
 const SVG = "http://www.w3.org/2000/svg";
 const inSight = new Set();
 let asked = false;
@@ -33,11 +35,12 @@ class TrendSpark extends HTMLElement {
   }
 }
 
-/** An SVG path over the span; a null lifts the pen. A steady value lies in the middle. */
+/** An SVG path over the span; a null lifts the pen. Never so high that noise looks like movement. */
 function outline(t, values, from, to) {
   const known = values.filter((value) => value !== null);
   const [least, greatest] = [Math.min(...known), Math.max(...known)];
-  const height = greatest - least || 1;
+  const middle = (least + greatest) / 2;
+  const reach = Math.max(greatest - least, Math.abs(middle) * LEAST_REACH) || 1;
   let pen = "M";
   let path = "";
   for (let i = 0; i < t.length; i++) {
@@ -46,7 +49,7 @@ function outline(t, values, from, to) {
       continue;
     }
     const x = ((t[i] - from) / (to - from)) * WIDTH;
-    const y = greatest === least ? HEIGHT / 2 : HEIGHT - 2 - ((values[i] - least) / height) * (HEIGHT - 4);
+    const y = HEIGHT / 2 - ((values[i] - middle) / reach) * (HEIGHT - 4);
     path += `${pen}${x.toFixed(1)} ${y.toFixed(1)}`;
     pen = "L";
   }
