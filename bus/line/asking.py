@@ -51,6 +51,10 @@ class Asking:
         """How ``request`` is written, where not as the bus does."""
         return self.ask.dialect if request == self.ask.request else None
 
+    def tells_of(self, request: Request) -> bool:
+        """Whether it is told that ``request`` leaves: the first time only, and not for a fence."""
+        return self.ask.tells and not self.begun and request == self.ask.request
+
     def next_request(self, now: float, doubt: Doubt) -> Request | None:
         """What to send now; None once ``answer`` is there. ``doubt``: of the unit asked."""
         if self.answer is not None:

@@ -264,6 +264,9 @@ class Poller:
                 raise
             errand.end(Result(id="", at=0.0, outcome="invalid", message=str(error)))
             self._go(self.clock.now())
+        else:
+            if errand is not None and asking is not None and asking.tells_of(request):
+                self.note(errand.id, Tell("sent", request.unit))
 
     def _errands_request(self, now: float, *, slow: bool = False) -> Request | None:
         chosen = self.errands.next_request(now, self.link.doubt, slow=slow)

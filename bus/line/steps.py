@@ -33,6 +33,8 @@ class Ask:
     most_tries: int = 0
     dialect: Dialect | None = None
     """How to write it, where not as the bus does."""
+    tells: bool = False
+    """That it has left is told as the stage "sent"."""
 
     @property
     def tries(self) -> int:

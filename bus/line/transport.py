@@ -161,8 +161,11 @@ def _why_not(path: str, error: Exception) -> str:
 
 
 def _errno_in(error: Exception) -> int | None:
-    args = error.args
-    return args[0] if args and isinstance(args[0], int) else None
+    """pySerial keeps the number of some errors only in what they were raised from."""
+    for each in (error, error.__context__):
+        if each is not None and each.args and isinstance(each.args[0], int):
+            return each.args[0]
+    return None
 
 
 def _others() -> str:

@@ -75,7 +75,7 @@ def write_analog_output(unit: int, raw: int) -> Procedure:
 
 def write(unit: int, request: Request, prove: Callable[[], Proving] | None) -> Procedure:
     """Send ``request`` and, unless refused, prove it. ``prove`` None: an ACK is all there is."""
-    answer = yield from ask(Ask(request))
+    answer = yield from ask(Ask(request, tells=True))
     if not answer.may_have_acted:
         return result_of_one(without_proof(unit, answer))
     if answer.fate is Fate.ANSWERED and answer.refusal is None:

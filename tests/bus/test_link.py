@@ -1,0 +1,285 @@
+"""One exchange at a time: windows, deadlines, leftovers, floods. A port and a clock of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus.line.asking import Heard
+from bus.line.clock import Alarm
+from bus.line.link import MARGIN_S, Link, Pace
+from bus.line.roster import Roster
+from bus.line.trace import HIDDEN, Interpreter, Passed, Trace
+from bus.settings import Dialect
+from bus.wire.commands import (
+    Ack,
+    ExecuteSpeed,
+    ParameterReply,
+    ReadParameter,
+    ReadStatus,
+    Reply,
+    SetAndExecuteSpeed,
+    StatusReply,
+    encode_reply,
+)
+
+PLAIN = Dialect()
+BYTE_S = 10 / 9600
+TURNAROUND_S = 0.050
+STATUS = StatusReply(1, 500, 498, 77, 0xC0, 0x03)
+
+
+Entry = tuple[float, Callable[[], None]]
+
+
+class Wires:
+    """Clock, alarms and port in one; time goes on only by ``pass_time``."""
+
+    def __init__(self) -> None:
+        self.time = 100.0
+        self.alarms: list[Entry] = []
+        self.written: list[bytes] = []
+        self.dropped = 0
+        self.heard: list[tuple[Heard, float]] = []
+        self.roster = Roster([1, 2], 0.0)
+        self.trace = Trace()
+        self.link = Link(PLAIN, 9600, TURNAROUND_S, self, self.roster, self.trace)
+        self.link.done = lambda heard, _began, ended: self.heard.append((heard, ended))
+        self.link.attach(self, 9600)
+
+    # the clock
+    def now(self) -> float:
+        return self.time
+
+    def epoch(self, now: float) -> float:
+        return now
+
+    def settle(self) -> None:
+        """Not needed here."""
+
+    def call_at(self, when: float, callback: Callable[[], None]) -> Alarm:
+        entry = (when, callback)
+        self.alarms.append(entry)
+        return _Cancel(self.alarms, entry)
+
+    # the port
+    def write(self, data: bytes) -> None:
+        self.written.append(data)
+
+    def drop_output(self) -> None:
+        self.dropped += 1
+
+    def retune(self, baud: int) -> None:
+        """Any rate will do."""
+
+    def check(self) -> None:
+        """It is always there."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    # time
+    def pass_time(self, seconds: float) -> None:
+        until = self.time + seconds
+        while self.alarms and min(self.alarms, key=lambda alarm: alarm[0])[0] <= until:
+            alarm = min(self.alarms, key=lambda each: each[0])
+            self.alarms.remove(alarm)
+            self.time = max(self.time, alarm[0])
+            alarm[1]()
+        self.time = until
+
+    def receive(self, data: bytes) -> None:
+        """Byte by byte, each in its time."""
+        for value in data:
+            self.pass_time(BYTE_S)
+            self.link.data_received(bytes((value,)))
+
+    def answer(self, reply: Reply = STATUS, after_s: float = 0.005) -> None:
+        """As a unit would: after the request has left."""
+        self.pass_time(len(self.written[-1]) * BYTE_S + after_s)
+        self.receive(encode_reply(reply, PLAIN))
+
+
+class _Cancel:
+    def __init__(
+        self, alarms: list[tuple[float, Callable[[], None]]], entry: tuple[float, Callable[[], None]]
+    ) -> None:
+        self._alarms, self._entry = alarms, entry
+
+    def cancel(self) -> None:
+        if self._entry in self._alarms:
+            self._alarms.remove(self._entry)
+
+
+@pytest.fixture
+def wires() -> Wires:
+    return Wires()
+
+
+def test_an_answer_is_taken_with_its_times(wires: Wires) -> None:
+    began = wires.time
+    wires.link.send(ReadStatus(1))
+    wires.answer(after_s=0.005)
+    heard, ended = wires.heard[0]
+    assert heard.reply == STATUS
+    assert heard.sent_at == pytest.approx(began + 7 * BYTE_S)
+    assert heard.answered_at == ended == pytest.approx(began + 25 * BYTE_S + 0.005)
+    times = wires.roster[1].statistics.times
+    assert times.largest == pytest.approx(0.005, abs=1e-6)
+
+
+def test_silence_ends_with_the_turnaround(wires: Wires) -> None:
+    began = wires.time
+    wires.link.send(ReadStatus(1))
+    wires.pass_time(1.0)
+    heard, ended = wires.heard[0]
+    assert heard.reply is None
+    assert ended - began == pytest.approx(7 * BYTE_S + TURNAROUND_S + MARGIN_S)
+    assert wires.dropped == 1, "what has not left by then leaves no more"
+    assert wires.roster[1].statistics.timeouts == 1
+
+
+def test_an_answer_that_begins_at_the_last_moment_is_waited_for(wires: Wires) -> None:
+    wires.link.send(ReadStatus(1))
+    wires.answer(after_s=TURNAROUND_S)
+    assert wires.heard[0][0].reply == STATUS
+
+
+def test_an_answer_after_its_window_is_late_and_not_taken_by_the_next(wires: Wires) -> None:
+    wires.link.send(ReadParameter(1, 6))
+    wires.pass_time(0.1)
+    wires.link.send(ReadStatus(1))
+    wires.receive(encode_reply(ParameterReply(1, 55), PLAIN))
+    assert len(wires.heard) == 1
+    wires.answer(after_s=0.0)
+    assert wires.heard[1][0].reply == STATUS
+    assert wires.roster[1].statistics.foreign + wires.roster[1].statistics.late == 1
+
+
+def test_a_second_copy_comes_too_early_to_be_the_next_answer(wires: Wires) -> None:
+    wires.link.send(ReadStatus(1))
+    wires.answer()
+    wires.link.send(ReadStatus(1))
+    wires.receive(encode_reply(STATUS, PLAIN))
+    assert len(wires.heard) == 1, "it is there before the request has left"
+    newer = StatusReply(1, 600, 600, 77, 0xC0, 0x03)
+    wires.answer(newer, after_s=0.0)
+    assert wires.heard[1][0].reply == newer
+    assert wires.roster[1].statistics.late == 1
+
+
+def test_a_port_faster_than_its_baud_rate_is_learned_from_its_first_answer(wires: Wires) -> None:
+    for _ in range(5):
+        wires.link.send(ReadStatus(1))
+        wires.pass_time(0.0005)
+        wires.link.data_received(encode_reply(STATUS, PLAIN))
+    assert len(wires.heard) == 5
+
+
+@given(st.lists(st.booleans(), max_size=300))
+def test_pace_is_never_stuck(history: list[bool]) -> None:
+    """Whatever came before: early answers alone, or answers on time alone, are soon believed."""
+    pace = Pace()
+    for early in history:
+        pace.believes(early=early)
+    for early in (True, False):
+        assert any(pace.believes(early=early) for _ in range(3))
+
+
+def test_a_broadcast_is_over_once_it_has_left(wires: Wires) -> None:
+    began = wires.time
+    wires.link.send(ExecuteSpeed(0))
+    wires.pass_time(0.1)
+    heard, ended = wires.heard[0]
+    assert heard.reply is None
+    assert ended - began == pytest.approx(7 * BYTE_S)
+    assert wires.link.counts.broadcasts == 1
+
+
+def test_a_spoilt_answer_ends_the_wait_at_once(wires: Wires) -> None:
+    wires.link.send(ReadStatus(1))
+    spoilt = bytearray(encode_reply(STATUS, PLAIN))
+    spoilt[5] ^= 1
+    wires.pass_time(7 * BYTE_S)
+    wires.receive(bytes(spoilt))
+    wires.pass_time(0.02)
+    assert wires.heard[0][0].reply is None
+    assert wires.heard[0][0].rubbish.spoilt
+    assert wires.roster[1].statistics.checksum_errors == 1
+
+
+def test_bytes_without_end_do_not_hold_the_window_open(wires: Wires) -> None:
+    wires.link.send(ReadStatus(1))
+    wires.receive(bytes(200))
+    assert len(wires.heard) == 1
+    assert wires.heard[0][1] - 100.0 < 0.12
+    assert wires.link.counts.noise_bytes > 0
+
+
+def test_bytes_that_nobody_asked_for_are_counted(wires: Wires) -> None:
+    wires.link.data_received(b"hello")
+    assert wires.link.counts.noise_bytes == 5
+
+
+def test_an_echo_is_counted_and_is_no_answer(wires: Wires) -> None:
+    wires.link.send(SetAndExecuteSpeed(1, 640))
+    wires.receive(wires.written[0])
+    wires.pass_time(0.005)
+    wires.receive(encode_reply(Ack(1), PLAIN))
+    assert wires.heard[0][0].reply == Ack(1)
+    assert wires.link.counts.echoes == 1
+
+
+def test_another_units_frame_is_counted_as_foreign(wires: Wires) -> None:
+    wires.link.send(ReadStatus(1))
+    wires.pass_time(7 * BYTE_S)
+    wires.receive(encode_reply(StatusReply(7, 1, 1, 0, 0, 0), PLAIN))
+    assert not wires.heard
+    assert wires.roster[1].statistics.foreign == 1
+
+
+def test_a_lost_port_gives_back_what_was_under_way(wires: Wires) -> None:
+    wires.link.send(SetAndExecuteSpeed(1, 640))
+    heard = wires.link.detach()
+    assert heard is not None
+    assert heard.request == SetAndExecuteSpeed(1, 640)
+    wires.pass_time(1.0)
+    assert not wires.heard
+    assert wires.link.detach() is None
+
+
+# --- the trace -----------------------------------------------------------------------------------
+
+
+def test_the_trace_gives_back_what_passed_in_order(wires: Wires) -> None:
+    wires.link.send(ReadStatus(1))
+    wires.answer()
+    first, second = wires.trace.since(0.0)
+    assert (first.direction, second.direction) == ("out", "in")
+    assert second.at > first.at
+    interpreter = Interpreter(PLAIN)
+    assert "read speed and status" in interpreter.frame(first).meaning
+    assert "commanded 500" in interpreter.frame(second).meaning
+    assert [passed.at for passed in wires.trace.since(second.at)] == [second.at]
+
+
+def test_a_secret_passes_without_its_bytes(wires: Wires) -> None:
+    wires.link.send(ReadParameter(1, 21))
+    wires.answer(ParameterReply(1, 4242))
+    for passed in wires.trace.since(0.0):
+        assert passed.data == b""
+        assert Interpreter(PLAIN).frame(passed).meaning == HIDDEN
+    assert wires.heard[0][0].frame == b""
+
+
+def test_the_trace_is_bounded_by_time_and_by_bytes() -> None:
+    trace = Trace(kept_s=100.0, kept_bytes=400_000)
+    for number in range(60_000):
+        trace.add(Passed(number * 0.001, "in", bytes(20)))
+    assert trace.size <= 400_000 + 70_000
+    for number in range(10):
+        trace.add(Passed(1000.0 + number, "in", bytes(60_000)))
+    assert next(trace.since(0.0)).at >= 60.0 - 1

@@ -1,0 +1,281 @@
+"""The worker as a whole on a virtual clock: ids, deadlines, figures, snapshot, trace, leaving."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from bus.contract import (
+    CONTRACT_VERSION,
+    BusFigures,
+    Frames,
+    Progress,
+    ReadParameters,
+    ReadTrace,
+    Result,
+    SetSpeed,
+    Watch,
+    encode,
+)
+from bus.line.diagnosis import UnitTrouble, diagnose
+from bus.simulator.faults import Kind
+from tests.bus.virtual_line import EPOCH, VirtualLine, run
+
+ROOT = Path(__file__).parents[2]
+
+
+async def settled(line: VirtualLine) -> None:
+    await line.until(lambda: all(line.readings(unit) for unit in line.units))
+    await asyncio.sleep(1.2)
+
+
+def test_hello_says_who_speaks() -> None:
+    async def scene(line: VirtualLine) -> None:
+        hello = line.worker.hello()
+        assert (hello.version, hello.bus, hello.port) == (CONTRACT_VERSION, "virtual", "/dev/virtual")
+        assert hello.worker != VirtualLine(line.loop, 1).worker.worker, "new at every start"
+
+    run(scene, 2)
+
+
+def test_a_snapshot_has_everything_that_is_known() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        await line.ask(SetSpeed(2, 333, execute=False))
+        await asyncio.sleep(1.0)
+        snapshot = line.worker.snapshot(17)
+        assert (snapshot.seq, snapshot.bus.link) == (17, "open")
+        assert [state.unit for state in snapshot.units] == [1, 2]
+        assert all(state.reading is not None and state.parameters for state in snapshot.units)
+        assert snapshot.units[1].staged == 333
+        assert snapshot.figures is not None
+        encode(snapshot)
+
+    run(scene, 2)
+
+
+def test_an_id_is_carried_out_once_and_its_fate_repeated() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        for _ in range(3):
+            line.command(SetSpeed(1, 640), command_id="same")
+        await asyncio.sleep(1.0)
+        assert len(line.acted()) == 1
+        line.command(SetSpeed(1, 999), command_id="same")
+        await asyncio.sleep(1.0)
+        fates = [update for update in line.updates if isinstance(update, Result)]
+        assert len(fates) == 2
+        assert fates[0] == fates[1]
+        assert line.plant.unit(1).setpoint == 640
+
+    run(scene, 2)
+
+
+def test_a_command_that_comes_too_late_is_never_sent_but_a_read_is() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        fate = await line.ask(SetSpeed(1, 640), timeout_s=-0.2)
+        assert fate.outcome == "not_sent"
+        assert "0.2 s after" in fate.message
+        assert line.acted() == []
+        assert (await line.ask(ReadParameters(1, [6]), timeout_s=-0.2)).outcome == "verified"
+
+    run(scene, 2)
+
+
+def test_the_apps_clock_decides_what_is_late() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        line.worker.app_clock.heard(EPOCH - 3600.0, EPOCH)
+        fate = await line.ask(SetSpeed(1, 640), timeout_s=-3599.0)
+        assert fate.outcome == "verified", "the app's clock is an hour slow: one second is left"
+
+    run(scene, 2)
+
+
+def test_a_value_no_frame_can_carry_is_invalid() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        for action in (SetSpeed(1, 100_000), SetSpeed(0, 5), SetSpeed(256, 5), ReadParameters(1, [0])):
+            assert (await line.ask(action)).outcome == "invalid"
+        assert line.acted() == []
+        seen = len(line.readings())
+        await asyncio.sleep(0.5)
+        assert len(line.readings()) > seen
+
+    run(scene, 2)
+
+
+def test_progress_runs_from_waiting_to_proving() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        await line.ask(SetSpeed(1, 640))
+        stages = [update.stage for update in line.updates if isinstance(update, Progress)]
+        assert stages == ["waiting", "sent", "acknowledged", "proving"]
+
+    run(scene, 2)
+
+
+def test_figures_come_every_second_and_say_what_the_wire_carries() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await asyncio.sleep(12.0)
+        figures = [update for update in line.updates if isinstance(update, BusFigures)]
+        assert len(figures) in (11, 12)
+        last = figures[-1]
+        assert last.wire_utilisation > 0.98
+        assert last.scan_hz == pytest.approx(38.4 / 4, rel=0.06)
+        assert last.scan_s == pytest.approx(1 / last.scan_hz)
+        assert last.scan_s_with_one_more == pytest.approx(last.scan_s * 5 / 4)
+        assert last.diagnosis == ""
+        assert all(unit.answers > 50 and unit.answer_s_median is not None for unit in last.units)
+
+    run(scene, 4)
+
+
+def test_figures_name_the_one_unit_that_is_silent() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        line.faults.set(Kind.DEAD, 1.0, 2)
+        await asyncio.sleep(5.0)
+        assert "Only unit 2" in line.worker.poller.figures().diagnosis
+
+    run(scene, 4)
+
+
+def test_frames_are_told_only_while_followed() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        assert not [update for update in line.updates if isinstance(update, Frames)]
+        line.worker.watch(Watch(units=[], trace=True))
+        await asyncio.sleep(0.5)
+        line.worker.watch(Watch(units=[]))
+        frames = [frame for update in line.updates if isinstance(update, Frames) for frame in update.frames]
+        assert {frame.direction for frame in frames} == {"in", "out"}
+        count = len(line.updates)
+        await asyncio.sleep(0.5)
+        assert not [update for update in line.updates[count:] if isinstance(update, Frames)]
+
+    run(scene, 2)
+
+
+def test_the_trace_is_read_piece_by_piece_without_a_gap() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await asyncio.sleep(5.0)
+        frames, since = [], 0.0
+        while True:
+            fate = await line.ask(ReadTrace(since=since, limit=100))
+            new = [frame for frame in fate.frames if frame not in frames]
+            frames += new
+            if len(fate.frames) < 100:
+                break
+            since = fate.frames[-1].at
+        written = [data for _, data in line.written]
+        assert [frame.data for frame in frames if frame.direction == "out"][: len(written) - 8] == written[
+            :-8
+        ]
+
+    run(scene, 2)
+
+
+def test_told_to_leave_it_takes_nothing_new_and_gives_up_what_waits() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        slow = line.command(ReadParameters(1, urgent=False))
+        began = line.loop.time()
+        await line.worker.finish()
+        assert line.loop.time() - began < 2.0
+        assert line.fate_of(slow) is not None
+        fate = await line.ask(SetSpeed(1, 640))
+        assert fate.outcome == "not_sent"
+        assert "stopping" in fate.message
+
+    run(scene, 2)
+
+
+# --- diagnosis -----------------------------------------------------------------------------------
+
+WELL = [UnitTrouble(unit, answers=100) for unit in range(1, 6)]
+
+
+def ill(*units: int, **trouble: int) -> list[UnitTrouble]:
+    return [
+        UnitTrouble(each.unit, answers=each.answers, **trouble) if each.unit in units else each
+        for each in WELL
+    ]
+
+
+@pytest.mark.parametrize(
+    ("units", "noise", "echoes", "words"),
+    [
+        (WELL, 0, 0, ""),
+        (ill(3, timeouts=1), 0, 0, ""),
+        (ill(3, timeouts=40), 0, 0, "Only unit 3 does not answer"),
+        (ill(4, 5, timeouts=40), 0, 0, "cable between unit 3 and unit 4"),
+        (ill(2, 4, timeouts=40), 0, 0, "Units 2, 4"),
+        (ill(1, 2, 3, 4, 5, timeouts=40), 0, 0, "adapter"),
+        (ill(3, spoilt=30, timeouts=30), 300, 0, "two units may have this address"),
+        (ill(1, 2, 3, 4, 5, spoilt=30, timeouts=30), 300, 0, "shielding"),
+        (ill(2, 3, spoilt=30, timeouts=30), 300, 0, "2, 3"),
+        (ill(3, late=20), 0, 0, "turnaround_ms"),
+        (ill(3, foreign=20), 0, 0, "DIGIMAX"),
+        (WELL, 0, 50, "echo"),
+        (WELL, 500, 0, "Stray bytes"),
+    ],
+)
+def test_the_likely_cause_in_words(units: list[UnitTrouble], noise: int, echoes: int, words: str) -> None:
+    said = diagnose(units, noise, echoes)
+    assert words in said if words else said == ""
+
+
+# --- the process ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "token", "words"),
+    [
+        (["--bus", "b"], "", "no token"),
+        (["--bus", "other"], "t", "other"),
+    ],
+)
+async def test_wrong_use_is_said_in_a_sentence(
+    arguments: list[str], token: str, words: str, tmp_path: Path
+) -> None:
+    config = tmp_path / "lineside.toml"
+    config.write_text('[[bus]]\nname = "b"\nport = "/dev/none"\n')
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "bus", "--config", str(config), "--app", "http://127.0.0.1:1", *arguments),
+        env={**os.environ, "LINESIDE_WORKER_TOKEN": token},
+        cwd=ROOT,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    _, said = await process.communicate()
+    assert process.returncode == 2
+    assert words in said.decode()
+    assert "Traceback" not in said.decode()
+
+
+async def test_it_waits_for_port_and_app_says_so_once_and_leaves_when_told(tmp_path: Path) -> None:
+    config = tmp_path / "lineside.toml"
+    config.write_text('[[bus]]\nname = "b"\nport = "/dev/ttyNOSUCH7"\n[[bus.unit]]\nid = 1\nname = "One"\n')
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "bus", "--config", str(config), "--bus", "b", "--app", "http://127.0.0.1:1"),
+        env={**os.environ, "LINESIDE_WORKER_TOKEN": "t"},
+        cwd=ROOT,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    assert process.stderr is not None
+    async with asyncio.timeout(30):
+        lines = [json.loads(await process.stderr.readline()) for _ in range(2)]
+    process.terminate()
+    _, rest = await process.communicate()
+    lines += [json.loads(line) for line in rest.splitlines()]
+    assert process.returncode == 0
+    said = [line.get("cause", "") + line.get("why", "") for line in lines]
+    assert any("is the adapter plugged in?" in words for words in said)
+    assert any("no dashboard at" in words for words in said)
+    assert len(said) == len(set(said))
