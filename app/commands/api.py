@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from contextlib import suppress
 from typing import Annotated, Any, cast
 
@@ -12,7 +13,6 @@ from starlette.responses import Response
 
 from app.commands.answers import FateShown, answer
 from app.commands.bodies import (
-    DEFAULT_TIMEOUT_S,
     AnalogOutputBody,
     Body,
     OutputBody,
@@ -22,7 +22,7 @@ from app.commands.bodies import (
 )
 from app.commands.desk import Desk
 from app.commands.typed import Typed
-from app.commands.wish import writes_secret
+from app.commands.wish import DEFAULT_TIMEOUT_S, writes_secret
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
@@ -75,17 +75,19 @@ class Asking:
         self.desk = desk
         self.bus = bus
         self.key = key
+        self._began = time.monotonic()
         self._timeout_s = timeout_s
 
-    def timeout_s(self, body: Body) -> float:
-        """The body's word, else the query's, else two seconds."""
-        given = body.timeout_s if body.timeout_s is not None else self._timeout_s
-        return DEFAULT_TIMEOUT_S if given is None else given
+    def timeout_s(self, body: Body) -> float | None:
+        """The body's word, else the query's."""
+        return body.timeout_s if body.timeout_s is not None else self._timeout_s
 
     def typed(self, person: Person, unit: int, body: Body) -> Typed:
         """Conversion of typed values for a unit. Raises Problem 404."""
         found = unit_or_404(self.live, self.bus, unit)
-        return Typed(self.desk, person, self.bus, found, self.timeout_s(body))
+        given = self.timeout_s(body)
+        time_s = DEFAULT_TIMEOUT_S if given is None else given
+        return Typed(self.desk, person, self.bus, found, self._began + time_s)
 
     async def ask(
         self, person: Person, action: Action, body: Body, unit: int | None = None, left_s: float | None = None
@@ -127,11 +129,12 @@ async def set_speeds(person: Operator, ask: Ask, body: SetpointsBody) -> Respons
     """Stage all, require every acknowledgement, broadcast, prove: all of them or none."""
     bus_or_404(ask.live, ask.bus)
     setpoints: dict[int, int] = {}
-    left_s = ask.timeout_s(body)
+    left_s: float | None = None
     for key, quantity in body.setpoints.items():
         typed = ask.typed(person, int(key), body)
         setpoints[int(key)] = await typed.setpoint(quantity)
-        left_s = min(left_s, typed.left_s)
+        if ask.timeout_s(body) is not None:
+            left_s = typed.left_s
     return await ask.ask(person, SetLine(setpoints=setpoints), body, left_s=left_s)
 
 

@@ -9,7 +9,6 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_vali
 
 TimeoutS = Annotated[float, Field(ge=0.05, le=30)]
 """How long a write may wait for the wire, seconds; after that it is dropped."""
-DEFAULT_TIMEOUT_S = 2.0
 UnitKey = Annotated[str, StringConstraints(pattern=r"^[1-9][0-9]{0,2}$")]
 TypedValue = str | int | float
 

@@ -17,7 +17,7 @@ from app.commands.record import Record
 from app.commands.rules import check, is_write, setpoints_of, units_named
 from app.commands.safeguards import Safeguards
 from app.commands.setpoints import commanded_setpoint
-from app.commands.wish import Wish
+from app.commands.wish import Wish, time_for
 from app.errors import Problem
 from app.feed.channel import Channel, ProgressListener
 from app.live.lookup import bus_or_404, unit_or_404
@@ -69,13 +69,15 @@ class Desk:
         bus: str,
         action: Action,
         *,
-        timeout_s: float = 2.0,
+        timeout_s: float | None = None,
         confirm: bool = False,
         id: str | None = None,
         origin: str = "api",
         listener: ProgressListener | None = None,
     ) -> Result:
         """Carry out ``action`` and give its one fate; the same ``id`` again gives the same fate.
+
+        ``timeout_s``: how long a write may wait for the wire; :func:`time_for` it when None.
 
         Raises Problem for what is not asked of the worker at all: 404 for a unit or bus that is not
         configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``.
@@ -85,9 +87,9 @@ class Desk:
             unit_or_404(self._live, bus, unit)
         kept = self._kept.get(id) if id is not None else None
         if kept is None:
-            wish = Wish(
-                id or uuid.uuid4().hex, person, bus, action, self._now() + timeout_s, origin, listener
-            )
+            time_s = time_for(action, live.settings) if timeout_s is None else timeout_s
+            deadline = self._now() + time_s
+            wish = Wish(id or uuid.uuid4().hex, person, bus, action, deadline, origin, listener)
             await self._check(wish, live, confirm)
             kept = self._start(wish)
         if (kept.bus, kept.action) != (bus, action):

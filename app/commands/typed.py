@@ -23,14 +23,17 @@ _NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, MODE)}
 
 
 class Typed:
-    """Converts for one unit within one command's time. Raises CallerError for what is no number."""
+    """Converts for one unit within one command's time, which ends at ``until`` on the monotonic clock.
 
-    def __init__(self, desk: Desk, person: Person, bus: str, unit: UnitLive, timeout_s: float) -> None:
+    Raises CallerError for what is no number.
+    """
+
+    def __init__(self, desk: Desk, person: Person, bus: str, unit: UnitLive, until: float) -> None:
         self._desk = desk
         self._person = person
         self._bus = bus
         self._unit = unit
-        self._until = time.monotonic() + timeout_s
+        self._until = until
 
     @property
     def left_s(self) -> float:

@@ -7,7 +7,13 @@ from dataclasses import dataclass
 from app.feed.channel import ProgressListener
 from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import Action, WriteParameter
+from bus.contract import Action, SetLine, WriteParameter
+from bus.settings import BITS_PER_BYTE, BusSettings
+
+DEFAULT_TIMEOUT_S = 2.0
+"""How long a write may wait for the wire."""
+STAGE_BYTES = 11 + 4 + 7
+"""82h with four data bytes, were every one of them doubled, and its acknowledgement (manual, 82h)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +33,13 @@ class Wish:
         """The one unit it is about, if it is about one."""
         unit = getattr(self.action, "unit", None)
         return unit if isinstance(unit, int) else None
+
+
+def time_for(action: Action, bus: BusSettings) -> float:
+    """What an action is given when nobody says: a change of several needs the time of its staging too."""
+    units = len(action.setpoints) if isinstance(action, SetLine) else 0
+    stage_s = STAGE_BYTES * BITS_PER_BYTE / bus.baud + bus.turnaround_s
+    return DEFAULT_TIMEOUT_S + units * stage_s
 
 
 def writes_secret(action: Action) -> bool:

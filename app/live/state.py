@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
+import structlog
+
 from bus.contract import (
     BusFigures,
     BusLink,
@@ -22,6 +24,8 @@ from bus.contract import (
     Update,
 )
 from bus.settings import BusSettings, UnitSettings
+
+log = structlog.get_logger()
 
 NO_WORKER = "the bus worker is not connected"
 
@@ -69,7 +73,7 @@ class LiveState:
         return lambda: self._subscribers.remove(subscriber)
 
     def apply(self, bus: str, updates: Sequence[Update]) -> None:
-        """Take in what a worker reported, in order, and tell the subscribers.
+        """Take in what a worker reported, in order, and tell the subscribers; none of them can stop it.
 
         Raises KeyError for a bus that is not configured; a unit that is not is passed over.
         """
@@ -77,7 +81,10 @@ class LiveState:
         for update in updates:
             _apply_one(live, update)
         for subscriber in tuple(self._subscribers):
-            subscriber(bus, updates)
+            try:
+                subscriber(bus, updates)
+            except Exception:
+                log.exception("subscriber of the live state failed", bus=bus)
 
     def worker_came(self, bus: str, snapshot: Snapshot, software: str) -> list[Update]:
         """A worker said hello and told its whole state; gives that as updates."""

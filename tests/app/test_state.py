@@ -73,3 +73,14 @@ def test_subscribers_hear_every_change_until_they_leave(live: LiveState) -> None
     leave()
     live.apply("dry-end", [reading(1)])
     assert heard == [("dry-end", said)]
+
+
+def test_a_subscriber_that_fails_keeps_nobody_from_hearing(live: LiveState) -> None:
+    def fail(bus: str, updates: Sequence[Update]) -> None:
+        raise RuntimeError(bus, updates)
+
+    heard: list[str] = []
+    live.subscribe(fail)
+    live.subscribe(lambda bus, _: heard.append(bus))
+    live.apply("dry-end", [reading(1, 5)])
+    assert heard == ["dry-end"]

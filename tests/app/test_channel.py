@@ -1,0 +1,94 @@
+"""The way down to a bus when the worker is silent, gone, or its connection breaks under a word."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from app.feed.channel import Channel
+from bus.contract import AppMessage, Command, Progress, Result, SetSpeed
+
+COMMAND = Command(id="a", deadline=0.0, action=SetSpeed(unit=1, raw=5))
+
+
+class Connection:
+    """Remembers what was sent; ``broken``: the other end is gone."""
+
+    def __init__(self, *, broken: bool = False) -> None:
+        self.sent: list[AppMessage] = []
+        self.broken = broken
+
+    async def send(self, message: AppMessage) -> None:
+        """Raises ConnectionError."""
+        if self.broken:
+            raise ConnectionError("gone")
+        self.sent.append(message)
+
+
+def verified() -> Result:
+    return Result(id="a", at=1.0, outcome="verified")
+
+
+async def test_without_a_worker_nothing_is_sent() -> None:
+    result = await Channel("bus").ask(COMMAND)
+    assert result.outcome == "bus_closed"
+
+
+async def test_a_worker_that_never_says_leaves_it_unverified() -> None:
+    channel, connection = Channel("bus", patience_s=0.0), Connection()
+    await channel.opened(connection, "w")
+    result = await channel.ask(COMMAND)
+    assert (result.id, result.outcome) == ("a", "unverified")
+    assert connection.sent == [COMMAND]
+
+
+async def test_a_worker_that_does_not_come_back_leaves_it_unverified() -> None:
+    channel, connection = Channel("bus", reask_s=0.0), Connection(broken=True)
+    await channel.opened(connection, "w")
+    result = await channel.ask(COMMAND)
+    assert result.outcome == "unverified"
+    assert not channel.connected
+    assert (await channel.ask(COMMAND)).outcome == "bus_closed"
+
+
+async def test_a_broken_send_is_said_again_to_the_same_worker() -> None:
+    channel, back = Channel("bus"), Connection()
+    await channel.opened(Connection(broken=True), "w")
+    asked = asyncio.create_task(channel.ask(COMMAND))
+    await asyncio.sleep(0)
+    await channel.opened(back, "w")
+    channel.heard(verified())
+    assert (await asked).outcome == "verified"
+    assert back.sent == [COMMAND]
+
+
+async def test_the_first_fate_counts_and_old_news_is_passed_over() -> None:
+    channel = Channel("bus")
+    await channel.opened(Connection(), "w")
+    asked = asyncio.create_task(channel.ask(COMMAND))
+    await asyncio.sleep(0)
+    channel.heard(verified())
+    channel.heard(Result(id="a", at=2.0, outcome="refused"))
+    channel.heard(Progress(id="a", at=2.0, stage="sent"))
+    channel.heard(Progress(id="nobody", at=2.0, stage="sent"))
+    assert (await asked).outcome == "verified"
+    channel.heard(verified())
+
+
+async def test_an_older_connection_that_ends_later_closes_nothing() -> None:
+    channel, older, newer = Channel("bus"), Connection(), Connection()
+    await channel.opened(older, "w")
+    await channel.opened(newer, "w")
+    channel.closed(older)
+    assert channel.connected
+
+
+@pytest.mark.parametrize("units", [[], [2, 1]])
+async def test_what_is_watched_is_said_once_and_to_the_next_worker(units: list[int]) -> None:
+    channel, connection, later = Channel("bus"), Connection(), Connection()
+    await channel.opened(connection, "w")
+    await channel.watch(units, trace=False)
+    await channel.watch(units, trace=False)
+    await channel.opened(later, "w2")
+    assert len(connection.sent) == len(later.sent) == bool(units)

@@ -1,0 +1,137 @@
+"""The way from a wish to the wire: written down before it is sent, sent once, one fate whatever happens."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.audit.store import Filter
+from app.commands.wish import DEFAULT_TIMEOUT_S, time_for
+from app.errors import Problem, StoreError
+from app.web.access import Person, Role
+from bus.contract import Cancel, Command, Progress, SetLine, SetSpeed, Update, WriteParameter
+from tests.app.stage import PlayedWorker, Stage, bus_settings, fate, staged
+
+ANNA = Person("anna", Role.OPERATOR, "token")
+WISH = SetSpeed(unit=1, raw=5)
+
+
+@pytest.fixture
+async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
+    async with staged(tmp_path) as built:
+        yield built
+
+
+@pytest.fixture
+async def worker(stage: Stage) -> PlayedWorker:
+    return await stage.worker()
+
+
+async def commands(stage: Stage) -> list[dict[str, Any]]:
+    """The commands in the events, newest first."""
+    found, _ = await stage.events.page(Filter(kind="command"), 100)
+    return found
+
+
+async def test_the_intent_is_on_disk_before_anything_is_sent(stage: Stage, worker: PlayedWorker) -> None:
+    seen: list[Any] = []
+
+    async def play(command: Command) -> Sequence[Update]:
+        seen.extend((event["what"], event["outcome"]) for event in await commands(stage))
+        return [fate(command, "verified")]
+
+    worker.play = play
+    await stage.desk.ask(ANNA, "dry-end", WISH)
+    assert seen == [("set speed (84h)", None)]
+    assert (await commands(stage))[0]["outcome"] == "verified"
+
+
+async def test_what_cannot_be_written_down_is_not_sent(
+    stage: Stage, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def full(*_: object) -> list[int]:
+        raise StoreError("the disk is full")
+
+    monkeypatch.setattr(stage.events, "intend_together", full)
+    answer = await stage.ask("POST", "/units/1/speed", {"raw": 5})
+    assert (answer.status_code, answer.json()["code"]) == (503, "store")
+    assert worker.commands == []
+
+
+async def test_a_fate_that_cannot_be_written_down_is_told_all_the_same(
+    stage: Stage, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def full(*_: object) -> None:
+        raise StoreError("the disk is full")
+
+    async def play(command: Command) -> Sequence[Update]:
+        return [fate(command, "verified")]
+
+    worker.play = play
+    monkeypatch.setattr(stage.events, "conclude", full)
+    assert (await stage.desk.ask(ANNA, "dry-end", WISH)).outcome == "verified"
+
+
+async def test_progress_is_told_and_a_change_can_be_given_up(stage: Stage, worker: PlayedWorker) -> None:
+    heard: list[Progress] = []
+    asked = asyncio.create_task(stage.desk.ask(ANNA, "dry-end", WISH, id="mine", listener=heard.append))
+    command = await worker.hear(Command)
+    assert isinstance(command, Command)
+    await worker.update(Progress(id="mine", at=1.0, stage="sent"), Progress(id="other", at=1.0, stage="sent"))
+    await stage.desk.cancel("dry-end", "mine")
+    assert await worker.hear(Cancel) == Cancel(id="mine")
+    await worker.update(fate(command, "not_sent", message="given up"))
+    assert (await asked).outcome == "not_sent"
+    assert [progress.stage for progress in heard] == ["sent"]
+
+
+async def test_whoever_asked_may_go_and_the_fate_is_still_written_down(
+    stage: Stage, worker: PlayedWorker
+) -> None:
+    asked = asyncio.create_task(stage.desk.ask(ANNA, "dry-end", WISH, id="mine"))
+    command = await worker.hear(Command)
+    assert isinstance(command, Command)
+    asked.cancel()
+    await worker.update(fate(command, "verified"))
+    assert (await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")).outcome == "verified"
+    assert [event["outcome"] for event in await commands(stage)] == ["verified"]
+    assert len(worker.commands) == 1
+
+
+async def test_checking_alone_sends_and_writes_nothing(stage: Stage, worker: PlayedWorker) -> None:
+    stage.desk.check(ANNA, "dry-end", WISH)
+    with pytest.raises(Problem) as refused:
+        stage.desk.check(ANNA, "dry-end", WriteParameter(unit=1, number=19, raw=0))
+    assert (refused.value.status, refused.value.code) == (409, "dangerous")
+    assert worker.commands == []
+    assert await commands(stage) == []
+
+
+async def test_what_is_wanted_before_a_parameter_write_comes_first(
+    stage: Stage, worker: PlayedWorker
+) -> None:
+    order: list[str] = []
+
+    async def keep(person: Person, bus: str, unit: int) -> None:
+        order.append(f"kept {person.name} {bus} {unit}")
+
+    async def play(command: Command) -> Sequence[Update]:
+        order.append("sent")
+        return [fate(command, "verified")]
+
+    worker.play = play
+    stage.desk.before_parameter_write = keep
+    await stage.desk.ask(ANNA, "dry-end", WriteParameter(unit=1, number=6, raw=50))
+    await stage.desk.ask(ANNA, "dry-end", WISH)
+    assert order == ["kept anna dry-end 1", "sent", "sent"]
+
+
+def test_a_change_of_several_is_given_the_time_of_its_staging() -> None:
+    bus = bus_settings(turnaround_ms=0)
+    assert time_for(WISH, bus) == DEFAULT_TIMEOUT_S
+    many = SetLine(setpoints=dict.fromkeys(range(1, 256), 5))
+    assert time_for(many, bus) == pytest.approx(DEFAULT_TIMEOUT_S + 255 * 220 / 9600)
