@@ -5,6 +5,7 @@ Everything here runs on the one thread that writes (:mod:`app.history.writer`).
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -66,10 +67,10 @@ class Recorder:
         while self._folding and time.monotonic() < deadline:
             self._fold_some(list(islice(self._folding, AT_ONCE)))
 
-    def fold_everything(self) -> None:
-        """The current minute too, at the end."""
+    def fold_everything(self, deadline: float = math.inf) -> None:
+        """The current minute too, until ``deadline`` (monotonic seconds); the journal holds the rest."""
         self._folding = deque(self._tail.over(current=-1))
-        while self._folding:
+        while self._folding and time.monotonic() < deadline:
             self._fold_some(list(islice(self._folding, AT_ONCE)))
 
     def _is_due(self, now: int) -> bool:

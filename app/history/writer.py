@@ -29,6 +29,8 @@ COMMIT_EVERY_S = 0.5
 """What is lost when the power goes: this much, and the commit itself."""
 BUSY_S = 0.2
 """How long folding, and then upkeep, may take between two commits."""
+END_S = 1.0
+"""How long folding may take at the end; what is left is in the journal."""
 RETRY_S = 10.0
 LOOK_EVERY_S = 5.0
 GIVE_UP_EVERY_S = 600.0
@@ -162,7 +164,7 @@ class Writer:
             return
         try:
             self._commit(self._open.recorder)
-            self._open.recorder.fold_everything()
+            self._open.recorder.fold_everything(time.monotonic() + END_S)
         finally:
             self._open.database.close()
 

@@ -1,5 +1,7 @@
 // Wheel, pinch, drag and keys on the picture, turned into changes of the view.
 const WHEEL_STEP = 1.2;
+/** Pixels that a press may move and still be one. */
+const STILL = 4;
 const KEY_STEP = 0.01;
 const KEY_PAN = 0.25;
 
@@ -7,6 +9,7 @@ const KEY_PAN = 0.25;
 export function gestures(element, view, time, cursor) {
   element.addEventListener("wheel", (event) => wheel(event, view, time), { passive: false });
   drag(element, view);
+  press(element, view, time);
   touch(element, view, time);
   element.addEventListener("keydown", (event) => key(event, view, cursor));
 }
@@ -38,6 +41,20 @@ function drag(element, view) {
   });
   window.addEventListener("mouseup", () => {
     last = null;
+  });
+}
+
+/** A press that does not move sets cursor A, the next B, the third takes both away. */
+function press(element, view, time) {
+  let begun = 0;
+  element.addEventListener("pointerdown", (event) => {
+    begun = event.clientX;
+  });
+  element.addEventListener("click", (event) => {
+    if (event.shiftKey || Math.abs(event.clientX - begun) > STILL) return;
+    if (view.a === null) view.change({ a: time(event.clientX) });
+    else if (view.b === null) view.change({ b: time(event.clientX) });
+    else view.change({ a: null, b: null });
   });
 }
 

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from typing import Any
+from urllib.parse import unquote
 
 import pytest
 from playwright.sync_api import Page, expect
@@ -20,6 +21,14 @@ from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
 
 OFFICE = {"width": 1280, "height": 900}
+PINCH = """([left, right]) => {
+  const picture = document.getElementById("trend-picture");
+  const finger = (name, pointerId, clientX) =>
+    picture.dispatchEvent(new PointerEvent(name, { pointerId, clientX, clientY: 300, pointerType: "touch" }));
+  finger("pointerdown", 1, left);
+  finger("pointerdown", 2, right);
+  finger("pointermove", 2, right + (right - left));
+}"""
 NOTHING = "\N{EN DASH}"
 PHONE = {"width": 360, "height": 740}
 
@@ -38,7 +47,7 @@ def history(served: Site, value: str = "actual", seconds: float = 60, unit: int 
         name: datetime.fromtimestamp(t, UTC).isoformat() for name, t in (("from", now - seconds), ("to", now))
     }
     with served.api("viewer") as client:
-        asked = {"bus": "line", "unit": unit, "value": value, "points": 20_000, **span}
+        asked: dict[str, str | int] = {"bus": "line", "unit": unit, "value": value, "points": 20_000, **span}
         answer = client.get("/history", params=asked)
     assert answer.status_code == 200, answer.text
     found: dict[str, Any] = answer.json()
@@ -134,6 +143,21 @@ def test_wheel_drag_and_keys_move_the_picture(browser_page: OpensPages) -> None:
     expect(page.locator("#time-difference")).not_to_have_text(NOTHING)
     page.keyboard.press("Escape")
     expect(page.locator("#time-difference")).to_have_text(NOTHING)
+
+
+def test_two_presses_set_two_cursors_and_two_fingers_zoom(browser_page: OpensPages) -> None:
+    page = opened(browser_page("viewer", viewport=OFFICE), "?s=line/1/actual&span=600")
+    box = page.locator("#trend-plot .u-over").bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + 100, box["y"] + 50)
+    page.mouse.click(box["x"] + 300, box["y"] + 50)
+    expect(page.locator("#time-difference")).to_have_text(re.compile(r"\d"))
+    page.mouse.click(box["x"] + 300, box["y"] + 50)
+    expect(page.locator("#time-difference")).to_have_text(NOTHING)
+    page.evaluate(PINCH, [box["x"] + 200, box["x"] + 400])
+    view = view_of(page)
+    moments = [datetime.fromisoformat(unquote(view[name])).timestamp() for name in ("from", "to")]
+    assert moments[1] - moments[0] == pytest.approx(300, rel=0.05)
 
 
 def test_the_table_reads_at_the_cursor(site: Site, browser_page: OpensPages) -> None:
