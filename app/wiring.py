@@ -12,6 +12,7 @@ from time import time
 
 import structlog
 
+from app.audit.configuration import change_since_last
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
 from app.auth.passwords import Passwords
@@ -168,6 +169,11 @@ async def _begin(services: Services) -> None:
     if steps:
         await services.events.record(kind="server", what=f"the store was brought up to date: {steps}")
     await services.events.record(kind="server", what="server started")
+    changed = await asyncio.to_thread(
+        change_since_last, services.settings.server.data, services.settings.model_dump(mode="json")
+    )
+    if changed:
+        await services.events.record(kind="configuration", what="configuration changed", message=changed)
     await services.safeguards.load()
     await services.sets.load()
     await services.recipes.load_marks()

@@ -1,0 +1,54 @@
+"""What changed in the configuration since the server ran last, so that it can be an event."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+FILE = "configuration.json"
+"""What the server ran with last; beside the store."""
+
+
+def flat(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    """Every leaf with its path: ``bus.dry-end.unit.1.name``. Elements go by their id or name."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from flat(inner, f"{path}.{key}" if path else str(key))
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            yield from flat(inner, f"{path}.{_name(inner, index)}")
+    else:
+        yield path, json.dumps(value, ensure_ascii=False)
+
+
+def _name(element: Any, index: int) -> str:
+    if isinstance(element, Mapping):
+        for key in ("id", "name"):
+            if key in element:
+                return str(element[key])
+    return str(index)
+
+
+def differences(before: Any, now: Any) -> list[str]:
+    """Each leaf that is new, gone or other than it was, as a phrase."""
+    old, new = dict(flat(before)), dict(flat(now))
+    return [
+        f"{path}: {old.get(path, 'nothing')} → {new.get(path, 'nothing')}"
+        for path in sorted(old.keys() | new.keys())
+        if old.get(path) != new.get(path)
+    ]
+
+
+def change_since_last(folder: Path, now: dict[str, Any]) -> str:
+    """What changed, in one sentence; empty when nothing did. Notes the configuration for the next time."""
+    file = folder / FILE
+    try:
+        before = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        before = None
+    file.write_text(json.dumps(now, ensure_ascii=False, indent=1), encoding="utf-8")
+    if before is None:
+        return ""
+    return "; ".join(differences(before, now))
