@@ -22,6 +22,8 @@ from app.settings import Server, Settings
 from bus.errors import LinesideError
 from bus.worker.process import configure_log
 
+BACKLOG = 512
+"""Browsers of a whole plant come back at once after a restart."""
 _ENDINGS = (signal.SIGTERM, signal.SIGINT)
 
 
@@ -32,8 +34,11 @@ class HostingError(LinesideError):
 def listen(server: Server) -> socket.socket:
     """Take the TCP port. Raises HostingError in words."""
     family = socket.AF_INET6 if ":" in server.host else socket.AF_INET
+    both = server.host == "::" and socket.has_dualstack_ipv6()
     try:
-        return socket.create_server((server.host, server.port), family=family, backlog=512)
+        return socket.create_server(
+            (server.host, server.port), family=family, backlog=BACKLOG, dualstack_ipv6=both
+        )
     except (OSError, OverflowError) as error:
         raise HostingError(_why_not(server, error)) from error
 
@@ -46,7 +51,8 @@ def _why_not(server: Server, error: Exception) -> str:
         case errno.EACCES:
             return f"{where} is not for this user; choose a port above 1023"
         case _:
-            return f"{where} cannot be opened: {error}; check host and port of the dashboard"
+            words = getattr(error, "strerror", None) or error
+            return f"{where} cannot be opened: {words}; check host and port of the dashboard"
 
 
 def url_of(listening: socket.socket) -> str:

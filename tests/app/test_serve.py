@@ -16,6 +16,8 @@ from typing import Any
 
 import httpx
 import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
 
 LINESIDE = Path(sys.executable).with_name("lineside")
 PATIENCE_S = 60.0
@@ -105,6 +107,25 @@ def test_it_ends_whole_within_five_seconds(config: Path, number: int) -> None:
         [LINESIDE, "audit", "verify", "--config", str(config)], capture_output=True, text=True
     )
     assert proof.returncode == 0, proof.stderr
+
+
+def test_an_open_page_does_not_hold_the_end_up(config: Path) -> None:
+    create = [LINESIDE, "token", "create", "t", "--role", "viewer", "--config", str(config)]
+    token = subprocess.run(create, capture_output=True, text=True, check=True).stdout.strip()
+    with started("serve", "--config", str(config)) as (process, url):
+        address = url.replace("http", "ws", 1) + "/live"
+        headers = {"Authorization": f"Bearer {token}"}
+        with connect(address, additional_headers=headers, proxy=None) as page:
+            assert "snapshot" in str(page.recv())
+            process.terminate()
+            assert process.wait(timeout=5) == 0
+            with pytest.raises(ConnectionClosed):
+                read_to_the_end(page)
+
+
+def read_to_the_end(page: ClientConnection) -> None:
+    while True:
+        page.recv()
 
 
 def test_no_worker_outlives_a_killed_parent(config: Path) -> None:
