@@ -128,5 +128,6 @@ data = "./data"
 [[bus]]
 name = "dry-end"
 port = "{made.cable.path}"
+turnaround_ms = 300  # the units are played by a thread, which a busy machine may keep waiting
 {bus_toml}
 {units}"""

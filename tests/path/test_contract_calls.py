@@ -205,10 +205,10 @@ def test_analog_output_is_acknowledged_never_verified(plant: Dashboard, units: d
 
 
 def test_analog_output_that_is_not_set_for_the_link(plant: Dashboard) -> None:
-    fate(plant.bus("PUT", "/units/1/parameters/28", {"raw": 1}), "verified")
-    said = problem(plant.bus("PUT", "/units/1/analog-output", {"raw": 350}), 409, "refused")
+    fate(plant.bus("PUT", "/units/6/parameters/28", {"raw": 1}), "verified")
+    said = problem(plant.bus("PUT", "/units/6/analog-output", {"raw": 350}), 409, "refused")
     assert said["unit_error"] == 135
-    fate(plant.bus("PUT", "/units/1/parameters/28", {"raw": 2}), "verified")
+    fate(plant.bus("PUT", "/units/6/parameters/28", {"raw": 2}), "verified")
 
 
 def test_parameters(plant: Dashboard) -> None:
