@@ -38,6 +38,8 @@ class Sight:
     blocked: str = ""
     overdue: bool = True
     """A stale unit whose last answer is really old; one poll missed is shown, but is no trouble yet."""
+    drifted: int = 0
+    """Parameters in which it departs from what it ought to be."""
 
 
 @dataclass(slots=True)
@@ -91,6 +93,7 @@ def unit_trouble(bus: BusLive, sight: Sight, voice: Voice) -> Trouble | None:
             reading.commanded > 0 and not bits.run,
             lambda: Trouble("low", voice.t("run input off"), "run"),
         ),
+        (sight.drifted > 0, lambda: _drifted(sight.drifted, voice)),
     ]
     return next((build() for found, build in findings if found), None)
 
@@ -119,3 +122,12 @@ def verdict(tally: Tally, abnormal: int, voice: Voice) -> str:
 def _not_remote(mode: str, voice: Voice) -> Trouble:
     word = "KEYLOCK" if mode == "keylock" else "LOCAL"
     return Trouble("low", voice.t("{mode}: refuses", mode=word), "mode")
+
+
+def _drifted(rows: int, voice: Voice) -> Trouble:
+    text = (
+        "{n} parameter differs from the golden set"
+        if rows == 1
+        else "{n} parameters differ from the golden set"
+    )
+    return Trouble("low", voice.t(text, n=rows), "drift")

@@ -14,7 +14,7 @@ from typing import Any
 from app.live.age import scan_s_of
 from app.live.browser import Browser, Diff
 from app.live.fields import Voice, health_fields, unit_key
-from app.live.screen import Block, Groups, Screen, motions_for, watch_motions
+from app.live.screen import Block, Drift, Groups, Recipe, Screen, motions_for, watch_motions
 from app.live.state import LiveState
 from app.web.templating import Templates
 from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
@@ -43,6 +43,8 @@ class Hub:
         self._browsers: list[Browser] = []
         self._watched: dict[str, tuple[list[int], bool]] = {}
         self.block: Block = _unblocked
+        self.drift: Drift = _undrifted
+        self.recipe: Recipe = _unloaded
         self.watch: Watcher = _unwatched
         self.holder: Callable[[str], str] = _unheld
         """Who holds control of a bus; empty where nobody does."""
@@ -58,7 +60,14 @@ class Hub:
         screen = self._screens.get(language)
         if screen is None:
             voice = Voice(self._templates.languages[language], self._templates.formats(language))
-            screen = Screen(self.live, voice, self._motions, lambda bus, unit: self.block(bus, unit))
+            screen = Screen(
+                self.live,
+                voice,
+                self._motions,
+                lambda bus, unit: self.block(bus, unit),
+                lambda bus, unit: self.drift(bus, unit),
+                lambda bus: self.recipe(bus),
+            )
             self._screens[language] = screen
             self._numbers[language] = 0
         self._publish(language, screen.refresh(self._clock()))
@@ -205,6 +214,14 @@ class Hub:
 
 def _unblocked(_bus: str, _unit: int) -> str:
     return ""
+
+
+def _undrifted(_bus: str, _unit: int) -> int:
+    return 0
+
+
+def _unloaded(_bus: str) -> None:
+    return None
 
 
 def _unheld(_bus: str) -> str:

@@ -24,6 +24,10 @@ _DECIDES = {"link", "state", "level", "trouble"}
 """A change of these in a unit may change the strip and the totals of the line."""
 Block = Callable[[str, int], str]
 """The reason why a unit is blocked, by bus and address; empty where it is not."""
+Drift = Callable[[str, int], int]
+"""In how many parameters a unit departs from its golden set, by bus and address."""
+Recipe = Callable[[str], tuple[str, int] | None]
+"""The recipe that a bus was loaded with, and how many units have departed from it since."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +47,8 @@ class Screen:
     voice: Voice
     motions: dict[tuple[str, int], Motion]
     block: Block
+    drift: Drift
+    recipe: Recipe
     shown: Groups = field(default_factory=dict)
     entries: list[Entry] = field(default_factory=list)
     _judged: dict[str, tuple[Sight, Trouble | None]] = field(default_factory=dict)
@@ -54,7 +60,8 @@ class Screen:
         for number in units:
             self._put(changed, unit_key(bus_name, number), self._unit(bus_name, bus, bus.units[number], now))
         if whole_bus:
-            self._put(changed, bus_name, bus_fields(bus, self.voice))
+            fields = bus_fields(bus, self.voice) | {"recipe": self._recipe(bus_name)}
+            self._put(changed, bus_name, fields)
         if whole_bus or any(_DECIDES & fields.keys() for fields in changed.values()):
             self._put(changed, "line", self._line())
         return changed
@@ -103,7 +110,8 @@ class Screen:
     def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: float) -> Fields:
         number = unit.settings.id
         state, blocked = self.motions[bus_name, number].state, self.block(bus_name, number)
-        sight = Sight(unit, unit_link_now(bus, unit, now), state, blocked, _is_overdue(bus, unit, now))
+        link, overdue = unit_link_now(bus, unit, now), _is_overdue(bus, unit, now)
+        sight = Sight(unit, link, state, blocked, overdue, self.drift(bus_name, number))
         trouble = unit_trouble(bus, sight, self.voice)
         self._judged[unit_key(bus_name, number)] = (sight, trouble)
         return unit_fields(bus, unit, sight.link, state, self.voice) | {
@@ -111,6 +119,16 @@ class Screen:
             "trouble": trouble.text if trouble else "",
             "blocked": blocked,
         }
+
+    def _recipe(self, bus_name: str) -> str:
+        loaded = self.recipe(bus_name)
+        if loaded is None:
+            return ""
+        name, departed = loaded
+        if not departed:
+            return name
+        text = "{name}, {n} unit departed" if departed == 1 else "{name}, {n} units departed"
+        return self.voice.t(text, name=name, n=departed)
 
     def _line(self) -> Fields:
         tally, self.entries = Tally(), []

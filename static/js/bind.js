@@ -8,6 +8,7 @@ const listeners = new Map();
 let bound = new Map();
 
 const UNKNOWN = "–";
+const FIGURE_SPACE = "\u2007";
 
 function textOf(element) {
   let text = element.firstChild;
@@ -16,8 +17,9 @@ function textOf(element) {
     text = element.firstChild ?? element.appendChild(document.createTextNode(""));
   }
   const empty = element.dataset.empty ?? UNKNOWN;
+  const width = Number(element.dataset.width ?? 0);
   return (value) => {
-    text.data = value === "" ? empty : value;
+    text.data = (value === "" ? empty : value).padStart(width, FIGURE_SPACE);
   };
 }
 

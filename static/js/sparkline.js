@@ -1,4 +1,4 @@
-// <trend-spark data-unit="dry-end/1"> draws ten minutes of its unit's actual speed; data-value="commanded" another.
+// <trend-spark data-spark="dry-end/1"> draws ten minutes of its unit's actual speed; data-value="commanded" another.
 // All on a page ask together, every ten seconds, and only those in sight.
 const MINUTES = 10;
 const EVERY_MS = 10_000;
@@ -27,7 +27,7 @@ class TrendSpark extends HTMLElement {
   }
 
   get series() {
-    return `${this.dataset.unit}/${this.dataset.value ?? "actual"}`;
+    return `${this.dataset.spark}/${this.dataset.value ?? "actual"}`;
   }
 
   draw({ t, avg }, from, to) {

@@ -53,6 +53,13 @@ def screen(live: LiveState, tag: str = "en", blocks: dict[int, str] | None = Non
     motions = motions_for(live)
     for name, bus in live.buses.items():
         watch_motions(motions, name, bus, list(bus.units), 0.2)
-    made = Screen(live, voice(tag), motions, lambda _bus, unit: (blocks or {}).get(unit, ""))
+    made = Screen(
+        live,
+        voice(tag),
+        motions,
+        lambda _bus, unit: (blocks or {}).get(unit, ""),
+        lambda _bus, _unit: 0,
+        lambda _bus: None,
+    )
     made.refresh(100.0)
     return made

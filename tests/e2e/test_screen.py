@@ -1,0 +1,150 @@
+"""Every page of the line as it looks: judged for accessibility, at phone and wall size, in both languages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import Site, eventually
+
+PAGES = [
+    "/",
+    "/?view=rows",
+    "/?view=board",
+    "/units/line/1",
+    "/units/line/1/parameters",
+    "/setpoints",
+    "/bus/line",
+]
+PHONE = {"width": 360, "height": 740}
+PANEL = {"width": 1280, "height": 800}
+WALL = {"width": 1920, "height": 1080}
+
+
+def opened(page: Page, path: str) -> Page:
+    page.goto(path)
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+    return page
+
+
+def too_wide(page: Page) -> int:
+    """By how many pixels the page is wider than its window."""
+    found: int = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+    return found
+
+
+@pytest.mark.parametrize("path", PAGES)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing(
+    browser_page: OpensPages, axe: Callable[[Page], list[str]], path: str, scheme: str
+) -> None:
+    page = opened(browser_page("engineer", viewport=PANEL, color_scheme=scheme), path)
+    assert axe(page) == []
+
+
+@pytest.mark.parametrize("path", PAGES)
+@pytest.mark.parametrize("viewport", [PHONE, WALL])
+def test_a_page_fits_its_window(browser_page: OpensPages, path: str, viewport: dict[str, int]) -> None:
+    page = opened(browser_page("engineer", viewport=viewport), path)
+    assert too_wide(page) <= 0
+
+
+@pytest.mark.parametrize("path", ["/", "/units/line/1"])
+def test_at_twice_the_size_nothing_is_lost(browser_page: OpensPages, path: str) -> None:
+    page = opened(browser_page(viewport={"width": 640, "height": 400}), path)
+    assert too_wide(page) <= 0
+
+
+def test_the_review_is_accessible_too(browser_page: OpensPages, axe: Callable[[Page], list[str]]) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/2")
+    page.locator("#setpoint").fill("100.0")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("[data-review-act]")).to_be_visible()
+    assert axe(page) == []
+
+
+def test_a_line_in_trouble_is_accessible_and_says_what_is_wrong(
+    site: Site, browser_page: OpensPages, axe: Callable[[Page], list[str]]
+) -> None:
+    page = opened(browser_page(viewport=PANEL), "/")
+    expect(page.locator("[data-strip] a")).to_have_count(0)
+    site.line.remote.do("input", unit=2, input="estop", on=True)
+    site.line.remote.do("mode", unit=3, to="local")
+    try:
+        expect(page.locator("[data-strip]")).to_contain_text("e-stop input active")
+        expect(page.locator("[data-strip]")).to_contain_text("LOCAL: refuses")
+        expect(page.locator("h1")).to_have_text("2 need a look")
+        expect(page).to_have_title("(2) Line · Lineside")
+        assert axe(page) == []
+    finally:
+        site.line.remote.do("input", unit=2, input="estop", on=False)
+        site.line.remote.do("mode", unit=3, to="remote")
+    expect(page.locator("[data-strip] a")).to_have_count(0)
+
+
+def test_the_phone_answers_without_a_touch(browser_page: OpensPages) -> None:
+    page = opened(browser_page("viewer", viewport=PHONE), "/")
+    expect(page.locator("h1")).to_be_in_viewport()
+    expect(page.locator("h1")).to_have_text("All 8 units at speed")
+
+
+def test_german_is_german_with_its_decimal_sign(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL, locale="de-DE"), "/units/line/1")
+    raw = site.unit(1)["commanded_raw"]
+    expect(page.locator('[data-live="line/1.commanded"]')).to_have_text(f"{raw / 10:.1f}".replace(".", ","))
+    expect(page.get_by_role("button", name="Anlage auf null")).to_be_visible()
+    expect(page.locator('[data-pad=","]')).to_be_visible()
+
+
+def test_nothing_shifts_while_values_arrive(browser_page: OpensPages) -> None:
+    page = browser_page(viewport=PANEL)
+    page.add_init_script(
+        "window.shift = 0; new PerformanceObserver(list => { for (const entry of list.getEntries())"
+        " window.shift += entry.value; }).observe({type: 'layout-shift', buffered: true});"
+    )
+    opened(page, "/")
+    counted = page.locator("[data-clock]").first
+    first = counted.inner_text()
+    eventually(lambda: counted.inner_text() != first, "the heartbeat")
+    second = counted.inner_text()
+    eventually(lambda: counted.inner_text() != second, "another heartbeat")
+    assert page.evaluate("window.shift") == 0
+
+
+def test_the_view_is_chosen_and_remembered(browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/")
+    expect(page.locator(".tile")).to_have_count(8)
+    page.get_by_role("link", name="Rows").click()
+    expect(page.locator(".rows__row")).to_have_count(8)
+    opened(page, "/")
+    expect(page.locator(".rows__row")).to_have_count(8)
+    page.get_by_role("link", name="By itself").click()
+    expect(page.locator(".tile")).to_have_count(8)
+
+
+def test_a_unit_is_two_presses_away_by_keyboard(browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/")
+    page.locator('[data-unit="line/5"] a').focus()
+    page.keyboard.press("Enter")
+    expect(page).to_have_url("/units/line/5")
+
+
+def test_a_panel_is_cleaned_without_setting_anything(browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/")
+    page.clock.install()
+    page.get_by_role("button", name="Clean screen").click()
+    expect(page.locator(".cover--clean")).to_contain_text("30 s")
+    page.mouse.click(200, 300)
+    expect(page).to_have_url("/")
+    page.clock.run_for(31_000)
+    expect(page.locator(".cover")).to_have_count(0)
+
+
+def test_a_viewer_sees_no_control(browser_page: OpensPages) -> None:
+    page = opened(browser_page("viewer", viewport=PANEL), "/units/line/1")
+    expect(page.locator("[data-command]")).to_have_count(0)
+    opened(page, "/setpoints")
+    expect(page.locator("[data-command], [data-new]")).to_have_count(0)

@@ -1,0 +1,186 @@
+"""What the page says when something is gone: unit, cable, worker, server, browser. And that nothing clicked
+while the link was down is ever sent."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import Site, eventually
+from tests.e2e.site import site as one_site
+
+PANEL = {"width": 1280, "height": 800}
+LOST = "body[data-link=lost]"
+LIVE = "body[data-link=live]"
+
+
+@pytest.fixture(scope="module")
+def own_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """Three units, for tests that hurt the server."""
+    with one_site(tmp_path_factory.mktemp("truth"), 3, line_options=("--no-script",)) as made:
+        yield made
+
+
+def opened(page: Page, path: str) -> Page:
+    page.goto(path)
+    expect(page.locator(LIVE)).to_be_attached()
+    return page
+
+
+def heard(site: Site) -> int:
+    """How many requests that write the units have heard."""
+    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["heard"])
+    return sum(bytes.fromhex(entry["hex"])[1] in (0x82, 0x83, 0x84, 0x86, 0x87, 0x88) for entry in entries)
+
+
+def workers(site: Site) -> list[int]:
+    assert site.server is not None
+    number = site.server.pid
+    return [int(child) for child in Path(f"/proc/{number}/task/{number}/children").read_text().split()]
+
+
+def test_a_dead_unit_is_hatched_and_named_and_the_others_are_not(
+    own_site: Site, browser_page: OpensPages
+) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
+    own_site.line.remote.do("fault", kind="dead", rate=1, unit=2)
+    try:
+        expect(page.locator('[data-unit="line/2"]')).to_have_attribute(
+            "data-quality", "offline", timeout=20_000
+        )
+        expect(page.locator("[data-strip]")).to_contain_text("no answer")
+        expect(page.locator('[data-unit="line/1"]')).to_have_attribute("data-quality", "online")
+        expect(page.locator('[data-live="line/2.actual"]')).not_to_be_empty()
+        opened(page, "/units/line/2")
+        assert page.locator("form.setter").evaluate("form => form.inert")
+    finally:
+        own_site.line.remote.do("clear")
+    expect(page.locator('[data-unit="line/2"]')).to_have_attribute("data-quality", "online", timeout=20_000)
+    assert not page.locator("form.setter").evaluate("form => form.inert")
+
+
+def test_a_pulled_cable_is_one_cause(own_site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
+    own_site.line.remote.do("unplug")
+    try:
+        expect(page.locator("[data-strip] a")).to_have_count(1, timeout=20_000)
+        expect(page.locator("[data-strip]")).to_contain_text("the port is closed")
+    finally:
+        own_site.line.remote.do("plug")
+    expect(page.locator("[data-strip] a")).to_have_count(0, timeout=30_000)
+
+
+def test_a_dead_worker_is_named_and_comes_back(own_site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
+    (worker,) = workers(own_site)
+    os.kill(worker, signal.SIGSTOP)
+    try:
+        expect(page.locator('[data-unit="line/1"]')).not_to_have_attribute("data-quality", "online")
+    finally:
+        os.kill(worker, signal.SIGKILL)
+    expect(page.locator("[data-strip]")).to_contain_text("bus worker")
+    expect(page.locator("[data-strip] a")).to_have_count(0, timeout=30_000)
+
+
+def test_a_silent_server_takes_the_controls_away_and_the_page_returns_by_itself(
+    own_site: Site, browser_page: OpensPages
+) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
+    before = heard(own_site)
+    page.locator("#setpoint").fill("55.5")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("[data-review-act]")).to_be_visible()
+    assert own_site.server is not None
+    own_site.server.send_signal(signal.SIGSTOP)
+    try:
+        expect(page.locator(LOST)).to_be_attached()
+        expect(page.locator(".gone")).to_contain_text("does not answer")
+        expect(page.locator("dialog[open]")).to_have_count(0)
+        expect(page.get_by_role("button", name="Set now")).to_have_count(0)
+        page.evaluate("document.querySelector('form.setter').requestSubmit()")
+    finally:
+        own_site.server.send_signal(signal.SIGCONT)
+    expect(page.locator(LIVE)).to_be_attached()
+    expect(page.locator("#setpoint")).to_be_visible()
+    assert page.locator("dialog[open]").count() == 0
+    assert heard(own_site) == before
+
+
+def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
+    own_site: Site, browser_page: OpensPages
+) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
+    before = heard(own_site)
+    page.locator("#setpoint").fill("44.5")
+    page.get_by_role("button", name="Set now").click()
+    act = page.locator("[data-review-act]")
+    expect(act).to_be_visible()
+    page.route(
+        "**/speed",
+        lambda route: route.continue_(headers={**route.request.headers, "lineside-asked-at": "1.0"}),
+    )
+    act.click()
+    expect(page.locator("[data-review-done=bad]")).to_contain_text("too late")
+    assert heard(own_site) == before
+
+
+@pytest.mark.provokes("WebSocket")
+def test_a_killed_server_is_said_and_the_whole_comes_back_with_it(
+    own_site: Site, browser_page: OpensPages
+) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
+    own_site.stop(signal.SIGKILL)
+    expect(page.locator(LOST)).to_be_attached()
+    expect(page.locator("[data-gone-cause]")).to_contain_text("closed")
+    own_site.start()
+    own_site.wait_for_units()
+    expect(page.locator(LIVE)).to_be_attached(timeout=20_000)
+    raw = own_site.unit(1)["commanded_raw"]
+    expect(page.locator('[data-live="line/1.commanded"]')).to_have_text(f"{raw / 10:.1f}")
+
+
+@pytest.mark.provokes("WebSocket")
+def test_a_page_that_slept_asks_for_everything_again(own_site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
+    page.context.set_offline(True)
+    expect(page.locator(LOST)).to_be_attached()
+    with own_site.api("operator") as client:
+        assert client.post("/buses/line/units/3/speed", json={"value": "33.3"}).status_code == 200
+    page.context.set_offline(False)
+    expect(page.locator(LIVE)).to_be_attached(timeout=20_000)
+    expect(page.locator('[data-live="line/3.commanded"]')).to_have_text("33.3")
+
+
+def test_two_posts_of_one_review_are_one_command(own_site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
+    page.locator("#setpoint").fill("47.0")
+    page.get_by_role("button", name="Set now").click()
+    form = page.locator("form[data-review]")
+    expect(form).to_be_visible()
+    before = heard(own_site)
+    answers = page.evaluate(
+        """async () => {
+            const form = document.querySelector("form[data-review]");
+            const body = new URLSearchParams(new FormData(form));
+            const headers = {"HX-Request": "true"};
+            const post = () => fetch("/units/line/1/speed", {method: "POST", body, headers});
+            const [one, two] = await Promise.all([post(), post()]);
+            return [await one.text(), await two.text()];
+        }"""
+    )
+    assert all("verified" in text for text in answers)
+    assert heard(own_site) == before + 1
+
+
+def test_the_offline_page_is_honest(own_site: Site, browser_page: OpensPages) -> None:
+    page = browser_page(None, site=own_site, viewport=PANEL)
+    page.goto("/offline")
+    expect(page.locator("h1")).to_have_text("No connection to Lineside")
+    eventually(lambda: page.locator(".gone__box").is_visible(), "the page is drawn")
