@@ -110,9 +110,11 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     accounts = Accounts(database, passwords, events)
     accounts.on_rights_changed(safeguards.control.release_all_of)
     hub = Hub(live, templates, time)
-    hub.block, hub.watch = safeguards.block_reason, workers.watch
+    hub.block, hub.drift, hub.watch = safeguards.block_reason, sets.drifted, workers.watch
     hub.holder = safeguards.holder
     safeguards.on_block(hub.refresh_unit)
+    recipes = RecipeBook(live, desk, RecipeStore(database), events)
+    hub.recipe = recipes.loaded_words
     return Services(
         settings=settings,
         assets=assets,
@@ -134,7 +136,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         sets=sets,
         takings=Takings(sets),
         restores=RestoreDesk(reader, desk, events),
-        recipes=RecipeBook(live, desk, RecipeStore(database), events),
+        recipes=recipes,
         counts=Counts(events),
     )
 

@@ -8,7 +8,8 @@ from fastapi import APIRouter, Depends, Form, Request, Response, UploadFile
 
 from app.errors import Problem
 from app.live.lookup import bus_or_404, unit_or_404
-from app.sets.api import Keeper, Live, Restores
+from app.sets.api import Events, Keeper, Live, Restores
+from app.sets.changers import who_changed
 from app.sets.compare import compare
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import document_rows, is_running, restore_or_404, set_or_404, unit_rows_or_404
@@ -141,6 +142,26 @@ async def golden(person: Engineer, keeper: Keeper, set_id: int, unit: Annotated[
     """Mark it as what the unit ought to be."""
     await keeper.mark_golden(person, set_id, unit)
     return _go_to(f"/sets/{set_id}")
+
+
+@router.get("/units/{bus}/{unit}/drift")
+async def drift_fragment(
+    request: Request, _: Viewer, keeper: Keeper, events: Events, live: Live, bus: str, unit: int
+) -> Response:
+    """Where the unit departs from its golden set, and who changed it."""
+    unit_or_404(live, bus, unit)
+    rows = keeper.drift(bus, unit)
+    changed = {row.number: await who_changed(events, bus, unit, row.number, row.right) for row in rows}
+    return render(
+        request,
+        "sets/_drift.html",
+        bus=bus,
+        unit=unit,
+        golden=keeper.golden(bus, unit) is not None,
+        rows=rows,
+        changed=changed,
+        PARAMETERS=PARAMETERS,
+    )
 
 
 @router.get("/units/{bus}/{unit}/restore")
