@@ -17,7 +17,7 @@ from starlette.responses import StreamingResponse
 
 from app.audit.log import Event, EventLog
 from app.audit.store import Filter
-from app.web.access import Viewer
+from app.web.access import Admin, Viewer
 
 router = APIRouter(prefix="/api/v1", tags=["events"])
 MOST = 1000
@@ -112,6 +112,20 @@ async def list_events(
     """Events newest first: at most 1000 a page; ask on with ``before`` = ``next``. Times with zone."""
     found, after = await events.page(wanted, limit)
     return EventPage.model_validate({"events": [shown(event) for event in found], "next": after})
+
+
+class Proof(BaseModel):
+    """Whether the log is whole; ``broken`` is the first entry that is not, ``fault`` says how."""
+
+    entries: int
+    broken: int | None
+    fault: str
+
+
+@router.get("/events/proof")
+async def prove_events(_: Admin, events: Events) -> Proof:
+    """Walk the whole log as ``lineside audit verify`` does."""
+    return Proof.model_validate(vars(await events.prove()))
 
 
 @router.get("/events.csv", response_class=StreamingResponse)

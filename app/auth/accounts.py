@@ -5,7 +5,6 @@ from __future__ import annotations
 import sqlite3
 import time
 from collections.abc import Callable
-from typing import Any
 
 from app.audit.log import EventLog
 from app.auth import rules, store
@@ -132,9 +131,3 @@ class Accounts:
     def _tell(self, name: str) -> None:
         for subscriber in self._subscribers:
             subscriber(name)
-
-
-def describe(user: User) -> dict[str, Any]:
-    """A user as the command line lists one."""
-    state = "disabled" if user.disabled else ""
-    return {"name": user.name, "role": str(user.role), "panel": user.panel, "state": state}

@@ -8,7 +8,7 @@ from zoneinfo import ZoneInfo
 
 from babel import Locale
 from babel.dates import format_date, format_datetime, format_time
-from babel.numbers import format_decimal, get_decimal_symbol
+from babel.numbers import get_decimal_symbol
 
 UNKNOWN = "\N{EN DASH}"
 """What stands where a value was never read."""
@@ -42,10 +42,6 @@ class Formats:
     def number(self, value: float | Decimal | None, digits: int = 0) -> str:
         """A measured value with a fixed count of digits after the sign."""
         return UNKNOWN if value is None else self.point(f"{value:.{digits}f}")
-
-    def amount(self, value: float) -> str:
-        """A count for reading, with this locale's grouping."""
-        return format_decimal(value, locale=self.locale)
 
     def local(self, at: float | datetime) -> datetime:
         """An instant (seconds since the epoch, or aware) at the site."""

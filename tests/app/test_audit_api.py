@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import sqlite3
 from collections.abc import AsyncIterator
 from datetime import datetime
 from pathlib import Path
@@ -106,6 +107,20 @@ async def test_csv_has_every_event_and_no_formula(house: House, viewer: httpx.As
     rows = list(csv.DictReader(io.StringIO(answer.text)))
     assert len(rows) == 1201
     assert (rows[0]["what"], rows[0]["old"]) == ("'=HYPERLINK(1)", "-5.0")
+
+
+async def test_an_admin_has_the_log_proved(house: House) -> None:
+    admin = await house.program(Role.ADMIN)
+    number = await command(house)
+    proof = (await admin.get("/api/v1/events/proof")).json()
+    assert proof == {"entries": number, "broken": None, "fault": ""}
+
+    def tamper(connection: sqlite3.Connection) -> None:
+        connection.execute("DROP TRIGGER events_stay_as_written")
+        connection.execute("UPDATE events SET new = '1' WHERE id = ?", (number,))
+
+    await house.services.database.write(tamper)
+    assert (await admin.get("/api/v1/events/proof")).json()["broken"] == number
 
 
 async def test_the_page_shows_and_filters(house: House) -> None:

@@ -41,7 +41,6 @@ def test_fixed_is_exact(raw: int, decimals: int) -> None:
 def test_numbers() -> None:
     assert Formats("de").number(3.14159, 2) == "3,14"
     assert Formats("de").number(None) == UNKNOWN
-    assert Formats("de").amount(1234567) == "1.234.567"
 
 
 def test_times_are_the_sites() -> None:
