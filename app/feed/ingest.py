@@ -65,10 +65,13 @@ class Ingest:
         self._snapshot_seq: int | None = None
         self._snapshot_wanted = False
         self._delivered = heard.seq
+        self.silent_ticks = 0
+        """How many ticks in a row nothing was heard."""
         self._clock.hear(hello.sent_at, now())
 
     async def receive(self, data: bytes) -> None:
         """One message. Raises MalformedSpeechError; nothing of such a message was applied."""
+        self.silent_ticks = 0
         match decode(data):
             case Snapshot() as snapshot:
                 await self._take_snapshot(snapshot)
@@ -79,6 +82,7 @@ class Ingest:
 
     async def tick(self) -> None:
         """About once a second: the app's time, and what may be forgotten."""
+        self.silent_ticks += 1
         await self._connection.send(Clock(app_time=self._now()))
         await self._confirm()
 

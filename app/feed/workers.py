@@ -14,8 +14,12 @@ from app.live.state import NO_WORKER
 from app.pipeline import Pipeline
 from bus.contract import Hello
 
+SILENT = "the bus worker is connected and says nothing"
 HELLO_WITHIN_S = 10.0
 TICK_S = 1.0
+SILENT_TICKS = 5
+"""A worker tells its figures every second; one that says nothing for so long is gone or stuck. Ticks are
+counted, not seconds, so that a stall of the app itself makes nobody look silent."""
 
 
 class Socket(Connection, Protocol):
@@ -31,12 +35,20 @@ class Socket(Connection, Protocol):
 class Workers:
     """The feed: who is connected, and how far each was followed."""
 
-    def __init__(self, buses: list[str], pipeline: Pipeline, now: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self,
+        buses: list[str],
+        pipeline: Pipeline,
+        now: Callable[[], float] = time.time,
+        *,
+        silent_ticks: int = SILENT_TICKS,
+    ) -> None:
         self.channels = {bus: Channel(bus) for bus in buses}
         self._pipeline = pipeline
         self._now = now
         self._heard: dict[str, Heard] = {}
         self._sockets: dict[str, Socket] = {}
+        self._silent_ticks = silent_ticks
         self._wishes: set[asyncio.Task[None]] = set()
 
     async def serve(self, socket: Socket) -> None:
@@ -88,7 +100,7 @@ class Workers:
     async def _follow(self, hello: Hello, socket: Socket) -> None:
         channel = self.channels[hello.bus]
         ingest = Ingest(hello, self._heard[hello.bus], channel, self._pipeline, socket, self._now)
-        ticking = asyncio.create_task(_tick(ingest))
+        ticking = asyncio.create_task(self._tick(ingest, socket))
         cause = NO_WORKER
         try:
             while self._sockets.get(hello.bus) is socket:
@@ -102,15 +114,16 @@ class Workers:
             ticking.cancel()
             self._gone(hello.bus, socket, cause)
 
+    async def _tick(self, ingest: Ingest, socket: Socket) -> None:
+        with suppress(ConnectionError):
+            while ingest.silent_ticks < self._silent_ticks:
+                await ingest.tick()
+                await asyncio.sleep(TICK_S)
+            self._gone(ingest.hello.bus, socket, SILENT)
+            await socket.close(SILENT)
+
     def _gone(self, bus: str, socket: Socket, cause: str) -> None:
         self.channels[bus].closed(socket)
         if self._sockets.get(bus) is socket:
             del self._sockets[bus]
             self._pipeline.worker_went(bus, self._now(), cause)
-
-
-async def _tick(ingest: Ingest) -> None:
-    with suppress(ConnectionError):
-        while True:
-            await ingest.tick()
-            await asyncio.sleep(TICK_S)

@@ -178,13 +178,15 @@ class PlayedWorker:
 class Stage:
     """Everything between the browser and the worker. ``http`` asks as a role."""
 
-    def __init__(self, folder: Path, settings: BusSettings, *, control: bool = False) -> None:
+    def __init__(
+        self, folder: Path, settings: BusSettings, *, control: bool = False, silent_ticks: int = 1000
+    ) -> None:
         self.database = Database(folder / "lineside.db")
         self.events = EventLog(self.database)
         self.live = LiveState([settings], time.time())
         self.history = History()
         self.pipeline = Pipeline(self.live, self.history, self.events)
-        self.workers = Workers([settings.name], self.pipeline)
+        self.workers = Workers([settings.name], self.pipeline, silent_ticks=silent_ticks)
         self.guards = Safeguards(self.database, self.events, control_required=control)
         self.desk = Desk(self.live, self.workers.channels, self.events, self.guards)
         self.app = FastAPI()
@@ -261,9 +263,11 @@ class _ByHeader:
 
 
 @asynccontextmanager
-async def staged(folder: Path, *, control: bool = False, **bus: Any) -> AsyncIterator[Stage]:
+async def staged(
+    folder: Path, *, control: bool = False, silent_ticks: int = 1000, **bus: Any
+) -> AsyncIterator[Stage]:
     """The stage, served on a free port."""
-    stage = Stage(folder, bus_settings(**bus), control=control)
+    stage = Stage(folder, bus_settings(**bus), control=control, silent_ticks=silent_ticks)
     await stage.guards.load()
     config = uvicorn.Config(
         _ByHeader(stage.app), port=0, lifespan="off", log_level="critical", ws="websockets-sansio"

@@ -159,6 +159,16 @@ async def test_a_lost_worker_closes_the_bus_and_nothing_looks_fresh(stage: Stage
     assert answer.json()["code"] == "bus_closed"
 
 
+async def test_a_worker_that_says_nothing_any_more_is_taken_for_lost(tmp_path: Path) -> None:
+    async with staged(tmp_path, silent_ticks=1) as stage:
+        worker = await stage.worker()
+        closed = await worker.gone()
+        assert closed.rcvd is not None
+        assert "says nothing" in closed.rcvd.reason
+        await until(lambda: not stage.live.buses["dry-end"].worker_connected, "the loss")
+        assert "says nothing" in stage.live.buses["dry-end"].link.cause
+
+
 async def test_times_of_a_worker_with_another_clock_are_shifted(stage: Stage) -> None:
     ahead = 3600.0
     worker = await stage.connect()

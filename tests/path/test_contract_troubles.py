@@ -156,3 +156,16 @@ def _events(plant: Dashboard, query: str) -> list[dict[str, Any]]:
 
 def _dead(pid: int) -> bool:
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+
+
+def test_a_worker_that_stays_stuck_closes_the_bus(plant: Dashboard) -> None:
+    (worker,) = workers(plant)
+    os.kill(worker, signal.SIGSTOP)
+    try:
+        bus = eventually(lambda: (shown := plant.line())["link"] == "closed" and shown, "closed", within=20)
+        assert "says nothing" in bus["link_cause"]
+        assert speed(plant, 1, 4321).json()["code"] == "bus_closed"
+    finally:
+        os.kill(worker, signal.SIGCONT)
+    plant.see(1, "online again", lambda shown: shown["link"] == "online")
+    assert plant.cable.units[1].writes == []
