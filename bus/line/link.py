@@ -277,7 +277,6 @@ class Link:
         request = exchange.request
         self._current, self._idle, self._deadline = None, exchange, None
         self._doubts.after(exchange.doubt)
-        self._count(current)
         heard = Heard(
             request,
             exchange.reply,
@@ -287,6 +286,7 @@ class Link:
             Rubbish(current.spoilt, current.strange) if current.spoilt or current.strange else NO_RUBBISH,
         )
         self.done(heard, current.began, now)
+        self._count(current)
 
     def _count(self, current: _Current) -> None:
         exchange = current.exchange

@@ -171,9 +171,11 @@ class Poller:
     # --- one exchange after the other ----------------------------------------------------------
 
     def _heard(self, heard: Heard, began: float, ended: float) -> None:
+        """An ordinary answer changes nothing about who is next, so it is taken in after the next has left."""
         self.trace.witness = None
-        self._held = self._learn(heard, ended)
         errand, self._owner = self._owner, None
+        ordinary = errand is None and heard.reply is not None and heard.request.unit in self.schedule.round
+        self._held = [] if ordinary else self._learn(heard, ended)
         if errand is not None:
             errand.settle(heard, ended)
             if errand.claim is Claim.SLOW:
@@ -182,9 +184,10 @@ class Poller:
             self._settle_routine(heard, began, ended)
         if not self.link.busy:
             self._go(ended)
-        held, self._held = self._held, None
-        if held:
-            self._emit(held)
+        told, self._held = self._held, None
+        updates = [*self._learn(heard, ended), *told] if ordinary else told
+        if updates:
+            self._emit(updates)
         self._sweep(ended)
 
     def _learn(self, heard: Heard, now: float) -> list[Update]:

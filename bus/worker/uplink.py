@@ -35,6 +35,8 @@ from bus.worker.outbox import Outbox
 
 SHORTEST_PAUSE_S = 0.1
 LONGEST_PAUSE_S = 2.0
+HURRY_S = 5.0
+"""So long after the start, or after a link was lost, the pause stays short: the app is probably starting."""
 REFUSED_PAUSE_S = 5.0
 OPEN_TIMEOUT_S = 5.0
 WELCOME_WITHIN_S = 10.0
@@ -90,9 +92,10 @@ class Uplink:
 
     async def run(self) -> None:
         """Be connected, for ever."""
-        pause = SHORTEST_PAUSE_S
+        loop = asyncio.get_running_loop()
+        pause, linked_at = SHORTEST_PAUSE_S, loop.time()
         while True:
-            began = asyncio.get_running_loop().time()
+            began = loop.time()
             try:
                 await self._be_connected()
             except Refused as error:
@@ -105,10 +108,11 @@ class Uplink:
                 self._tell(f"no dashboard at {self._url}: {_words(error)}")
             self._outbox.disconnected()
             self._duty.watch(Watch(units=[]))
-            if asyncio.get_running_loop().time() - began > LONGEST_PAUSE_S:
-                pause = SHORTEST_PAUSE_S
+            if loop.time() - began > LONGEST_PAUSE_S:
+                pause, linked_at = SHORTEST_PAUSE_S, loop.time()
             await asyncio.sleep(pause * random.uniform(0.75, 1.25))
-            pause = min(pause * 1.6, LONGEST_PAUSE_S)
+            if loop.time() - linked_at > HURRY_S:
+                pause = min(pause * 1.6, LONGEST_PAUSE_S)
 
     async def _be_connected(self) -> None:
         async with connect(

@@ -174,10 +174,9 @@ def test_the_trace_is_read_piece_by_piece_without_a_gap() -> None:
             if len(fate.frames) < 100:
                 break
             since = fate.frames[-1].at
-        written = [data for _, data in line.written]
-        assert [frame.data for frame in frames if frame.direction == "out"][: len(written) - 8] == written[
-            :-8
-        ]
+        sent = [frame.data for frame in frames if frame.direction == "out"]
+        assert sent == [data for _, data in line.written][: len(sent)]
+        assert len(sent) > 100
 
     run(scene, 2)
 

@@ -1,0 +1,66 @@
+"""The worker over long times on a virtual clock: deadlines under every fault, equal shares, equal bytes."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+
+from bus.contract import SetSpeed
+from bus.simulator.faults import Kind
+from tests.bus.virtual_line import VirtualLine, run
+
+UNITS = 4
+RATE = 0.05
+BLOCKING = (Kind.EVERYBODY, Kind.HUGE, Kind.FLOOD)
+"""These block the whole line by themselves."""
+SET_AND_EXECUTE = 0x84
+
+
+def spoil(line: VirtualLine) -> None:
+    for kind in Kind:
+        if kind not in BLOCKING:
+            line.faults.set(kind, RATE)
+
+
+def writes(data: bytes) -> bool:
+    """Whether a frame as on the wire is an 84h (unit 16 is sent as 10 10)."""
+    return SET_AND_EXECUTE in data[3:5]
+
+
+def test_writes_leave_before_their_deadline_or_not_at_all() -> None:
+    async def scene(line: VirtualLine) -> None:
+        spoil(line)
+        await asyncio.sleep(1.0)
+        draw = random.Random(5)
+        for _ in range(100):
+            unit, raw = draw.randint(1, UNITS), draw.randint(0, 1500)
+            given = draw.choice((0.0, 0.02, 0.1, 0.4))
+            began, number = line.loop.time(), len(line.written)
+            await line.ask(SetSpeed(unit, raw), timeout_s=given)
+            late = [at for at, data in line.written[number:] if writes(data) and at > began + given + 1e-9]
+            assert not late
+
+    run(scene, UNITS)
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    async def scene(line: VirtualLine) -> list[tuple[float, bytes]]:
+        spoil(line)
+        draw = random.Random(4)
+        for _ in range(20):
+            await line.ask(SetSpeed(draw.randint(1, UNITS), draw.randint(0, 1500)))
+        return line.written
+
+    assert run(scene, UNITS, seed=9) == run(scene, UNITS, seed=9)
+    assert run(scene, UNITS, seed=9) != run(scene, UNITS, seed=10)
+
+
+def test_ten_minutes_without_a_fault_tell_every_unit_alike() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await asyncio.sleep(600)
+        counts = [len(line.readings(unit)) for unit in line.units]
+        assert max(counts) - min(counts) <= 1
+        assert sum(counts) / 600 > 37.0
+        assert len({(value.unit, value.number) for value in line.parameters()}) == 8 * 40
+
+    run(scene, 8)
