@@ -46,13 +46,16 @@ def test_writes_leave_before_their_deadline_or_not_at_all() -> None:
 def test_the_same_seed_gives_the_same_bytes() -> None:
     async def scene(line: VirtualLine) -> list[tuple[float, bytes]]:
         spoil(line)
+        await asyncio.sleep(1.0)
         draw = random.Random(4)
         for _ in range(20):
             await line.ask(SetSpeed(draw.randint(1, UNITS), draw.randint(0, 1500)))
         return line.written
 
-    assert run(scene, UNITS, seed=9) == run(scene, UNITS, seed=9)
-    assert run(scene, UNITS, seed=9) != run(scene, UNITS, seed=10)
+    first = run(scene, UNITS, seed=9)
+    assert len(first) > 100
+    assert run(scene, UNITS, seed=9) == first
+    assert run(scene, UNITS, seed=10) != first
 
 
 def test_ten_minutes_without_a_fault_tell_every_unit_alike() -> None:
