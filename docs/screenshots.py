@@ -24,6 +24,7 @@ PHONE = (390, 844)
 TOML = '[site]\nname = "Coater 2"\nsimulated = true\n'
 SETTLE_MS = 4000
 """For deviation bars and short trends to fill."""
+DECELERATION = 7
 
 Scheme = Literal["light", "dark"]
 
@@ -48,11 +49,13 @@ def main() -> int:
 
 
 def _work_on(served: Site) -> None:
-    """One section off speed, one in LOCAL, an output switched."""
+    """One section in LOCAL, one on a long ramp, an output switched, every parameter read."""
     served.line.remote.do("mode", unit=5, to="local")
+    served.line.remote.do("parameter", unit=7, number=DECELERATION, raw=3000)
     with served.api("operator") as client:
         client.put("/buses/line/units/3/outputs/1", json={"on": True}).raise_for_status()
-        client.post("/buses/line/units/7/speed", json={"value": "150.0", "execute": True}).raise_for_status()
+        client.post("/buses/line/units/7/speed", json={"value": "60.0", "execute": True}).raise_for_status()
+        client.get("/buses/line/units/3/parameters?refresh=true", timeout=60).raise_for_status()
 
 
 def _picture(
