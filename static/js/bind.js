@@ -11,11 +11,8 @@ const UNKNOWN = "–";
 const FIGURE_SPACE = "\u2007";
 
 function textOf(element) {
-  let text = element.firstChild;
-  if (text?.nodeType !== Node.TEXT_NODE || text.nextSibling) {
-    element.textContent = element.textContent;
-    text = element.firstChild ?? element.appendChild(document.createTextNode(""));
-  }
+  const text = document.createTextNode(element.textContent);
+  element.replaceChildren(text);
   const empty = element.dataset.empty ?? UNKNOWN;
   const width = Number(element.dataset.width ?? 0);
   return (value) => {

@@ -55,7 +55,8 @@ function swallow(event) {
   if (cover) {
     event.preventDefault();
     event.stopImmediatePropagation();
-    if (cover.dataset.cleaning === undefined && (event.type === "click" || event.type === "keydown")) uncover();
+    if (cover.dataset.cleaning === undefined && (event.type === "click" || event.type === "keydown"))
+      uncover();
   }
   touchedAt = performance.now();
 }
@@ -89,7 +90,8 @@ export function start() {
     if (event.target.closest("[data-clean]")) clean();
     if (event.target.closest("[data-full-screen]")) toggleFullScreen();
   });
-  for (const item of document.querySelectorAll("[data-full-screen-item]")) item.hidden = !document.fullscreenEnabled;
+  for (const item of document.querySelectorAll("[data-full-screen-item]"))
+    item.hidden = !document.fullscreenEnabled;
   if (home === undefined) return;
   listen("line", (fields) => {
     verdict = fields.verdict ?? "";

@@ -1,8 +1,9 @@
 // The link to the server: a socket that only listens. Hello is a whole snapshot, then numbered changes.
 // Silence counts as loss: within two seconds the page says so, and takes its controls away.
-import * as clock from "./clock.js";
+
 import { replace, show, value } from "./bind.js";
-import { word, span, language } from "./words.js";
+import * as clock from "./clock.js";
+import { language, span, word } from "./words.js";
 
 const SILENCE_S = 1.9;
 const CHECK_MS = 200;
@@ -91,8 +92,10 @@ function beat(serverTime) {
   const second = Math.floor(serverTime);
   if (second === beaten) return;
   beaten = second;
-  for (const hand of document.querySelectorAll("[data-pulse]")) hand.style.rotate = `${(second % 12) * 30}deg`;
-  for (const text of document.querySelectorAll("[data-clock]")) text.textContent = clockFormat.format(second * 1000);
+  for (const hand of document.querySelectorAll("[data-pulse]"))
+    hand.style.rotate = `${(second % 12) * 30}deg`;
+  for (const text of document.querySelectorAll("[data-clock]"))
+    text.textContent = clockFormat.format(second * 1000);
 }
 
 // --- lost and found -----------------------------------------------------------------------------------
@@ -125,7 +128,12 @@ function found() {
 
 function describe() {
   if (body.dataset.link !== "lost") return;
-  const names = { closed: "causeClosed", silent: "causeSilent", offline: "causeOffline", login: "causeLogin" };
+  const names = {
+    closed: "causeClosed",
+    silent: "causeSilent",
+    offline: "causeOffline",
+    login: "causeLogin",
+  };
   document.querySelector("[data-gone-cause]").textContent = word(names[cause]);
   document.querySelector("[data-gone-since]").textContent = clockFormat.format(lostSince * 1000);
   document.querySelector("[data-gone-for]").textContent = span(clock.now() - lostSince);
@@ -133,7 +141,11 @@ function describe() {
 
 async function askWhy() {
   try {
-    const answer = await fetch("/account", { redirect: "manual", cache: "no-store", signal: AbortSignal.timeout(2000) });
+    const answer = await fetch("/account", {
+      redirect: "manual",
+      cache: "no-store",
+      signal: AbortSignal.timeout(2000),
+    });
     if (answer.type === "opaqueredirect" || answer.status === 401) location.reload();
   } catch {
     // No answer at all: the overlay says so already.

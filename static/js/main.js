@@ -1,14 +1,14 @@
 // Every page begins here.
 import { rebind } from "./bind.js";
+import * as kiosk from "./kiosk.js";
 import * as live from "./live.js";
+import * as minutes from "./minutes.js";
+import * as people from "./people.js";
 import * as quality from "./quality.js";
-import * as strip from "./strip.js";
 import * as review from "./review.js";
 import * as setter from "./setter.js";
+import * as strip from "./strip.js";
 import * as trace from "./trace.js";
-import * as people from "./people.js";
-import * as kiosk from "./kiosk.js";
-import * as minutes from "./minutes.js";
 
 rebind();
 quality.findUnits();
@@ -20,7 +20,9 @@ trace.start();
 people.start();
 kiosk.start();
 minutes.start();
-live.follow([...new Set([...document.querySelectorAll("[data-watch-unit]")].map((element) => element.dataset.watchUnit))]);
+live.follow([
+  ...new Set([...document.querySelectorAll("[data-watch-unit]")].map((element) => element.dataset.watchUnit)),
+]);
 live.start();
 document.addEventListener("lineside:changed", quality.findUnits);
 document.addEventListener("lineside:found", quality.findUnits);

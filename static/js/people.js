@@ -3,12 +3,15 @@ import { listen } from "./bind.js";
 
 function draw(here) {
   for (const list of document.querySelectorAll("[data-people]")) {
-    const items = here.split("\n").filter(Boolean).map((line) => {
-      const [name, role] = line.split("\t");
-      const item = document.createElement("li");
-      item.textContent = `${name} · ${role}`;
-      return item;
-    });
+    const items = here
+      .split("\n")
+      .filter(Boolean)
+      .map((line) => {
+        const [name, role] = line.split("\t");
+        const item = document.createElement("li");
+        item.textContent = `${name} · ${role}`;
+        return item;
+      });
     list.replaceChildren(...items);
   }
 }

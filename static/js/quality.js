@@ -1,8 +1,9 @@
 // How old every value is, against the server's clock. What the server says of a unit can be made worse here,
 // never better: if the page stops hearing of a unit, its values grow stale by themselves.
-import * as clock from "./clock.js";
+
 import { fieldsOf } from "./bind.js";
-import { word, span } from "./words.js";
+import * as clock from "./clock.js";
+import { span, word } from "./words.js";
 
 const CHECK_MS = 250;
 let units = [];
@@ -11,8 +12,14 @@ let turn = 0;
 
 /** Find the containers again: once, and after a fragment came in. */
 export function findUnits() {
-  units = [...document.querySelectorAll("[data-unit]")].map((element) => ({ element, unit: element.dataset.unit }));
-  ages = [...document.querySelectorAll("[data-age]")].map((element) => ({ element, unit: element.dataset.age }));
+  units = [...document.querySelectorAll("[data-unit]")].map((element) => ({
+    element,
+    unit: element.dataset.unit,
+  }));
+  ages = [...document.querySelectorAll("[data-age]")].map((element) => ({
+    element,
+    unit: element.dataset.age,
+  }));
   check();
 }
 

@@ -1,8 +1,8 @@
 // The review dialog: focus rests on Cancel, Enter does not execute, it lapses after 30 s or when the value has
 // moved, and nothing leaves while the server is not heard.
-import { value, listen, rebind } from "./bind.js";
-import { isLive } from "./live.js";
+import { listen, rebind, value } from "./bind.js";
 import * as clock from "./clock.js";
+import { isLive } from "./live.js";
 import { word } from "./words.js";
 
 const LAPSE_MS = 30_000;
@@ -87,7 +87,10 @@ function asked(form) {
 }
 
 /** An identity for a command that has no review: what is posted twice is carried out once. */
-const newId = () => Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+const newId = () =>
+  Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join(
+    "",
+  );
 
 export function start() {
   if (!dialog) return;
@@ -104,7 +107,8 @@ export function start() {
   });
   dialog.addEventListener("input", (event) => {
     const typed = event.target.closest("[data-typed]");
-    if (typed) content.querySelector("[data-review-act]").disabled = typed.value.trim() !== typed.dataset.typed;
+    if (typed)
+      content.querySelector("[data-review-act]").disabled = typed.value.trim() !== typed.dataset.typed;
   });
   document.addEventListener("lineside:lost", dismiss);
 

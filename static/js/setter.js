@@ -3,7 +3,9 @@
 import { listen, value } from "./bind.js";
 import { language } from "./words.js";
 
-const DECIMAL_SIGN = new Intl.NumberFormat(language).formatToParts(1.5).find((part) => part.type === "decimal").value;
+const DECIMAL_SIGN = new Intl.NumberFormat(language)
+  .formatToParts(1.5)
+  .find((part) => part.type === "decimal").value;
 
 /** The number a person typed, comma or point, or NaN. Empty is not zero. */
 export function numberOf(text) {
@@ -37,7 +39,8 @@ function press(input, key) {
   const whole = input.selectionStart === 0 && input.selectionEnd === input.value.length;
   const fresh = input.dataset.touched === undefined || whole;
   if (key === "erase") input.value = fresh ? "" : input.value.slice(0, -1);
-  else if (key.length === 1 && (fresh ? "" : input.value).length < input.maxLength) input.value = (fresh ? "" : input.value) + key;
+  else if (key.length === 1 && (fresh ? "" : input.value).length < input.maxLength)
+    input.value = (fresh ? "" : input.value) + key;
   input.setSelectionRange(input.value.length, input.value.length);
   input.dispatchEvent(new Event("input", { bubbles: true }));
 }
@@ -75,15 +78,22 @@ export function start() {
   document.addEventListener("click", (event) => {
     const button = event.target.closest("[data-pad], [data-use], [data-together-do]");
     if (!button) return;
-    if (button.dataset.pad) press(document.getElementById(button.closest("[data-pad-for]").dataset.padFor), button.dataset.pad);
+    if (button.dataset.pad)
+      press(document.getElementById(button.closest("[data-pad-for]").dataset.padFor), button.dataset.pad);
     else if (button.dataset.togetherDo) together(button.closest("form"), button.dataset.togetherDo);
     else {
-      const input = button.closest("form")?.querySelector("input:not([type=hidden])") ?? document.getElementById("setpoint");
+      const input =
+        button.closest("form")?.querySelector("input:not([type=hidden])") ??
+        document.getElementById("setpoint");
       input.value = button.dataset.use;
       input.dispatchEvent(new Event("input", { bubbles: true }));
       input.focus();
     }
   });
   // Scrolling never changes a value.
-  document.addEventListener("wheel", (event) => event.target.matches?.("input[type=number]") && event.target.blur(), { passive: true });
+  document.addEventListener(
+    "wheel",
+    (event) => event.target.matches?.("input[type=number]") && event.target.blur(),
+    { passive: true },
+  );
 }

@@ -6,7 +6,7 @@ const title = document.title;
 function drawing(level) {
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   const use = document.createElementNS("http://www.w3.org/2000/svg", "use");
-  use.setAttribute("href", document.body.dataset.sprite + "#" + level);
+  use.setAttribute("href", `${document.body.dataset.sprite}#${level}`);
   svg.setAttribute("class", "icon");
   svg.setAttribute("aria-hidden", "true");
   svg.append(use);

@@ -3,7 +3,13 @@ import { follow } from "./live.js";
 import { language } from "./words.js";
 
 const MOST_LINES = 400;
-const time = new Intl.DateTimeFormat(language, { hour: "2-digit", minute: "2-digit", second: "2-digit", fractionalSecondDigits: 3, hourCycle: "h23" });
+const time = new Intl.DateTimeFormat(language, {
+  hour: "2-digit",
+  minute: "2-digit",
+  second: "2-digit",
+  fractionalSecondDigits: 3,
+  hourCycle: "h23",
+});
 
 function cell(text) {
   const span = document.createElement("span");
@@ -15,7 +21,12 @@ function line(frame) {
   const row = document.createElement("div");
   row.className = "frames__line";
   if (!frame.valid) row.dataset.valid = "no";
-  row.append(cell(time.format(frame.at * 1000)), cell(frame.direction === "out" ? "→" : "←"), cell(frame.hex), cell(frame.meaning));
+  row.append(
+    cell(time.format(frame.at * 1000)),
+    cell(frame.direction === "out" ? "→" : "←"),
+    cell(frame.hex),
+    cell(frame.meaning),
+  );
   return row;
 }
 
