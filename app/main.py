@@ -16,8 +16,8 @@ from app.auth import pages as auth_pages
 from app.auth import users
 from app.auth.access import Identify
 from app.commands import api as commands_api
+from app.commands import baud_pages, safeguards_api, trace_api
 from app.commands import pages as commands_pages
-from app.commands import safeguards_api, trace_api
 from app.feed import socket as feed
 from app.history import api as history_api
 from app.history import pages as history_pages
@@ -59,6 +59,7 @@ FEATURES = (
     history_pages,
     sets_api,
     sets_pages,
+    baud_pages,
     batch_pages,
     swap_pages,
     recipes_api,

@@ -62,6 +62,12 @@ class OutputBody(Body):
     on: bool
 
 
+class BaudBody(Body):
+    """The baud rate that every unit of a bus shall have (#18)."""
+
+    baud: int
+
+
 class AnalogOutputBody(Body):
     """The value of 88h, #29 to #30."""
 

@@ -1,0 +1,42 @@
+"""The baud rate of a whole line: reviewed, typed, changed at every unit, proven, or taken back."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Form
+from starlette.responses import Response
+
+from app.commands.forms import Desks, new_id
+from app.errors import Problem
+from app.web.access import Engineer
+from bus.contract import ChangeBaud
+from bus.settings import BAUDS
+
+router = APIRouter(prefix="/bus/{bus}/baud", include_in_schema=False)
+CHANGE_S = 30.0
+"""Every unit written, looked for at two rates, and written back if need be."""
+
+
+@router.get("")
+async def review(_: Engineer, desk: Desks, bus: str, baud: int) -> Response:
+    """The second step; nothing has been sent."""
+    live = desk.bus(bus)
+    if baud not in BAUDS:
+        raise Problem(422, "invalid", f"a unit speaks at {', '.join(map(str, BAUDS))} baud")
+    return desk.render("bus/_review_baud.html", bus=live, baud=baud, command_id=new_id())
+
+
+@router.post("")
+async def change(
+    person: Engineer,
+    desk: Desks,
+    bus: str,
+    baud: Annotated[int, Form()],
+    id: Annotated[str, Form(min_length=8, max_length=200)],
+) -> Response:
+    """Change it at every unit; the fate of each."""
+    desk.refuse_late()
+    live = desk.bus(bus)
+    result = await desk.ask(person, bus, ChangeBaud(baud=baud), id, CHANGE_S)
+    return desk.render("bus/_baud_done.html", bus=live, baud=baud, fate=desk.fate(result), result=result)
