@@ -6,7 +6,7 @@ A hole is where the worker said that the unit or its port fell silent. Where nob
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import sub
@@ -48,11 +48,17 @@ def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> lis
     found = {i for i, silent in enumerate(differences) if silent > limit}
     found |= {i for i in _before(times, marks.lost) if differences[i] > width}
     short = width + max(SHORT_SILENCE, FEW_INTERVALS * usual)
-    early = [mark - usual for mark in marks.found]
-    found |= {i for i in _before(times, [*marks.found, *early]) if differences[i] > short}
+    found |= {i for i in _ended_by(times, marks.found, usual) if differences[i] > short}
     return sorted(found)
 
 
 def _before(times: Sequence[int], marks: Sequence[int]) -> set[int]:
     positions = {bisect_left(times, mark) - 1 for mark in marks}
+    return {i for i in positions if 0 <= i < len(times) - 1}
+
+
+def _ended_by(times: Sequence[int], marks: Sequence[int], usual: int) -> set[int]:
+    """Before which reading a silence ended: the one just before the mark, which it speaks of, or the next."""
+    last = [(mark, bisect_right(times, mark) - 1) for mark in marks]
+    positions = {i - 1 if i >= 0 and mark - times[i] <= usual else i for mark, i in last}
     return {i for i in positions if 0 <= i < len(times) - 1}

@@ -42,6 +42,13 @@ def test_found_again_after_a_silence_is_one() -> None:
     place = times.index(4 * SECOND)
     assert holes(times, Marks(found=[8 * SECOND]), USUAL) == [place]
     assert holes(times, Marks(found=[8 * SECOND + 100]), USUAL) == [place]
+    assert holes(times, Marks(found=[7 * SECOND]), USUAL) == [place]
+
+
+def test_a_pause_after_the_first_answer_is_no_second_hole() -> None:
+    """Right after a unit was found its parameters are read."""
+    times = [*without(4 * SECOND, 20 * SECOND)[:21], 8 * SECOND, 10 * SECOND, 10 * SECOND + USUAL]
+    assert holes(times, Marks(found=[8 * SECOND + 100]), USUAL) == [20]
 
 
 def test_found_without_a_silence_is_none() -> None:
