@@ -31,15 +31,17 @@ class Opener:
         self._lost: asyncio.Future[str] | None = None
         self._port: OpenPort | None = None
         self._cause = ""
+        self._listener: _Listener | None = None
         poller.lost = self._is_lost
 
     async def run(self) -> None:
         """Until cancelled, which closes the port."""
         try:
             while True:
+                began = self._poller.clock.now()
                 if await self._try():
                     await self._until_lost()
-                else:
+                if self._poller.clock.now() - began < RETRY_S:
                     await asyncio.sleep(RETRY_S)
         finally:
             self.close()
@@ -50,15 +52,12 @@ class Opener:
             self._port.close()
             self._port = None
 
-    async def reopen(self) -> None:
-        """Close and open it, for another baud rate."""
-        self._is_lost("")
-
     async def _try(self) -> bool:
         poller = self._poller
         self._lost = asyncio.get_running_loop().create_future()
+        self._listener = _Listener(self)
         try:
-            self._port = await self._open(poller.bus.port, poller.baud, _Listener(self))
+            self._port = await self._open(poller.bus.port, poller.baud, self._listener)
         except WireError as error:
             self._tell(str(error))
             poller.still_closed(str(error))
@@ -94,28 +93,25 @@ class Opener:
             _log.warning("port closed; it is tried again until it is there", cause=cause)
         self._cause = cause
 
-    def data_received(self, data: bytes) -> None:
-        """From the port that is open now."""
-        self._poller.link.data_received(data)
+    def heard(self, listener: _Listener, data: bytes) -> None:
+        """Bytes of one opening; of an old one they mean nothing any more."""
+        if listener is self._listener:
+            self._poller.link.data_received(data)
 
-    def listens(self, listener: _Listener) -> bool:
-        """Whether ``listener`` belongs to the newest port."""
-        return self._newest is listener
-
-    _newest: _Listener | None = None
+    def ended(self, listener: _Listener, cause: str) -> None:
+        """One opening is over."""
+        if listener is self._listener:
+            self._poller.port_lost(cause)
 
 
 class _Listener:
-    """Hears one opening of the port, and only while it is the newest."""
+    """Hears one opening of the port."""
 
     def __init__(self, opener: Opener) -> None:
         self._opener = opener
-        opener._newest = self
 
     def data_received(self, data: bytes) -> None:
-        if self._opener.listens(self):
-            self._opener.data_received(data)
+        self._opener.heard(self, data)
 
     def connection_lost(self, cause: str) -> None:
-        if self._opener.listens(self):
-            self._opener._poller.port_lost(cause)
+        self._opener.ended(self, cause)

@@ -26,6 +26,7 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.line.poller import LOOK_ELSEWHERE_S
+from bus.line.port import OpenPort, Receiver
 from bus.simulator.faults import Kind
 from bus.simulator.memory import Prm
 from bus.simulator.record import Happened
@@ -208,6 +209,28 @@ def test_a_port_that_is_absent_at_start_is_waited_for() -> None:
     run(scene, 2)
 
 
+def test_a_port_that_opens_and_is_gone_at_once_is_not_hammered() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        opened = 0
+        whole = line._open
+
+        async def and_gone(port: str, baud: int, receiver: Receiver) -> OpenPort:
+            nonlocal opened
+            opened += 1
+            there = await whole(port, baud, receiver)
+            line.loop.call_later(0.001, receiver.connection_lost, "the server closed the connection")
+            return there
+
+        line.worker._opener._open = and_gone
+        line.unplug()
+        line.plug()
+        await asyncio.sleep(10)
+        assert 5 < opened < 25
+
+    run(scene, 2)
+
+
 def test_a_flood_that_never_frames_holds_nothing_up() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
@@ -319,7 +342,6 @@ def test_a_secret_is_read_but_its_frames_are_not_kept() -> None:
 def test_a_scan_between_the_polls_finds_whoever_is_there() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        began = line.loop.time()
         fate = await line.ask(ScanBus(1, 8), within_s=300)
         assert fate.outcome == "verified"
         assert [(found.unit, found.kind) for found in fate.found] == [(u, "digimax") for u in range(1, 6)]
