@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
@@ -63,9 +65,10 @@ def shown(asked: Question, found: Answer, times: str) -> dict[str, Any]:
     }
 
 
-def json_response(content: object) -> Response:
-    """Long columns as JSON, quickly."""
-    return Response(msgspec.json.encode(content), media_type="application/json")
+async def json_response(content: Callable[[], object]) -> Response:
+    """Long columns as JSON, made in a thread so that the event loop goes on."""
+    body = await asyncio.to_thread(lambda: msgspec.json.encode(content()))
+    return Response(body, media_type="application/json")
 
 
 @router.get("", response_class=Response)
@@ -88,7 +91,7 @@ async def get_history(
     """
     asked = question(history, bus, unit, value, span, points)
     (found,) = await history.ask([asked])
-    return json_response(shown(asked, found, times))
+    return await json_response(lambda: shown(asked, found, times))
 
 
 @router.get("/series", response_class=Response)
@@ -103,7 +106,7 @@ async def get_series(
     """Several values at once, each named ``bus/unit/value`` (1 to 32): a list of what GET /history gives."""
     asked = questions(history, series, span, points)
     found = await history.ask(asked)
-    return json_response([shown(q, a, times) for q, a in zip(asked, found, strict=True)])
+    return await json_response(lambda: [shown(q, a, times) for q, a in zip(asked, found, strict=True)])
 
 
 @router.get("/sparks", response_class=Response)
@@ -116,8 +119,11 @@ async def get_sparks(
         raise Problem(422, "invalid", f"series: at most {MOST_SPARKS}, not {len(series)}")
     asked = [named_question(history, name, span, SPARK_POINTS) for name in series]
     found = await history.ask(asked)
-    columns = [{"t": [seconds(t) for t in a.series.at], "avg": a.series.average} for a in found]
-    return json_response(dict(zip(series, columns, strict=True)))
+    return await json_response(lambda: {name: _small(a) for name, a in zip(series, found, strict=True)})
+
+
+def _small(found: Answer) -> dict[str, Any]:
+    return {"t": [seconds(t) for t in found.series.at], "avg": found.series.average}
 
 
 @router.get("/marks", response_class=Response)
@@ -130,7 +136,7 @@ async def get_marks(
     """What happened over a span, oldest first: events (setpoint changes too) of the site and of each
     ``bus/unit`` named. At most 500, the newest; ``more`` says that there were more."""
     marks, more = await collect_marks(events, span, unit or [])
-    return json_response({"marks": marks, "more": more})
+    return await json_response(lambda: {"marks": marks, "more": more})
 
 
 @router.get("/status")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import csv
 import io
 from collections.abc import AsyncIterator, Sequence
@@ -17,7 +18,11 @@ async def stream(table: Table, pieces: AsyncIterator[list[Row]]) -> AsyncIterato
     site = zone(table.time_zone)
     yield lines([[f"time [{site}]", *table.columns, "note"]])
     async for rows in pieces:
-        yield lines([_line(row, site) for row in rows])
+        yield await asyncio.to_thread(_text_of, rows, site)
+
+
+def _text_of(rows: Sequence[Row], site: tzinfo) -> str:
+    return lines([_line(row, site) for row in rows])
 
 
 def _line(row: Row, site: tzinfo) -> list[str]:

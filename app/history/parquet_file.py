@@ -5,6 +5,7 @@ pyarrow is large, so it is imported when the first such export is asked for.
 
 from __future__ import annotations
 
+import asyncio
 import io
 from collections.abc import AsyncIterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -31,11 +32,11 @@ async def stream(table: Table, pieces: AsyncIterator[list[Row]]) -> AsyncIterato
         async for rows in pieces:
             waiting += rows
             if len(waiting) >= GROUP_ROWS:
-                writer.write_table(_table(pyarrow, schema, waiting))
+                await asyncio.to_thread(_write, pyarrow, writer, waiting)
                 waiting = []
                 yield sink.taken()
         if waiting:
-            writer.write_table(_table(pyarrow, schema, waiting))
+            await asyncio.to_thread(_write, pyarrow, writer, waiting)
     yield sink.taken()
 
 
@@ -46,6 +47,10 @@ def _schema(arrow: Any, table: Table) -> pyarrow.Schema:
     fields += [(name, arrow.float64()) for name in table.columns]
     fields.append(("note", arrow.string()))
     return arrow.schema(fields, metadata={"time_zone": site, "resolution": table.fineness})
+
+
+def _write(arrow: Any, writer: Any, rows: Sequence[Row]) -> None:
+    writer.write_table(_table(arrow, writer.schema, rows))
 
 
 def _table(arrow: Any, schema: pyarrow.Schema, rows: Sequence[Row]) -> pyarrow.Table:
