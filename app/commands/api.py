@@ -14,6 +14,7 @@ from starlette.responses import Response
 from app.commands.answers import FateShown, answer
 from app.commands.bodies import (
     AnalogOutputBody,
+    BaudBody,
     Body,
     OutputBody,
     ParameterBody,
@@ -34,6 +35,7 @@ from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS
 from bus.contract import (
     Action,
+    ChangeBaud,
     ExecuteAll,
     ExecuteSpeed,
     ReadParameters,
@@ -151,6 +153,12 @@ async def write_output(person: Operator, ask: Ask, unit: int, number: int, body:
 async def write_analog_output(person: Engineer, ask: Ask, unit: int, body: AnalogOutputBody) -> Response:
     """88h: acknowledged at best, for there is nothing to read back."""
     return await ask.ask(person, WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
+
+
+@router.post("/baud", responses=FATE)
+async def change_baud(person: Engineer, ask: Ask, body: BaudBody) -> Response:
+    """#18 of every unit, the host after them, every unit proven; taken back by itself where one is lost."""
+    return await ask.ask(person, ChangeBaud(baud=body.baud), body)
 
 
 @router.get("/units/{unit:int}/parameters", response_model=list[ParameterShown])
