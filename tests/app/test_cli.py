@@ -185,10 +185,15 @@ def test_no_store_and_no_log(lineside: Shell) -> None:
 def test_a_store_that_is_none(lineside: Shell) -> None:
     lineside.store.parent.mkdir()
     lineside.store.write_bytes(b"nonsense" * 200)
-    for words in (("audit", "verify"), ("user", "list"), ("serve",)):
+    for words in (("audit", "verify"), ("user", "list")):
         code, _, err = lineside(*words)
         assert code == 1, words
         assert "it is not a Lineside store, or damaged" in err
+    call = [sys.executable, "-m", "app.cli", "serve", "--config", str(lineside.config)]
+    lineside.config.write_text("[server]\nport = 0\n" + CONFIG)
+    served = subprocess.run(call, capture_output=True, text=True)
+    assert (served.returncode, served.stdout) == (1, "")
+    assert "it is not a Lineside store, or damaged" in served.stderr
 
 
 def test_a_worker_without_its_bus(lineside: Shell) -> None:
