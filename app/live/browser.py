@@ -21,9 +21,11 @@ MOST_FRAMES = 300
 """Frames of the trace kept for a browser that cannot keep up; older ones are dropped and counted."""
 
 FLOOD = 60
+FLOOD_OF_ALL = 1000
 WINDOW_S = 0.25
 """More changes than this within a window, which is more than six full wires bring, and the page is told once
-in a window until it is quieter: it could not draw them all, and its device has other things to do."""
+in a window until it is quieter: it could not draw them all, and its device has other things to do. So with
+very many pages, whose share of ``FLOOD_OF_ALL`` is smaller: the server has other things to do."""
 
 encode = msgspec.json.Encoder().encode
 
@@ -50,6 +52,7 @@ class Flow:
     """How much there was to tell a page lately, by a monotonic clock in seconds."""
 
     clock: Callable[[], float] = time.monotonic
+    most: int = FLOOD
     _began: float = 0.0
     _count: int = 0
     _flooded: bool = False
@@ -58,13 +61,13 @@ class Flow:
         """There is something new for the page."""
         now = self.clock()
         if now - self._began >= WINDOW_S:
-            self._flooded = self._count > FLOOD and now - self._began < 2 * WINDOW_S
+            self._flooded = self._count > self.most and now - self._began < 2 * WINDOW_S
             self._began, self._count = now, 0
         self._count += 1
 
     def pause_s(self) -> float:
         """How long to wait before telling it: nothing unless there is a flood."""
-        if self._flooded or self._count > FLOOD:
+        if self._flooded or self._count > self.most:
             return max(0.0, self._began + WINDOW_S - self.clock())
         return 0.0
 
@@ -83,6 +86,10 @@ class Browser:
     _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
     _wake: asyncio.Event = field(default_factory=asyncio.Event)
     _flow: Flow = field(default_factory=Flow)
+
+    def share(self, pages: int) -> None:
+        """So many pages are open in all."""
+        self._flow.most = min(FLOOD, max(1, FLOOD_OF_ALL // pages))
 
     def tell(self, diff: Diff) -> None:
         """Newest wins: merged with what has not been sent."""

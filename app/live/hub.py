@@ -78,11 +78,13 @@ class Hub:
         self.screen(browser.language)
         self._browsers.append(browser)
         self.send_snapshot(browser)
+        self._share()
         self._publish_people()
 
     def leave(self, browser: Browser) -> None:
         """A page closed."""
         self._browsers.remove(browser)
+        self._share()
         self._tell_watched()
         self._publish_people()
 
@@ -193,6 +195,10 @@ class Hub:
             diff = Diff.of(before, before + 1, self._clock(), groups)
             for browser in readers:
                 browser.tell(diff)
+
+    def _share(self) -> None:
+        for browser in self._browsers:
+            browser.share(len(self._browsers))
 
     def _publish_people(self) -> None:
         roles = {browser.name: browser.role for browser in self._browsers}

@@ -15,6 +15,7 @@ export function findUnits() {
   units = [...document.querySelectorAll("[data-unit]")].map((element) => ({
     element,
     unit: element.dataset.unit,
+    marked: "",
   }));
   ages = [...document.querySelectorAll("[data-age]")].map((element) => ({
     element,
@@ -43,9 +44,9 @@ function ageOf(unit) {
 
 function check() {
   if (document.body.dataset.link !== "live") return;
-  for (const { element, unit } of units) {
-    const quality = qualityOf(unit);
-    if (element.dataset.quality !== quality) mark(element, quality);
+  for (const one of units) {
+    const quality = qualityOf(one.unit);
+    if (one.marked !== quality) mark(one, quality);
   }
   if (turn++ % 4 === 0) {
     for (const { element, unit } of ages) {
@@ -55,9 +56,10 @@ function check() {
   }
 }
 
-function mark(element, quality) {
-  element.dataset.quality = quality;
-  for (const acts of element.querySelectorAll(".acts")) acts.inert = quality !== "online";
+function mark(one, quality) {
+  one.marked = quality;
+  one.element.dataset.quality = quality;
+  for (const acts of one.element.querySelectorAll(".acts")) acts.inert = quality !== "online";
 }
 
 export const start = () => setInterval(check, CHECK_MS);

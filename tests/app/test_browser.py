@@ -83,3 +83,13 @@ def test_a_flood_is_told_once_in_a_window_until_it_is_over() -> None:
     now[0] += WINDOW_S
     made.came()
     assert made.pause_s() == 0.0, "that window was quiet"
+
+
+def test_very_many_pages_share_what_the_server_can_send() -> None:
+    browser = Browser("anna", "operator", "en")
+    browser.share(20)
+    assert browser._flow.most == 50
+    browser.share(200)
+    assert browser._flow.most == 5
+    browser.share(1)
+    assert browser._flow.most == FLOOD

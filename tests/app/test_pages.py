@@ -1,0 +1,98 @@
+"""The pages of the line as the server sends them, and what makes them an app on a device."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from app.live.pages import digits_of, view_for
+from app.web.access import Role
+from bus.contract import ParameterValue
+from tests.app.screens import line
+from tests.app.whole_app import House, whole_app
+
+PAGES = ["/", "/units/dry-end/1", "/units/dry-end/1/parameters", "/setpoints", "/bus/dry-end"]
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+@pytest.mark.parametrize(
+    ("units", "view"),
+    [(0, "tiles"), (12, "tiles"), (13, "rows"), (40, "rows"), (41, "board"), (255, "board")],
+)
+def test_the_view_follows_the_number_of_units(units: int, view: str) -> None:
+    assert view_for(units) == view
+
+
+@pytest.mark.parametrize(("decimals", "span", "digits"), [(0, 2000, 4), (1, 2000, 5), (4, 99, 6), (2, 0, 6)])
+def test_a_number_has_room_for_the_highest_speed(decimals: int, span: int, digits: int) -> None:
+    live = line()
+    values = [ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((2, span), (3, decimals))]
+    live.apply("dry", list(values))
+    assert digits_of(live.buses["dry"].units[1]) == digits
+
+
+@pytest.mark.parametrize("path", PAGES)
+async def test_no_page_has_a_style_or_a_script_of_its_own(house: House, path: str) -> None:
+    page = await (await house.program(Role.ENGINEER)).get(path)
+    assert page.status_code == 200
+    assert not re.search(r"\sstyle=|<style|\son[a-z]+=|javascript:", page.text)
+    assert all(' src="' in tag for tag in re.findall(r"<script[^>]*>", page.text))
+
+
+@pytest.mark.parametrize("path", PAGES)
+async def test_nothing_is_called_stop(house: House, path: str) -> None:
+    page = await (await house.program(Role.ENGINEER)).get(path)
+    buttons = re.findall(r"<button[^>]*>(.*?)</button>", page.text, re.DOTALL)
+    assert buttons
+    assert not [button for button in buttons if re.search(r"\bstop\b", button, re.IGNORECASE)]
+
+
+async def test_a_unit_that_is_not_there_is_said_in_words(house: House) -> None:
+    page = await (await house.program(Role.VIEWER)).get("/units/dry-end/200")
+    assert page.status_code == 404
+    assert "200" in page.text
+
+
+async def test_the_view_is_remembered(house: House) -> None:
+    client = await house.program(Role.VIEWER)
+    answer = await client.get("/?view=board")
+    assert answer.cookies["lineside_view"] == "board"
+    assert (await client.get("/?view=nonsense")).status_code == 422
+
+
+async def test_the_manifest_names_the_app(house: House) -> None:
+    manifest = (await house.client().get("/manifest.webmanifest")).json()
+    assert (manifest["start_url"], manifest["display"]) == ("/", "standalone")
+    for icon in manifest["icons"]:
+        assert (await house.client().get(icon["src"])).status_code == 200
+
+
+async def test_the_service_worker_keeps_only_the_offline_page(house: House) -> None:
+    worker = await house.client().get("/sw.js")
+    assert worker.headers["content-type"].startswith("text/javascript")
+    kept = re.search(r"const KEPT = (\[.*?\]);", worker.text)
+    assert kept is not None
+    assert all("/css/" in name or "/icons/" in name or "theme.js" in name for name in json.loads(kept[1]))
+
+
+async def test_a_press_without_its_review_is_refused(house: House) -> None:
+    client = await house.program(Role.OPERATOR)
+    assert (await client.post("/units/dry-end/1/speed", data={"raw": "100"})).status_code == 422
+
+
+async def test_an_old_press_sends_nothing_and_says_so(house: House) -> None:
+    client = await house.program(Role.OPERATOR)
+    form = {"raw": "100", "id": "a1", "how": "now", "reviewed_at": "1.0", "was": ""}
+    late = await client.post("/units/dry-end/1/speed", data=form, headers={"Lineside-Asked-At": "1.0"})
+    assert (late.status_code, "too late" in late.text) == (409, True)
+    lapsed = await client.post("/units/dry-end/1/speed", data=form)
+    assert (lapsed.status_code, "lapsed" in lapsed.text) == (409, True)
