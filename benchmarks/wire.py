@@ -21,6 +21,7 @@ from bus.simulator.demo import demo_line
 from bus.simulator.faults import Faults, Kind
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
+from bus.simulator.record import Entry, Happened
 from bus.simulator.serve import LineServer
 from tests.e2e.site import end
 
@@ -28,8 +29,11 @@ UNITS = 8
 BAUD = 9600
 POLL_BYTES = 25
 WIRE_ITSELF = BAUD / BITS_PER_BYTE / POLL_BYTES
-WARM_UP_S = 15.0
-"""By then the worker has read what it needs beside the polls."""
+SETTLING_S = 5.0
+LONGEST_SETTLING = 20
+READ_PARAMETER = 0x85
+READS_OF_A_SETTLED_HOST = 10
+"""In ``SETTLING_S``: a worker that knows all parameters looks now and then whether one was changed."""
 MEASURED_S = 20.0
 DEAD = 3
 
@@ -69,24 +73,46 @@ def _show_dead_unit() -> None:
 
 def _measure(host: Host, line: Any) -> tuple[Seen, float, float]:
     """What the line saw of a host, its share of a core, and its memory in MiB."""
-    with tempfile.TemporaryDirectory() as name, _hosted(host, line, Path(name)) as process:
-        time.sleep(WARM_UP_S)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        LineServer(line, PtyPort(baud=BAUD)) as server,
+        _hosted(host(server.port.name, Path(folder))) as process,
+    ):
+        _settle(server)
         members = family(process.pid)
-        begun, used, number = time.monotonic(), cpu_seconds(*members), line.record.count
+        begun, used, number = time.monotonic(), cpu_seconds(*members), _last_number(server)
         time.sleep(MEASURED_S)
         seconds = time.monotonic() - begun
         cpu = (cpu_seconds(*members) - used) / seconds
-        return look(list(line.record.since(number)), seconds), cpu, memory_mib(*members)
+        return look(_record(server, number), seconds), cpu, memory_mib(*members)
+
+
+def _settle(server: LineServer) -> None:
+    """Until the host has begun and read whatever it reads beside polls at first."""
+    for _ in range(LONGEST_SETTLING):
+        number = _last_number(server)
+        time.sleep(SETTLING_S)
+        heard = [entry for entry in _record(server, number) if entry.what is Happened.HEARD]
+        reads = sum(entry.data[1] == READ_PARAMETER for entry in heard)
+        if _last_number(server) > number and reads <= READS_OF_A_SETTLED_HOST:
+            return
+
+
+def _record(server: LineServer, since: int) -> list[Entry]:
+    return server.call(lambda line: list(line.record.since(since)))
+
+
+def _last_number(server: LineServer) -> int:
+    return server.call(lambda line: line.record.count)
 
 
 @contextmanager
-def _hosted(host: Host, line: Any, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
-    with LineServer(line, PtyPort(baud=BAUD)) as server:
-        process = subprocess.Popen(host(server.port.name, folder), stdout=subprocess.DEVNULL)
-        try:
-            yield process
-        finally:
-            end(process)
+def _hosted(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        end(process)
 
 
 def _peer(module: str) -> Host:
