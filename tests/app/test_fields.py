@@ -29,7 +29,9 @@ def test_positions_are_parts_of_the_span() -> None:
     assert (shown["fill"], shown["mark"], shown["band"]) == ("0.2500", "0.5000", "0.0100")
 
 
-@pytest.mark.parametrize(("actual", "off"), [(1200, "0.500"), (1210, "0.667"), (1230, "1.000"), (100, "0.000")])
+@pytest.mark.parametrize(
+    ("actual", "off"), [(1200, "0.500"), (1210, "0.667"), (1230, "1.000"), (100, "0.000")]
+)
 def test_the_band_is_the_middle_third_of_the_deviation_bar(actual: int, off: str) -> None:
     assert fields(actual=actual)["off"] == off
 
