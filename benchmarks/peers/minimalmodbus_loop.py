@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 
 import minimalmodbus
 
@@ -16,7 +17,8 @@ def poll(port: str, units: int) -> None:
         instrument.serial.timeout = 0.1
     while True:
         for instrument in instruments:
-            instrument.read_registers(0, REGISTERS)
+            with suppress(minimalmodbus.ModbusException):
+                instrument.read_registers(0, REGISTERS)
 
 
 if __name__ == "__main__":

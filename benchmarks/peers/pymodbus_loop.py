@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import sys
+from contextlib import suppress
 
 from pymodbus.client import AsyncModbusSerialClient
+from pymodbus.exceptions import ModbusException
 
 from benchmarks.modbus_line import REGISTERS
 
@@ -15,7 +17,8 @@ async def poll(port: str, units: int) -> None:
     await client.connect()
     while True:
         for unit in range(1, units + 1):
-            await client.read_holding_registers(0, count=REGISTERS, device_id=unit)
+            with suppress(ModbusException):
+                await client.read_holding_registers(0, count=REGISTERS, device_id=unit)
 
 
 if __name__ == "__main__":
