@@ -132,7 +132,6 @@ function describe() {
     closed: "causeClosed",
     silent: "causeSilent",
     offline: "causeOffline",
-    login: "causeLogin",
   };
   document.querySelector("[data-gone-cause]").textContent = word(names[cause]);
   document.querySelector("[data-gone-since]").textContent = clockFormat.format(lostSince * 1000);
