@@ -20,9 +20,9 @@ from app.live.screen import Groups
 MOST_FRAMES = 300
 """Frames of the trace kept for a browser that cannot keep up; older ones are dropped and counted."""
 
-FLOOD = 60
-FLOOD_OF_ALL = 1000
-WINDOW_S = 0.25
+FLOOD = 120
+FLOOD_OF_ALL = 2000
+WINDOW_S = 0.5
 """More changes than this within a window, which is more than six full wires bring, and the page is told once
 in a window until it is quieter: it could not draw them all, and its device has other things to do. So with
 very many pages, whose share of ``FLOOD_OF_ALL`` is smaller: the server has other things to do."""

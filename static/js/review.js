@@ -118,8 +118,10 @@ export function start() {
     if (ctx.sourceElement.matches("[data-once]")) ctx.request.body.set("id", newId());
   });
   document.addEventListener("htmx:before:request", (event) => {
-    if (!isLive()) return event.preventDefault();
-    const source = event.detail.ctx.sourceElement;
+    const { request, sourceElement: source } = event.detail.ctx;
+    // What fetches itself, as a page is opened or on its way, only reads; it may come before the first word.
+    const readsByItself = request.method === "GET" && source.hasAttribute("hx-trigger");
+    if (!isLive() && !readsByItself) return event.preventDefault();
     if (source.matches("[data-review]")) asked(source);
   });
   document.addEventListener("htmx:after:swap", (event) => {

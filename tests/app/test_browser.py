@@ -88,8 +88,8 @@ def test_a_flood_is_told_once_in_a_window_until_it_is_over() -> None:
 def test_very_many_pages_share_what_the_server_can_send() -> None:
     browser = Browser("anna", "operator", "en")
     browser.share(20)
-    assert browser._flow.most == 50
+    assert browser._flow.most == 100
     browser.share(200)
-    assert browser._flow.most == 5
+    assert browser._flow.most == 10
     browser.share(1)
     assert browser._flow.most == FLOOD

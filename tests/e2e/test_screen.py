@@ -88,7 +88,7 @@ def test_a_line_in_trouble_is_accessible_and_says_what_is_wrong(
 def test_the_phone_answers_without_a_touch(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PHONE), "/")
     expect(page.locator("h1")).to_be_in_viewport()
-    expect(page.locator("h1")).to_have_text("All 8 units at speed")
+    expect(page.locator("h1")).to_have_text("All 8 units at speed", timeout=30_000)
 
 
 def test_german_is_german_with_its_decimal_sign(site: Site, browser_page: OpensPages) -> None:
