@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import Site
+from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
 
 OFFICE = {"width": 1280, "height": 900}
@@ -56,6 +57,58 @@ def test_a_set_is_taken_marked_golden_and_compared_with_the_unit_now(
     page.get_by_role("link", name="Compare with the unit now").first.click()
     expect(page.get_by_role("heading", level=1)).to_have_text("1 rows differ")
     expect(page.get_by_text("accelerates in 7.7 s instead of 20.0 s")).to_be_visible()
+
+
+def test_drift_names_who_changed_what_and_stands_on_the_line(site: Site, browser_page: OpensPages) -> None:
+    page = browser_page("engineer", viewport=OFFICE)
+    take_set(page)
+    page.locator("section", has_text="Coater").get_by_role("button", name="Mark golden").click()
+    with site.api("engineer") as client:
+        assert client.put("/buses/line/units/3/parameters/12", json={"raw": 21}).status_code == 200
+    page.goto("/units/line/3")
+    expect(page.locator("#drift")).to_contain_text("is at speed within 2.1")
+    expect(page.locator("#drift")).to_contain_text("changed by engineer-program")
+    page.goto("/")
+    expect(page.locator("[data-strip]")).to_contain_text("Coater1 parameter differs from the golden set")
+    with site.api("engineer") as client:
+        assert client.put("/buses/line/units/3/parameters/12", json={"raw": 10}).status_code == 200
+    expect(page.locator("[data-strip]")).not_to_contain_text("Coater")
+
+
+def test_a_change_of_baud_is_typed_and_every_unit_proven(site: Site, browser_page: OpensPages) -> None:
+    page = browser_page("engineer", viewport=OFFICE)
+    page.goto("/bus/line")
+    page.get_by_label("New baud rate").select_option("4800")
+    page.get_by_role("button", name="Review the change").click()
+    verb = page.get_by_role("button", name="Change 3 units to 4800 baud")
+    expect(verb).to_be_disabled()
+    page.get_by_label(re.compile("Type BAUD")).fill("BAUD")
+    verb.click()
+    expect(page.locator("[data-review-done=good]")).to_be_visible(timeout=SLOW)
+    with site.api("engineer") as client:
+        assert client.post("/buses/line/baud", json={"baud": 2400}).json()["code"] == "dangerous"
+    switch_off_and_on(site)
+    with site.api("engineer") as client:
+        back = client.post("/buses/line/baud", json={"baud": 9600, "confirm": True})
+    assert back.json()["outcome"] == "verified", back.text
+    switch_off_and_on(site)
+
+
+def switch_off_and_on(served: Site) -> None:
+    """The new rate holds from the next power-up; the host follows by itself."""
+    for unit in (1, 2, 3):
+        served.line.remote.do("power_cycle", unit=unit)
+    off = datetime.now(UTC)
+    eventually(
+        lambda: all(heard_since(served, unit, off) for unit in (1, 2, 3)), "every unit at the new rate"
+    )
+
+
+def heard_since(served: Site, number: int, moment: datetime) -> bool:
+    unit = served.unit(number)
+    return bool(
+        unit["link"] == "online" and datetime.fromisoformat(unit["read_at"]) > moment + timedelta(seconds=1)
+    )
 
 
 def test_a_restore_is_reviewed_first_and_proven_afterwards(site: Site, browser_page: OpensPages) -> None:
