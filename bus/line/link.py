@@ -37,8 +37,6 @@ EARLY = 0.9
 EARLY_TO_BELIEVE = 3
 ON_TIME_TO_BELIEVE = 50
 TIMER_SLACK_S = 0.0005
-SUSPECTED_S = 60.0
-"""How long a unit that was heard twice is suspected of it."""
 
 
 @dataclass(slots=True)
@@ -103,7 +101,6 @@ class Link:
         self._pace = Pace()
         self._decoder = FrameDecoder(dialect)
         self._doubts = Doubts(dialect)
-        self._twice: dict[int, float] = {}
         self._current: _Current | None = None
         self._idle: Exchange | None = None
         self._alarm: Alarm | None = None
@@ -124,7 +121,6 @@ class Link:
         self._pace = Pace()
         self._decoder = FrameDecoder(self._dialect)
         self._doubts = Doubts(self._dialect)
-        self._twice.clear()
         self._idle = None
 
     def retune(self, baud: int) -> None:
@@ -157,13 +153,10 @@ class Link:
     def doubt(self, unit: int) -> Doubt:
         """What ``unit`` may still answer late or twice.
 
-        On a paced port a second copy comes too early to be taken for anything else, so only a unit that
-        was lately heard twice is suspected of it.
+        However slow the port: this process may have been kept from running, and what came meanwhile
+        looks as if it came just now. So the order of frames is trusted, their moment is not.
         """
-        doubt = self._doubts.about(unit)
-        if self._pace.paced and self._twice.get(unit, 0.0) < self._clock.now():
-            return doubt.moved_on()
-        return doubt
+        return self._doubts.about(unit)
 
     def least_s(self, sent_bytes: int, received_bytes: int) -> float:
         """What an exchange takes on the wire."""
@@ -219,9 +212,9 @@ class Link:
             case Echo():
                 self.counts.echoes += 1
             case Foreign(unit=unit, frame=frame):
-                self._foreign(unit, frame, request, now)
+                self._foreign(unit, frame, request)
             case Doubled():
-                self._heard_twice(request.unit, now)
+                self._heard_twice(request.unit)
             case Late():
                 statistics.late += 1
             case Unexpected():
@@ -249,21 +242,20 @@ class Link:
             current.frame = self._last_answer = wire
             return
         request = current.exchange.request
-        self._heard_twice(request.unit, now)
+        self._heard_twice(request.unit)
         doubt = self.doubt(request.unit)
         current.exchange = Exchange(request, current.dialect, decoder=self._decoder, doubt=doubt)
 
-    def _heard_twice(self, unit: int, now: float) -> None:
+    def _heard_twice(self, unit: int) -> None:
         self._roster[unit].statistics.late += 1
-        self._twice[unit] = now + SUSPECTED_S
 
-    def _foreign(self, unit: int, frame: ReceivedFrame, request: Request, now: float) -> None:
-        """Another unit's frame: late where that unit owes one or says its last once more, else a mistake."""
-        if self._doubts.about(unit).outstanding:
-            self._doubts.heard(frame.body)
-            self._roster[unit].statistics.late += 1
-        elif frame.wire == self._last_answer:
-            self._heard_twice(unit, now)
+    def _foreign(self, unit: int, frame: ReceivedFrame, request: Request) -> None:
+        """Another unit's frame: late where that unit owes one or says its last once more, else a mistake.
+
+        It ends no doubt about that unit, for it may be of a third one that answers to a wrong address.
+        """
+        if self._doubts.about(unit).outstanding or frame.wire == self._last_answer:
+            self._heard_twice(unit)
         elif request.unit:
             self._roster[request.unit].statistics.foreign += 1
 

@@ -246,11 +246,6 @@ class Doubts:
             self._units[doubt.unit] = doubt
             self._last_unit = doubt.unit
 
-    def heard(self, body: bytes) -> None:
-        """A frame of another unit than the one asked came in."""
-        if body[0] in self._units:
-            self._units[body[0]] = self._units[body[0]].heard(body)
-
 
 def _says_the_same(earlier: Request, later: Request) -> bool:
     return earlier == later and not is_write(later)

@@ -141,8 +141,6 @@ class TestDoubts:
         doubts.after(Doubt(1, PLAIN).sent(READ))
         doubts.after(Doubt(2, PLAIN).sent(ReadStatus(2)))
         assert doubts.fence_before(ReadParameter(1, 4)) == POLL
-        doubts.heard(b"\x01\x06\x02")
-        assert doubts.fence_before(ReadParameter(1, 4)) is None
 
     def test_a_broadcast_needs_no_fence_and_leaves_none(self) -> None:
         doubts = Doubts(PLAIN)

@@ -62,7 +62,7 @@ def test_ten_minutes_without_a_fault_tell_every_unit_alike() -> None:
     async def scene(line: VirtualLine) -> None:
         await asyncio.sleep(600)
         counts = [len(line.readings(unit)) for unit in line.units]
-        assert max(counts) - min(counts) <= 1
+        assert max(counts) - min(counts) <= 3, "but for the 81h that fences a parameter"
         assert sum(counts) / 600 > 37.0
         assert len({(value.unit, value.number) for value in line.parameters()}) == 8 * 40
 
