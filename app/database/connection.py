@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Literal, TypeVar
 
-from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
+from app.database.migrating import MIGRATIONS, Migration, alone, bring_up_to_date
 from app.database.words import in_words
 from app.errors import StoreError
 
@@ -68,7 +68,7 @@ class Database:
         checkpoints: bool = True,
     ) -> None:
         self.path = path
-        with in_words(path):
+        with in_words(path), alone(path):
             self._connection = open_for_writing(path, synchronous)
             if not checkpoints:
                 self._connection.execute("PRAGMA wal_autocheckpoint = 0")

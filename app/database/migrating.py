@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import re
 import sqlite3
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,6 +37,15 @@ def migrations_in(folder: Path) -> list[Migration]:
     """Every ``NNNN_name.sql`` of a folder in order."""
     found = ((path, _NAME.match(path.name)) for path in sorted(folder.glob("*.sql")))
     return [Migration(int(name[1]), name[2], path.read_text("utf-8")) for path, name in found if name]
+
+
+@contextmanager
+def alone(path: Path) -> Iterator[None]:
+    """Hold off whoever else opens the store: two commands on a new one would take its first step twice."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.with_name(f"{path.name}.opening").open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def bring_up_to_date(connection: sqlite3.Connection, path: Path, folder: Path) -> list[Migration]:

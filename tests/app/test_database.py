@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -109,3 +110,16 @@ async def test_a_full_disk_is_said_and_survived(database: Database) -> None:
     database._connection.execute("PRAGMA max_page_count = 100000")
     await database.write(lambda c: insert(c, "after"))
     assert await database.read(names) == ["after"]
+
+
+def test_many_that_open_a_new_store_at_once_take_its_first_step_once(tmp_path: Path) -> None:
+    def opened(_: int) -> int:
+        database = Database(tmp_path / "new" / "store.db")
+        steps = len(database.migrated)
+        database.close()
+        return steps
+
+    with ThreadPoolExecutor(6) as together:
+        steps = list(together.map(opened, range(6)))
+    assert sorted(steps)[:-1] == [0] * 5
+    assert max(steps) > 0
