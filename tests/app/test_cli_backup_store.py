@@ -30,7 +30,7 @@ def test_a_copy_taken_while_it_is_written_holds_what_was_there(tmp_path: Path) -
     Database(data / "lineside.db").close()
     writer = opened(data)
     writer.take((BUS.name, polls(NOON, NOON + 30)))
-    until(lambda: len(writer.tail) == 150)
+    until(lambda: writer.status.waiting == 0)
     assert write_backup(data, tmp_path / "one.tar") == ["history.db", "lineside.db"]
     writer.take((BUS.name, polls(NOON + 30, NOON + 60)))
     writer.close()

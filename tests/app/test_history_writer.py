@@ -10,7 +10,10 @@ import pytest
 from app.errors import StoreError
 from app.history import store
 from app.history.disk import Reserve
+from app.history.query import Question, answer
+from app.history.runs import micros
 from app.history.upkeep import Keep
+from app.history.values import VALUES
 from tests.app.history_line import BUS, NOON, Shelf, opened, parameter, polls, until
 
 ENDLESS = 10**18
@@ -29,8 +32,10 @@ def test_what_was_taken_in_is_there_after_the_end(tmp_path: Path) -> None:
 def test_readers_see_readings_soon(tmp_path: Path) -> None:
     writer = opened(tmp_path)
     writer.take((BUS.name, polls(NOON, NOON + 10)))
-    until(lambda: len(writer.tail) == 50)
-    assert writer.status.waiting == 0
+    until(lambda: writer.status.waiting == 0)
+    question = Question(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 10), 100)
+    read = writer.database.read_now(lambda connection: answer(connection, writer.tail, question))
+    assert len(read.series.at) == 50
     writer.close()
 
 

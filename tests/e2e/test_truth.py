@@ -131,7 +131,7 @@ def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
     assert heard(own_site) == before
 
 
-@pytest.mark.provokes("WebSocket")
+@pytest.mark.provokes("WebSocket", "fetching the script")
 def test_a_killed_server_is_said_and_the_whole_comes_back_with_it(
     own_site: Site, browser_page: OpensPages
 ) -> None:
@@ -146,7 +146,7 @@ def test_a_killed_server_is_said_and_the_whole_comes_back_with_it(
     expect(page.locator('[data-live="line/1.commanded"]')).to_have_text(f"{raw / 10:.1f}")
 
 
-@pytest.mark.provokes("WebSocket")
+@pytest.mark.provokes("WebSocket", "fetching the script")
 def test_a_page_that_slept_asks_for_everything_again(own_site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/")
     page.context.set_offline(True)
