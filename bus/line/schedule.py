@@ -6,7 +6,7 @@ Order of claims on the wire, the first that may use it wins:
 2. a silent unit whose back-off is over, all of them within a twentieth of the wire;
 3. parameters needed to show a unit right, within a share that is large only while they are missing;
 4. a slow read that someone asked for (a backup, a scan), within a tenth of the wire while watched;
-5. the slow circle of the other parameters, within a fiftieth;
+5. the slow circle of the other parameters, within a hundredth;
 6. the round of 81h, where watched units have more turns than the others.
 
 When nobody takes part in the round, 3 to 5 may use all of it. Operators' writes do not pass through
@@ -31,7 +31,7 @@ MANY_UNITS = 12
 """With more units than this the first seconds are shared evenly, or readings would look stale."""
 SLOW_SHARE_WATCHED = 0.10
 SLOW_SHARE_UNWATCHED = 0.95
-CIRCLE_SHARE = 0.02
+CIRCLE_SHARE = 0.01
 BURST_POLLS = 2
 """Short reads between long polls come to their share by saving up the time of so many polls."""
 
