@@ -9,6 +9,7 @@ TABLES = {
     "wire": "the wire: polls, gaps, a dead unit",
     "commands": "a wish: from the request to the wire, and many units as one",
     "screen": "the screen: from the wire to the pixel, with many browsers",
+    "sets": "parameter sets: a backup on the wire",
     "history": "history: stored, packed, drawn",
     "history_kill": "history: killed fifty times",
     "start": "the start: from nothing to the first live value",

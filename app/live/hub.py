@@ -163,7 +163,7 @@ class Hub:
             self._publish(language, {f"command/{progress.id}": {"stage": text}})
 
     def _show_health(self, bus: str, figures: BusFigures) -> None:
-        watched, _ = self._watched.get(bus, ([], False))
+        watched = self._opened_units(bus)
         for language in self._languages():
             screen, groups = self._screens[language], Groups()
             for unit in figures.units:
@@ -208,14 +208,17 @@ class Hub:
             self._publish(language, self._screens[language].put("people", fields))
 
     def _tell_watched(self) -> None:
-        for bus in self.live.buses:
-            units = sorted(
-                {number for browser in self._browsers for name, number in browser.units if name == bus}
-            )
+        for bus, live in self.live.buses.items():
+            units = self._opened_units(bus) or (sorted(live.units) if self._browsers else [])
             wish = (units, any(browser.trace == bus for browser in self._browsers))
             if self._watched.get(bus, ([], False)) != wish:
                 self._watched[bus] = wish
                 self.watch(bus, *wish)
+
+    def _opened_units(self, bus: str) -> list[int]:
+        """The units that have a page of their own open. A page of the whole line watches all alike."""
+        opened = {number for browser in self._browsers for name, number in browser.units if name == bus}
+        return sorted(opened)
 
 
 def _unblocked(_bus: str, _unit: int) -> str:

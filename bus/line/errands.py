@@ -11,7 +11,7 @@ from bus.wire.fence import Doubt
 
 
 class Errands:
-    """Writes before reads before what is slow; within a claim the first come first.
+    """Writes before reads before what is slow; within a claim the first come first, but for the slow.
 
     An errand waits while an earlier one claims a unit that it claims too, and ends by itself when its time
     is over before its turn has come.
@@ -49,8 +49,15 @@ class Errands:
             if self._may_run(errand, now):
                 request = errand.next_request(now, doubt_of)
                 if request is not None:
+                    if slow:
+                        self._take_turns(errand)
                     return errand, request
         return None
+
+    def _take_turns(self, errand: Errand) -> None:
+        """Slow ones go in turn: reads of several units then follow each other without a fence between."""
+        self._all.remove(errand)
+        self._all.append(errand)
 
     def take_finished(self) -> list[Errand]:
         """Those that have a result; they are forgotten here."""
