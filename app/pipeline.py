@@ -48,6 +48,10 @@ class Pipeline:
             for change in seen.see(update):
                 self._note(bus, change)
 
+    def port_is_open(self, bus: str) -> bool:
+        """As the worker of this bus said last."""
+        return self._live.buses[bus].link.link == "open"
+
     def worker_came(self, hello: Hello, at: float, *, again: bool) -> None:
         """A worker said hello: ``again`` the one that this app knew, else one that was started."""
         what = f"bus worker {'is back' if again else 'started'}, port {hello.port}"

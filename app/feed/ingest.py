@@ -137,9 +137,9 @@ def decode(data: bytes) -> WorkerMessage:
         raise MalformedSpeechError(f"not a message of a bus worker: {error}") from error
 
 
-def welcome(hello: Hello, buses: list[str], heard: Heard, now: float) -> Welcome:
-    """The answer to a hello: from where to go on, or why not."""
-    refused = ""
+def welcome(hello: Hello, buses: list[str], heard: Heard, now: float, held: str = "") -> Welcome:
+    """The answer to a hello: from where to go on, or why not. ``held``: why another keeps the bus."""
+    refused = held
     if hello.version != CONTRACT_VERSION:
         refused = (
             f"this dashboard speaks version {CONTRACT_VERSION} of the link and the worker {hello.version}: "

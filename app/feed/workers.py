@@ -1,4 +1,5 @@
-"""All workers: one connection for each bus, the newer in place of the older."""
+"""All workers: one connection for each bus. The newer takes the place of the older, unless the older has
+the port open: the child of the server for a port on another machine must not keep sending its worker away."""
 
 from __future__ import annotations
 
@@ -15,6 +16,7 @@ from app.pipeline import Pipeline
 from bus.contract import Hello
 
 SILENT = "the bus worker is connected and says nothing"
+HELD = "another worker has this bus, and its port is open"
 HELLO_WITHIN_S = 10.0
 TICK_S = 1.0
 SILENT_TICKS = 5
@@ -76,7 +78,8 @@ class Workers:
 
     async def _welcomed(self, hello: Hello, socket: Socket) -> bool:
         heard = self._heard_of(hello)
-        answer = welcome(hello, list(self.channels), heard, self._now())
+        held = HELD if self._is_held_by_another(hello) else ""
+        answer = welcome(hello, list(self.channels), heard, self._now(), held)
         await socket.send(answer)
         if answer.refused:
             await socket.close(answer.refused)
@@ -85,6 +88,12 @@ class Workers:
         self._heard[hello.bus] = heard
         self._pipeline.worker_came(hello, self._now(), again=again)
         return True
+
+    def _is_held_by_another(self, hello: Hello) -> bool:
+        heard = self._heard.get(hello.bus)
+        if heard is None or hello.bus not in self._sockets:
+            return False
+        return heard.worker != hello.worker and self._pipeline.port_is_open(hello.bus)
 
     def _heard_of(self, hello: Hello) -> Heard:
         heard = self._heard.get(hello.bus)

@@ -137,8 +137,20 @@ async def test_the_same_worker_is_told_where_to_go_on(stage: Stage) -> None:
     )
 
 
-async def test_a_newer_connection_takes_the_place_of_the_older(stage: Stage) -> None:
-    older = await stage.worker()
+async def test_a_worker_whose_port_is_open_is_not_sent_away_by_another(stage: Stage) -> None:
+    holder = await stage.worker()
+    other = await stage.connect()
+    await other.say(hello("w2"))
+    welcome = await other.hear(Welcome)
+    assert isinstance(welcome, Welcome)
+    assert "its port is open" in welcome.refused
+    await other.gone()
+    await holder.update(reading(1, 7))
+    await until(lambda: _commanded(stage) == 7, "the holder's reading")
+
+
+async def test_a_newer_connection_takes_the_place_of_an_older_without_a_port(stage: Stage) -> None:
+    older = await stage.worker(state=snapshot(link="closed"))
     newer = await stage.worker(hello("w2"))
     await older.gone()
     await newer.update(reading(1, 9))
