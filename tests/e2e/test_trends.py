@@ -247,4 +247,4 @@ def test_a_store_that_is_damaged_is_said_and_the_line_goes_on(
     expect(page.locator(".notice").first).to_contain_text("history is off")
     with own_site.api("viewer") as client:
         assert client.get("/history/status").json()["state"] == "failed"
-    assert own_site.unit(1)["link"] == "online"
+    own_site.wait_for_units()
