@@ -17,7 +17,7 @@ from app.history.runs import SECOND
 LONG_SILENCE = 10 * SECOND
 MANY_INTERVALS = 10
 """A silence longer than both is a hole, whoever was there to say so."""
-SHORT_SILENCE = SECOND
+SHORT_SILENCE = 3 * SECOND // 10
 FEW_INTERVALS = 3
 """A silence longer than both is a hole when the unit or port was found again at its end."""
 _SAMPLE = 2000
