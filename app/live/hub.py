@@ -78,6 +78,7 @@ class Hub:
         self.screen(browser.language)
         self._browsers.append(browser)
         self.send_snapshot(browser)
+        self._tell_watched()
         self._share()
         self._publish_people()
 

@@ -138,7 +138,7 @@ async def test_the_worker_is_told_which_units_are_watched_and_when_no_more(world
     world.hub.follow(browser, frozenset({("dry", 2), ("elsewhere", 1)}), "")
     world.hub.follow(browser, frozenset({("dry", 2)}), "")
     world.hub.leave(browser)
-    assert world.watched == [("dry", [2], False), ("dry", [], False)]
+    assert world.watched == [("dry", [1, 2], False), ("dry", [2], False), ("dry", [], False)]
 
 
 async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
