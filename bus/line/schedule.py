@@ -5,7 +5,7 @@ Order of claims on the wire, the first that may use it wins:
 1. the first 81h of every unit, in floor order;
 2. a silent unit whose back-off is over, all of them within a twentieth of the wire;
 3. parameters needed to show a unit right, within a share that is large only while they are missing;
-4. a slow read that someone asked for (a backup, a scan), within a tenth of the wire while watched;
+4. a slow read that someone asked for (a backup, a scan), within a tenth of the wire, fences included, while watched;
 5. the slow circle of the other parameters, within a hundredth;
 6. the round of 81h, where watched units have more turns than the others.
 
@@ -29,7 +29,7 @@ NEEDED_SHARE = 0.8
 NEEDED_SHARE_OF_MANY = 0.5
 MANY_UNITS = 12
 """With more units than this the first seconds are shared evenly, or readings would look stale."""
-SLOW_SHARE_WATCHED = 0.10
+SLOW_SHARE_WATCHED = 0.09
 SLOW_SHARE_UNWATCHED = 0.95
 CIRCLE_SHARE = 0.01
 BURST_POLLS = 2
