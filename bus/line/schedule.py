@@ -5,7 +5,7 @@ Order of claims on the wire, the first that may use it wins:
 1. the first 81h of every unit, in floor order;
 2. a silent unit whose back-off is over, all of them within a twentieth of the wire;
 3. parameters needed to show a unit right, within a share that is large only while they are missing;
-4. a slow read that someone asked for (a backup, a scan), within a tenth of the wire, fences included, while watched;
+4. a slow read that someone asked for (a backup, a scan), within a tenth of the wire while watched;
 5. the slow circle of the other parameters, within a hundredth;
 6. the round of 81h, where watched units have more turns than the others.
 
