@@ -11,13 +11,16 @@ import socket
 import socketserver
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from bus.simulator.faults import WHOLE_LINE, Kind
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import Mode, Prm
+from bus.simulator.memory import FACTORY, Memory, Mode, Prm
 from bus.simulator.record import Entry, Happened
+from bus.simulator.section import Section
 from bus.simulator.serve import LineServer
+from bus.simulator.unit import Traits, Unit
 
 Wish = dict[str, Any]
 
@@ -81,25 +84,51 @@ def _on_unit(deed: Callable[[SimulatedLine, Wish], object]) -> Callable[[LineSer
     return lambda server, wish: server.call(lambda line: deed(line, wish))
 
 
+def _unit(line: SimulatedLine, wish: Wish) -> Unit:
+    """By its ``unit`` address, or by its ``place`` on the cable where two have the same address."""
+    return line.plant.units[wish["place"]] if "place" in wish else line.plant.unit(wish["unit"])
+
+
 def _mode(line: SimulatedLine, wish: Wish) -> None:
-    line.plant.unit(wish["unit"]).memory[Prm.MODE] = Mode[wish["to"].upper()]
+    _unit(line, wish).memory[Prm.MODE] = Mode[wish["to"].upper()]
 
 
 def _input(line: SimulatedLine, wish: Wish) -> None:
-    inputs = line.plant.unit(wish["unit"]).inputs
+    inputs = _unit(line, wish).inputs
     getattr(inputs, wish["input"])
     setattr(inputs, wish["input"], bool(wish["on"]))
 
 
 def _parameter(line: SimulatedLine, wish: Wish) -> int:
-    memory = line.plant.unit(wish["unit"]).memory
+    memory = _unit(line, wish).memory
     if "raw" in wish:
         memory[wish["number"]] = int(wish["raw"])
     return memory[wish["number"]]
 
 
 def _power_cycle(line: SimulatedLine, wish: Wish) -> None:
-    line.plant.unit(wish["unit"]).power_up()
+    _unit(line, wish).power_up()
+
+
+def _remove(line: SimulatedLine, wish: Wish) -> None:
+    unit = _unit(line, wish)
+    line.plant.sections = [section for section in line.plant.sections if section.unit is not unit]
+
+
+def _spare(line: SimulatedLine, wish: Wish) -> int:
+    """A unit with factory values but for ``parameters`` joins the cable; its place there."""
+    changed = {int(number): int(raw) for number, raw in wish.get("parameters", {}).items()}
+    traits = Traits(
+        last_parameter=wish.get("last_parameter", len(FACTORY)),
+        baud_changes=wish.get("baud_changes", "at power-up"),
+    )
+    line.plant.sections.append(Section(Unit(Memory(changed), traits)))
+    return len(line.plant.sections) - 1
+
+
+def _traits(line: SimulatedLine, wish: Wish) -> None:
+    unit = _unit(line, wish)
+    unit.traits = replace(unit.traits, baud_changes=wish["baud_changes"])
 
 
 def _fault(line: SimulatedLine, wish: Wish) -> None:
@@ -115,7 +144,7 @@ def _hands_off(line: SimulatedLine, _wish: Wish) -> None:
 
 
 def _state(line: SimulatedLine, wish: Wish) -> Wish:
-    unit = line.plant.unit(wish["unit"])
+    unit = _unit(line, wish)
     return {
         "commanded": unit.commanded,
         "actual": unit.measured.actual,
@@ -148,6 +177,9 @@ _DEEDS: dict[str, Callable[[LineServer, Wish], object]] = {
     "input": _on_unit(_input),
     "parameter": _on_unit(_parameter),
     "power_cycle": _on_unit(_power_cycle),
+    "remove": _on_unit(_remove),
+    "spare": _on_unit(_spare),
+    "traits": _on_unit(_traits),
     "fault": _on_unit(_fault),
     "clear": _on_unit(_clear),
     "hands_off": _on_unit(_hands_off),

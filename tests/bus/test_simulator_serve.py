@@ -23,6 +23,7 @@ from bus.simulator.serve import LineServer
 from bus.wire.commands import (
     Ack,
     Nak,
+    ReadParameter,
     ReadStatus,
     Reply,
     Request,
@@ -183,6 +184,11 @@ def test_hands_from_outside() -> None:
             acted = hands.do("record", kinds=["acted"])
             assert [(entry["unit"], entry["hex"]) for entry in acted] == [(1, "01 84 00 00 01 f4")]
             assert hands.do("record", kinds=["acted"], since=acted[-1]["number"]) == []
+            place = hands.do("spare", parameters={17: 2}, last_parameter=20)
+            assert hands.do("parameter", place=place, number=17, raw=9) == 9
+            assert ask(host, ReadParameter(9, 21)) == Nak(9, 0x82)
+            hands.do("remove", unit=9)
+            assert ask(host, ReadStatus(9), patience_s=0.3) is None
             hands.do("unplug")
             hands.do("plug")
             for wish in ({"do": "fly"}, {"do": "mode", "unit": 99, "to": "local"}):
