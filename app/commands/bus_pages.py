@@ -13,7 +13,7 @@ from app.web.access import Engineer, Operator, Viewer
 from bus.contract import ScanBus, UnitFigures
 from bus.errors import unit_error_name
 
-router = APIRouter(prefix="/bus")
+router = APIRouter(prefix="/bus", include_in_schema=False)
 SCAN_S = 180.0
 SEE_OTHER = 303
 

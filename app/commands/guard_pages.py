@@ -16,7 +16,7 @@ from app.web.access import Engineer, Operator
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError
 
-router = APIRouter()
+router = APIRouter(include_in_schema=False)
 Typed = Annotated[str, Form(max_length=20)]
 SEE_OTHER = 303
 

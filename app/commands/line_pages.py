@@ -25,7 +25,7 @@ from app.web.access import Operator, Person, Viewer
 from bus.contract import Result, SetLine, SetSpeed
 from bus.errors import CallerError
 
-router = APIRouter()
+router = APIRouter(include_in_schema=False)
 STAGE_S = 0.15
 """Time allowed for each unit of a change, besides the two seconds of one."""
 
@@ -109,7 +109,7 @@ async def set_setpoints(
     form = await request.form()
     title = desk.voice.t("Setpoints")
     try:
-        desk.refuse_late(reviewed_at)
+        desk.refuse_lapsed(reviewed_at)
         setpoints = _reviewed(live, form)
         result = await desk.ask(person, bus, SetLine(setpoints=setpoints), id, _timeout_s(len(setpoints)))
     except Problem as problem:
@@ -186,7 +186,7 @@ async def set_zero(
     """Speed 0 to every unit that can be told, all at once where all acknowledge, else one by one."""
     title = desk.voice.t("Set line to zero")
     try:
-        desk.refuse_late(reviewed_at)
+        desk.refuse_lapsed(reviewed_at)
         plans = [plan for plan in _plans(desk) if plan.units]
         told = await asyncio.gather(*(_zero_bus(person, desk, plan, id) for plan in plans))
     except Problem as problem:

@@ -17,7 +17,7 @@ from bus.catalogue.values import analog_output_volts
 from bus.contract import WriteAnalogOutput, WriteOutput
 from bus.errors import CallerError
 
-router = APIRouter(prefix="/units/{bus}/{unit:int}")
+router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 Number = Annotated[int, Path(ge=1, le=6)]
 LOW, HIGH = 29, 30
 ON, OFF = "on", "off"
@@ -65,7 +65,7 @@ async def set_output(
     """87h, proven by the bit in ST2."""
     live = desk.unit(bus, unit)
     try:
-        desk.refuse_late(reviewed_at)
+        desk.refuse_lapsed(reviewed_at)
         result = await desk.ask(person, bus, WriteOutput(unit=unit, number=number, on=on), id)
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
@@ -117,7 +117,7 @@ async def set_analog(
     """88h: acknowledged at best, for there is nothing to read back."""
     live = desk.unit(bus, unit)
     try:
-        desk.refuse_late(reviewed_at)
+        desk.refuse_lapsed(reviewed_at)
         result = await desk.ask(person, bus, WriteAnalogOutput(unit=unit, raw=raw), id)
     except Problem as problem:
         return desk.refused(problem, live.settings.name)

@@ -1,4 +1,4 @@
-"""The unit page, and with it every page that can set something."""
+"""The unit page."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from app.commands import bus_pages, guard_pages, line_pages, output_pages, parameter_pages, speed_pages
 from app.commands.forms import Desks, Desktop
 from app.commands.ramp import nudges, present_setpoint, sensible_bounds
 from app.commands.words import shown_setpoint
@@ -16,8 +15,6 @@ from app.live.view import follower
 from app.web.access import Viewer
 
 router = APIRouter(include_in_schema=False)
-for part in (line_pages, speed_pages, output_pages, parameter_pages, guard_pages, bus_pages):
-    router.include_router(part.router)
 
 
 @router.get("/units/{bus}/{unit:int}")

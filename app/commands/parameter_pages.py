@@ -22,7 +22,7 @@ from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ReadParameters, WriteParameter
 from bus.errors import CallerError
 
-router = APIRouter(prefix="/units/{bus}/{unit:int}/parameters")
+router = APIRouter(prefix="/units/{bus}/{unit:int}/parameters", include_in_schema=False)
 Number = Annotated[int, Path(ge=1, le=40)]
 READ_TIMEOUT_S = 30.0
 CONFIRMING_WORD = "WRITE"
@@ -110,7 +110,7 @@ async def write_parameter(
     live, parameter = desk.unit(bus, unit), PARAMETERS[number]
     title = f"#{number} {parameter.name}"
     try:
-        desk.refuse_late(reviewed_at)
+        desk.refuse_lapsed(reviewed_at)
         if danger_of_writing(parameter, raw) and typed.strip() != CONFIRMING_WORD:
             raise Problem(409, "dangerous", "the word was not typed; nothing was sent")
         return await _write(person, desk, bus, live, parameter, raw, id)

@@ -24,7 +24,7 @@ from app.web.access import Operator, Person
 from bus.contract import ExecuteSpeed, ReadParameters, SetSpeed
 from bus.errors import CallerError
 
-router = APIRouter(prefix="/units/{bus}/{unit:int}")
+router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 
 Raw = Annotated[int, Form(ge=0)]
 Was = Annotated[str, Form(pattern=r"^\d{0,6}$")]
@@ -113,7 +113,7 @@ async def set_speed(
     live = desk.unit(bus, unit)
     action = SetSpeed(unit=unit, raw=raw, execute=how == "now")
     try:
-        desk.refuse_late(reviewed_at)
+        desk.refuse_lapsed(reviewed_at)
         _refuse_moved(desk, bus, live, was)
         result = await desk.ask(person, bus, action, id)
     except Problem as problem:
@@ -149,7 +149,6 @@ async def nudge(
     live = desk.unit(bus, unit)
     present = present_setpoint(desk.bus(bus), live)
     try:
-        desk.refuse_late()
         if present is None:
             raise Problem(409, "unknown", "the present setpoint is not known; nothing was sent")
         raw = max(0, present + step)
@@ -206,7 +205,7 @@ async def execute(
     """83h to one unit, if what is staged is still what was reviewed."""
     live = desk.unit(bus, unit)
     try:
-        desk.refuse_late(reviewed_at)
+        desk.refuse_lapsed(reviewed_at)
         if live.staged != raw:
             raise Problem(409, "moved", "something else is staged now; nothing was sent")
         result = await desk.ask(person, bus, ExecuteSpeed(unit=unit), id)
