@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
 
-from fastapi import Depends, FastAPI
+from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
 
 from app import metrics
@@ -44,7 +44,7 @@ from app.settings import Settings
 from app.swap import pages as swap_pages
 from app.web import pages as web_pages
 from app.web import problems, schema
-from app.web.late import refuse_late
+from app.web.late import NotTooLate
 from app.web.routes import refuse_undeclared
 from app.web.security import BoundedBody, OwnPagesOnly, SecurityHeaders
 from app.wiring import Services, build, running
@@ -97,13 +97,13 @@ def create_app(settings: Settings, *, demo: bool = False, worker_token: str = ""
         version=version("lineside"),
         lifespan=_lifespan,
         openapi_url=None,
-        dependencies=[Depends(refuse_late)],
     )
     app.state.services = services
     for feature in FEATURES:
         # Not by include_router: that builds every route again, which is a third of a second of the start.
         app.router.routes.extend(feature.router.routes)
     problems.install(app)
+    app.add_middleware(NotTooLate)
     app.add_middleware(Identify, sign_in=services.sign_in, demo=demo)
     app.add_middleware(BoundedBody)
     app.add_middleware(OwnPagesOnly)

@@ -36,7 +36,6 @@ async def change(
     id: Annotated[str, Form(min_length=8, max_length=200)],
 ) -> Response:
     """Change it at every unit; the fate of each."""
-    desk.refuse_late()
     live = desk.bus(bus)
     result = await desk.ask(person, bus, ChangeBaud(baud=baud), id, CHANGE_S)
     return desk.render("bus/_baud_done.html", bus=live, baud=baud, fate=desk.fate(result), result=result)

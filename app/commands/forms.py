@@ -1,4 +1,4 @@
-"""What every form of the pages shares: who asks, in which language, and whether it was asked just now."""
+"""What every form of the pages shares: who asks, in which language, and whether the review still holds."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 import uuid
 from typing import Annotated, Any
 
-from fastapi import Depends, Header
+from fastapi import Depends
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -25,8 +25,6 @@ from app.web.access import Person
 from app.web.templating import render, templates_of
 from bus.contract import Action, Result, UnitOutcome
 
-OLDEST_S = 5.0
-"""A press that comes later than this was held up on the way: it is not carried out."""
 REVIEW_LASTS_S = 45.0
 """Thirty seconds on the screen, and something for the way."""
 TIMEOUT_S = 2.0
@@ -35,13 +33,8 @@ TIMEOUT_S = 2.0
 class Desktop:
     """One request of a page: its unit or bus, its language, and the way to the wire."""
 
-    def __init__(
-        self,
-        request: Request,
-        asked_at: Annotated[float | None, Header(alias="Lineside-Asked-At")] = None,
-    ) -> None:
+    def __init__(self, request: Request) -> None:
         self.request = request
-        self.asked_at = asked_at
         templates = templates_of(request)
         language = templates.language_of(request)
         self.voice = Voice(language, templates.formats(language.tag))
@@ -69,12 +62,9 @@ class Desktop:
         """A page or fragment."""
         return render(self.request, template, status=status, **context)
 
-    def refuse_late(self, reviewed_at: float | None = None) -> None:
-        """Raises Problem 409 for a press that was held up, or a review that has lapsed. Nothing is sent."""
-        now = time.time()
-        if self.asked_at is not None and now - self.asked_at > OLDEST_S:
-            raise Problem(409, "late", "this press came too late to be carried out; nothing was sent")
-        if reviewed_at is not None and now - reviewed_at > REVIEW_LASTS_S:
+    def refuse_lapsed(self, reviewed_at: float) -> None:
+        """Raises Problem 409 for a review that is over. Nothing is sent."""
+        if time.time() - reviewed_at > REVIEW_LASTS_S:
             raise Problem(409, "lapsed", "the review has lapsed; nothing was sent")
 
     async def ask(

@@ -1,4 +1,4 @@
-// Who else has a page open.
+// Who else has a page open, and that control of a line went from one to another.
 import { listen } from "./bind.js";
 
 function draw(here) {
@@ -18,4 +18,13 @@ function draw(here) {
 
 export function start() {
   listen("people", (fields) => draw(fields.here ?? ""));
+  for (const part of document.querySelectorAll("[data-control]")) {
+    listen(part.dataset.control, (fields, changed) => {
+      // The first word of an opened page is no change; what came since it was drawn is.
+      if ("held_by" in changed && fields.held_by !== part.dataset.heldBy) {
+        part.dataset.heldBy = fields.held_by;
+        document.dispatchEvent(new CustomEvent(`lineside:control-${part.dataset.control}`));
+      }
+    });
+  }
 }

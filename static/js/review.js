@@ -86,6 +86,17 @@ function asked(form) {
   form.querySelector("[data-lapse]")?.parentElement.remove();
 }
 
+/** A form that the browser sends by itself: not while the server is not heard, and with the moment of the press,
+ * so that one that is held up on the way is refused (app/web/late.py). */
+function submitted(event) {
+  const form = event.target;
+  if (event.defaultPrevented || form.method !== "post" || !document.body.dataset.liveUrl) return;
+  if (!isLive()) return event.preventDefault();
+  const url = new URL(form.action);
+  url.searchParams.set("asked_at", clock.now().toFixed(3));
+  form.action = url.href;
+}
+
 /** An identity for a command that has no review: what is posted twice is carried out once. */
 const newId = () =>
   Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join(
@@ -111,7 +122,11 @@ export function start() {
       content.querySelector("[data-review-act]").disabled = typed.value.trim() !== typed.dataset.typed;
   });
   document.addEventListener("lineside:lost", dismiss);
+  document.addEventListener("lineside:idle", () => {
+    if (!content.querySelector("[data-asked]")) dismiss();
+  });
 
+  document.addEventListener("submit", submitted);
   document.addEventListener("htmx:config:request", (event) => {
     const { ctx } = event.detail;
     ctx.request.headers["Lineside-Asked-At"] = clock.now().toFixed(3);

@@ -54,9 +54,9 @@ class Line:
         end(self.process)
 
 
-def start_line(folder: Path, units: int, *options: str) -> Line:
+def start_line(folder: Path, units: int, *options: str, name: str = "line") -> Line:
     """``lineside simulate`` behind a path that stays when the cable is pulled and plugged again."""
-    link = folder / "tty-line"
+    link = folder / f"tty-{name}"
     process = subprocess.Popen(
         [LINESIDE, "simulate", "--units", str(units), "--link", str(link), "--control", "0", *options],
         stdout=subprocess.PIPE,
@@ -82,12 +82,14 @@ def end(process: subprocess.Popen[Any], number: int = signal.SIGTERM) -> int:
 
 @dataclass
 class Site:
-    """A served line. ``url`` holds for the whole life of the site, also when the server is restarted."""
+    """A served line. ``url`` holds for the whole life of the site, also when the server is restarted.
+    ``more``: other buses by name, each with the units that it has."""
 
     folder: Path
     line: Line
     url: str
     units: int
+    more: dict[str, tuple[Line, int]] = field(default_factory=dict)
     tokens: dict[str, str] = field(default_factory=dict)
     sessions: dict[str, Any] = field(default_factory=dict)
     server: subprocess.Popen[bytes] | None = None
@@ -123,7 +125,8 @@ class Site:
         """Stop everything."""
         if self.server is not None:
             self.stop()
-        self.line.close()
+        for line in (self.line, *(other for other, _ in self.more.values())):
+            line.close()
 
     def command(self, *arguments: str, text: str = "") -> str:
         """Run ``lineside …`` on this configuration; its output."""
@@ -151,10 +154,10 @@ class Site:
         headers = {"Authorization": f"Bearer {self.tokens[role]}"} if role else {}
         return httpx.Client(base_url=f"{self.url}/api/v1", headers=headers, timeout=30, trust_env=False)
 
-    def unit(self, number: int = 1) -> dict[str, Any]:
+    def unit(self, number: int = 1, bus: str = "line") -> dict[str, Any]:
         """A unit as the API shows it now."""
         with self.api() as client:
-            shown: dict[str, Any] = client.get(f"/buses/line/units/{number}").json()
+            shown: dict[str, Any] = client.get(f"/buses/{bus}/units/{number}").json()
             return shown
 
     def _answers(self) -> bool:
@@ -168,18 +171,26 @@ class Site:
 
     def _all_read(self) -> bool:
         with self.api() as client:
-            units = client.get("/line").json()["buses"][0]["units"]
+            units = [unit for bus in client.get("/line").json()["buses"] for unit in bus["units"]]
         return all(unit["link"] == "online" and unit["decimals"] is not None for unit in units)
 
 
 @contextmanager
 def site(
-    folder: Path, units: int = 8, *, line_options: tuple[str, ...] = (), toml: str = "", bus_toml: str = ""
+    folder: Path,
+    units: int = 8,
+    *,
+    line_options: tuple[str, ...] = (),
+    toml: str = "",
+    bus_toml: str = "",
+    more: dict[str, int] | None = None,
 ) -> Iterator[Site]:
-    """A running site of ``units`` on the bus ``line``; ``toml`` and ``bus_toml`` are added to its file."""
-    line = start_line(folder, units, *line_options)
-    made = Site(folder, line, f"http://127.0.0.1:{free_port()}", units)
+    """A running site of ``units`` on the bus ``line``; ``toml`` and ``bus_toml`` are added to its file.
+    ``more``: further buses, each by name with its number of units."""
+    made = Site(folder, start_line(folder, units, *line_options), f"http://127.0.0.1:{free_port()}", units)
     try:
+        for name, count in (more or {}).items():
+            made.more[name] = (start_line(folder, count, *line_options, name=name), count)
         made.config.write_text(_configuration(made, toml, bus_toml), encoding="utf-8")
         made.add_people()
         made.start()
@@ -203,13 +214,19 @@ port = {port}
 data = "./data"
 
 {toml}
-[[bus]]
-name = "line"
-port = {json.dumps(made.line.port)}
-turnaround_ms = 50
-{bus_toml}
 """
-    return head + unit_tables(made.units)
+    others = (_bus_table(name, line.port, units, "") for name, (line, units) in made.more.items())
+    return head + _bus_table("line", made.line.port, made.units, bus_toml) + "".join(others)
+
+
+def _bus_table(name: str, port: str, units: int, toml: str) -> str:
+    return f"""
+[[bus]]
+name = {json.dumps(name)}
+port = {json.dumps(port)}
+turnaround_ms = 50
+{toml}
+{unit_tables(units)}"""
 
 
 def unit_tables(units: int) -> str:

@@ -127,7 +127,7 @@ def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
         lambda route: route.continue_(headers={**route.request.headers, "lineside-asked-at": "1.0"}),
     )
     act.click()
-    expect(page.locator("[data-review-done=bad]")).to_contain_text("too late")
+    expect(page.locator("#review-body [role=alert]")).to_contain_text("too late")
     assert heard(own_site) == before
 
 
