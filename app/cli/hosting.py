@@ -20,7 +20,7 @@ from app.auth.rules import new_secret
 from app.cli.workers import Workers
 from app.settings import Server, Settings
 from bus.errors import LinesideError
-from bus.worker.process import configure_log
+from bus.worker.log import configure_log
 
 BACKLOG = 512
 """Browsers of a whole plant come back at once after a restart."""

@@ -5,17 +5,15 @@ from __future__ import annotations
 import asyncio
 import ctypes
 import gc
-import logging
 import os
 import signal
-import sys
 from contextlib import suppress
 from typing import Any
 
-import structlog
 import uvloop
 
 from bus.settings import BusSettings
+from bus.worker.log import configure_log
 from bus.worker.service import run_worker
 
 _PR_SET_PDEATHSIG = 1
@@ -76,20 +74,3 @@ def _die_with_parent() -> None:
     prctl: Any = getattr(ctypes.CDLL(None), "prctl", None)
     if prctl is not None:
         prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
-def configure_log() -> None:
-    """On standard error: for people on a terminal, one JSON object a line otherwise."""
-    people = sys.stderr.isatty()
-    structlog.configure(
-        processors=[
-            structlog.contextvars.merge_contextvars,
-            structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso", utc=True),
-            structlog.processors.format_exc_info,
-            structlog.dev.ConsoleRenderer() if people else structlog.processors.JSONRenderer(),
-        ],
-        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
-        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
-        cache_logger_on_first_use=True,
-    )
