@@ -31,9 +31,11 @@ from app.recipes.store import RecipeStore
 from app.sets.keeper import SetKeeper
 from app.sets.reading import ParameterReader
 from app.sets.restore import RestoreDesk
+from app.sets.restore_store import RestoreStore
 from app.sets.store import SetStore
 from app.sets.taking import Takings
 from app.settings import Settings
+from app.swap.desk import SwapDesk
 from app.web.access import Person, Role
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.formats import zone
@@ -85,6 +87,7 @@ class Services:
     sets: SetKeeper
     takings: Takings
     restores: RestoreDesk
+    swaps: SwapDesk
     recipes: RecipeBook
     counts: Counts
 
@@ -113,6 +116,8 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     hub.block, hub.drift, hub.watch = safeguards.block_reason, sets.drifted, workers.watch
     hub.holder = safeguards.holder
     safeguards.on_block(hub.refresh_unit)
+    restores, swaps = RestoreDesk(reader, desk, events, RestoreStore(database)), SwapDesk(events, time)
+    restores.on_end = swaps.ended
     recipes = RecipeBook(live, desk, RecipeStore(database), events)
     hub.recipe = recipes.loaded_words
     return Services(
@@ -135,7 +140,8 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         parameter_reader=reader,
         sets=sets,
         takings=Takings(sets),
-        restores=RestoreDesk(reader, desk, events),
+        restores=restores,
+        swaps=swaps,
         recipes=recipes,
         counts=Counts(events),
     )
@@ -178,6 +184,7 @@ async def _begin(services: Services) -> None:
         await services.events.record(kind="configuration", what="configuration changed", message=changed)
     await services.safeguards.load()
     await services.sets.load()
+    await services.restores.load()
     await services.recipes.load_marks()
 
 

@@ -193,8 +193,7 @@ async def _read(person: Person, ask: Asking, unit: int, numbers: list[int], *, g
         return
     status = 503 if result.outcome in ("bus_closed", "not_sent") else 504
     code = result.outcome if status == 503 else "unverified"
-    said = result.message or "no answer"
-    detail = f"unit {unit}: {len(result.values)} of {len(numbers)} parameters were read, then: {said}"
+    detail = result.message or f"unit {unit} did not answer"
     raise Problem(status, code, detail, outcome=code, unit=unit)
 
 

@@ -15,7 +15,7 @@ from app.sets.compare import compare
 from app.sets.document import write_document
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import (
-    is_running,
+    plan,
     restore_or_404,
     set_or_404,
     unit_rows_or_404,
@@ -194,16 +194,13 @@ async def plan_unit_restore(
     """Read the unit and say what a restore would write. Nothing is written."""
     unit_or_404(live, bus, unit)
     rows = await wanted_rows(keeper, unit, wanted.set, wanted.document, wanted.from_unit)
-    running = is_running(live.buses[bus], unit)
-    return restore_json(
-        await restores.plan(person, bus, unit, rows, running=running, ticked=frozenset(wanted.ticked))
-    )
+    return restore_json(await plan(restores, person, live.buses[bus], unit, rows, wanted.ticked))
 
 
 @router.post("/restores/{restore_id}/start", status_code=202)
 async def start_restore(person: Engineer, restores: Restores, restore_id: str) -> dict[str, Any]:
     """Write what the plan says."""
-    restore = restore_or_404(restores, restore_id)
+    restore = await restore_or_404(restores, restore_id)
     restores.start(person, restore)
     return restore_json(restore)
 
@@ -211,7 +208,7 @@ async def start_restore(person: Engineer, restores: Restores, restore_id: str) -
 @router.post("/restores/{restore_id}/cancel", status_code=202)
 async def cancel_restore(_: Engineer, restores: Restores, restore_id: str) -> dict[str, Any]:
     """Leave off after the row in hand."""
-    restore = restore_or_404(restores, restore_id)
+    restore = await restore_or_404(restores, restore_id)
     restore.cancel()
     return restore_json(restore)
 
@@ -219,7 +216,7 @@ async def cancel_restore(_: Engineer, restores: Restores, restore_id: str) -> di
 @router.get("/restores/{restore_id}")
 async def one_restore(_: Viewer, restores: Restores, restore_id: str) -> dict[str, Any]:
     """How far it is, row by row."""
-    return restore_json(restore_or_404(restores, restore_id))
+    return restore_json(await restore_or_404(restores, restore_id))
 
 
 async def _ask_for_secrets(person: Person, events: EventLog, stored: ParameterSet) -> None:

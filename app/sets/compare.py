@@ -76,14 +76,19 @@ def _compare_row(parameter: Parameter, left: UnitRows, right: UnitRows, toleranc
         kind=kind,
         old=row_text(parameter, left),
         new=row_text(parameter, right),
-        meaning=_meaning(parameter.number, kind),
+        meaning=_words(parameter.number, kind),
     )
 
 
-def _meaning(number: int, kind: Kind) -> str:
+def _words(number: int, kind: Kind) -> str:
     if kind == "differs":
-        return _MEANINGS.get(number, _ANY_MEANING)
+        return meaning(number)
     return _ANY_MEANING if kind == "unavailable" else ""
+
+
+def meaning(number: int) -> str:
+    """What it means that a parameter differs: a template for the texts ``old`` and ``new``."""
+    return _MEANINGS.get(number, _ANY_MEANING)
 
 
 def _kind(left: Row | None, right: Row | None, tolerance: int) -> Kind:

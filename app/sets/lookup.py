@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from app.errors import Problem
 from app.live.state import BusLive
 from app.sets.document import DocumentError, read_document
 from app.sets.keeper import SetKeeper
 from app.sets.model import ParameterSet, UnitRows
-from app.sets.restore import Restore, RestoreDesk
-from bus.catalogue.status import status_bits
+from app.sets.restore import RestoreDesk
+from app.sets.restore_record import Restore
+from app.web.access import Person
+from bus.catalogue.status import StatusBits, status_bits
 
 
 async def wanted_rows(
@@ -38,12 +42,27 @@ def document_rows(text: str, source: str, unit: int, from_unit: int | None = Non
     return rows
 
 
-def is_running(bus: BusLive, unit: int) -> bool | None:
-    """The Run input as last read; None when the unit never answered."""
+async def plan(
+    restores: RestoreDesk,
+    person: Person,
+    bus: BusLive,
+    unit: int,
+    wanted: UnitRows,
+    ticked: Iterable[int] = (),
+) -> Restore:
+    """Read the unit and say what a restore would write, by its Run input and its mode as last read."""
+    bits = _status(bus, unit)
+    running, remote = (None, None) if bits is None else (bits.run, bits.remote)
+    return await restores.plan(
+        person, bus.settings.name, unit, wanted, running=running, remote=remote, ticked=frozenset(ticked)
+    )
+
+
+def _status(bus: BusLive, unit: int) -> StatusBits | None:
     reading = bus.units[unit].reading
     if reading is None:
         return None
-    return status_bits(reading.outputs, reading.inputs, bus.settings.estop_healthy).run
+    return status_bits(reading.outputs, reading.inputs, bus.settings.estop_healthy)
 
 
 async def set_or_404(keeper: SetKeeper, set_id: int) -> ParameterSet:
@@ -62,11 +81,10 @@ def unit_rows_or_404(stored: ParameterSet, unit: int) -> UnitRows:
     return rows
 
 
-def restore_or_404(restores: RestoreDesk, restore_id: str) -> Restore:
-    """A restore of this run of the server."""
-    restore = restores.get(restore_id)
+async def restore_or_404(restores: RestoreDesk, restore_id: str) -> Restore:
+    """A restore that was begun, or a plan of this run of the server."""
+    restore = await restores.find(restore_id)
     if restore is None:
-        raise Problem(
-            404, "unknown_restore", "no such restore; the server may have been started anew: plan again"
-        )
+        why = "no such restore; a plan that was not begun ends with the server: plan again"
+        raise Problem(404, "unknown_restore", why)
     return restore

@@ -12,7 +12,7 @@ from app.sets.api import Events, Keeper, Live, Restores
 from app.sets.changers import who_changed
 from app.sets.compare import compare
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import document_rows, is_running, restore_or_404, set_or_404, unit_rows_or_404
+from app.sets.lookup import document_rows, plan, restore_or_404, set_or_404, unit_rows_or_404
 from app.sets.model import UnitRows
 from app.sets.sides import side
 from app.sets.taking import Taking, Takings
@@ -166,9 +166,9 @@ async def drift_fragment(
 
 @router.get("/units/{bus}/{unit}/restore")
 async def restore_page(
-    request: Request, _: Engineer, keeper: Keeper, live: Live, bus: str, unit: int
+    request: Request, _: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int
 ) -> Response:
-    """Choose what the unit shall become."""
+    """Choose what the unit shall become; and what earlier restores of it came to."""
     live_unit = unit_or_404(live, bus, unit)
     own = await keeper.store.summaries(bus, unit)
     every = await keeper.store.summaries(bus)
@@ -178,6 +178,7 @@ async def restore_page(
         bus=bus,
         unit=live_unit,
         sets=[*own, *(summary for summary in every if summary not in own)],
+        earlier=await restores.of_unit(bus, unit),
     )
 
 
@@ -196,17 +197,14 @@ async def plan_page(
     """Read the unit, say what would be written. Nothing is."""
     unit_or_404(live, bus, unit)
     rows = await _wanted(keeper, unit, source, file)
-    running = is_running(live.buses[bus], unit)
-    restore = await restores.plan(person, bus, unit, rows, running=running, ticked=frozenset(tick or ()))
+    restore = await plan(restores, person, live.buses[bus], unit, rows, tick or ())
     return _go_to(f"/restores/{restore.id}")
 
 
 @router.get("/restores/{restore_id}")
-async def restore_progress(
-    request: Request, _: Engineer, restores: Restores, live: Live, restore_id: str
-) -> Response:
+async def restore_progress(request: Request, _: Engineer, restores: Restores, restore_id: str) -> Response:
     """The plan before, the progress during, the proof after."""
-    restore = restore_or_404(restores, restore_id)
+    restore = await restore_or_404(restores, restore_id)
     template = "sets/_restore.html" if request.headers.get("hx-request") else "sets/restoring.html"
     dangerous = {left.number for left in restore.left_out if PARAMETERS[left.number].dangerous}
     return render(
@@ -214,8 +212,9 @@ async def restore_progress(
         template,
         restore=restore_json(restore),
         planned_at=restore.planned_at,
-        name=live.buses[restore.bus].units[restore.unit].settings.name,
+        name=restore.before.name,
         tickable=dangerous,
+        swap=request.app.state.services.swaps.of(restore.bus, restore.unit),
         proven=_proof(restore.wanted, restore.proven),
     )
 
@@ -229,24 +228,33 @@ async def tick_danger(
     tick: Annotated[list[int] | None, Form()] = None,
 ) -> Response:
     """Plan again with dangerous rows that a person has confirmed one by one."""
-    old = restore_or_404(restores, restore_id)
-    running = is_running(live.buses[old.bus], old.unit)
-    ticked = frozenset(tick or ())
-    fresh = await restores.plan(person, old.bus, old.unit, old.wanted, running=running, ticked=ticked)
+    old = await restore_or_404(restores, restore_id)
+    bus = bus_or_404(live, old.bus)
+    fresh = await plan(restores, person, bus, old.unit, old.wanted, tick or ())
+    return _go_to(f"/restores/{fresh.id}")
+
+
+@router.post("/restores/{restore_id}/again")
+async def plan_again(person: Engineer, restores: Restores, live: Live, restore_id: str) -> Response:
+    """The same restore once more: what is done is found equal, the rest is reviewed."""
+    old = await restore_or_404(restores, restore_id)
+    bus = bus_or_404(live, old.bus)
+    unit_or_404(live, old.bus, old.unit)
+    fresh = await plan(restores, person, bus, old.unit, old.wanted)
     return _go_to(f"/restores/{fresh.id}")
 
 
 @router.post("/restores/{restore_id}/start")
 async def start(person: Engineer, restores: Restores, restore_id: str) -> Response:
     """Write what the plan says."""
-    restores.start(person, restore_or_404(restores, restore_id))
+    restores.start(person, await restore_or_404(restores, restore_id))
     return _go_to(f"/restores/{restore_id}")
 
 
 @router.post("/restores/{restore_id}/cancel")
 async def cancel(_: Engineer, restores: Restores, restore_id: str) -> Response:
     """Leave off after the row in hand."""
-    restore_or_404(restores, restore_id).cancel()
+    (await restore_or_404(restores, restore_id)).cancel()
     return _go_to(f"/restores/{restore_id}")
 
 

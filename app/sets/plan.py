@@ -6,14 +6,18 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from app.sets.model import UnitRows
-from bus.catalogue.parameters import PARAMETERS, danger_of_writing
+from bus.catalogue.parameters import PARAMETERS, check_writable_value, danger_of_writing
+from bus.errors import CallerError
 
 _FIRST = (1, 2, 3, 8)
 """Full scale, display and mode give the other rows their meaning and their bounds."""
 _LAST = (21, 27, 18, 19)
 """What may end the conversation comes when everything else is done."""
 _ALLOW_SETUP_DURING_RUN = 16
-_MODE = 8
+_MODE, _CONTROL, _REMOTE = 8, 19, 1
+NOT_IN_REMOTE = (
+    "the unit is not in REMOTE and refuses every write; set #19 to 1 at its keypad, then plan again"
+)
 _BOUNDS = ((38, 31), (22, 23), (29, 30))
 """(low, high) pairs: the end that widens the window is written first."""
 _BOUNDED_LATE = (4, 37, 9, 10, 11, 12, 20)
@@ -31,10 +35,14 @@ class Write:
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """One row that differs or may differ and is not written; ``reason`` is a sentence."""
+    """One row that differs or may differ and is not written; ``reason`` is a sentence.
+
+    ``later``: once somebody has set the unit to REMOTE at its panel, the same restore writes it.
+    """
 
     number: int
     reason: str
+    later: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,15 +55,22 @@ class RestorePlan:
 
 
 def plan_restore(
-    wanted: UnitRows, present: UnitRows, *, running: bool | None, ticked: frozenset[int] = frozenset()
+    wanted: UnitRows,
+    present: UnitRows,
+    *,
+    running: bool | None,
+    remote: bool | None = None,
+    ticked: frozenset[int] = frozenset(),
 ) -> RestorePlan:
     """``running``: the Run input of the unit (None: not known, taken as running).
 
+    ``remote``: whether its status says REMOTE (None: not known; then its #19 alone says it).
     ``ticked``: dangerous parameters that a person has confirmed one by one.
     """
     writes: list[Write] = []
     left_out: list[LeftOut] = []
     equal = 0
+    refuses = remote is False or (remote is None and present.raw(_CONTROL) not in (None, _REMOTE))
     for number in PARAMETERS:
         reason = _why_not(number, wanted, present, running=running is not False, ticked=ticked)
         new, old = wanted.raw(number), present.raw(number)
@@ -63,6 +78,8 @@ def plan_restore(
             equal += 1
         elif reason:
             left_out.append(LeftOut(number, reason))
+        elif refuses:
+            left_out.append(LeftOut(number, NOT_IN_REMOTE, later=True))
         elif new is not None and old is not None:
             writes.append(Write(number, old, new))
     return RestorePlan(tuple(_in_order(writes)), tuple(left_out), equal)
@@ -71,20 +88,31 @@ def plan_restore(
 def _why_not(
     number: int, wanted: UnitRows, present: UnitRows, *, running: bool, ticked: frozenset[int]
 ) -> str:
-    """Why a row that is not equal is left out; empty when it may be written."""
+    """Why a row that is not equal is left out, whatever the unit's mode; empty when it may be written."""
     parameter = PARAMETERS[number]
     there, asked = present.rows.get(number), wanted.rows.get(number)
     if parameter.never_writable:
         return "the address is set at the keypad only; the link cannot write it"
     if asked is None or asked.raw is None:
-        return "secret, not held in the set" if parameter.secret else "the set does not hold it"
+        return _not_held(number, wanted)
     if there is not None and not there.available:
         return "this unit does not have it"
     if there is None or there.raw is None:
         return "it could not be read from the unit"
     if number == _MODE and running:
         return "no change while Run is on"
+    try:
+        check_writable_value(parameter, asked.raw)
+    except CallerError as error:
+        return str(error)
     return "" if number in ticked else danger_of_writing(parameter, asked.raw)
+
+
+def _not_held(number: int, wanted: UnitRows) -> str:
+    row = wanted.rows.get(number)
+    if row is not None and not row.available:
+        return "the unit of the set did not have it"
+    return "secret, not held in the set" if PARAMETERS[number].secret else "the set does not hold it"
 
 
 def _in_order(writes: Iterable[Write]) -> list[Write]:

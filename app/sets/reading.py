@@ -49,6 +49,5 @@ class ParameterReader:
 
 
 def _unread(result: Result, unit: int) -> Problem:
-    got, of = len(result.values), len(PARAMETERS)
-    detail = f"unit {unit}: {got} of {of} parameters were read, then: {result.message or 'no answer'}"
-    return Problem(504, "unverified", detail, unit=unit, read=got)
+    detail = result.message or f"unit {unit} did not answer"
+    return Problem(504, "unverified", detail, unit=unit, read=len(result.values))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from app.sets.compare import Compared, with_unit
+from app.sets.compare import Compared, meaning, with_unit
 from app.sets.model import ParameterSet, UnitRows
-from app.sets.restore import Restore, RowResult
+from app.sets.restore_record import Restore, RowResult
 from app.sets.store import SetSummary
 from bus.catalogue.parameters import PARAMETERS
 
@@ -89,7 +89,12 @@ def restore_json(restore: Restore) -> dict[str, Any]:
         "equal": restore.plan.equal,
         "rows": [_row_json(restore, row) for row in restore.rows],
         "left_out": [
-            {"number": left.number, "name": PARAMETERS[left.number].name, "reason": left.reason}
+            {
+                "number": left.number,
+                "name": PARAMETERS[left.number].name,
+                "reason": left.reason,
+                "later": left.later,
+            }
             for left in restore.left_out
         ],
         "remaining": None if restore.remaining is None else [compared_json(row) for row in restore.remaining],
@@ -98,10 +103,9 @@ def restore_json(restore: Restore) -> dict[str, Any]:
 
 def _row_json(restore: Restore, row: RowResult) -> dict[str, Any]:
     parameter = PARAMETERS[row.write.number]
-    present, wanted = (
-        _shown(restore, row.write.number, row.write.present),
-        _shown(restore, row.write.number, row.write.wanted),
-    )
+    present = _shown(restore.before, row.write.number, row.write.present)
+    wanted = _shown(restore.wanted, row.write.number, row.write.wanted)
+    words = "" if parameter.secret else meaning(parameter.number)
     return {
         "number": parameter.number,
         "name": parameter.name,
@@ -109,16 +113,17 @@ def _row_json(restore: Restore, row: RowResult) -> dict[str, Any]:
         "wanted_raw": None if parameter.secret else row.write.wanted,
         "present": present,
         "wanted": wanted,
-        "meaning": "" if parameter.secret else f"{wanted} instead of {present}",
+        "words": words,
+        "meaning": words.format(new=wanted, old=present),
         "outcome": row.outcome,
         "message": row.message,
         "read_back": None if parameter.secret else row.read_back,
     }
 
 
-def _shown(restore: Restore, number: int, raw: int) -> str:
+def _shown(rows: UnitRows, number: int, raw: int) -> str:
     parameter = PARAMETERS[number]
-    return "secret" if parameter.secret else with_unit(parameter, raw, restore.wanted)
+    return "secret" if parameter.secret else with_unit(parameter, raw, rows)
 
 
 def iso(at: float | None) -> str | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from app.commands.desk import Desk
 from app.live.state import LiveState
-from app.sets.restore import Restore
+from app.swap.desk import Swap
 from app.swap.rules import FACTORY_ADDRESS, Kind, Sight
 from app.web.access import Person
 from bus.catalogue.status import status_bits
@@ -13,22 +13,25 @@ from bus.contract import ScanBus
 LOOK_TIMEOUT_S = 10.0
 
 
-async def look(
-    desk: Desk, live: LiveState, person: Person, bus: str, target: int, restore: Restore | None
-) -> Sight:
-    """What the wire shows now. Raises Problem 503 while the bus is closed."""
+async def look(desk: Desk, live: LiveState, person: Person, swap: Swap) -> Sight:
+    """What the wire shows now; the swap remembers it. Raises Problem 503 while the bus is closed."""
+    bus, target = swap.bus, swap.unit
     at_target = await _answers(desk, person, bus, target)
     at_factory: Kind = "silent"
     if at_target == "silent" and target != FACTORY_ADDRESS:
         at_factory = await _answers(desk, person, bus, FACTORY_ADDRESS)
-    return Sight(
+    sight = Sight(
         target=target,
         at_target=at_target,
         at_factory=at_factory,
         remote=_remote(live, bus, target) if at_target == "digimax" else None,
-        equal=None if restore is None else restore.state == "equal",
+        equal=swap.equal,
+        is_new=swap.is_new,
         configured=frozenset(live.buses[bus].units),
+        baud=live.buses[bus].settings.baud,
     )
+    swap.saw(sight)
+    return sight
 
 
 async def _answers(desk: Desk, person: Person, bus: str, address: int) -> Kind:

@@ -8,6 +8,8 @@ from typing import Literal
 
 FACTORY_ADDRESS = 1
 """#17 of a unit as it comes out of its box (manual, 1.0)."""
+FACTORY_BAUD = 9600
+"""Its #18 then, in bits a second."""
 
 Kind = Literal["silent", "digimax", "garbled", "foreign"]
 StepName = Literal["find", "address", "remote", "restore", "proven"]
@@ -19,7 +21,9 @@ class Sight:
     """What the wire shows of a swap. ``remote`` and ``equal`` None: not known yet.
 
     ``at_target``: what answers at the section's address; ``at_factory``: at address 1.
+    ``is_new``: what answers there is the spare, not the old unit that is still on the cable.
     ``equal``: whether the unit equals the set, as the last full read says.
+    ``baud``: the rate of the line.
     """
 
     target: int
@@ -27,19 +31,23 @@ class Sight:
     at_factory: Kind
     remote: bool | None
     equal: bool | None
+    is_new: bool = True
     configured: frozenset[int] = frozenset()
+    baud: int = FACTORY_BAUD
 
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """The step at hand, and in words (a template for ``target`` and ``factory``) what to do now.
+    """The step at hand, and in words (a template for ``target``, ``factory``, ``baud`` and ``hundreds``)
+    what to do now.
 
-    ``at_panel``: only a person at the keypad can do it.
+    ``at_panel``: only a person at the unit can do it. ``asks``: whether the unit there is the spare.
     """
 
     step: StepName
     text: str
     at_panel: bool
+    asks: bool = False
 
 
 def advice(sight: Sight) -> Advice:
@@ -48,6 +56,12 @@ def advice(sight: Sight) -> Advice:
         return _at_target_wrong(sight)
     if sight.at_target == "silent":
         return _nothing_at_target(sight)
+    if not sight.is_new:
+        text = (
+            "A unit answers at address {target}. If it is the old one, switch it off and take it off the "
+            "cable; this page goes on when the address is silent. If it is the spare already, say so."
+        )
+        return Advice("find", text, at_panel=True, asks=True)
     if sight.remote is not True:
         text = (
             "At the keypad of the new unit set parameter 19 to 1 (REMOTE). In LOCAL it refuses every write, "
@@ -82,11 +96,37 @@ def _nothing_at_target(sight: Sight) -> Advice:
             "The spare answers at its factory address {factory}. At its keypad set parameter 17 to {target}."
         )
         return Advice("address", text, at_panel=True)
-    text = (
-        "Nothing new answers yet. Connect and power the spare; at its keypad set parameter 17 to {target} "
-        "and parameter 18 to the baud rate of this line."
-    )
+    if sight.baud != FACTORY_BAUD:
+        text = (
+            "Nothing new answers yet. Connect and power the spare. Out of its box it speaks at 9600 baud, "
+            "and this line goes at {baud}: at its keypad set parameter 17 to {target} and parameter 18 to "
+            "{hundreds}, then switch it off and on."
+        )
+    else:
+        text = (
+            "Nothing new answers yet. Connect and power the spare; at its keypad set parameter 17 to "
+            "{target}. If it was used elsewhere before, set parameter 18 to {hundreds} ({baud} baud) as "
+            "well, then switch it off and on."
+        )
     return Advice("find", text, at_panel=True)
+
+
+_KIND_WORDS: dict[Kind, str] = {
+    "silent": "nothing answers",
+    "digimax": "a unit answers",
+    "garbled": "two units answer",
+    "foreign": "something that is no unit answers",
+}
+
+
+def seen_words(sight: Sight) -> str:
+    """What the wire shows, for the record of the swap."""
+    words = f"{_KIND_WORDS[sight.at_target]} at address {sight.target}"
+    if sight.at_target == "silent" and sight.at_factory != "silent":
+        words += f" and {_KIND_WORDS[sight.at_factory]} at {FACTORY_ADDRESS}"
+    if sight.at_target == "digimax":
+        words += " in REMOTE" if sight.remote else "" if sight.remote is None else ", not in REMOTE"
+    return words
 
 
 def done_steps(now: StepName) -> Collection[StepName]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 
 from bus.catalogue.parameters import PARAMETERS
@@ -14,19 +15,29 @@ from bus.wire.commands import ReadParameter
 
 
 def read_parameters(record: UnitRecord, numbers: Sequence[int], wish: Wish) -> Procedure:
-    """85h for each of ``numbers``, all of the list when empty; a unit that falls silent ends it."""
+    """85h for each of ``numbers``, all of the list when empty.
+
+    The first that is not answered is asked again at the end: a moment of noise does not cost a whole list.
+    A second one is a unit that has fallen silent, and ends it.
+    """
     wanted = tuple(numbers) or tuple(PARAMETERS)
+    waiting, missed = deque(wanted), False
     values: list[ParameterValue] = []
     refused: list[str] = []
-    for done, number in enumerate(wanted):
+    while waiting:
         if wish.cancelled:
             return _partly(record, values, wanted, "given up")
-        yield Tell("sent", record.unit, done, len(wanted))
+        number = waiting.popleft()
+        yield Tell("sent", record.unit, len(values), len(wanted))
         answer = yield from ask(Ask(ReadParameter(record.unit, number), proves=True))
         if answer.fate is Fate.CLOSED:
             return _partly(record, values, wanted, "the link to the bus was lost", closed=True)
         if answer.fate is not Fate.ANSWERED:
-            return _partly(record, values, wanted, f"no answer to #{number}")
+            if missed or len(wanted) == 1:
+                return _partly(record, values, wanted, f"no answer to #{number}")
+            missed = True
+            waiting.append(number)
+            continue
         known = record.parameters.get(number)
         if known is not None and known.at == answer.answered_at:
             values.append(known)

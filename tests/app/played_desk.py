@@ -31,13 +31,16 @@ REMOTE, HEALTHY, RUN = 0b0100_0000, 0b0000_0010, 0b0000_0001
 
 @dataclass
 class PlayedDesk:
-    """``memory``: unit → number → raw. ``silent_after``: writes after which nothing answers any more."""
+    """``memory``: unit → number → raw. ``silent_after``: writes after which nothing answers any more;
+    ``hangs_after``: writes after which the next one never gets its fate."""
 
     live: LiveState
     memory: dict[int, dict[int, int]]
     refuses: dict[int, int] = field(default_factory=dict)
     lacks: frozenset[int] = frozenset()
     silent_after: int | None = None
+    hangs_after: int | None = None
+    hanging: asyncio.Event = field(default_factory=asyncio.Event)
     written: list[tuple[int, int, int]] = field(default_factory=list)
     asked: list[Action] = field(default_factory=list)
 
@@ -48,6 +51,9 @@ class PlayedDesk:
         match action:
             case ReadParameters():
                 return self._read(action)
+            case WriteParameter() if len(self.written) == self.hangs_after:
+                self.hanging.set()
+                await asyncio.Event().wait()
             case WriteParameter():
                 return self._write(action)
             case SetLine():

@@ -16,7 +16,8 @@ def rows(values: dict[int, int | None], **marks: bool) -> UnitRows:
 
 
 def every(raw_of: dict[int, int] | None = None) -> dict[int, int | None]:
-    return {number: (raw_of or {}).get(number, row.minimum) for number, row in PARAMETERS.items()}
+    given = {19: 1} | (raw_of or {})
+    return {number: given.get(number, row.minimum) for number, row in PARAMETERS.items()}
 
 
 raws = st.fixed_dictionaries(
@@ -98,3 +99,26 @@ def test_what_a_unit_does_not_have_and_what_the_set_does_not_hold_is_named() -> 
     assert [write.number for write in plan.writes] == [6]
     assert "does not have" in reasons[40]
     assert "secret" in reasons[21]
+
+
+def test_local_is_named_beforehand_and_may_be_written_later() -> None:
+    wanted, local = rows(every({6: 5, 17: 3})), rows(every({6: 9, 19: 0}))
+    for plan in (
+        plan_restore(wanted, local, running=False),
+        plan_restore(wanted, rows(every({6: 9})), running=False, remote=False),
+    ):
+        assert plan.writes == ()
+        assert {left.number: left.later for left in plan.left_out} | {19: True} == {
+            6: True,
+            17: False,
+            19: True,
+        }
+        assert "REMOTE" in plan.left_out[0].reason
+    told_by_status = plan_restore(wanted, local, running=False, remote=True)
+    assert 6 in {write.number for write in told_by_status.writes}
+
+
+def test_a_value_that_no_unit_takes_is_named_and_not_sent() -> None:
+    plan = plan_restore(rows(every({18: 7})), rows(every({18: 96})), running=False, ticked=frozenset({18}))
+    assert plan.writes == ()
+    assert "it takes 3, 6, 12, 24, 48 or 96" in plan.left_out[0].reason

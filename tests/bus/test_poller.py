@@ -321,6 +321,34 @@ def test_reading_what_a_short_list_does_not_have() -> None:
     run(scene, 2)
 
 
+def test_a_moment_of_silence_does_not_cost_a_whole_list() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        command = line.command(ReadParameters(1))
+        await asyncio.sleep(0.5)
+        line.faults.set(Kind.DEAD, 1, 1)
+        await asyncio.sleep(0.35)
+        line.faults.clear()
+        await line.until(lambda: line.fate_of(command), within_s=60)
+        fate = _fate(line, command)
+        assert fate.outcome == "verified"
+        assert sorted(value.number for value in fate.values) == list(range(1, 41))
+        assert fate.values[-1].number != 40, "one was asked again at the end"
+
+    run(scene, 2)
+
+
+def test_a_unit_that_stays_silent_ends_its_reading() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        line.faults.set(Kind.DEAD, 1, 1)
+        fate = await line.ask(ReadParameters(1), within_s=30)
+        assert fate.outcome == "unverified"
+        assert fate.message == "unit 1: 0 of 40 parameters were read, then: no answer to #2"
+
+    run(scene, 2)
+
+
 def test_a_secret_is_read_but_its_frames_are_not_kept() -> None:
     async def scene(line: VirtualLine) -> None:
         line.plant.unit(1).memory[21] = 4242

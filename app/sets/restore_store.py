@@ -1,0 +1,175 @@
+"""Restores at rest: each row on disk before it is sent and again with its fate."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Mapping
+
+from app.database import Database
+from app.sets.model import Row, UnitRows
+from app.sets.plan import LeftOut, RestorePlan, Write
+from app.sets.restore_record import UNDER_WAY, Restore, RowResult
+
+ENDED_MEANWHILE = "the server ended before its fate was known; it may have been written"
+
+
+class RestoreStore:
+    """All access to the tables of restores. Only what was begun is kept; a plan writes nothing."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    async def begin(self, restore: Restore) -> None:
+        """Before the first row is sent."""
+        await self._database.write(lambda connection: _insert(connection, restore))
+
+    async def sending(self, restore: Restore, place: int) -> None:
+        """A row is about to be sent: should nothing more be stored, its fate is in doubt."""
+        doubt = RowResult(restore.rows[place].write, "unverified", ENDED_MEANWHILE)
+        await self._database.write(lambda connection: _update_row(connection, restore.id, place, doubt))
+
+    async def row(self, restore: Restore, place: int) -> None:
+        """A row has its fate."""
+        row = restore.rows[place]
+        await self._database.write(lambda connection: _update_row(connection, restore.id, place, row))
+
+    async def end(self, restore: Restore) -> None:
+        """Its last state, and what the full read found."""
+        await self._database.write(lambda connection: _end(connection, restore))
+
+    async def load(self, restore_id: str) -> Restore | None:
+        """A restore that was begun, None when there is no such."""
+        return await self._database.read(lambda connection: _load(connection, restore_id))
+
+    async def under_way(self) -> list[Restore]:
+        """Those that had not ended when the server did."""
+
+        def work(connection: sqlite3.Connection) -> list[Restore]:
+            wanted = ", ".join(f"'{state}'" for state in UNDER_WAY)
+            found = connection.execute(f"SELECT id FROM restore WHERE state IN ({wanted})").fetchall()
+            loaded = (_load(connection, restore_id) for (restore_id,) in found)
+            return [restore for restore in loaded if restore is not None]
+
+        return await self._database.read(work)
+
+    async def of_unit(self, bus: str, unit: int, limit: int = 20) -> list[Restore]:
+        """The last restores of a unit, newest first."""
+
+        def work(connection: sqlite3.Connection) -> list[Restore]:
+            found = connection.execute(
+                "SELECT id FROM restore WHERE bus = ? AND unit = ? ORDER BY planned_at DESC LIMIT ?",
+                (bus, unit, limit),
+            ).fetchall()
+            loaded = (_load(connection, restore_id) for (restore_id,) in found)
+            return [restore for restore in loaded if restore is not None]
+
+        return await self._database.read(work)
+
+
+def _insert(connection: sqlite3.Connection, restore: Restore) -> None:
+    connection.execute(
+        "INSERT INTO restore VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        (
+            restore.id,
+            restore.bus,
+            restore.unit,
+            restore.before.name,
+            restore.who,
+            restore.planned_at,
+            restore.plan.equal,
+            restore.state,
+            restore.cause,
+        ),
+    )
+    connection.executemany(
+        "INSERT INTO restore_row VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+        [
+            (restore.id, place, row.write.number, row.write.present, row.write.wanted, *_fate(row))
+            for place, row in enumerate(restore.rows)
+        ],
+    )
+    connection.executemany(
+        "INSERT INTO restore_left_out VALUES (?, ?, ?, ?)",
+        [(restore.id, left.number, left.reason, left.later) for left in restore.left_out],
+    )
+    _insert_values(connection, restore.id, "wanted", restore.wanted.rows)
+    _insert_values(connection, restore.id, "before", restore.before.rows)
+
+
+def _insert_values(
+    connection: sqlite3.Connection, restore_id: str, side: str, rows: Mapping[int, Row]
+) -> None:
+    connection.executemany(
+        "INSERT OR REPLACE INTO restore_value VALUES (?, ?, ?, ?, ?, ?)",
+        [(restore_id, side, row.number, row.raw, row.available, row.read_at) for row in rows.values()],
+    )
+
+
+def _fate(row: RowResult) -> tuple[str | None, str, int | None]:
+    return row.outcome, row.message, row.read_back
+
+
+def _update_row(connection: sqlite3.Connection, restore_id: str, place: int, row: RowResult) -> None:
+    connection.execute(
+        "UPDATE restore_row SET outcome = ?, message = ?, read_back = ? WHERE restore_id = ? AND place = ?",
+        (*_fate(row), restore_id, place),
+    )
+
+
+def _end(connection: sqlite3.Connection, restore: Restore) -> None:
+    connection.execute(
+        "UPDATE restore SET state = ?, cause = ? WHERE id = ?", (restore.state, restore.cause, restore.id)
+    )
+    if restore.proven is not None:
+        _insert_values(connection, restore.id, "proven", restore.proven.rows)
+
+
+def _load(connection: sqlite3.Connection, restore_id: str) -> Restore | None:
+    head = connection.execute(
+        "SELECT bus, unit, unit_name, who, planned_at, equal_rows, state, cause FROM restore WHERE id = ?",
+        (restore_id,),
+    ).fetchone()
+    if head is None:
+        return None
+    bus, unit, name, who, planned_at, equal, state, cause = head
+    rows = _rows(connection, restore_id)
+    proven = _values(connection, restore_id, "proven")
+    return Restore(
+        id=restore_id,
+        bus=bus,
+        unit=unit,
+        who=who,
+        wanted=UnitRows(unit, name, _values(connection, restore_id, "wanted")),
+        before=UnitRows(unit, name, _values(connection, restore_id, "before")),
+        plan=RestorePlan(tuple(row.write for row in rows), _left_out(connection, restore_id), equal),
+        rows=rows,
+        planned_at=planned_at,
+        state=state,
+        cause=cause,
+        proven=UnitRows(unit, name, proven) if proven else None,
+    )
+
+
+def _rows(connection: sqlite3.Connection, restore_id: str) -> list[RowResult]:
+    found = connection.execute(
+        "SELECT number, present, wanted, outcome, message, read_back FROM restore_row"
+        " WHERE restore_id = ? ORDER BY place",
+        (restore_id,),
+    )
+    return [RowResult(Write(number, present, wanted), *fate) for number, present, wanted, *fate in found]
+
+
+def _left_out(connection: sqlite3.Connection, restore_id: str) -> tuple[LeftOut, ...]:
+    found = connection.execute(
+        "SELECT number, reason, later FROM restore_left_out WHERE restore_id = ? ORDER BY number",
+        (restore_id,),
+    )
+    return tuple(LeftOut(number, reason, bool(later)) for number, reason, later in found)
+
+
+def _values(connection: sqlite3.Connection, restore_id: str, side: str) -> dict[int, Row]:
+    found = connection.execute(
+        "SELECT number, raw, available, read_at FROM restore_value WHERE restore_id = ? AND side = ?",
+        (restore_id, side),
+    )
+    return {number: Row(number, raw, bool(available), read_at) for number, raw, available, read_at in found}
