@@ -224,7 +224,7 @@ def _bus_table(name: str, port: str, units: int, toml: str) -> str:
 [[bus]]
 name = {json.dumps(name)}
 port = {json.dumps(port)}
-turnaround_ms = 50
+turnaround_ms = 250  # the simulated units are a process, which a busy machine may keep waiting
 {toml}
 {unit_tables(units)}"""
 
