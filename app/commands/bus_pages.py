@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
+from app.commands.control import LAPSES_AFTER_S
 from app.commands.forms import Desks, Desktop, new_id
 from app.errors import Problem
-from app.web.access import Engineer, Operator, Viewer
+from app.web.access import Engineer, Operator, Person, Role, Viewer
 from bus.contract import ScanBus, UnitFigures
 from bus.errors import unit_error_name
 
@@ -28,7 +29,7 @@ async def first_bus(_: Viewer, desk: Desks) -> Response:
 
 
 @router.get("/{bus}")
-async def bus_page(_: Viewer, desk: Desks, bus: str) -> Response:
+async def bus_page(person: Viewer, desk: Desks, bus: str) -> Response:
     """One bus."""
     live = desk.bus(bus)
     return desk.render(
@@ -37,8 +38,8 @@ async def bus_page(_: Viewer, desk: Desks, bus: str) -> Response:
         bus=live,
         buses=list(desk.live.buses),
         rows=_rows(desk, bus),
-        holding=desk.guards.holding(bus),
         control_required=desk.guards.control.required,
+        **_control(desk, person, bus),
     )
 
 
@@ -91,6 +92,12 @@ async def scan(
     )
 
 
+@router.get("/{bus}/control")
+async def control_now(person: Viewer, desk: Desks, bus: str) -> Response:
+    """Who holds control, for the open page."""
+    return _control_part(desk, person, bus)
+
+
 @router.post("/{bus}/control")
 async def control(
     person: Operator,
@@ -99,13 +106,44 @@ async def control(
     do: Annotated[str, Form(pattern="^(take|release|hand-over)$")],
     to: Annotated[str, Form(max_length=80)] = "",
 ) -> Response:
-    """Take, give back or hand over control of this line."""
+    """Take, give back or hand over control of this line; who was quicker is said in its place."""
     desk.bus(bus)
+    try:
+        await _move_control(desk, person, bus, do, to)
+    except Problem as problem:
+        return _control_part(desk, person, bus, fault=problem.detail)
+    return _control_part(desk, person, bus)
+
+
+async def _move_control(desk: Desktop, person: Person, bus: str, do: str, to: str) -> None:
     match do:
         case "take":
             await desk.guards.take(person, bus)
         case "release":
             await desk.guards.release(person, bus)
         case _:
-            await desk.guards.hand_over(person, bus, to.strip())
-    return RedirectResponse(f"/bus/{bus}", SEE_OTHER)
+            if to not in _others(desk, person, bus):
+                raise Problem(422, "invalid", "nobody of that name is here who could hold control")
+            await desk.guards.hand_over(person, bus, to)
+
+
+def _control_part(desk: Desktop, person: Person, bus: str, fault: str = "") -> Response:
+    context = _control(desk, person, bus)
+    return desk.render("bus/_control.html", bus=desk.bus(bus), fault=fault, **context)
+
+
+def _control(desk: Desktop, person: Person, bus: str) -> dict[str, Any]:
+    return {
+        "holding": desk.guards.holding(bus),
+        "others": _others(desk, person, bus),
+        "lapses_min": round(LAPSES_AFTER_S / 60),
+    }
+
+
+def _others(desk: Desktop, person: Person, bus: str) -> list[str]:
+    """Who is here, may set a line and does not hold this one; an admin may take it this way."""
+    holder = desk.guards.holder(bus)
+    here = {name for name, role in desk.people().items() if Role(role).includes(Role.OPERATOR)}
+    if person.role.includes(Role.ADMIN):
+        here.add(person.name)
+    return sorted(here - {holder})

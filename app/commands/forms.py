@@ -58,6 +58,10 @@ class Desktop:
         """All texts of the screen as they are now."""
         return hub_of(self.request).screen(self.voice.language.tag).flat()
 
+    def people(self) -> dict[str, str]:
+        """Whoever has a page open now, by name, with the role."""
+        return hub_of(self.request).people()
+
     def render(self, template: str, /, *, status: int = 200, **context: Any) -> Response:
         """A page or fragment."""
         return render(self.request, template, status=status, **context)

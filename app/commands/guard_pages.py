@@ -10,8 +10,8 @@ from starlette.responses import RedirectResponse, Response
 from app.commands.forms import Desks
 from app.commands.limits import Limits
 from app.errors import Problem
-from app.live.state import UnitLive
-from app.live.view import DECIMALS, follower
+from app.live.state import UnitLive, follower
+from app.live.view import DECIMALS
 from app.web.access import Engineer, Operator
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError

@@ -12,15 +12,15 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
-from app.commands.fate import Fate
+from app.commands.fate import Fate, fate_of_problem
 from app.commands.forms import TIMEOUT_S, Desks, Desktop, new_id
 from app.commands.ramp import Change, change_of, present_setpoint
 from app.commands.typed import Typed
 from app.commands.words import shown_setpoint
 from app.commands.zero import ZeroPlan, plan_zero
 from app.errors import Problem
-from app.live.state import BusLive
-from app.live.view import DECIMALS, follower
+from app.live.state import BusLive, follower
+from app.live.view import DECIMALS
 from app.web.access import Operator, Person, Viewer
 from bus.contract import Result, SetLine, SetSpeed
 from bus.errors import CallerError
@@ -75,7 +75,12 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
         response.headers["HX-Retarget"] = f"#setpoints-error-{bus}"
         return response
     return desk.render(
-        "setpoints/_review.html", bus=bus, changes=changes, command_id=new_id(), reviewed_at=time.time()
+        "setpoints/_review.html",
+        bus=bus,
+        changes=changes,
+        command_id=new_id(),
+        reviewed_at=time.time(),
+        longest_s=2 * _timeout_s(len(changes)),
     )
 
 
@@ -160,11 +165,15 @@ def _proofs(
 @router.get("/line/zero")
 async def review_zero(_: Operator, desk: Desks) -> Response:
     """What setting the line to zero will do, and to whom."""
+    plans = _plans(desk)
+    units = sum(len(plan.units) for plan in plans)
     return desk.render(
         "line/_review_zero.html",
-        plans=_plans(desk),
+        plans=plans,
+        many=len(plans) > 1,
         command_id=new_id(),
         reviewed_at=time.time(),
+        longest_s=2 * _timeout_s(units) + units * _timeout_s(1),
     )
 
 
@@ -183,32 +192,60 @@ async def set_zero(
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[float, Form()],
 ) -> Response:
-    """Speed 0 to every unit that can be told, all at once where all acknowledge, else one by one."""
+    """Speed 0 to every unit that can be told, all at once where all acknowledge, else one by one.
+
+    What one bus or one unit refuses keeps no other from it.
+    """
     title = desk.voice.t("Set line to zero")
     try:
         desk.refuse_lapsed(reviewed_at)
-        plans = [plan for plan in _plans(desk) if plan.units]
-        told = await asyncio.gather(*(_zero_bus(person, desk, plan, id) for plan in plans))
     except Problem as problem:
         return desk.refused(problem, title)
+    plans = [plan for plan in _plans(desk) if plan.units]
+    told = await asyncio.gather(*(_zero_bus(person, desk, plan, id) for plan in plans))
     proofs = [proof for bus in told for proof in bus]
     return desk.render("line/_zero_done.html", title=title, proofs=proofs, fate=_in_all(desk, proofs))
 
 
 async def _zero_bus(person: Person, desk: Desktop, plan: ZeroPlan, id: str) -> list[tuple[str, str, Fate]]:
-    live, setpoints = desk.bus(plan.bus), dict.fromkeys(plan.units, 0)
-    together = await desk.ask(
-        person, plan.bus, SetLine(setpoints=setpoints), f"{id}-{plan.bus}", _timeout_s(len(setpoints))
-    )
-    if together.outcome in ("verified", "bus_closed"):
-        return _proofs(desk, live, setpoints, together)
-    proofs = []
-    for number in setpoints:
-        alone = await desk.ask(
-            person, plan.bus, SetSpeed(unit=number, raw=0), f"{id}-{plan.bus}-{number}", _timeout_s(1)
-        )
-        proofs += _proofs(desk, live, {number: 0}, alone)
-    return proofs
+    """(name, asked, fate) of each unit. Alone is asked whoever is not proven at 0 after all were asked."""
+    action = SetLine(setpoints=dict.fromkeys(plan.units, 0))
+    together = await _told(person, desk, plan.bus, action, f"{id}-{plan.bus}")
+    is_over = isinstance(together, Result) and together.outcome in ("verified", "bus_closed")
+    fates = _fates_of(desk, plan, together)
+    for number in plan.units:
+        if is_over or fates[number].tone == "good":
+            continue
+        alone = await _told(person, desk, plan.bus, SetSpeed(unit=number, raw=0), f"{id}-{plan.bus}-{number}")
+        fates |= _fates_of(desk, ZeroPlan(plan.bus, {number: ""}), alone)
+    return [
+        (_name_on_site(desk, plan.bus, name), shown_setpoint(0, desk.unit(plan.bus, number)), fates[number])
+        for number, name in plan.units.items()
+    ]
+
+
+async def _told(
+    person: Person, desk: Desktop, bus: str, action: SetLine | SetSpeed, id: str
+) -> Result | Problem:
+    units = len(action.setpoints) if isinstance(action, SetLine) else 1
+    try:
+        return await desk.ask(person, bus, action, id, _timeout_s(units))
+    except Problem as problem:
+        return problem
+
+
+def _fates_of(desk: Desktop, plan: ZeroPlan, told: Result | Problem) -> dict[int, Fate]:
+    if isinstance(told, Problem):
+        return dict.fromkeys(plan.units, fate_of_problem(told, desk.voice))
+    said = {outcome.unit: outcome for outcome in told.units}
+    return {
+        number: desk.fate_at(said.get(number, told), desk.unit(plan.bus, number)) for number in plan.units
+    }
+
+
+def _name_on_site(desk: Desktop, bus: str, name: str) -> str:
+    """Two buses may each have a unit of that name."""
+    return f"{bus} · {name}" if len(desk.live.buses) > 1 else name
 
 
 def _in_all(desk: Desktop, proofs: list[tuple[str, str, Fate]]) -> Fate:

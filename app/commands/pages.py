@@ -10,8 +10,7 @@ from starlette.responses import Response
 from app.commands.forms import Desks, Desktop
 from app.commands.ramp import nudges, present_setpoint, sensible_bounds
 from app.commands.words import shown_setpoint
-from app.live.state import UnitLive
-from app.live.view import follower
+from app.live.state import UnitLive, follower
 from app.web.access import Viewer
 
 router = APIRouter(include_in_schema=False)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from app.commands.limits import Limits
 from app.commands.setpoints import bounds, commanded_setpoint
 from app.commands.words import shown_setpoint
-from app.live.state import BusLive, UnitLive
-from app.live.view import follower
+from app.live.state import BusLive, UnitLive, follower
 from bus.catalogue.parameter import Parameter
 from bus.catalogue.parameters import PARAMETERS
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from app.commands.limits import HIGHEST_SETPOINT, Limits
 from app.commands.objection import Circumstances, ObjectionError
-from app.live.state import BusLive, UnitLive
-from app.live.view import follower
+from app.live.state import BusLive, UnitLive, follower
 
 MAX_RATIO, MIN_RATIO = 31, 38
 

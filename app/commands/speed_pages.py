@@ -18,8 +18,7 @@ from app.commands.setpoints import bounds
 from app.commands.typed import Typed
 from app.commands.words import shown_setpoint
 from app.errors import Problem
-from app.live.state import UnitLive
-from app.live.view import follower
+from app.live.state import UnitLive, follower
 from app.web.access import Operator, Person
 from bus.contract import ExecuteSpeed, ReadParameters, SetSpeed
 from bus.errors import CallerError

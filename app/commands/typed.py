@@ -11,8 +11,8 @@ from app.commands.bodies import Quantity
 from app.commands.desk import Desk
 from app.commands.rules import COMMAND_RATIO
 from app.errors import Problem
-from app.live.state import UnitLive
-from app.live.view import DECIMALS, MODE
+from app.live.state import MODE, UnitLive
+from app.live.view import DECIMALS
 from app.web.access import Person
 from bus.catalogue.parameter import Scale
 from bus.catalogue.parameters import PARAMETERS

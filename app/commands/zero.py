@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from app.commands.ramp import MAX_DISPLAY, RAMP_DOWN
 from app.live.age import unit_link_now
 from app.live.fields import bits_of
-from app.live.state import BusLive, UnitLive
-from app.live.view import follower
+from app.live.state import BusLive, UnitLive, follower
 
 
 @dataclass(slots=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from app.live.age import offline_after_s, scan_s_of, stale_after_s
 from app.live.motion import State
-from app.live.state import BusLive, UnitLive
+from app.live.state import BusLive, UnitLive, follower
 from app.web.formats import UNKNOWN, Formats
 from app.web.languages import Language
 from bus.catalogue.status import StatusBits, status_bits
@@ -19,7 +19,8 @@ from bus.catalogue.values import analog_input_value
 from bus.contract import Reading, UnitFigures, UnitLinkState
 from bus.errors import unit_error_name
 
-MAX_DISPLAY, DECIMALS, WINDOW, KEYLOCK_MODE, ANALOG_LOW, ANALOG_HIGH = 2, 3, 12, 19, 22, 23
+MAX_DISPLAY, DECIMALS, WINDOW, KEYLOCK_MODE, ANALOG_LOW, ANALOG_HIGH, RATIO = 2, 3, 12, 19, 22, 23, 37
+RATIO_DECIMALS = 4
 KEYLOCK = 2
 DEVIATION_WINDOWS = 3
 """Half the width of a deviation bar in at-speed windows, so that the band is its middle third."""
@@ -69,7 +70,7 @@ def mode_of(unit: UnitLive, bits: StatusBits) -> str:
 
 def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, state: State, voice: Voice) -> Fields:
     """All that a page shows of one unit."""
-    fields = {"link": link, "staged": _speed(unit, unit.staged, voice) if unit.staged is not None else ""}
+    fields = {"link": link, "staged": _staged(unit, voice), "ratio": _ratio(bus, unit, voice)}
     reading = unit.reading
     if reading is None:
         return fields | _NEVER | {"state_text": voice.t(STATE_WORDS[""])}
@@ -77,7 +78,7 @@ def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, state: State,
     mode = mode_of(unit, bits)
     return (
         fields
-        | _numbers(unit, reading, voice)
+        | _numbers(bus, unit, reading, voice)
         | _positions(unit, reading)
         | {
             "at": f"{reading.at:.2f}",
@@ -137,7 +138,7 @@ def health_fields(figures: UnitFigures, voice: Voice) -> Fields:
             "{median} ms, at most {most} ms", median=number(1000 * median, 1), most=number(1000 * most, 1)
         )
     return {
-        "answers": f"{figures.answers} / {figures.polls}",
+        "answers": f"{figures.answers}",
         "timeouts": f"{figures.timeouts}",
         "checksums": f"{figures.checksum_errors}",
         "naks": ", ".join(naks) or "0",
@@ -163,21 +164,37 @@ _NEVER: Fields = {
 }
 
 
-def _numbers(unit: UnitLive, reading: Reading, voice: Voice) -> Fields:
+def _numbers(bus: BusLive, unit: UnitLive, reading: Reading, voice: Voice) -> Fields:
+    says_ratio = follower(unit) and bus.settings.follower_speed == "ratio"
+    decimals = RATIO_DECIMALS if says_ratio else unit.parameter_raw(DECIMALS)
     return {
-        "actual": _speed(unit, reading.actual, voice),
-        "commanded": _speed(unit, reading.commanded, voice),
-        "deviation": _signed(unit, reading.actual - reading.commanded, voice),
+        "actual": voice.formats.fixed(reading.actual, decimals),
+        "commanded": voice.formats.fixed(reading.commanded, decimals),
+        "deviation": _signed(reading.actual - reading.commanded, decimals, voice),
         "analog": _analog(unit, reading.analog, voice),
     }
 
 
-def _speed(unit: UnitLive, raw: int, voice: Voice) -> str:
-    return voice.formats.fixed(raw, unit.parameter_raw(DECIMALS))
+def _staged(unit: UnitLive, voice: Voice) -> str:
+    if unit.staged is None:
+        return ""
+    decimals = RATIO_DECIMALS if follower(unit) else unit.parameter_raw(DECIMALS)
+    return voice.formats.fixed(unit.staged, decimals)
 
 
-def _signed(unit: UnitLive, raw: int, voice: Voice) -> str:
-    text = _speed(unit, abs(raw), voice)
+def _ratio(bus: BusLive, unit: UnitLive, voice: Voice) -> str:
+    """What a follower holds to its master: where its commanded speed is a speed, #37 as last read."""
+    if not follower(unit):
+        return ""
+    if bus.settings.follower_speed == "speed":
+        raw = unit.parameter_raw(RATIO)
+    else:
+        raw = unit.reading.commanded if unit.reading is not None else None
+    return "" if raw is None else voice.formats.fixed(raw, RATIO_DECIMALS)
+
+
+def _signed(raw: int, decimals: int | None, voice: Voice) -> str:
+    text = voice.formats.fixed(abs(raw), decimals)
     return f"+{text}" if raw > 0 else f"−{text}" if raw < 0 else text  # noqa: RUF001 (a true minus sign)
 
 

@@ -55,6 +55,11 @@ class Hub:
         """How many pages are open now."""
         return len(self._browsers)
 
+    def people(self) -> dict[str, str]:
+        """Whoever has a page open now, by name, with the role."""
+        roles = {browser.name: browser.role for browser in self._browsers}
+        return {name: roles[name] for name in sorted(roles)}
+
     def screen(self, language: str) -> Screen:
         """What is shown in a language, brought up to date."""
         screen = self._screens.get(language)
@@ -121,12 +126,16 @@ class Hub:
         for language in self._languages():
             screen = self._screens[language]
             groups = screen.settle(now)
-            for group, fields in screen.put("line", {"holder": self._holders()}).items():
-                groups.setdefault(group, {}).update(fields)
+            for held in (screen.put("line", {"holder": self._holders()}), *self._held(screen)):
+                for group, fields in held.items():
+                    groups.setdefault(group, {}).update(fields)
             self._publish(language, groups, always=True)
 
     def _holders(self) -> str:
         return ", ".join(sorted({holder for bus in self.live.buses if (holder := self.holder(bus))}))
+
+    def _held(self, screen: Screen) -> list[Groups]:
+        return [screen.put(bus, {"held_by": self.holder(bus)}) for bus in self.live.buses]
 
     # --- what the workers report -------------------------------------------------------------------
 
@@ -202,11 +211,11 @@ class Hub:
             browser.share(len(self._browsers))
 
     def _publish_people(self) -> None:
-        roles = {browser.name: browser.role for browser in self._browsers}
-        here = "\n".join(f"{name}\t{roles[name]}" for name in sorted(roles))
+        people = self.people()
         for language in self._languages():
-            fields = {"here": here, "count": str(len(roles))}
-            self._publish(language, self._screens[language].put("people", fields))
+            screen = self._screens[language]
+            here = "\n".join(f"{name}\t{screen.voice.t(role)}" for name, role in people.items())
+            self._publish(language, screen.put("people", {"here": here, "count": str(len(people))}))
 
     def _tell_watched(self) -> None:
         for bus, live in self.live.buses.items():

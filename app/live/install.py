@@ -16,7 +16,14 @@ from app.web.assets import Assets
 from app.web.templating import render, templates_of
 
 router = APIRouter(dependencies=[Depends(public)], include_in_schema=False)
-KEPT = ("css/tokens.css", "css/base.css", "css/components.css", "js/theme.js", "icons/sprite.svg")
+KEPT = (
+    "css/tokens.css",
+    "css/base.css",
+    "css/components.css",
+    "js/theme.js",
+    "js/offline.js",
+    "icons/sprite.svg",
+)
 OFFLINE = "/offline"
 
 

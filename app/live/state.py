@@ -27,6 +27,7 @@ from bus.settings import BusSettings, UnitSettings
 
 log = structlog.get_logger()
 
+MODE = 8
 NO_WORKER = "the bus worker is not connected"
 
 Subscriber = Callable[[str, Sequence[Update]], None]
@@ -108,6 +109,12 @@ class LiveState:
         ]
         self.apply(bus, updates)
         return updates
+
+
+def follower(unit: UnitLive) -> bool | None:
+    """Whether #8 makes the unit follow a master by a ratio; None while it was not read."""
+    mode = unit.parameter_raw(MODE)
+    return None if mode is None else mode in (1, 2)
 
 
 def updates_of(snapshot: Snapshot) -> list[Update]:

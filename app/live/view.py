@@ -12,7 +12,7 @@ from typing import Any
 
 from app.live.age import scan_s_of, unit_link_now
 from app.live.fields import bits_of, mode_of
-from app.live.state import BusLive, LiveState, UnitLive
+from app.live.state import BusLive, LiveState, UnitLive, follower
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits
 from bus.catalogue.values import (
@@ -29,7 +29,7 @@ Json = dict[str, Any]
 BlockReason = Callable[[str, int], str]
 """Why a unit of a bus is blocked; empty when it is not."""
 
-MAX_RPM, MAX_DISPLAY, DECIMALS, MODE, WINDOW, ANALOG_LOW, ANALOG_HIGH = 1, 2, 3, 8, 12, 22, 23
+MAX_RPM, MAX_DISPLAY, DECIMALS, WINDOW, ANALOG_LOW, ANALOG_HIGH = 1, 2, 3, 12, 22, 23
 _NEVER_READ = dict.fromkeys(
     (
         *(
@@ -128,12 +128,6 @@ def parameter_json(unit: UnitLive, number: int) -> Json:
 def setpoint_text(unit: UnitLive, raw: int) -> str | None:
     """A setpoint as the unit takes it: a ratio for a follower, else a speed; None: decimals not known."""
     return ratio_text(raw) if follower(unit) else _speed_text(unit, raw)
-
-
-def follower(unit: UnitLive) -> bool | None:
-    """Whether #8 makes the unit follow a master by a ratio; None while it was not read."""
-    mode = unit.parameter_raw(MODE)
-    return None if mode is None else mode in (1, 2)
 
 
 def _parameter_text(unit: UnitLive, number: int, raw: int) -> str:

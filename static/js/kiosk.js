@@ -1,6 +1,7 @@
 // A panel on the wall: full screen, awake while it is shown, dark when nobody is there. The first touch after dark
 // wakes and does nothing else; while the glass is cleaned, touching does nothing at all.
 import { listen } from "./bind.js";
+import { isLive } from "./live.js";
 import { word } from "./words.js";
 
 const GUARD_MS = 2 * 60_000;
@@ -8,19 +9,27 @@ const DARK_MS = 10 * 60_000;
 const HOME_MS = 5 * 60_000;
 const CLEAN_S = 30;
 const LOOK_MS = 5_000;
-const TOUCHES = ["pointerdown", "pointerup", "click", "keydown", "touchstart", "wheel"];
+const WAKING_MS = 400;
+const TOUCHES = ["pointerdown", "pointerup", "touchstart", "touchend", "click", "keydown", "keyup", "wheel"];
+const LAST_OF_A_TOUCH = ["pointerup", "click", "keyup", "wheel"];
+const WENT_HOME = "lineside-went-home";
 
 const home = document.body.dataset.panel;
 let touchedAt = performance.now();
+let isHome = false;
 let cover = null;
+let waking = 0;
 let verdict = "";
+let level = "";
 
 // --- awake ------------------------------------------------------------------------------------------------
 
+let lock = null;
+
 async function stayAwake() {
-  if (document.visibilityState !== "visible") return;
+  if (document.visibilityState !== "visible" || (lock && !lock.released)) return;
   try {
-    await navigator.wakeLock?.request("screen");
+    lock = (await navigator.wakeLock?.request("screen")) ?? null;
   } catch {
     // The browser would not: the panel's own settings decide.
   }
@@ -47,33 +56,58 @@ function lay(className, text) {
 }
 
 function uncover() {
+  clearTimeout(waking);
+  waking = 0;
   cover?.remove();
   cover = null;
 }
 
+/** A touch is several events, and a browser makes the click of it last or, once prevented, not at all: the cover
+ * stays until all of them are over. */
 function swallow(event) {
-  if (cover) {
-    event.preventDefault();
-    event.stopImmediatePropagation();
-    if (cover.dataset.cleaning === undefined && (event.type === "click" || event.type === "keydown"))
-      uncover();
-  }
   touchedAt = performance.now();
+  isHome = false;
+  if (!cover) return;
+  event.preventDefault();
+  event.stopImmediatePropagation();
+  if (cover.dataset.cleaning !== undefined || !LAST_OF_A_TOUCH.includes(event.type)) return;
+  if (!waking) waking = setTimeout(uncover, WAKING_MS);
 }
 
+const isDark = () => cover?.classList.contains("cover--dark") ?? false;
+
 function look() {
+  if (cover?.dataset.cleaning !== undefined || !isLive()) return;
   const idle = performance.now() - touchedAt;
-  if (cover?.dataset.cleaning !== undefined || document.querySelector("dialog[open]")) return;
-  if (idle > HOME_MS && location.pathname !== home) location.assign(home);
-  else if (idle > DARK_MS && !cover?.classList.contains("cover--dark")) lay("cover--dark", verdict);
+  if (idle > GUARD_MS) document.dispatchEvent(new CustomEvent("lineside:idle"));
+  if (idle > HOME_MS && goHome()) return;
+  if (idle > DARK_MS && !isDark() && !wantsSomebody()) lay("cover--dark", verdict);
   else if (idle > GUARD_MS && !cover) lay("cover--guard", "");
+}
+
+/** What wants somebody now or soon does not go dark. */
+const wantsSomebody = () => level === "urgent" || level === "high";
+
+/** To the panel's own page, once until it is touched again. */
+function goHome() {
+  if (isHome || `${location.pathname}${location.search}` === home) return false;
+  sessionStorage.setItem(WENT_HOME, "");
+  location.assign(home);
+  return true;
+}
+
+/** Came here by itself: nobody has touched the panel for as long as it took to go home. */
+function arrive() {
+  isHome = sessionStorage.getItem(WENT_HOME) !== null;
+  sessionStorage.removeItem(WENT_HOME);
+  if (isHome) touchedAt -= HOME_MS;
 }
 
 function clean() {
   let left = CLEAN_S;
   lay("cover--clean", word("cleaning", left));
   cover.dataset.cleaning = "";
-  cover.setAttribute("role", "status");
+  cover.setAttribute("role", "timer");
   const timer = setInterval(() => {
     left -= 1;
     if (left > 0) cover.firstChild.textContent = word("cleaning", left);
@@ -93,10 +127,15 @@ export function start() {
   for (const item of document.querySelectorAll("[data-full-screen-item]"))
     item.hidden = !document.fullscreenEnabled;
   if (home === undefined) return;
+  arrive();
   listen("line", (fields) => {
     verdict = fields.verdict ?? "";
-    if (fields.level && cover?.classList.contains("cover--dark")) uncover();
+    level = fields.level ?? "";
+    if (!isDark()) return;
+    if (wantsSomebody()) uncover();
+    else if (cover.firstChild) cover.firstChild.textContent = verdict;
   });
+  document.addEventListener("lineside:lost", () => isDark() && uncover());
   stayAwake();
   document.addEventListener("visibilitychange", stayAwake);
   setInterval(look, LOOK_MS);

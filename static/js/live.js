@@ -151,7 +151,21 @@ async function askWhy() {
   }
 }
 
+/** A clock that stands still while the device sleeps would call old values fresh: the other clock tells. */
+const ahead = () => Date.now() - performance.now();
+let wasAhead = ahead();
+
+function noticeSleep() {
+  const slept = ahead() - wasAhead;
+  wasAhead += slept;
+  if (slept > SILENCE_S * 1000) {
+    heardAt -= slept;
+    clock.forget();
+  }
+}
+
 function check() {
+  noticeSleep();
   const silent = (performance.now() - heardAt) / 1000;
   if (silent > SILENCE_S && body.dataset.link !== "lost") lose("silent");
   if (silent > SILENCE_S && socket?.readyState === WebSocket.OPEN) drop();

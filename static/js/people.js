@@ -1,6 +1,8 @@
 // Who else has a page open, and that control of a line went from one to another.
 import { listen } from "./bind.js";
 
+const tell = (what) => document.dispatchEvent(new CustomEvent(what));
+
 function draw(here) {
   for (const list of document.querySelectorAll("[data-people]")) {
     const items = here
@@ -17,14 +19,11 @@ function draw(here) {
 }
 
 export function start() {
-  listen("people", (fields) => draw(fields.here ?? ""));
+  listen("people", (fields) => {
+    draw(fields.here ?? "");
+    tell("lineside:people");
+  });
   for (const part of document.querySelectorAll("[data-control]")) {
-    listen(part.dataset.control, (fields, changed) => {
-      // The first word of an opened page is no change; what came since it was drawn is.
-      if ("held_by" in changed && fields.held_by !== part.dataset.heldBy) {
-        part.dataset.heldBy = fields.held_by;
-        document.dispatchEvent(new CustomEvent(`lineside:control-${part.dataset.control}`));
-      }
-    });
+    listen(part.dataset.control, (_, changed) => "held_by" in changed && tell("lineside:control"));
   }
 }

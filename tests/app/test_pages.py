@@ -81,7 +81,8 @@ async def test_the_service_worker_keeps_only_the_offline_page(house: House) -> N
     assert worker.headers["content-type"].startswith("text/javascript")
     kept = re.search(r"const KEPT = (\[.*?\]);", worker.text)
     assert kept is not None
-    assert all("/css/" in name or "/icons/" in name or "theme.js" in name for name in json.loads(kept[1]))
+    of_the_page = re.compile(r"/css/|/icons/|/js/(theme|offline)\.js$")
+    assert all(of_the_page.search(name) for name in json.loads(kept[1]))
 
 
 async def test_a_press_without_its_review_is_refused(house: House) -> None:
