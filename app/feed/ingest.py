@@ -64,7 +64,7 @@ class Ingest:
         self._clock = WorkerClock()
         self._snapshot_seq: int | None = None
         self._snapshot_wanted = False
-        self._delivered = heard.seq
+        self._settled = self._delivered = heard.seq
         self.silent_ticks = 0
         """How many ticks in a row nothing was heard."""
         self._clock.hear(hello.sent_at, now())
@@ -81,10 +81,12 @@ class Ingest:
                 raise MalformedSpeechError("hello is said once, at the beginning")
 
     async def tick(self) -> None:
-        """About once a second: the app's time, and what may be forgotten."""
+        """About once a second: the app's time, and what may be forgotten: it was here a tick ago, so it is
+        on disk by now, and a server that dies is told it again."""
         self.silent_ticks += 1
         await self._connection.send(Clock(app_time=self._now()))
-        await self._confirm()
+        await self._confirm(self._settled)
+        self._settled = self._heard.seq
 
     async def _take_snapshot(self, snapshot: Snapshot) -> None:
         self._hear(snapshot.sent_at)
@@ -109,18 +111,16 @@ class Ingest:
             if isinstance(update, Result | Progress):
                 self._channel.heard(update)
         self._pipeline.batch(self.hello.bus, updates, live=batch.live)
-        if not batch.live:
-            await self._confirm()
 
     async def _miss(self, batch: Batch, expected: int) -> None:
         if batch.seq > expected and not self._snapshot_wanted:
             self._snapshot_wanted = True
             await self._connection.send(WantSnapshot())
 
-    async def _confirm(self) -> None:
-        if self._delivered != self._heard.seq:
-            self._delivered = self._heard.seq
-            await self._connection.send(Delivered(seq=self._heard.seq))
+    async def _confirm(self, seq: int) -> None:
+        if self._delivered != seq:
+            self._delivered = seq
+            await self._connection.send(Delivered(seq=seq))
 
     def _hear(self, sent_at: float) -> None:
         now = self._now()

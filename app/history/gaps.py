@@ -7,10 +7,10 @@ A hole is where the worker said that the unit or its port fell silent. Where nob
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from operator import sub
-from statistics import median_low
 
 from app.history.runs import SECOND
 
@@ -31,10 +31,26 @@ class Marks:
     found: Sequence[int] = ()
 
 
-def usual_interval(differences: Sequence[int]) -> int:
-    """How often a unit is heard, µs, from the times between readings; 0 when there are too few."""
-    sample = differences[:: max(1, len(differences) // _SAMPLE)]
-    return median_low(sample) if sample else 0
+def usual_interval(runs: Sequence[Sequence[int]]) -> int:
+    """How often a unit is heard, µs, from its runs (``at``, ``until``, ``heard``, … each); 0: too few.
+
+    The readings within a run count as well: of a steady value there is nothing between runs but holes.
+    """
+    sample = runs[:_SAMPLE]
+    spans = [(b[0] - a[1], 1) for a, b in pairwise(sample)]
+    spans += [((run[1] - run[0]) // (run[2] - 1), run[2] - 1) for run in sample if run[2] > 1]
+    return _middle(sorted(spans))
+
+
+def _middle(spans: Iterable[tuple[int, int]]) -> int:
+    """The median of lengths in order, each with how often it is there."""
+    spans = list(spans)
+    left = sum(often for _, often in spans) / 2
+    for length, often in spans:
+        left -= often
+        if left <= 0:
+            return length
+    return 0
 
 
 def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> list[int]:

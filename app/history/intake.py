@@ -22,7 +22,8 @@ class Taken:
     """What one transaction wrote, to be put into the tail once it is on disk."""
 
     rows: list[tuple[int, Run]] = field(default_factory=list)
-    silent: set[int] = field(default_factory=set)
+    lost: list[tuple[int, int]] = field(default_factory=list)
+    """Units that fell silent, and when, µs."""
 
 
 class Intake:
@@ -35,7 +36,7 @@ class Intake:
     def forget(self) -> None:
         """After a transaction that was rolled back: what is known may not be on disk."""
         self._keys: dict[tuple[str, int], int] = {}
-        self._links: dict[int, str] = {}
+        self._links: dict[int, tuple[int, str]] = {}
         self._parameters: dict[int, dict[int, ParameterStep]] = {}
 
     def write(self, connection: store.Connection, deliveries: Iterable[Delivery]) -> Taken:
@@ -55,8 +56,8 @@ class Intake:
 
     def keep(self, taken: Taken) -> None:
         """The transaction is on disk: from now on readers see it."""
+        self._tail.silence(taken.lost)
         self._tail.add(taken.rows)
-        self._tail.silence(taken.silent)
 
     def key(self, connection: store.Connection, bus: str, number: int) -> int:
         """The key of a unit, or of a bus as number 0."""
@@ -76,13 +77,16 @@ class Intake:
         self, connection: store.Connection, bus: str, update: UnitLink | BusLink, taken: Taken
     ) -> None:
         key = self.key(connection, bus, update.unit if isinstance(update, UnitLink) else BUS)
-        if self._links.get(key) == update.link:
-            return
-        self._links[key] = update.link
-        store.write_link(connection, key, micros(update.at), update.link, update.cause)
+        at = micros(update.at)
+        newest, state = self._links.get(key, (at, ""))
+        if at >= newest:
+            self._links[key] = (at, update.link)
+            if state == update.link:
+                return
+        store.write_link(connection, key, at, update.link, update.cause)
         if update.link in store.LOST_STATES:
-            is_bus = isinstance(update, BusLink)
-            taken.silent |= {k for (b, _), k in self._keys.items() if b == bus} if is_bus else {key}
+            units = store.units_of(connection, bus) if isinstance(update, BusLink) else [key]
+            taken.lost += [(unit, at) for unit in units]
 
     def _write_parameter(self, connection: store.Connection, bus: str, update: ParameterValue) -> None:
         if update.number not in PARAMETERS or update.raw is None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
-from operator import sub
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 from app.history.gaps import Marks, holes, usual_interval
@@ -25,8 +24,10 @@ def intervals(parts: Iterable[Run | Interval], marks: Marks, usual: int = 0) -> 
     if not ordered:
         return []
     starts, ends, words = zip(*ordered, strict=True)
-    edges = [time for pair in zip(starts, ends, strict=True) for time in pair]
-    broken = {i // 2 + 1 for i in holes(edges, marks, usual) if i % 2} if _rising(edges) else set()
+    reach = list(accumulate(ends, max))
+    begins = map(max, starts, (0, *reach))
+    edges = [time for pair in zip(begins, reach, strict=True) for time in pair]
+    broken = {i // 2 + 1 for i in holes(edges, marks, usual) if i % 2}
     changed = {i for i, (before, word) in enumerate(pairwise(words), 1) if word != before}
     cuts = sorted({0, len(ordered)} | broken | changed)
     return [Interval(starts[i], max(ends[i:j]), words[i]) for i, j in pairwise(cuts)]
@@ -38,9 +39,4 @@ def splice(stored: Sequence[Interval], minute: int, runs: Sequence[Run], marks: 
     after = minute + MINUTE
     around = [part._replace(until=min(part.until, minute - 1)) for part in stored if part.at < minute]
     around += [part._replace(at=max(part.at, after)) for part in stored if part.until >= after]
-    usual = usual_interval([b.at - a.until for a, b in pairwise(runs)])
-    return intervals([*around, *runs], marks, usual)
-
-
-def _rising(times: Sequence[int]) -> bool:
-    return all(step >= 0 for step in map(sub, times[1:], times))
+    return intervals([*around, *runs], marks, usual_interval(runs))

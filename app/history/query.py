@@ -108,8 +108,9 @@ def _fits(points: Points, marks: Marks, most: int) -> bool:
 def _exact_bits(source: reading.Source, question: Question, marks: Marks) -> Points | None:
     if store.count_bits(source.connection, source.unit, question.start, question.end) > MOST_INTERVALS:
         return None
+    usual = reading.usual_of(source, question.end)
     parts = reading.bit_intervals(source, question.value.bit, question.start, question.end)
-    return reading.interval_points(intervals(parts, marks), question.start, question.end)
+    return reading.interval_points(intervals(parts, marks, usual), question.start, question.end, usual)
 
 
 def has_raw(connection: store.Connection, unit: int, start: int) -> bool:

@@ -55,7 +55,7 @@ def readings(source: Source, value: Value, start: int, end: int) -> Points:
         ordered: Iterable[RawRow] = rows
     else:
         ordered = sorted(set(rows))
-    return _points(_clip(ordered, start, end), value.bit)
+    return _points(_clip(ordered, start, end), value.bit, usual_interval(rows))
 
 
 def _stored(source: Source, column: str, start: int, end: int) -> Iterator[list[RawRow]]:
@@ -85,15 +85,10 @@ def _clip(rows: Iterable[RawRow], start: int, end: int) -> Iterator[RawRow]:
             yield max(at, start), min(until, end), count, value
 
 
-def _points(rows: Iterable[RawRow], bit: int) -> Points:
-    points = Points()
-    between: list[int] = []
-    before: int | None = None
+def _points(rows: Iterable[RawRow], bit: int, usual: int) -> Points:
+    points = Points(usual=usual)
     for since, until, count, raw in rows:
         value = raw if bit < 0 else raw >> bit & 1
-        if before is not None:
-            between.append(since - before)
-        before = until
         lasting = until > since
         points.at.append(since)
         points.least.append(value)
@@ -106,7 +101,6 @@ def _points(rows: Iterable[RawRow], bit: int) -> Points:
             points.solid.append(False)
     points.greatest = points.least
     points.total = [v * n for v, n in zip(points.least, points.weight, strict=True)]
-    points.usual = usual_interval(between)
     return in_order(points)
 
 
@@ -170,10 +164,23 @@ def bit_intervals(source: Source, bit: int, start: int, end: int) -> list[Interv
     return [part._replace(word=part.word >> bit & 1) for part in touching]
 
 
-def interval_points(parts: Iterable[Interval], start: int, end: int) -> Points:
+def usual_of(source: Source, end: int) -> int:
+    """How often the unit was heard before a time, µs, whether or not its readings are still kept."""
+    if source.tail:
+        return usual_interval(source.tail)
+    latest = "SELECT start, data FROM {} WHERE unit = ? AND start < ? ORDER BY start DESC LIMIT 1"
+    row = source.connection.execute(latest.format("raw"), (source.unit, end)).fetchone()
+    if row is not None:
+        runs = unpack_columns(row[1], row[0], ("at", "until", "heard"))
+        return usual_interval(list(zip(*runs, strict=True)))
+    row = source.connection.execute(latest.format("minutes"), (source.unit, end)).fetchone()
+    return 0 if row is None else MINUTE // max(columns.unpack(row[1], [FIELDS["heard"]])[0])
+
+
+def interval_points(parts: Iterable[Interval], start: int, end: int, usual: int) -> Points:
     """Intervals as points at both their ends."""
     rows = ((part.at, part.until, 2, part.word) for part in parts)
-    return _points(_clip(rows, start, end), -1)
+    return _points(_clip(rows, start, end), -1, usual)
 
 
 def runs_between(source: Source, start: int, end: int) -> list[Run]:

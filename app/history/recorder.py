@@ -43,8 +43,13 @@ class Recorder:
     def replay(self) -> None:
         """What the journal holds, into the tail. Raises ValueError where it is damaged."""
         self._tail.clear()
-        for rows in self._database.read_now(lambda c: list(store.read_journal(c))):
+        journal = self._database.read_now(lambda c: list(store.read_journal(c)))
+        oldest = min((run.at for rows in journal for _, run in rows), default=0)
+        if journal:
+            self._tail.silence(self._database.read_now(lambda c: store.marks_since(c, oldest)))
+        for rows in journal:
             self._tail.add(rows)
+        self._tail.interrupt()
 
     def commit(self, deliveries: Sequence[Delivery]) -> None:
         """These are on disk when this returns. Raises StoreError; then nothing of them is."""

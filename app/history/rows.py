@@ -144,7 +144,7 @@ def _silences(
     bus = store.find_unit(source.connection, question.bus.name, BUS)
     keys = [source.unit] if bus is None else [source.unit, bus]
     marks = store.link_marks(source.connection, keys, ends[0], ends[-1])
-    usual = usual_interval([b - a for a, b in zip(ends[1::2], ends[2::2], strict=False)])
+    usual = usual_interval(runs)
     offset = 0 if before is None else 1
     return {(i + 1) // 2 - offset: ends[i] + 1 for i in holes(ends, marks, usual) if i % 2}
 

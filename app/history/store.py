@@ -40,6 +40,11 @@ def find_unit(connection: Connection, bus: str, number: int) -> int | None:
     return None if row is None else int(row[0])
 
 
+def units_of(connection: Connection, bus: str) -> list[int]:
+    """The keys of a bus and its units."""
+    return [row[0] for row in connection.execute("SELECT id FROM unit WHERE bus = ?", (bus,))]
+
+
 # --- the journal -------------------------------------------------------------------------------
 
 
@@ -216,6 +221,16 @@ def link_marks(connection: Connection, units: Sequence[int], start: int, end: in
         lost=[at for at, state in rows if state in LOST_STATES],
         found=[at for at, state in rows if state not in LOST_STATES],
     )
+
+
+def marks_since(connection: Connection, start: int) -> list[tuple[int, int]]:
+    """Every unit that was lost or found from a time on (µs), and when; a port's marks are its units' too."""
+    rows = connection.execute(
+        "SELECT unit.id, link.at FROM link JOIN unit AS said ON said.id = link.unit JOIN unit "
+        "ON unit.bus = said.bus AND said.number IN (0, unit.number) WHERE link.at >= ?",
+        (start,),
+    )
+    return [(row[0], row[1]) for row in rows]
 
 
 def write_parameter(connection: Connection, unit: int, step: ParameterStep) -> None:

@@ -6,6 +6,7 @@ One thread adds and drops, any thread reads.
 from __future__ import annotations
 
 import threading
+from bisect import bisect_right, insort
 from collections.abc import Iterable
 
 from app.history.runs import MINUTE, SECOND, Run, follows, joined
@@ -20,7 +21,8 @@ class Tail:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._minutes: dict[tuple[int, int], list[Run]] = {}
-        self._silent: set[int] = set()
+        self._lost: dict[int, list[int]] = {}
+        """When each unit fell silent (µs), in order."""
 
     def add(self, rows: Iterable[tuple[int, Run]]) -> None:
         """Readings or runs of units, in order of arrival."""
@@ -31,16 +33,28 @@ class Tail:
     def _add_one(self, unit: int, run: Run) -> None:
         runs = self._minutes.setdefault((unit, run.at - run.at % MINUTE), [])
         last = runs[-1] if runs else None
-        if last is None or unit in self._silent or run.at - last.until > BREAK or not follows(run, last):
+        if last is None or not follows(run, last) or self._broken(unit, last.until, run.at):
             runs.append(run)
-            self._silent.discard(unit)
         else:
             runs[-1] = joined(last, run)
 
-    def silence(self, units: Iterable[int]) -> None:
-        """These fell silent: their next reading begins a new run, whatever it says."""
+    def _broken(self, unit: int, since: int, until: int) -> bool:
+        if until - since > BREAK:
+            return True
+        lost = self._lost.get(unit, ())
+        place = bisect_right(lost, since)
+        return place < len(lost) and lost[place] <= until
+
+    def silence(self, lost: Iterable[tuple[int, int]]) -> None:
+        """Units and when they fell silent (µs): no run goes over such a moment. To be said before the
+        readings that follow are added."""
         with self._lock:
-            self._silent.update(units)
+            for unit, at in lost:
+                insort(self._lost.setdefault(unit, []), at)
+
+    def interrupt(self) -> None:
+        """Nobody was there to hear until now: every unit's next reading begins a new run."""
+        self.silence({(unit, run.until + 1) for unit, run in self.everything()})
 
     def runs(self, unit: int, start: int, end: int) -> list[Run]:
         """A unit's runs that touch a span (µs), in order of time."""
@@ -67,12 +81,14 @@ class Tail:
         """Forget what is safe elsewhere."""
         with self._lock:
             self._minutes.pop((unit, minute), None)
+            if unit in self._lost:
+                self._lost[unit] = [at for at in self._lost[unit] if at >= minute]
 
     def clear(self) -> None:
         """Forget everything: it is read from the journal again."""
         with self._lock:
             self._minutes.clear()
-            self._silent.clear()
+            self._lost.clear()
 
     def everything(self) -> list[tuple[int, Run]]:
         """All of it, unit by unit."""

@@ -46,6 +46,10 @@ class Shelf:
     def __init__(self, path: Path) -> None:
         self.database = Database(path, MIGRATIONS, synchronous="NORMAL")
         self.tail = Tail()
+        self.start_again()
+
+    def start_again(self) -> None:
+        """As after a crash: what is not on disk is gone."""
         self.recorder = Recorder(self.database, self.tail)
         self.recorder.replay()
 

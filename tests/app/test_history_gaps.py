@@ -20,7 +20,7 @@ def test_regular_polls_have_none() -> None:
 def test_a_slow_line_has_none() -> None:
     """255 units at 300 baud are heard every three and a half minutes."""
     times = [i * 213 * SECOND for i in range(20)]
-    assert holes(times, Marks(), usual_interval([213 * SECOND] * 19)) == []
+    assert holes(times, Marks(), usual_interval([(at, at, 1) for at in times])) == []
 
 
 def test_where_the_worker_said_lost_there_is_one() -> None:
@@ -53,6 +53,13 @@ def test_a_pause_after_the_first_answer_is_no_second_hole() -> None:
 
 def test_found_without_a_silence_is_none() -> None:
     assert holes(POLLS, Marks(found=[4 * SECOND]), USUAL) == []
+
+
+def test_a_steady_value_is_heard_as_often_as_any() -> None:
+    """Runs of a minute each: what is between them says little, and may be holes alone."""
+    runs = [(0, 20 * SECOND, 101), (22 * SECOND, 40 * SECOND, 91), (42 * SECOND, 60 * SECOND, 91)]
+    assert usual_interval(runs) == USUAL
+    assert usual_interval([(0, 0, 1)]) == usual_interval([]) == 0
 
 
 def test_neighbouring_stretches_have_none() -> None:

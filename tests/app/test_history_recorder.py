@@ -63,6 +63,54 @@ def test_a_closed_port_leaves_a_hole_in_every_unit(shelf: Shelf) -> None:
     assert shelf.ask("actual", NOON, NOON + 20).series.average.count(None) == 1
 
 
+def test_a_unit_lost_and_back_within_one_commit_leaves_a_hole(shelf: Shelf) -> None:
+    before, after = polls(NOON, NOON + 5, lambda _: 1000), polls(NOON + 6, NOON + 10, lambda _: 1000)
+    shelf.keep([*before, UnitLink(1, NOON + 5.5, "stale"), UnitLink(1, NOON + 6, "online"), *after])
+    assert shelf.ask("actual", NOON, NOON + 10).series.average.count(None) == 1
+
+
+@pytest.mark.parametrize("value", ["actual", "run"])
+def test_a_server_killed_and_started_again_at_once_leaves_a_hole(shelf: Shelf, value: str) -> None:
+    """A second, within one minute, of a value that never changes: and nobody was there to say so."""
+    for start in (NOON, NOON + 11, NOON + 21):
+        shelf.keep([BusLink(start - 0.04, "open"), UnitLink(1, start, "online")])
+        shelf.keep(polls(start, NOON + 10 * ((start - NOON) // 10 + 1), lambda _: 1000))
+        shelf.start_again()
+    for _ in range(2):
+        found = shelf.ask(value, NOON, NOON + 30).series
+        assert [i for i, v in enumerate(found.average) if v is None] == [2, 5]
+        assert [found.at[i] // 1_000_000 - int(NOON) for i in (2, 5)] == [10, 20]
+        shelf.fold()
+
+
+def test_a_hole_that_was_said_outlives_a_crash(shelf: Shelf) -> None:
+    shelf.keep(polls(NOON, NOON + 5, lambda _: 1000))
+    shelf.keep([BusLink(NOON + 5.1, "closed", "unplugged"), BusLink(NOON + 5.8, "open")])
+    shelf.keep(polls(NOON + 6, NOON + 10, lambda _: 1000))
+    shelf.start_again()
+    assert shelf.ask("actual", NOON, NOON + 10).series.average.count(None) == 1
+
+
+def test_what_a_snapshot_says_does_not_hide_what_was_before_it(shelf: Shelf) -> None:
+    """A worker that was quicker than the server: its state first, then what it kept."""
+    shelf.keep(polls(NOON, NOON + 5, lambda _: 1000))
+    shelf.start_again()
+    shelf.keep([UnitLink(1, NOON + 9, "online")])
+    shelf.keep([UnitLink(1, NOON + 6, "online"), *polls(NOON + 6, NOON + 8, lambda _: 1000)])
+    shelf.keep([UnitLink(1, NOON + 8.5, "stale"), UnitLink(1, NOON + 9, "online")])
+    shelf.keep(polls(NOON + 9, NOON + 12, lambda _: 1000))
+    assert shelf.ask("actual", NOON, NOON + 12).series.average.count(None) == 2
+
+
+def test_what_is_delivered_twice_hides_no_hole(shelf: Shelf) -> None:
+    first = polls(NOON, NOON + 5, lambda _: 1000)
+    shelf.keep(first)
+    shelf.keep([UnitLink(1, NOON + 5.5, "stale"), UnitLink(1, NOON + 8, "online")])
+    shelf.keep([*first[10:], *polls(NOON + 8, NOON + 10, lambda _: 1000)])
+    for value in ("actual", "run"):
+        assert shelf.ask(value, NOON, NOON + 10).series.average.count(None) == 1
+
+
 def test_late_minutes_are_worked_out_again(shelf: Shelf, tmp_path: Path) -> None:
     punctual = Shelf(tmp_path / "punctual.db")
     whole = polls(NOON, NOON + 600, lambda i: i * 7 % 2000)
