@@ -9,7 +9,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Sequence
-from itertools import islice
 
 from app.database.connection import Database
 from app.history import store
@@ -22,8 +21,10 @@ GRACE = 2 * SECOND
 """How long after a minute its last readings are waited for."""
 MOST_IN_TAIL = 400_000
 """Runs in memory at which even the current minute is folded."""
-AT_ONCE = 64
-"""Minutes of units folded in one transaction."""
+AT_ONCE = 4_000
+"""Runs folded in one transaction: few enough that a slow machine still commits in time."""
+MOST_KEYS = 64
+"""And minutes of units: each is a block, its rollups and its bits."""
 _LOOK_EVERY = 64
 
 
@@ -70,13 +71,23 @@ class Recorder:
             self._folded_minute = now - now % MINUTE
             self._folding.extend(self._tail.over(self._folded_minute))
         while self._folding and time.monotonic() < deadline:
-            self._fold_some(list(islice(self._folding, AT_ONCE)))
+            self._fold_some(self._next_to_fold())
 
     def fold_everything(self, deadline: float = math.inf) -> None:
         """The current minute too, until ``deadline`` (monotonic seconds); the journal holds the rest."""
         self._folding = deque(self._tail.over(current=-1))
         while self._folding and time.monotonic() < deadline:
-            self._fold_some(list(islice(self._folding, AT_ONCE)))
+            self._fold_some(self._next_to_fold())
+
+    def _next_to_fold(self) -> list[tuple[int, int]]:
+        keys: list[tuple[int, int]] = []
+        runs = 0
+        for key in self._folding:
+            keys.append(key)
+            runs += len(self._tail.minute(*key))
+            if runs >= AT_ONCE or len(keys) == MOST_KEYS:
+                break
+        return keys
 
     def _is_due(self, now: int) -> bool:
         minute = now - now % MINUTE

@@ -108,8 +108,11 @@ class Writer:
     # --- the writer's thread -----------------------------------------------------------------
 
     def _run(self) -> None:
-        while not self._ending.wait(COMMIT_EVERY_S):
+        took = 0.0
+        while not self._ending.wait(max(0.0, COMMIT_EVERY_S - took)):
+            began = time.monotonic()
             self._guard(self._tick)
+            took = time.monotonic() - began
         self._guard(self._end)
 
     def _guard(self, work: Callable[[], None]) -> None:
