@@ -26,6 +26,7 @@ from app.commands import (
     safeguards_api,
     speed_pages,
     trace_api,
+    zero_pages,
 )
 from app.commands import pages as commands_pages
 from app.feed import socket as feed
@@ -66,6 +67,7 @@ FEATURES = (
     safeguards_api,
     trace_api,
     line_pages,
+    zero_pages,
     speed_pages,
     output_pages,
     parameter_pages,

@@ -1,8 +1,7 @@
-"""Many units as one change: the setpoints page, and setting the line to zero from any page."""
+"""Many units as one change: the setpoints page."""
 
 from __future__ import annotations
 
-import asyncio
 import time
 from typing import Annotated
 
@@ -12,17 +11,16 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
-from app.commands.fate import Fate, fate_of_problem
+from app.commands.fate import Fate
 from app.commands.forms import TIMEOUT_S, Desks, Desktop, new_id
 from app.commands.ramp import Change, change_of, present_setpoint
 from app.commands.typed import Typed
 from app.commands.words import shown_setpoint
-from app.commands.zero import ZeroPlan, plan_zero
 from app.errors import Problem
 from app.live.state import BusLive, follower
 from app.live.view import DECIMALS
 from app.web.access import Operator, Person, Viewer
-from bus.contract import Result, SetLine, SetSpeed
+from bus.contract import Result, SetLine
 from bus.errors import CallerError
 
 router = APIRouter(include_in_schema=False)
@@ -30,7 +28,8 @@ STAGE_S = 0.15
 """Time allowed for each unit of a change, besides the two seconds of one."""
 
 
-def _timeout_s(units: int) -> float:
+def timeout_s(units: int) -> float:
+    """How long a change of so many units may wait for the wire, seconds."""
     return TIMEOUT_S + STAGE_S * units
 
 
@@ -80,7 +79,7 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
         changes=changes,
         command_id=new_id(),
         reviewed_at=time.time(),
-        longest_s=2 * _timeout_s(len(changes)),
+        longest_s=2 * timeout_s(len(changes)),
     )
 
 
@@ -116,7 +115,7 @@ async def set_setpoints(
     try:
         desk.refuse_lapsed(reviewed_at)
         setpoints = _reviewed(live, form)
-        result = await desk.ask(person, bus, SetLine(setpoints=setpoints), id, _timeout_s(len(setpoints)))
+        result = await desk.ask(person, bus, SetLine(setpoints=setpoints), id, timeout_s(len(setpoints)))
     except Problem as problem:
         return desk.refused(problem, title)
     return desk.render(
@@ -157,100 +156,3 @@ def _proofs(
         )
         for number, raw in setpoints.items()
     ]
-
-
-# --- to zero -----------------------------------------------------------------------------------------
-
-
-@router.get("/line/zero")
-async def review_zero(_: Operator, desk: Desks) -> Response:
-    """What setting the line to zero will do, and to whom."""
-    plans = _plans(desk)
-    units = sum(len(plan.units) for plan in plans)
-    return desk.render(
-        "line/_review_zero.html",
-        plans=plans,
-        many=len(plans) > 1,
-        command_id=new_id(),
-        reviewed_at=time.time(),
-        longest_s=2 * _timeout_s(units) + units * _timeout_s(1),
-    )
-
-
-def _plans(desk: Desktop) -> list[ZeroPlan]:
-    now = time.time()
-    return [
-        plan_zero(bus, lambda unit, name=name: bool(desk.guards.block_reason(name, unit)), now)  # type: ignore[misc]
-        for name, bus in desk.live.buses.items()
-    ]
-
-
-@router.post("/line/zero")
-async def set_zero(
-    person: Operator,
-    desk: Desks,
-    id: Annotated[str, Form(max_length=64)],
-    reviewed_at: Annotated[float, Form()],
-) -> Response:
-    """Speed 0 to every unit that can be told, all at once where all acknowledge, else one by one.
-
-    What one bus or one unit refuses keeps no other from it.
-    """
-    title = desk.voice.t("Set line to zero")
-    try:
-        desk.refuse_lapsed(reviewed_at)
-    except Problem as problem:
-        return desk.refused(problem, title)
-    plans = [plan for plan in _plans(desk) if plan.units]
-    told = await asyncio.gather(*(_zero_bus(person, desk, plan, id) for plan in plans))
-    proofs = [proof for bus in told for proof in bus]
-    return desk.render("line/_zero_done.html", title=title, proofs=proofs, fate=_in_all(desk, proofs))
-
-
-async def _zero_bus(person: Person, desk: Desktop, plan: ZeroPlan, id: str) -> list[tuple[str, str, Fate]]:
-    """(name, asked, fate) of each unit. Alone is asked whoever is not proven at 0 after all were asked."""
-    action = SetLine(setpoints=dict.fromkeys(plan.units, 0))
-    together = await _told(person, desk, plan.bus, action, f"{id}-{plan.bus}")
-    is_over = isinstance(together, Result) and together.outcome in ("verified", "bus_closed")
-    fates = _fates_of(desk, plan, together)
-    for number in plan.units:
-        if is_over or fates[number].tone == "good":
-            continue
-        alone = await _told(person, desk, plan.bus, SetSpeed(unit=number, raw=0), f"{id}-{plan.bus}-{number}")
-        fates |= _fates_of(desk, ZeroPlan(plan.bus, {number: ""}), alone)
-    return [
-        (_name_on_site(desk, plan.bus, name), shown_setpoint(0, desk.unit(plan.bus, number)), fates[number])
-        for number, name in plan.units.items()
-    ]
-
-
-async def _told(
-    person: Person, desk: Desktop, bus: str, action: SetLine | SetSpeed, id: str
-) -> Result | Problem:
-    units = len(action.setpoints) if isinstance(action, SetLine) else 1
-    try:
-        return await desk.ask(person, bus, action, id, _timeout_s(units))
-    except Problem as problem:
-        return problem
-
-
-def _fates_of(desk: Desktop, plan: ZeroPlan, told: Result | Problem) -> dict[int, Fate]:
-    if isinstance(told, Problem):
-        return dict.fromkeys(plan.units, fate_of_problem(told, desk.voice))
-    said = {outcome.unit: outcome for outcome in told.units}
-    return {
-        number: desk.fate_at(said.get(number, told), desk.unit(plan.bus, number)) for number in plan.units
-    }
-
-
-def _name_on_site(desk: Desktop, bus: str, name: str) -> str:
-    """Two buses may each have a unit of that name."""
-    return f"{bus} · {name}" if len(desk.live.buses) > 1 else name
-
-
-def _in_all(desk: Desktop, proofs: list[tuple[str, str, Fate]]) -> Fate:
-    at_zero = sum(fate.tone == "good" for _, _, fate in proofs)
-    if proofs and at_zero == len(proofs):
-        return Fate("good", desk.voice.t("{n} units took speed 0 and ramp down", n=at_zero))
-    text = "{n} of {units} units took speed 0: look at the others"
-    return Fate("bad", desk.voice.t(text, n=at_zero, units=len(proofs)))

@@ -1,0 +1,120 @@
+"""Setting the line to zero from any page: one press, one confirm, a result for every unit."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Annotated
+
+from fastapi import APIRouter, Form
+from starlette.responses import Response
+
+from app.commands.fate import Fate, fate_of_problem
+from app.commands.forms import Desks, Desktop, new_id
+from app.commands.line_pages import timeout_s
+from app.commands.words import shown_setpoint
+from app.commands.zero import ZeroPlan, plan_zero
+from app.errors import Problem
+from app.web.access import Operator, Person
+from bus.contract import Result, SetLine, SetSpeed, UnitOutcome
+
+router = APIRouter(prefix="/line/zero")
+Proof = tuple[str, str, Fate]
+"""A unit's name, what was asked of it, and its fate."""
+
+
+@router.get("")
+async def review_zero(_: Operator, desk: Desks) -> Response:
+    """What setting the line to zero will do, and to whom."""
+    plans = _plans(desk)
+    units = sum(len(plan.units) for plan in plans)
+    return desk.render(
+        "line/_review_zero.html",
+        plans=plans,
+        many=len(plans) > 1,
+        command_id=new_id(),
+        reviewed_at=time.time(),
+        longest_s=2 * timeout_s(units) + units * timeout_s(1),
+    )
+
+
+def _plans(desk: Desktop) -> list[ZeroPlan]:
+    now = time.time()
+    return [
+        plan_zero(bus, lambda unit, name=name: bool(desk.guards.block_reason(name, unit)), now)  # type: ignore[misc]
+        for name, bus in desk.live.buses.items()
+    ]
+
+
+@router.post("")
+async def set_zero(
+    person: Operator,
+    desk: Desks,
+    id: Annotated[str, Form(max_length=64)],
+    reviewed_at: Annotated[float, Form()],
+) -> Response:
+    """Speed 0 to every unit that can be told, all at once where all acknowledge, else one by one.
+
+    What one bus or one unit refuses keeps no other from it.
+    """
+    title = desk.voice.t("Set line to zero")
+    try:
+        desk.refuse_lapsed(reviewed_at)
+    except Problem as problem:
+        return desk.refused(problem, title)
+    told = await asyncio.gather(*(_zero_bus(person, desk, plan, id) for plan in _plans(desk)))
+    proofs = [proof for bus in told for proof in bus]
+    return desk.render("line/_zero_done.html", title=title, proofs=proofs, fate=_in_all(desk, proofs))
+
+
+async def _zero_bus(person: Person, desk: Desktop, plan: ZeroPlan, id: str) -> list[Proof]:
+    """Who is not told comes first, with the reason."""
+    t = desk.voice.t
+    not_told = [
+        (_on_site(desk, plan.bus, name), "", Fate("bad", f"{t('is not told')}: {t(reason)}"))
+        for name, reason in plan.left_out.items()
+    ]
+    return not_told + (await _zero_units(person, desk, plan, id) if plan.units else [])
+
+
+async def _zero_units(person: Person, desk: Desktop, plan: ZeroPlan, id: str) -> list[Proof]:
+    """All at once; then alone whoever is not proven to be told."""
+    action, told = SetLine(setpoints=dict.fromkeys(plan.units, 0)), _Told(person, desk, plan.bus, id)
+    together = await told(action, "")
+    said = {fate.unit: fate for fate in together.units} if isinstance(together, Result) else {}
+    proofs = []
+    for number, name in plan.units.items():
+        fate: Result | UnitOutcome | Problem = said.get(number, together)
+        if isinstance(fate, Problem) or fate.outcome not in ("verified", "bus_closed"):
+            fate = await told(SetSpeed(unit=number, raw=0), f"-{number}")
+        live = desk.unit(plan.bus, number)
+        shown = fate_of_problem(fate, desk.voice) if isinstance(fate, Problem) else desk.fate_at(fate, live)
+        proofs.append((_on_site(desk, plan.bus, name), shown_setpoint(0, live), shown))
+    return proofs
+
+
+class _Told:
+    """Asks one bus on behalf of one press; what is refused before the wire is a fate as well."""
+
+    def __init__(self, person: Person, desk: Desktop, bus: str, id: str) -> None:
+        self._person, self._desk, self._bus, self._id = person, desk, bus, f"{id}-{bus}"
+
+    async def __call__(self, action: SetLine | SetSpeed, part: str) -> Result | Problem:
+        units = len(action.setpoints) if isinstance(action, SetLine) else 1
+        try:
+            return await self._desk.ask(self._person, self._bus, action, self._id + part, timeout_s(units))
+        except Problem as problem:
+            return problem
+
+
+def _on_site(desk: Desktop, bus: str, name: str) -> str:
+    """Two buses may each have a unit of that name."""
+    return f"{bus} · {name}" if len(desk.live.buses) > 1 else name
+
+
+def _in_all(desk: Desktop, proofs: list[Proof]) -> Fate:
+    at_zero = sum(fate.tone == "good" for _, _, fate in proofs)
+    if proofs and at_zero == len(proofs):
+        return Fate("good", desk.voice.t("{n} units took speed 0 and ramp down", n=at_zero))
+    text = "{n} of {units} units took speed 0: look at the others"
+    return Fate("bad", desk.voice.t(text, n=at_zero, units=len(proofs)))

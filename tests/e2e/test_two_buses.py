@@ -1,0 +1,223 @@
+"""Two buses on one site, with units of the same addresses: who is meant is never in doubt. And a follower."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import Line, Site, eventually
+
+PANEL = {"width": 1280, "height": 800}
+NOT_RATIOED = 0
+FOLLOWER = 1
+
+
+@pytest.fixture(scope="module")
+def site(line_server: Callable[..., Site]) -> Site:
+    """Three units on ``line``, two on ``wet``; unit 3 of ``line`` follows the first."""
+    return line_server(3, line_options=("--no-script",), more={"wet": 2})
+
+
+@pytest.fixture
+def follower(site: Site) -> Iterator[int]:
+    """Unit 3 of ``line`` as a follower that the server knows as one."""
+    site.line.remote.do("parameter", unit=3, number=8, raw=FOLLOWER)
+    site.line.remote.do("parameter", unit=3, number=31, raw=15000)
+    site.line.remote.do("parameter", unit=3, number=38, raw=5000)
+    read_again(site, 3)
+    yield 3
+    site.line.remote.do("parameter", unit=3, number=8, raw=NOT_RATIOED)
+    read_again(site, 3)
+
+
+def read_again(site: Site, unit: int) -> None:
+    with site.api("engineer") as client:
+        answer = client.get(f"/buses/line/units/{unit}/parameters", params={"refresh": "true"})
+    assert answer.status_code == 200, answer.text
+
+
+def wet(site: Site) -> Line:
+    return site.more["wet"][0]
+
+
+def state(line: Line, unit: int) -> dict[str, Any]:
+    found: dict[str, Any] = line.remote.do("state", unit=unit)
+    return found
+
+
+def opened(page: Page, path: str) -> Page:
+    page.goto(path)
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+    return page
+
+
+def test_each_unit_shows_what_its_own_bus_says(site: Site, browser_page: OpensPages) -> None:
+    with site.api("operator") as client:
+        assert client.post("/buses/line/units/1/speed", json={"value": "61.0"}).status_code == 200
+        assert client.post("/buses/wet/units/1/speed", json={"value": "62.0"}).status_code == 200
+    page = opened(browser_page(viewport=PANEL), "/")
+    expect(page.locator('[data-live="line/1.commanded"]')).to_have_text(re.compile("61.0"))
+    expect(page.locator('[data-live="wet/1.commanded"]')).to_have_text(re.compile("62.0"))
+    assert (state(site.line, 1)["setpoint"], state(wet(site), 1)["setpoint"]) == (610, 620)
+
+
+def test_a_speed_set_on_a_page_goes_to_its_bus_alone(site: Site, browser_page: OpensPages) -> None:
+    before = state(site.line, 2)["setpoint"]
+    page = opened(browser_page(viewport=PANEL), "/units/wet/2")
+    page.locator("#setpoint").fill("71.5")
+    page.get_by_role("button", name="Set now").click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("71.5")
+    assert (state(wet(site), 2)["setpoint"], state(site.line, 2)["setpoint"]) == (715, before)
+
+
+def test_the_setpoints_page_has_both_and_changes_the_one_that_is_meant(
+    site: Site, browser_page: OpensPages
+) -> None:
+    before = state(site.line, 1)["setpoint"]
+    page = opened(browser_page(viewport=PANEL), "/setpoints")
+    form = page.get_by_role("form", name="wet")
+    form.locator('[name="new-1"]').fill("81.0")
+    form.get_by_role("button", name="Review the change").click()
+    expect(page.locator("#review-title")).to_contain_text("wet")
+    page.get_by_role("button", name="Set 1 unit now").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("reads 81.0")
+    assert (state(wet(site), 1)["setpoint"], state(site.line, 1)["setpoint"]) == (810, before)
+
+
+def go_to_zero(page: Page, units: int) -> None:
+    page.get_by_role("button", name="Set line to zero").click()
+    act = page.locator("[data-review-act]")
+    expect(act).to_have_text(f"Set {units} units to speed 0")
+    act.click()
+
+
+def test_zero_covers_both_with_a_result_for_each(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/trends")
+    go_to_zero(page, 5)
+    done = page.locator("[data-review-done=good]")
+    expect(done).to_contain_text("5 units took speed 0")
+    expect(done.locator("tbody th").filter(has_text="line ·")).to_have_count(3)
+    expect(done.locator("tbody th").filter(has_text="wet ·")).to_have_count(2)
+    assert {state(site.line, unit)["setpoint"] for unit in (1, 2, 3)} == {0}
+    assert {state(wet(site), unit)["setpoint"] for unit in (1, 2)} == {0}
+
+
+def test_zero_reaches_the_others_when_a_unit_refuses_the_stage(site: Site, browser_page: OpensPages) -> None:
+    with site.api("operator") as client:
+        for bus in ("line", "wet"):
+            assert client.post(f"/buses/{bus}/units/1/speed", json={"value": "50.0"}).status_code == 200
+    page = opened(browser_page(viewport=PANEL), "/")
+    page.get_by_role("button", name="Set line to zero").click()
+    expect(page.locator("[data-review-act]")).to_be_visible()
+    site.line.remote.do("fault", kind="nak", rate=1, unit=2)
+    try:
+        page.locator("[data-review-act]").click()
+        done = page.locator("[data-review-done=bad]")
+        expect(done).to_contain_text("4 of 5 units took speed 0")
+        expect(done.locator("tbody tr").nth(1)).to_contain_text("refused")
+        assert (state(site.line, 1)["setpoint"], state(wet(site), 1)["setpoint"]) == (0, 0)
+    finally:
+        site.line.remote.do("clear")
+
+
+def test_a_unit_that_went_to_local_meanwhile_is_in_the_result(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/")
+    page.get_by_role("button", name="Set line to zero").click()
+    expect(page.locator("[data-review-act]")).to_have_text("Set 5 units to speed 0")
+    site.line.remote.do("mode", unit=2, to="local")
+    try:
+        eventually(lambda: not site.unit(2)["remote"], "unit 2 in LOCAL")
+        page.locator("[data-review-act]").click()
+        done = page.locator("[data-review-done=bad]")
+        expect(done).to_contain_text("4 of 5 units took speed 0")
+        expect(done).to_contain_text("is not told: not in REMOTE")
+    finally:
+        site.line.remote.do("mode", unit=2, to="remote")
+    eventually(lambda: site.unit(2)["remote"], "unit 2 in REMOTE")
+
+
+def test_a_blocked_unit_with_something_staged_holds_up_nobody(site: Site, browser_page: OpensPages) -> None:
+    with site.api("operator") as client:
+        client.post("/buses/line/units/1/speed", json={"value": "40.0"})
+        client.post("/buses/line/units/2/speed", json={"value": "90.0", "execute": False})
+        client.post("/buses/line/units/2/block", json={"reason": "belt off"})
+        try:
+            page = opened(browser_page(viewport=PANEL), "/")
+            go_to_zero(page, 4)
+            done = page.locator("[data-review-done=bad]")
+            expect(done).to_contain_text("4 of 5 units took speed 0")
+            expect(done).to_contain_text("is not told: blocked")
+            assert state(site.line, 1)["setpoint"] == 0
+            assert state(site.line, 2)["setpoint"] != 900
+        finally:
+            client.delete("/buses/line/units/2/block")
+
+
+def test_a_closed_bus_leaves_the_other_its_controls(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/")
+    wet(site).remote.do("unplug")
+    try:
+        expect(page.locator("[data-strip]")).to_contain_text("the port is closed")
+        expect(page.locator("[data-strip] a")).to_have_count(1)
+        expect(page.locator('[data-unit="wet/1"]')).not_to_have_attribute("data-quality", "online")
+        expect(page.locator('[data-unit="line/1"]')).to_have_attribute("data-quality", "online")
+        page.get_by_role("button", name="Set line to zero").click()
+        expect(page.locator("[data-review-act]")).to_have_text("Set 3 units to speed 0")
+        expect(page.locator("#review-body")).to_contain_text("does not answer")
+        page.locator("[data-review-act]").click()
+        expect(page.locator("[data-review-done=bad]")).to_contain_text("3 of 5 units took speed 0")
+    finally:
+        wet(site).remote.do("plug")
+    eventually(lambda: site.unit(1, "wet")["link"] == "online", "the bus back")
+
+
+def test_a_followers_setpoint_is_a_ratio(site: Site, browser_page: OpensPages, follower: int) -> None:
+    page = opened(browser_page(viewport=PANEL), f"/units/line/{follower}")
+    before = state(site.line, follower)["setpoint"]
+    expect(page.locator("#set")).to_have_text("Ratio")
+    expect(page.locator(".plate__set")).to_contain_text("0.5000 to 1.5000")
+    field = page.locator("#setpoint")
+    expect(field).to_have_value(f"{before / 10_000:.4f}")
+    field.fill("1.6")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("#setpoint-error")).to_contain_text("outside 0.5000 to 1.5000")
+    page.get_by_role("button", name="Use 1.5000").click()
+    expect(field).to_have_value("1.5000")
+    field.fill("1,2345")
+    page.get_by_role("button", name="Set now").click()
+    page.get_by_role("button", name=re.compile(r"to 1\.2345$")).click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("verified: reads 1.2345")
+    assert state(site.line, follower)["setpoint"] == 12345
+
+    page.get_by_role("button", name=re.compile("Undo: back to")).click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text(f"reads {before / 10_000:.4f}")
+    page.get_by_role("button", name="Close").click()
+    expect(field).to_have_value(f"{before / 10_000:.4f}")
+
+    page.get_by_role("button", name="Up by 0.0100").click()
+    expect(page.locator("#setpoint-error")).to_contain_text("verified")
+    assert state(site.line, follower)["setpoint"] == before + 100
+    expect(field).to_have_value(f"{(before + 100) / 10_000:.4f}")
+
+
+def test_what_is_staged_for_a_follower_is_a_ratio_too(
+    site: Site, browser_page: OpensPages, follower: int
+) -> None:
+    page = opened(browser_page(viewport=PANEL), f"/units/line/{follower}")
+    page.locator("#setpoint").fill("0.9876")
+    page.get_by_role("button", name="Stage…", exact=True).click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("acknowledged")
+    page.get_by_role("button", name="Close").click()
+    expect(page.locator(f'[data-live="line/{follower}.staged"]').first).to_have_text(re.compile("0.9876"))
+    page.get_by_role("button", name="Execute staged").click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    eventually(lambda: state(site.line, follower)["setpoint"] == 9876, "the staged ratio executed")
