@@ -1,83 +1,159 @@
-"""The pictures of the README, taken of the real thing: ``make screenshots``.
+"""Every page in every situation as people see it: ``make screenshots``.
 
-A line of the demo's eight sections is served, worked on a little so that there is something to see, and
-photographed by Chromium in the sizes that people use.
+Lines of the simulator are served and brought into the situations of ``docs.scenes``; Chromium photographs
+them as a phone, a panel and a desktop, by day and by night, in every language, into ``docs/pictures/all``,
+which is not kept. The few pictures of the README are taken on the way.
+
+    python -m docs.screenshots [--situation NAME …] [--scene NAME …] [--size NAME …] [--look light-en …]
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from itertools import groupby
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
+from docs.scenes import SITUATIONS, Scene, Situation
 from tests.e2e.conftest import CHROMIUM, FLAGS, signed_in
 from tests.e2e.site import Site, site
 
 PICTURES = Path(__file__).parent / "pictures"
-DESK = (1440, 900)
-PHONE = (390, 844)
+ALL = PICTURES / "all"
+SIZES = {"phone": (360, 780), "panel": (1280, 800), "desktop": (1920, 1080)}
+LOOKS = [f"{scheme}-{language}" for scheme in ("light", "dark") for language in ("en", "de")]
 TOML = '[site]\nname = "Coater 2"\nsimulated = true\n'
-SETTLE_MS = 4000
-"""For deviation bars and short trends to fill."""
-DECELERATION = 7
+SETTLE_MS = 1500
+"""For bars to be drawn, short trends to be fetched and fragments to come in."""
+README = {
+    ("one-off", "line-tiles", "panel", "light-en"): "line",
+    ("one-off", "line-tiles", "panel", "dark-en"): "line-dark",
+    ("one-off", "line-tiles", "phone", "light-en"): "line-phone",
+    ("well", "unit", "panel", "light-en"): "unit",
+    ("255-abnormal", "line-board", "desktop", "dark-en"): "board",
+    ("well", "unit-review", "panel", "light-de"): "review",
+}
+"""Situation, scene, size, look → the name of a picture that is kept."""
 
-Scheme = Literal["light", "dark"]
+
+class Camera:
+    """Takes what was asked for."""
+
+    def __init__(self, chromium: Browser, wanted: argparse.Namespace) -> None:
+        self._chromium = chromium
+        self._wanted = wanted
+        self.failed: list[str] = []
+
+    def take(self, served: Site, situation: Situation) -> None:
+        """All pictures of a situation."""
+        scenes = [scene for scene in situation.scenes if _is_asked(scene.name, self._wanted.scene)]
+        for role in sorted({scene.role for scene in scenes}):
+            for size in self._wanted.size or SIZES:
+                for look in self._wanted.look or LOOKS:
+                    chosen = [scene for scene in scenes if scene.role == role]
+                    self._series(served, situation, chosen, size, look)
+
+    def _series(self, served: Site, situation: Situation, scenes: list[Scene], size: str, look: str) -> None:
+        with _page(self._chromium, served, scenes[0].role, SIZES[size], look) as page:
+            for scene in scenes:
+                name = f"{situation.name}/{scene.name}.{size}.{look}"
+                try:
+                    _show(page, served, situation, scene)
+                except Exception as error:
+                    self.failed.append(f"{name}: {str(error).splitlines()[0]}")
+                _keep(page, ALL / f"{name}.png", whole=scene.whole)
+                kept = README.get((situation.name, scene.name, size, look))
+                if kept:
+                    (PICTURES / f"{kept}.png").write_bytes((ALL / f"{name}.png").read_bytes())
 
 
 def main() -> int:
-    """Take them all."""
-    PICTURES.mkdir(exist_ok=True)
+    """Take what was asked for; 1 when a page did not come to where its picture is taken."""
+    wanted = _arguments()
+    asked = [one for one in SITUATIONS if _is_asked(one.name, wanted.situation)]
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        camera = Camera(chromium, wanted)
+        for name, situations in groupby(SITUATIONS, key=lambda situation: situation.line):
+            if any(one.line == name for one in asked):
+                _one_line(camera, list(situations), asked)
+        chromium.close()
+    print("\n".join(camera.failed))
+    return 1 if camera.failed else 0
+
+
+def _one_line(camera: Camera, situations: list[Situation], asked: list[Situation]) -> None:
+    last = max(place for place, one in enumerate(situations) if one in asked)
     with (
         tempfile.TemporaryDirectory() as folder,
-        site(Path(folder), 8, toml=TOML, line_options=("--no-script",)) as served,
-        sync_playwright() as playwright,
+        site(Path(folder), situations[0].units, toml=TOML, line_options=("--no-script",)) as served,
     ):
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        _work_on(served)
-        _picture(chromium, served, "line", "/", DESK)
-        _picture(chromium, served, "line-dark", "/", DESK, scheme="dark")
-        _picture(chromium, served, "line-phone", "/", PHONE)
-        _picture(chromium, served, "unit", "/units/line/3", DESK)
-        _picture(chromium, served, "parameters", "/units/line/3/parameters", DESK)
-        chromium.close()
-    return 0
+        for situation in situations[: last + 1]:
+            situation.prepare(served)
+            if situation in asked:
+                print(situation.name, flush=True)
+                camera.take(served, situation)
 
 
-def _work_on(served: Site) -> None:
-    """One section in LOCAL, one on a long ramp, an output switched, every parameter read."""
-    served.line.remote.do("mode", unit=5, to="local")
-    served.line.remote.do("parameter", unit=7, number=DECELERATION, raw=3000)
-    with served.api("operator") as client:
-        client.put("/buses/line/units/3/outputs/1", json={"on": True}).raise_for_status()
-        client.post("/buses/line/units/7/speed", json={"value": "60.0", "execute": True}).raise_for_status()
-        client.get("/buses/line/units/3/parameters?refresh=true", timeout=60).raise_for_status()
-
-
-def _picture(
-    chromium: Browser, served: Site, name: str, path: str, size: tuple[int, int], scheme: Scheme = "light"
-) -> None:
-    with _page(chromium, served, size, scheme) as page:
-        page.goto(path)
+def _show(page: Page, served: Site, situation: Situation, scene: Scene) -> None:
+    page.goto(scene.path)
+    if scene.role and scene.path != "/offline":
         page.wait_for_selector("body[data-link=live]")
-        page.wait_for_timeout(SETTLE_MS)
-        page.screenshot(path=PICTURES / f"{name}.png")
+    page.wait_for_timeout(SETTLE_MS)
+    if scene.press:
+        scene.press(page)
+        page.wait_for_timeout(300)
+    if situation.after:
+        situation.after(served)
+        page.wait_for_selector(situation.ends)
+        served.start()
+
+
+def _keep(page: Page, path: Path, *, whole: bool) -> None:
+    """``whole``: in a window as high as the page, so that what is fixed to its edges stays there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    window = page.viewport_size
+    assert window is not None
+    if whole:
+        height = page.evaluate("document.documentElement.scrollHeight")
+        page.set_viewport_size({"width": window["width"], "height": max(window["height"], height)})
+    page.screenshot(path=path)
+    page.set_viewport_size(window)
 
 
 @contextmanager
-def _page(chromium: Browser, served: Site, size: tuple[int, int], scheme: Scheme) -> Iterator[Page]:
+def _page(chromium: Browser, served: Site, role: str, size: tuple[int, int], look: str) -> Iterator[Page]:
+    scheme, _, language = look.partition("-")
+    state: Any = signed_in(chromium, served, role) if role else None
     context = chromium.new_context(
         base_url=served.url,
-        storage_state=signed_in(chromium, served, "engineer"),
+        storage_state=state,
         viewport={"width": size[0], "height": size[1]},
-        color_scheme=scheme,
+        color_scheme="dark" if scheme == "dark" else "light",
+        locale=language,
     )
+    context.set_default_timeout(20_000)
     yield context.new_page()
     context.close()
+
+
+def _is_asked(name: str, names: Iterable[str] | None) -> bool:
+    return not names or name in names
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--situation", nargs="*", choices=[one.name for one in SITUATIONS])
+    parser.add_argument("--scene", nargs="*")
+    parser.add_argument("--size", nargs="*", choices=list(SIZES))
+    parser.add_argument("--look", nargs="*", choices=LOOKS)
+    return parser.parse_args()
 
 
 if __name__ == "__main__":

@@ -6,14 +6,15 @@ said once: while a port is closed its units are not listed one by one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 from app.live.fields import STATE_WORDS, Voice, bits_of, mode_of
 from app.live.motion import State
 from app.live.state import BusLive, UnitLive
-from bus.contract import UnitLinkState
+from bus.catalogue.status import StatusBits
+from bus.contract import Reading, UnitLinkState
 
 Level = Literal["urgent", "high", "low"]
 LEVELS: tuple[Level, ...] = ("urgent", "high", "low")
@@ -21,11 +22,12 @@ LEVELS: tuple[Level, ...] = ("urgent", "high", "low")
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """One thing that is not well. ``since``: seconds since the epoch, as far as this app knows."""
+    """One thing that is not well. ``since``: when it began, seconds since the epoch; None: nobody saw it."""
 
     level: Level
     text: str
     code: str
+    since: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,8 @@ class Sight:
     """A stale unit whose last answer is really old; one poll missed is shown, but is no trouble yet."""
     drifted: int = 0
     """Parameters in which it departs from what it ought to be."""
+    since: Mapping[str, float] = field(default_factory=dict)
+    """When a condition of :func:`conditions_of` began."""
 
 
 @dataclass(slots=True)
@@ -71,8 +75,19 @@ def bus_trouble(bus: BusLive, voice: Voice) -> Trouble | None:
         return Trouble("urgent", voice.t("the bus worker is not connected"), "worker")
     if bus.link.link == "closed":
         cause = f": {bus.link.cause}" if bus.link.cause else ""
-        return Trouble("urgent", voice.t("the port is closed") + cause, "port")
+        return Trouble("urgent", voice.t("the port is closed") + cause, "port", bus.link.at)
     return None
+
+
+def conditions_of(bits: StatusBits, reading: Reading, state: State) -> frozenset[str]:
+    """What of a reading is not well, by the codes of :class:`Trouble`."""
+    found = (
+        ("estop", bits.estop_active),
+        ("off_speed", state == "off_speed"),
+        ("mode", not bits.remote),
+        ("run", reading.commanded > 0 and not bits.run),
+    )
+    return frozenset(code for code, holds in found if holds)
 
 
 def unit_trouble(bus: BusLive, sight: Sight, voice: Voice) -> Trouble | None:
@@ -81,21 +96,23 @@ def unit_trouble(bus: BusLive, sight: Sight, voice: Voice) -> Trouble | None:
     if sight.link == "unknown" or reading is None:
         return Trouble("low", voice.t("not heard yet"), "unknown")
     if sight.link == "offline":
-        return Trouble("high", voice.t("no answer"), "offline")
+        return Trouble("high", voice.t("no answer"), "offline", reading.at)
     bits = bits_of(bus, reading)
-    findings: list[tuple[bool, Callable[[], Trouble]]] = [
-        (bits.estop_active, lambda: Trouble("urgent", voice.t("e-stop input active"), "estop")),
-        (sight.state == "off_speed", lambda: Trouble("high", voice.t(STATE_WORDS["off_speed"]), "off_speed")),
-        (sight.link == "stale" and sight.overdue, lambda: Trouble("low", voice.t("answer overdue"), "stale")),
-        (bool(sight.blocked), lambda: Trouble("low", f"{voice.t('blocked')}: {sight.blocked}", "blocked")),
-        (not bits.remote, lambda: _not_remote(mode_of(sight.unit, bits), voice)),
-        (
-            reading.commanded > 0 and not bits.run,
-            lambda: Trouble("low", voice.t("run input off"), "run"),
-        ),
+    holding = conditions_of(bits, reading, sight.state)
+    findings: list[tuple[bool, Callable[[], tuple[Level, str, str]]]] = [
+        ("estop" in holding, lambda: ("urgent", voice.t("e-stop input active"), "estop")),
+        ("off_speed" in holding, lambda: ("high", voice.t(STATE_WORDS["off_speed"]), "off_speed")),
+        (sight.link == "stale" and sight.overdue, lambda: ("low", voice.t("answer overdue"), "stale")),
+        (bool(sight.blocked), lambda: ("low", f"{voice.t('blocked')}: {sight.blocked}", "blocked")),
+        ("mode" in holding, lambda: _not_remote(mode_of(sight.unit, bits), voice)),
+        ("run" in holding, lambda: ("low", voice.t("run input off"), "run")),
         (sight.drifted > 0, lambda: _drifted(sight.drifted, voice)),
     ]
-    return next((build() for found, build in findings if found), None)
+    for found, build in findings:
+        if found:
+            level, text, code = build()
+            return Trouble(level, text, code, sight.since.get(code))
+    return None
 
 
 def worst(troubles: list[Trouble]) -> Level | None:
@@ -107,6 +124,8 @@ def verdict(tally: Tally, abnormal: int, voice: Voice) -> str:
     """Is the line well? One sentence."""
     if tally.units == 0:
         return voice.t("No unit is configured")
+    if abnormal and not tally.heard:
+        return voice.t("No unit is heard")
     if abnormal:
         text = "{n} needs a look" if abnormal == 1 else "{n} need a look"
         return voice.t(text, n=abnormal)
@@ -119,15 +138,15 @@ def verdict(tally: Tally, abnormal: int, voice: Voice) -> str:
     return voice.t("{n} of {units} at speed, the others at zero", n=tally.at_speed, units=tally.units)
 
 
-def _not_remote(mode: str, voice: Voice) -> Trouble:
+def _not_remote(mode: str, voice: Voice) -> tuple[Level, str, str]:
     word = "KEYLOCK" if mode == "keylock" else "LOCAL"
-    return Trouble("low", voice.t("{mode}: refuses", mode=word), "mode")
+    return "low", voice.t("{mode}: refuses", mode=word), "mode"
 
 
-def _drifted(rows: int, voice: Voice) -> Trouble:
+def _drifted(rows: int, voice: Voice) -> tuple[Level, str, str]:
     text = (
         "{n} parameter differs from the golden set"
         if rows == 1
         else "{n} parameters differ from the golden set"
     )
-    return Trouble("low", voice.t(text, n=rows), "drift")
+    return "low", voice.t(text, n=rows), "drift"

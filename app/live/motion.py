@@ -6,7 +6,7 @@ unit whose error shrinks is ramping; one whose error has not shrunk for a while 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from bus.contract import Reading
@@ -26,6 +26,9 @@ class Motion:
     _commanded: int | None = None
     _least_error: int = 0
     _nearer_at: float = 0.0
+    since: dict[str, float] = field(default_factory=dict)
+    """When a condition began, as far as it was seen to begin; one that held from the first is not in it."""
+    _held: frozenset[str] | None = None
 
     def see(self, reading: Reading, *, at_speed: bool, scan_s: float) -> State:
         """The state after this reading."""
@@ -37,6 +40,15 @@ class Motion:
         patience = max(PATIENCE_S, PATIENCE_SCANS * scan_s)
         self.state = self._judge(reading, at_speed, reading.at - self._nearer_at > patience)
         return self.state
+
+    def note(self, at: float, conditions: frozenset[str]) -> None:
+        """Which conditions hold, by a reading at ``at``."""
+        if conditions == self._held:
+            return
+        begun = conditions - self._held if self._held is not None else frozenset()
+        self.since = {name: began for name, began in self.since.items() if name in conditions}
+        self.since |= dict.fromkeys(begun, at)
+        self._held = conditions
 
     def _judge(self, reading: Reading, at_speed: bool, gave_up: bool) -> State:
         if reading.commanded == 0 and reading.actual == 0:

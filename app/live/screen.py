@@ -10,7 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
-from app.live.abnormal import LEVELS, Sight, Tally, Trouble, bus_trouble, unit_trouble, verdict, worst
+from app.live.abnormal import (
+    LEVELS,
+    Sight,
+    Tally,
+    Trouble,
+    bus_trouble,
+    conditions_of,
+    unit_trouble,
+    verdict,
+    worst,
+)
 from app.live.age import scan_s_of, stale_after_s, unit_link_now
 from app.live.fields import Fields, Voice, bits_of, bus_fields, unit_fields, unit_key
 from app.live.motion import Motion
@@ -22,6 +32,8 @@ MOST_ENTRIES = 30
 """In the strip; when more is not well, the verdict has their number."""
 _DECIDES = {"link", "state", "level", "trouble"}
 """A change of these in a unit may change the strip and the totals of the line."""
+_OF_THE_LINK = {"unknown", "offline", "stale"}
+"""Said of the bus, and not of each of its units again, while the bus itself is in trouble."""
 Block = Callable[[str, int], str]
 """The reason why a unit is blocked, by bus and address; empty where it is not."""
 Drift = Callable[[str, int], int]
@@ -37,6 +49,8 @@ class Entry:
     key: str
     name: str
     trouble: Trouble
+    since: str = ""
+    """``since 05:20``; empty where that is not known."""
 
 
 @dataclass(slots=True)
@@ -63,7 +77,7 @@ class Screen:
             fields = bus_fields(bus, self.voice) | {"recipe": self._recipe(bus_name)}
             self._put(changed, bus_name, fields)
         if whole_bus or any(_DECIDES & fields.keys() for fields in changed.values()):
-            self._put(changed, "line", self._line())
+            self._put(changed, "line", self._line(now))
         return changed
 
     def settle(self, now: float) -> Groups:
@@ -109,12 +123,15 @@ class Screen:
 
     def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: float) -> Fields:
         number = unit.settings.id
-        state, blocked = self.motions[bus_name, number].state, self.block(bus_name, number)
+        motion, blocked = self.motions[bus_name, number], self.block(bus_name, number)
         link, overdue = unit_link_now(bus, unit, now), _is_overdue(bus, unit, now)
-        sight = Sight(unit, link, state, blocked, overdue, self.drift(bus_name, number))
+        drifted = self.drift(bus_name, number)
+        sight = Sight(unit, link, motion.state, blocked, overdue, drifted, motion.since)
         trouble = unit_trouble(bus, sight, self.voice)
+        if trouble is not None and trouble.code in _OF_THE_LINK and bus_trouble(bus, self.voice):
+            trouble = None
         self._judged[unit_key(bus_name, number)] = (sight, trouble)
-        return unit_fields(bus, unit, sight.link, state, self.voice) | {
+        return unit_fields(bus, unit, sight.link, sight.state, self.voice) | {
             "level": trouble.level if trouble else "",
             "trouble": trouble.text if trouble else "",
             "blocked": blocked,
@@ -130,24 +147,30 @@ class Screen:
         text = "{name}, {n} unit departed" if departed == 1 else "{name}, {n} units departed"
         return self.voice.t(text, name=name, n=departed)
 
-    def _line(self) -> Fields:
+    def _line(self, now: float) -> Fields:
         tally, self.entries = Tally(), []
         for name, bus in self.live.buses.items():
             trouble = bus_trouble(bus, self.voice)
             if trouble is not None:
-                self.entries.append(Entry(name, name, trouble))
+                self.entries.append(Entry(name, name, trouble, self._since(trouble, now)))
             for number in bus.units:
-                self._take(unit_key(name, number), tally, silent=trouble is not None)
+                self._take(unit_key(name, number), tally, now, silent=trouble is not None)
         self.entries.sort(key=lambda entry: LEVELS.index(entry.trouble.level))
         return self._totals(tally) | self._figures()
 
-    def _take(self, key: str, tally: Tally, *, silent: bool) -> None:
+    def _take(self, key: str, tally: Tally, now: float, *, silent: bool) -> None:
         if key not in self._judged:
             return
         sight, trouble = self._judged[key]
         tally.count(sight)
         if trouble is not None and not silent:
-            self.entries.append(Entry(key, sight.unit.settings.name, trouble))
+            name = sight.unit.settings.name
+            self.entries.append(Entry(key, name, trouble, self._since(trouble, now)))
+
+    def _since(self, trouble: Trouble, now: float) -> str:
+        if trouble.since is None:
+            return ""
+        return self.voice.t("since {time}", time=self.voice.formats.since(trouble.since, now))
 
     def _totals(self, tally: Tally) -> Fields:
         level = worst([entry.trouble for entry in self.entries])
@@ -161,7 +184,7 @@ class Screen:
             "off_speed": f"{tally.off_speed}",
             "lost": f"{tally.units - tally.heard}",
             "strip": "\n".join(
-                "\t".join((entry.key, entry.trouble.level, entry.name, entry.trouble.text))
+                "\t".join((entry.key, entry.trouble.level, entry.name, entry.trouble.text, entry.since))
                 for entry in self.entries[:MOST_ENTRIES]
             ),
             "troubles": f"{len(self.entries)}",
@@ -199,5 +222,6 @@ def watch_motions(
     for number in units:
         reading = bus.units[number].reading
         if reading is not None:
-            at_speed = bits_of(bus, reading).at_speed
-            motions[bus_name, number].see(reading, at_speed=at_speed, scan_s=scan_s)
+            bits, motion = bits_of(bus, reading), motions[bus_name, number]
+            state = motion.see(reading, at_speed=bits.at_speed, scan_s=scan_s)
+            motion.note(reading.at, conditions_of(bits, reading, state))

@@ -62,6 +62,13 @@ class Formats:
         """The time of day to the second."""
         return format_time(self.local(at).time(), "medium", locale=self.locale)
 
+    def since(self, at: float, now: float) -> str:
+        """The time of day to the minute where that was today, otherwise the date."""
+        then = self.local(at)
+        if then.date() != self.local(now).date():
+            return self.day(at)
+        return f"{then:%H:%M}"
+
     def iso(self, at: float | datetime) -> str:
         """ISO 8601 with zone, for ``<time datetime>``."""
         return self.local(at).isoformat(timespec="milliseconds")

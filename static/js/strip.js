@@ -14,7 +14,7 @@ function drawing(level) {
 }
 
 function entry(line) {
-  const [key, level, name, text] = line.split("\t");
+  const [key, level, name, text, since] = line.split("\t");
   const link = document.createElement("a");
   link.className = "mark strip__item";
   link.dataset.level = level;
@@ -23,7 +23,9 @@ function entry(line) {
   strong.textContent = name;
   const words = document.createElement("span");
   words.textContent = text;
-  link.append(drawing(level), strong, words);
+  const began = document.createElement("small");
+  began.textContent = since;
+  link.append(drawing(level), strong, words, began);
   const item = document.createElement("li");
   item.append(link);
   return item;

@@ -155,7 +155,7 @@ async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
         ],
     )
     (diff,) = await told(browser)
-    assert diff["f"]["health/dry/2"]["answers"] == "5 / 5"
+    assert diff["f"]["health/dry/2"]["answers"] == "5"
     assert "health/dry/1" not in diff["f"]
 
 

@@ -49,3 +49,15 @@ def test_a_unit_that_leaves_its_speed_is_off_speed_only_when_it_was_long_there()
 def test_a_new_setpoint_is_a_new_ramp() -> None:
     stuck = [(float(at), 500, 400, False) for at in range(6)]
     assert states(*stuck, (6.0, 600, 400, False))[-1] == "ramping_up"
+
+
+def test_a_condition_has_its_beginning_where_that_was_seen() -> None:
+    motion = Motion()
+    motion.note(10.0, frozenset({"mode"}))
+    assert motion.since == {}
+    motion.note(20.0, frozenset({"mode", "estop"}))
+    motion.note(30.0, frozenset({"mode", "estop"}))
+    assert motion.since == {"estop": 20.0}
+    motion.note(40.0, frozenset())
+    motion.note(50.0, frozenset({"mode"}))
+    assert motion.since == {"mode": 50.0}

@@ -1,7 +1,8 @@
 from __future__ import annotations
 
+from app.live.screen import watch_motions
 from bus.contract import BusFigures, BusLink
-from tests.app.screens import line, reading, screen
+from tests.app.screens import line, reading, screen, voice
 
 
 def figures(scan_s: float = 0.3) -> BusFigures:
@@ -25,10 +26,31 @@ def test_a_trouble_comes_into_the_strip_and_goes() -> None:
     assert shown.shown["line"]["strip"] == ""
     live.apply("dry", [reading(2, at=100.2, inputs=1)])
     changed = shown.see("dry", [2], 100.2, whole_bus=False)
-    assert changed["line"]["strip"] == "dry/2\turgent\tUnit 2\te-stop input active"
+    assert changed["line"]["strip"] == "dry/2\turgent\tUnit 2\te-stop input active\t"
     assert (changed["line"]["level"], changed["line"]["verdict"]) == ("urgent", "1 needs a look")
     live.apply("dry", [reading(2, at=100.4)])
     assert shown.see("dry", [2], 100.4, whole_bus=False)["line"]["strip"] == ""
+
+
+def test_the_strip_says_since_when_where_the_beginning_was_seen() -> None:
+    live = line()
+    shown = screen(live)
+    bus = live.buses["dry"]
+    for unit, at in ((1, 115.0), (2, 121.0)):
+        live.apply("dry", [reading(unit, at=at, inputs=1)])
+        watch_motions(shown.motions, "dry", bus, [unit], 0.2)
+    changed = shown.see("dry", [1, 2], 121.0, whole_bus=False)
+    said = [entry.split("\t")[4] for entry in changed["line"]["strip"].split("\n")]
+    assert said == [voice().t("since {time}", time=voice().formats.since(at, 121.0)) for at in (115.0, 121.0)]
+    assert said[0] != said[1]
+
+
+def test_a_unit_says_nothing_of_a_cable_that_its_bus_has_lost() -> None:
+    live = line()
+    shown = screen(live)
+    live.apply("dry", [BusLink(at=101.0, link="closed", cause="unplugged")])
+    shown.see("dry", [1, 2], 130.0, whole_bus=True)
+    assert [shown.shown["dry/1"][name] for name in ("link", "level", "trouble")] == ["offline", "", ""]
 
 
 def test_time_alone_makes_stale_then_offline() -> None:
@@ -43,7 +65,7 @@ def test_a_closed_port_is_one_entry_and_not_one_for_each_unit() -> None:
     shown = screen(live)
     live.apply("dry", [BusLink(at=101.0, link="closed", cause="unplugged")])
     changed = shown.see("dry", [1, 2], 101.0, whole_bus=True)
-    assert changed["line"]["strip"] == "dry\turgent\tdry\tthe port is closed: unplugged"
+    assert changed["line"]["strip"] == "dry\turgent\tdry\tthe port is closed: unplugged\tsince 00:01"
     assert changed["dry"]["link"] == "closed"
 
 
