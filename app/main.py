@@ -9,7 +9,6 @@ from importlib.metadata import version
 from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
 
-from app import metrics
 from app.audit import api as audit_api
 from app.audit import pages as audit_pages
 from app.auth import pages as auth_pages
@@ -36,6 +35,7 @@ from app.live import api as live_api
 from app.live import install as live_install
 from app.live import pages as live_pages
 from app.live import socket as live_socket
+from app.metrics import api as metrics_api
 from app.recipes import api as recipes_api
 from app.recipes import pages as recipes_pages
 from app.sets import api as sets_api
@@ -53,7 +53,7 @@ from app.wiring import Services, build, running
 FEATURES = (
     web_pages,
     schema,
-    metrics,
+    metrics_api,
     auth_pages,
     users,
     audit_api,

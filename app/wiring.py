@@ -22,9 +22,10 @@ from app.commands.safeguards import Safeguards
 from app.database import Database
 from app.feed.workers import Workers
 from app.history.service import History
+from app.history.status import sentence
 from app.live.hub import Hub
 from app.live.state import LiveState
-from app.metrics import Counts
+from app.metrics.counts import Counts
 from app.pipeline import Pipeline
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore
@@ -115,6 +116,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     hub = Hub(live, templates, time)
     hub.block, hub.drift, hub.watch = safeguards.block_reason, sets.drifted, workers.watch
     hub.holder = safeguards.holder
+    hub.memory = lambda voice, now: sentence(history.status, voice.t, voice.formats, now)
     safeguards.on_block(hub.refresh_unit)
     restores, swaps = RestoreDesk(reader, desk, events, RestoreStore(database)), SwapDesk(events, time)
     restores.on_end = swaps.ended

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import Any
 
 import typer
 from typer.core import TyperGroup
 from typer.main import get_group
+
+from app.cli.loading import loading
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "serve": ("serve", "The dashboard and one bus worker for each [[bus]]."),
@@ -41,7 +44,8 @@ class Lazy(TyperGroup):
         if cmd_name not in COMMANDS:
             return None
         cli = typer.Typer()
-        import_module(f"app.cli.{COMMANDS[cmd_name][0]}").register(cli)
+        with loading():
+            import_module(f"app.cli.{COMMANDS[cmd_name][0]}").register(cli)
         return get_group(cli).commands[cmd_name]
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
@@ -69,4 +73,6 @@ def main() -> None:
     from app.cli.tether import tie_to_parent
 
     tie_to_parent()
+    # Pydantic would read the metadata of everything installed for plugins of its own; we want none.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     cli(prog_name="lineside")

@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -34,26 +34,33 @@ def demo(
     """A simulated line and its dashboard on this machine, until Ctrl-C. Nothing of it is kept."""
     with ending(), tempfile.TemporaryDirectory(prefix="lineside-demo-") as folder:
         here = Path(folder)
-        with _simulator(units, here / "line") as line:
+        with _simulator(units, here / "line") as begun:
+            # The simulator begins in its own process while this one reads the rest.
             from app.cli.hosting import host
             from bus.simulator.demo import demo_line
 
             config = here / "lineside.toml"
-            config.write_text(configuration(line, port, demo_line(units).settings), encoding="utf-8")
-            host(load(config), config, demo=True)
+            config.write_text(configuration(here / "line", port, demo_line(units).settings), encoding="utf-8")
+            settings = load(config)
+            begun()
+            host(settings, config, demo=True)
 
 
 @contextmanager
-def _simulator(units: int, link: Path) -> Iterator[Path]:
-    """``lineside simulate`` beside us, ready as soon as it has said its port."""
+def _simulator(units: int, link: Path) -> Iterator[Callable[[], None]]:
+    """``lineside simulate`` beside us; what is given waits until its port is there."""
     called = [sys.executable, "-P", "-m", "app.cli", "simulate", "--units", str(units), "--link", str(link)]
     process = subprocess.Popen(
         called, stdout=subprocess.PIPE, env=tied_environment(), process_group=0, text=True
     )
-    try:
-        if process.stdout is None or not process.stdout.readline():
+    output = process.stdout
+
+    def begun() -> None:
+        if output is None or not output.readline():
             raise StoreError("the simulated line could not begin; what stands above says why")
-        yield link
+
+    try:
+        yield begun
     finally:
         process.terminate()
         try:

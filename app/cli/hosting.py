@@ -17,6 +17,7 @@ import typer
 import uvloop
 
 from app.auth.rules import new_secret
+from app.cli.loading import loading
 from app.cli.workers import Workers
 from app.settings import Server, Settings
 from bus.errors import LinesideError
@@ -93,8 +94,9 @@ async def _host(settings: Settings, config: Path, listening: socket.socket, *, d
     ending = _ending_asked()
     workers.start()
     try:
-        server_module = await asyncio.to_thread(import_module, "app.cli.server")
-        server = server_module.Server(settings, demo, token, lambda: typer.echo(f"Lineside: {url}"))
+        with loading():
+            server_module = await asyncio.to_thread(import_module, "app.cli.server")
+            server = server_module.Server(settings, demo, token, lambda: typer.echo(f"Lineside: {url}"))
         serving = asyncio.create_task(server.serve([listening]))
         asked = asyncio.create_task(ending.wait())
         await asyncio.wait({serving, asked}, return_when=asyncio.FIRST_COMPLETED)

@@ -1,27 +1,19 @@
-"""``/metrics``: what the workers, the wire and the people do, for Prometheus."""
+"""The families of metrics. Nobody waits for them at the start, so they are loaded when first asked for."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Iterator
-from typing import Annotated, cast
 
-from fastapi import APIRouter, Depends
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
-from starlette.requests import HTTPConnection
-from starlette.responses import Response
 
-from app.audit.log import Event, EventLog
 from app.live.hub import Hub
 from app.live.state import BusLive, LiveState
-from app.web.access import Viewer
+from app.metrics.counts import Counts
 from bus.contract import UnitFigures
 
-router = APIRouter()
-
-OUTCOMES = ("verified", "acknowledged", "refused", "unverified", "invalid", "not_sent", "bus_closed")
+CONTENT_TYPE = CONTENT_TYPE_LATEST
 _COUNTED = {
     "polls": "Status requests sent to a unit",
     "timeouts": "Requests that a unit did not answer in time",
@@ -29,18 +21,6 @@ _COUNTED = {
     "retries": "Requests sent again to a unit",
     "late": "Answers of a unit that came after they were given up",
 }
-
-
-class Counts:
-    """Commands by their fate since the server started."""
-
-    def __init__(self, events: EventLog) -> None:
-        self.commands: Counter[str] = Counter(dict.fromkeys(OUTCOMES, 0))
-        events.subscribe(self._see)
-
-    def _see(self, event: Event) -> None:
-        if event["kind"] == "command" and event["outcome"]:
-            self.commands[event["outcome"]] += 1
 
 
 class _Line(Collector):
@@ -92,14 +72,8 @@ def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
     yield from (is_open, scan, use)
 
 
-def _collector_of(connection: HTTPConnection) -> _Line:
-    services = connection.app.state.services
-    return _Line(cast(LiveState, services.live), cast(Hub, services.hub), cast(Counts, services.counts))
-
-
-@router.get("/metrics", response_class=Response, include_in_schema=False)
-async def metrics(_: Viewer, line: Annotated[_Line, Depends(_collector_of)]) -> Response:
-    """Prometheus text."""
+def text(live: LiveState, hub: Hub, counts: Counts) -> bytes:
+    """All of it, as Prometheus reads it."""
     registry = CollectorRegistry()
-    registry.register(line)
-    return Response(generate_latest(registry), media_type=CONTENT_TYPE_LATEST)
+    registry.register(_Line(live, hub, counts))
+    return generate_latest(registry)

@@ -1,0 +1,1 @@
+"""``/metrics``: what the workers, the wire and the people do, for Prometheus."""

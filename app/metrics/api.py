@@ -1,0 +1,31 @@
+"""The route of ``/metrics``."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends
+from starlette.requests import HTTPConnection
+from starlette.responses import Response
+
+from app.live.hub import Hub
+from app.live.state import LiveState
+from app.metrics.counts import Counts
+from app.web.access import Viewer
+
+router = APIRouter(include_in_schema=False)
+
+
+def _counted(connection: HTTPConnection) -> tuple[LiveState, Hub, Counts]:
+    services = connection.app.state.services
+    return services.live, services.hub, services.counts
+
+
+@router.get("/metrics")
+async def metrics(
+    _: Viewer, counted: Annotated[tuple[LiveState, Hub, Counts], Depends(_counted)]
+) -> Response:
+    """Prometheus text."""
+    from app.metrics.families import CONTENT_TYPE, text
+
+    return Response(text(*counted), media_type=CONTENT_TYPE)
