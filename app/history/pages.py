@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from fastapi import APIRouter
@@ -11,9 +12,10 @@ from starlette.responses import Response
 from app.history import display
 from app.history.service import History
 from app.history.spans import HistoryOf
+from app.history.status import sentence
 from app.history.values import VALUES
 from app.web.access import Viewer
-from app.web.templating import render
+from app.web.templating import render, templates_of
 
 router = APIRouter(include_in_schema=False)
 
@@ -21,9 +23,10 @@ router = APIRouter(include_in_schema=False)
 @router.get("/trends")
 async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
     """Any values of any units over any span; the browser draws what its address names."""
-    return render(
-        request, "trends/page.html", catalogue=_catalogue(history), values=VALUES, health=history.status
-    )
+    templates = templates_of(request)
+    language = templates.language_of(request)
+    memory = sentence(history.status, language.t, templates.formats(language.tag), time.time())
+    return render(request, "trends/page.html", catalogue=_catalogue(history), values=VALUES, memory=memory)
 
 
 def _catalogue(history: History) -> list[dict[str, Any]]:

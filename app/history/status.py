@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
+
+from app.web.formats import Formats
 
 State = Literal["ok", "low", "scarce", "paused", "failed"]
 
@@ -15,6 +18,8 @@ class Status:
 
     state: State = "ok"
     message: str = ""
+    cause: str = ""
+    """Why the store cannot be used."""
     since: float = 0.0
     size_bytes: int = 0
     free_bytes: int = 0
@@ -30,5 +35,20 @@ WORDS: dict[State, str] = {
     "low": "the disk with the history is nearly full: free some space soon",
     "scarce": "the disk with the history is nearly full: the oldest readings are being given up",
     "paused": "the disk is full: no readings are stored until some space is free",
-    "failed": "history is off, everything else works",
+    "failed": "no history is kept, everything else works",
 }
+
+
+def sentence(status: Status, t: Callable[..., str], formats: Formats, now: float) -> str:
+    """What people are told on the pages, in their language; empty while history is well."""
+    since = formats.since(status.since, now)
+    match status.state:
+        case "ok":
+            return ""
+        case "failed":
+            text = "Since {time} no history is kept, everything else works. The reason: {why}"
+            return t(text, time=since, why=status.cause)
+        case "paused":
+            return t("Since {time} no history is kept: the disk is full. Free some space.", time=since)
+        case _:
+            return f"{t('History')}: {t(status.message)}"

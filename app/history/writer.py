@@ -131,9 +131,9 @@ class Writer:
             if time.monotonic() < self._retry_at:
                 return
             self._open_store()
-        self._watch_disk()
         if self._space != "none":
             self._store()
+        self._watch_disk()
 
     def _store(self) -> None:
         opened = self._open
@@ -182,11 +182,10 @@ class Writer:
         database.write_now(lambda c: store.write_raw_from(c, store.raw_from(c)))
         self._open = _Open(database, recorder, Upkeep(database, self._keep))
         self._look_at = 0.0
-        self._set_state("ok", "")
 
     def _fail(self, why: str) -> None:
         self._retry_at = time.monotonic() + RETRY_S
-        self._set_state("failed", f"{WORDS['failed']}: {why}")
+        self._set_state("failed", why)
         opened, self._open = self._open, None
         if opened is not None:
             opened.database.close()
@@ -210,7 +209,7 @@ class Writer:
             opened.upkeep.shed()
         oldest = opened.database.read_now(store.oldest_raw)
         state: dict[Space, State] = {"enough": "ok", "low": "low", "scarce": "scarce", "none": "paused"}
-        self._set_state(state[self._space], WORDS[state[self._space]])
+        self._set_state(state[self._space])
         self._status = replace(
             self._status,
             free_bytes=free,
@@ -218,8 +217,9 @@ class Writer:
             oldest_reading=None if oldest is None else oldest / SECOND,
         )
 
-    def _set_state(self, state: State, message: str) -> None:
-        if (state, message) == (self._status.state, self._status.message):
-            return
-        log.log(30 if message else 20, "history", state=state, message=message)
-        self._status = replace(self._status, state=state, message=message, since=time.time())
+    def _set_state(self, state: State, cause: str = "") -> None:
+        message = f"{WORDS[state]}: {cause}" if cause else WORDS[state]
+        since = self._status.since if state == self._status.state else time.time()
+        if message != self._status.message:
+            log.log(30 if message else 20, "history", state=state, message=message)
+        self._status = replace(self._status, state=state, message=message, cause=cause, since=since)

@@ -34,15 +34,21 @@ def block_reason_of(connection: HTTPConnection) -> BlockReason:
     return cast(BlockReason, connection.app.state.services.hub.block)
 
 
+def memory_of(connection: HTTPConnection) -> str:
+    """Why no history is kept; empty while it is."""
+    return cast(str, connection.app.state.services.history.status.message)
+
+
+Memory = Annotated[str, Depends(memory_of)]
 Blocked = Annotated[BlockReason, Depends(block_reason_of)]
 Live = Annotated[LiveState, Depends(live_of)]
 SiteName = Annotated[str, Depends(site_name_of)]
 
 
 @router.get("/line", response_model=LineShown)
-async def get_line(_: Viewer, live: Live, site: SiteName, block: Blocked) -> dict[str, Any]:
-    """Every bus and every unit, now."""
-    return line_json(site, live, time.time(), block)
+async def get_line(_: Viewer, live: Live, site: SiteName, block: Blocked, memory: Memory) -> dict[str, Any]:
+    """Every bus and every unit, now. ``history``: empty, or why no readings are kept."""
+    return line_json(site, live, time.time(), block, memory)
 
 
 @router.get("/buses/{bus}", response_model=BusShown)

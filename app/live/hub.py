@@ -48,6 +48,8 @@ class Hub:
         self.watch: Watcher = _unwatched
         self.holder: Callable[[str], str] = _unheld
         """Who holds control of a bus; empty where nobody does."""
+        self.memory: Callable[[Voice, float], str] = _unforgetting
+        """Why no history is kept, in words; empty while it is."""
         live.subscribe(self._on_updates)
 
     @property
@@ -76,6 +78,7 @@ class Hub:
             self._screens[language] = screen
             self._numbers[language] = 0
         self._publish(language, screen.refresh(self._clock()))
+        self._publish(language, screen.put("line", {"memory": self.memory(screen.voice, self._clock())}))
         return screen
 
     def join(self, browser: Browser) -> None:
@@ -126,7 +129,8 @@ class Hub:
         for language in self._languages():
             screen = self._screens[language]
             groups = screen.settle(now)
-            for held in (screen.put("line", {"holder": self._holders()}), *self._held(screen)):
+            said = {"holder": self._holders(), "memory": self.memory(screen.voice, now)}
+            for held in (screen.put("line", said), *self._held(screen)):
                 for group, fields in held.items():
                     groups.setdefault(group, {}).update(fields)
             self._publish(language, groups, always=True)
@@ -244,6 +248,10 @@ def _unloaded(_bus: str) -> None:
 
 
 def _unheld(_bus: str) -> str:
+    return ""
+
+
+def _unforgetting(_voice: Voice, _now: float) -> str:
     return ""
 
 

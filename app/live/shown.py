@@ -78,6 +78,7 @@ class LineShown(TypedDict):
 
     site: str
     time: str
+    history: str
     buses: list[BusShown]
 
 

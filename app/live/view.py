@@ -52,10 +52,10 @@ def iso(at: float) -> str:
     return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds")
 
 
-def line_json(site: str, live: LiveState, now: float, block: BlockReason) -> Json:
-    """Every bus with its units in floor order."""
+def line_json(site: str, live: LiveState, now: float, block: BlockReason, history: str) -> Json:
+    """Every bus with its units in floor order. ``history``: why none is kept; empty while it is."""
     buses = [bus_json(bus, now, block) for bus in live.buses.values()]
-    return {"site": site, "time": iso(now), "buses": buses}
+    return {"site": site, "time": iso(now), "history": history, "buses": buses}
 
 
 def bus_json(bus: BusLive, now: float, block: BlockReason) -> Json:

@@ -252,7 +252,7 @@ async def test_a_store_that_fails_is_said_and_the_rest_goes_on(tmp_path: Path) -
         assert status["state"] == "failed"
         answer = await client.get("/history", params=query())
         assert answer.status_code == 503
-        assert "history is off" in json.loads(answer.content)["detail"]
+        assert "no history is kept" in json.loads(answer.content)["detail"]
     history.append("dry-end", polls(NOON, NOON + 1))
     history.close()
 
