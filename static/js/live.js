@@ -3,6 +3,7 @@
 
 import { replace, show, value } from "./bind.js";
 import * as clock from "./clock.js";
+import { giveBack } from "./focus.js";
 import { language, span, word } from "./words.js";
 
 const SILENCE_S = 1.9;
@@ -101,13 +102,11 @@ function beat(serverTime) {
 // --- lost and found -----------------------------------------------------------------------------------
 
 const covered = () => document.querySelectorAll(".main, .rail, .top");
-let focused = null;
 
 function lose(why) {
   if (body.dataset.link === "lost") return;
   lostSince = clock.now() - (performance.now() - heardAt) / 1000;
   cause = navigator.onLine ? why : "offline";
-  focused = document.activeElement;
   body.dataset.link = "lost";
   for (const part of covered()) part.inert = true;
   document.dispatchEvent(new CustomEvent("lineside:lost"));
@@ -121,8 +120,8 @@ function found() {
   body.dataset.link = "live";
   if (was !== "live") {
     for (const part of covered()) part.inert = false;
-    if (was === "lost" && focused?.isConnected) focused.focus({ preventScroll: true });
     document.dispatchEvent(new CustomEvent("lineside:found"));
+    giveBack();
   }
 }
 

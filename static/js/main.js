@@ -1,5 +1,6 @@
 // Every page begins here.
 import { rebind } from "./bind.js";
+import * as focus from "./focus.js";
 import * as kiosk from "./kiosk.js";
 import * as live from "./live.js";
 import * as minutes from "./minutes.js";
@@ -11,6 +12,7 @@ import * as strip from "./strip.js";
 import * as trace from "./trace.js";
 
 rebind();
+focus.start();
 quality.findUnits();
 quality.start();
 strip.start();

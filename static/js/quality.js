@@ -3,6 +3,7 @@
 
 import { fieldsOf } from "./bind.js";
 import * as clock from "./clock.js";
+import { giveBack } from "./focus.js";
 import { span, word } from "./words.js";
 
 const CHECK_MS = 250;
@@ -60,6 +61,7 @@ function mark(one, quality) {
   one.marked = quality;
   one.element.dataset.quality = quality;
   for (const acts of one.element.querySelectorAll(".acts")) acts.inert = quality !== "online";
+  if (quality === "online") giveBack();
 }
 
 export const start = () => setInterval(check, CHECK_MS);

@@ -2,6 +2,7 @@
 // moved, and nothing leaves while the server is not heard.
 import { listen, rebind, value } from "./bind.js";
 import * as clock from "./clock.js";
+import { giveBack } from "./focus.js";
 import { isLive } from "./live.js";
 import { word } from "./words.js";
 
@@ -74,6 +75,7 @@ function dismiss() {
   if (dialog.open) dialog.close();
   content.replaceChildren();
   document.dispatchEvent(new CustomEvent("lineside:done"));
+  giveBack();
 }
 
 /** The wish is on its way: no second press, and its fate in words. */
@@ -142,6 +144,7 @@ export function start() {
   document.addEventListener("htmx:after:swap", (event) => {
     rebind();
     document.dispatchEvent(new CustomEvent("lineside:changed"));
+    giveBack();
     if (event.detail.ctx.target === content) opened();
   });
   document.addEventListener("htmx:error", () => {

@@ -1,0 +1,40 @@
+// Where a person was at work by keyboard. What makes that place unusable for a while, or puts a new one in its
+// stead (a unit that is not heard, a lost server, a row that was written), gives the focus back here.
+const PLACES = ".main, .rail, .top";
+let last = null;
+
+const isNowhere = () => document.activeElement === document.body || document.activeElement?.matches(".gone");
+
+function remember(event) {
+  const element = event.target;
+  if (!element.closest?.(PLACES)) return;
+  last = { element, home: element.parentElement?.closest("[id]")?.id, twin: twinOf(element) };
+}
+
+/** What finds the same control again in a part of the page that was drawn anew. */
+function twinOf(element) {
+  const known = ["name", "value", "type", "href", "aria-label"]
+    .filter(
+      (attribute) => element.hasAttribute(attribute) && (attribute !== "value" || element.matches("button")),
+    )
+    .map((attribute) => `[${attribute}="${CSS.escape(element.getAttribute(attribute))}"]`);
+  return element.tagName.toLowerCase() + known.join("");
+}
+
+function successor() {
+  if (last.element.isConnected) return last.element;
+  return document.getElementById(last.home)?.querySelector(last.twin) ?? null;
+}
+
+/** Give the focus back where it has been lost; a person who put it elsewhere keeps it there. */
+export function giveBack() {
+  if (!last || !isNowhere()) return;
+  const element = successor();
+  if (element && !element.closest("[inert]")) element.focus({ preventScroll: true });
+}
+
+export function start() {
+  document.addEventListener("focusin", remember);
+  // Whoever presses somewhere has left the place; what was pressed says so itself when it takes the focus.
+  document.addEventListener("pointerdown", () => (last = null), { capture: true });
+}

@@ -1,0 +1,267 @@
+"""A panel on the wall, worked by touch: its account, home, dark, cleaning; and the pages as an installed app."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import Site, eventually
+from tests.e2e.site import site as one_site
+
+PANEL = {"width": 1280, "height": 800}
+LIVE = "body[data-link=live]"
+HOME = "/units/line/2"
+PIN = "246810"
+FAKE_LOCK = """
+window.locks = [];
+Object.defineProperty(navigator, "wakeLock", {value: {request: async kind => {
+    const lock = {kind, released: false};
+    window.locks.push(lock);
+    return lock;
+}}});
+"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """Two units, and a server that a test may kill."""
+    with one_site(tmp_path_factory.mktemp("kiosk"), 2, line_options=("--no-script",)) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def panels(site: Site, browser: Browser) -> dict[str, Any]:
+    """Two panels as an admin adds them on the page, by name: one to look, one to operate. Their cookies."""
+    context = browser.new_context(base_url=site.url)
+    page = context.new_page()
+    page.goto("/login?next=/users")
+    page.get_by_label("Name").fill("admin")
+    page.get_by_label("Password").fill("correct horse battery staple")
+    page.get_by_role("button", name="Log in").click()
+    for name, role in (("wall", None), ("desk", "operator")):
+        form = page.locator('form[action="/users/panels"]')
+        form.get_by_label("Name").fill(name)
+        if role is not None:
+            form.get_by_label("Role").select_option(role)
+        form.get_by_label("PIN").fill(PIN)
+        form.get_by_label("Home page").fill(HOME)
+        form.get_by_role("button", name="Add the panel").click()
+        expect(page.locator(f'[data-user="{name}"]')).to_contain_text("panel")
+    context.close()
+    return {name: _signed_in(browser, site, name) for name in ("wall", "desk")}
+
+
+def _signed_in(browser: Browser, site: Site, name: str) -> Any:
+    context = browser.new_context(base_url=site.url)
+    page = context.new_page()
+    page.goto("/login?panel=true")
+    page.get_by_label("Panel").fill(name)
+    page.get_by_label("PIN").fill(PIN)
+    page.get_by_role("button", name="Log in").click()
+    expect(page).to_have_url(HOME)
+    state = context.storage_state()
+    context.close()
+    return state
+
+
+@pytest.fixture
+def panel(browser: Browser, site: Site, panels: dict[str, Any]) -> Iterator[Callable[..., Page]]:
+    """``panel("desk", "/")``: a page of a panel with a touch screen and a clock that can be moved."""
+    contexts: list[BrowserContext] = []
+
+    def open_page(name: str, path: str, *, clock: bool = False) -> Page:
+        context = browser.new_context(
+            base_url=site.url, storage_state=panels[name], viewport=PANEL, has_touch=True
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.add_init_script(FAKE_LOCK)
+        if clock:
+            page.clock.install()
+        page.goto(path)
+        expect(page.locator(LIVE)).to_be_attached()
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+
+
+def heard(site: Site) -> int:
+    """How many requests that write the units have heard."""
+    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["heard"])
+    return sum(bytes.fromhex(entry["hex"])[1] in (0x82, 0x83, 0x84, 0x86, 0x87, 0x88) for entry in entries)
+
+
+def tap(page: Page, selector: str) -> None:
+    """A finger on the middle of an element, whatever lies over it."""
+    box = page.locator(selector).first.bounding_box()
+    assert box is not None, selector
+    page.touchscreen.tap(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+
+
+def test_a_panel_only_looks_unless_it_is_given_more(panel: Callable[..., Page]) -> None:
+    wall = panel("wall", HOME)
+    expect(wall.locator("[data-command]")).to_have_count(0)
+    assert wall.request.post("/units/line/2/nudge", form={"step": "1", "id": "x" * 32}).status == 403
+    desk = panel("desk", HOME)
+    expect(desk.locator("#setpoint")).to_be_visible()
+
+
+def test_a_panel_stays_awake_and_asks_again_when_it_is_shown_again(panel: Callable[..., Page]) -> None:
+    page = panel("wall", "/")
+    eventually(lambda: page.evaluate("window.locks.length") == 1, "one wake lock")
+    page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+    assert page.evaluate("window.locks.length") == 1
+    page.evaluate("window.locks[0].released = true; document.dispatchEvent(new Event('visibilitychange'))")
+    eventually(lambda: page.evaluate("window.locks.length") == 2, "another wake lock")
+
+
+def test_the_whole_screen_is_taken_and_given_back(panel: Callable[..., Page]) -> None:
+    page = panel("wall", "/")
+    button = page.locator("[data-full-screen]")
+    button.tap()
+    page.wait_for_function("document.fullscreenElement !== null")
+    button.tap()
+    page.wait_for_function("document.fullscreenElement === null")
+
+
+def test_the_first_touch_after_dark_only_wakes(site: Site, panel: Callable[..., Page]) -> None:
+    page = panel("desk", HOME, clock=True)
+    tap(page, ".nudges button >> nth=2")
+    expect(page.locator("#setpoint-error")).to_contain_text("verified")
+    before = heard(site)
+    page.clock.fast_forward("11:00")
+    expect(page.locator(".cover--dark")).to_be_visible()
+    expect(page.locator(".cover--dark")).to_contain_text("units")
+    tap(page, ".nudges button >> nth=2")
+    expect(page.locator(".cover")).to_have_count(0)
+    assert heard(site) == before
+    tap(page, ".nudges button >> nth=2")
+    eventually(lambda: heard(site) == before + 1, "the second touch")
+
+
+def test_a_key_after_dark_only_wakes(site: Site, panel: Callable[..., Page]) -> None:
+    page = panel("desk", HOME, clock=True)
+    page.locator(".nudges button").nth(2).focus()
+    before = heard(site)
+    page.clock.fast_forward("11:00")
+    expect(page.locator(".cover--dark")).to_be_visible()
+    page.keyboard.press("Enter")
+    expect(page.locator(".cover")).to_have_count(0)
+    assert heard(site) == before
+    page.keyboard.press("Enter")
+    eventually(lambda: heard(site) == before + 1, "the second key")
+
+
+def test_a_panel_that_nobody_touches_goes_home_and_leaves_no_review_open(
+    site: Site, panel: Callable[..., Page]
+) -> None:
+    page = panel("desk", "/", clock=True)
+    page.get_by_role("button", name="Set line to zero").tap()
+    expect(page.locator("dialog[open]")).to_have_count(1)
+    page.clock.fast_forward("05:30")
+    expect(page).to_have_url(HOME)
+    expect(page.locator(LIVE)).to_be_attached()
+    # Nobody has touched it since: the first touch here wakes only.
+    page.clock.fast_forward("00:10")
+    expect(page.locator(".cover--guard")).to_be_attached()
+    before = heard(site)
+    tap(page, ".nudges button >> nth=2")
+    expect(page.locator(".cover")).to_have_count(0)
+    assert heard(site) == before
+
+
+def test_what_wants_somebody_does_not_go_dark(site: Site, panel: Callable[..., Page]) -> None:
+    page = panel("wall", HOME, clock=True)
+    page.clock.fast_forward("11:00")
+    expect(page.locator(".cover--dark")).to_be_visible()
+    site.line.remote.do("input", unit=1, input="estop", on=True)
+    try:
+        expect(page.locator(".cover--dark")).to_have_count(0)
+    finally:
+        site.line.remote.do("input", unit=1, input="estop", on=False)
+
+
+def test_cleaning_by_touch_sets_nothing(site: Site, panel: Callable[..., Page]) -> None:
+    page = panel("desk", HOME, clock=True)
+    before = heard(site)
+    page.locator("[data-clean]").tap()
+    expect(page.locator(".cover--clean")).to_contain_text("30 s")
+    for _ in range(3):
+        tap(page, ".nudges button >> nth=2")
+        page.keyboard.press("Enter")
+    expect(page).to_have_url(HOME)
+    page.clock.run_for(31_000)
+    expect(page.locator(".cover")).to_have_count(0)
+    assert heard(site) == before
+
+
+def test_it_can_be_installed(browser_page: OpensPages) -> None:
+    page = browser_page(viewport=PANEL)
+    page.goto("/")
+    page.evaluate("navigator.serviceWorker.ready.then(() => true)")
+    devtools = page.context.new_cdp_session(page)
+    manifest = devtools.send("Page.getAppManifest")
+    assert manifest["errors"] == []
+    assert [
+        error["errorId"] for error in devtools.send("Page.getInstallabilityErrors")["installabilityErrors"]
+    ] in (
+        [],
+        ["in-incognito"],
+    )
+
+
+@pytest.mark.provokes("WebSocket", "fetch", "ERR_")
+def test_without_a_network_it_says_so_and_comes_back(browser_page: OpensPages) -> None:
+    page = browser_page(viewport=PANEL)
+    page.goto("/")
+    page.evaluate("navigator.serviceWorker.ready.then(() => true)")
+    page.context.set_offline(True)
+    page.goto("/setpoints")
+    expect(page.locator("h1")).to_have_text("No connection to Lineside")
+    expect(page.locator("[data-live]")).to_have_count(0)
+    background = page.locator(".gone").evaluate("element => getComputedStyle(element).display")
+    assert background != "none", "the kept page has lost its style"
+    page.context.set_offline(False)
+    expect(page).to_have_url("/setpoints")
+    expect(page.locator(LIVE)).to_be_attached()
+
+
+@pytest.mark.provokes("WebSocket", "fetch", "ERR_", "script")
+def test_a_form_pressed_as_the_server_dies_is_not_sent_again(site: Site, browser_page: OpensPages) -> None:
+    page = browser_page(viewport=PANEL)
+    page.goto(HOME)
+    page.evaluate("navigator.serviceWorker.ready.then(() => true)")
+    expect(page.locator(LIVE)).to_be_attached()
+    page.locator("summary").click()
+    page.locator("#reason").fill("belt off")
+    site.stop(signal.SIGKILL)
+    try:
+        # As fast as a finger could be: before the page has noticed.
+        page.evaluate(
+            """() => {
+            document.body.dataset.link = "live";
+            document.querySelector('form[action$="/block"]').requestSubmit();
+        }"""
+        )
+        expect(page.locator("h1")).to_have_text("No connection to Lineside")
+    finally:
+        site.start()
+    expect(page).to_have_url(HOME)
+    expect(page.locator(LIVE)).to_be_attached()
+    assert site.unit(2)["blocked"] is None
+
+
+def test_the_icons_are_there(browser_page: OpensPages) -> None:
+    page = browser_page(None)
+    manifest = page.request.get("/manifest.webmanifest").json()
+    assert manifest["display"] == "standalone"
+    assert {page.request.get(icon["src"]).status for icon in manifest["icons"]} == {200}
+    assert {Path(icon["src"]).suffix for icon in manifest["icons"]} == {".svg", ".png"}
