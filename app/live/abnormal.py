@@ -74,7 +74,7 @@ def bus_trouble(bus: BusLive, voice: Voice) -> Trouble | None:
     if not bus.worker_connected:
         return Trouble("urgent", voice.t("the bus worker is not connected"), "worker")
     if bus.link.link == "closed":
-        cause = f": {bus.link.cause}" if bus.link.cause else ""
+        cause = f": {voice.t(bus.link.cause)}" if bus.link.cause else ""
         return Trouble("urgent", voice.t("the port is closed") + cause, "port", bus.link.at)
     return None
 

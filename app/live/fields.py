@@ -7,6 +7,7 @@ language for all browsers. Positions are fractions as text; bits are strings of 
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from app.live.age import offline_after_s, scan_s_of, stale_after_s
@@ -37,6 +38,7 @@ MODE_WORDS = {"": UNKNOWN, "remote": "REMOTE", "local": "LOCAL", "keylock": "KEY
 PORT_WORDS = {"open": "open", "closed": "closed"}
 
 Fields = dict[str, str]
+_SENTENCES = re.compile(r"(?<=[.?]) (?=[A-Z])")
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +102,7 @@ def bus_fields(bus: BusLive, voice: Voice) -> Fields:
     fields = {
         "link": bus.link.link,
         "link_text": voice.t(PORT_WORDS[bus.link.link]),
-        "cause": bus.link.cause if bus.link.link == "closed" else "",
+        "cause": voice.t(bus.link.cause) if bus.link.link == "closed" else "",
         "worker": "1" if bus.worker_connected else "0",
         "stale_after": f"{stale_after_s(scan_s):.2f}",
         "offline_after": f"{offline_after_s(scan_s):.2f}",
@@ -123,7 +125,7 @@ def bus_fields(bus: BusLive, voice: Voice) -> Fields:
         "wire_fill": f"{min(1.0, figures.wire_utilisation):.3f}",
         "one_more": f"{number(figures.scan_s_with_one_more, 2)} s",
         "noise": f"{figures.noise_bytes}",
-        "diagnosis": figures.diagnosis,
+        "diagnosis": " ".join(voice.t(said) for said in _SENTENCES.split(figures.diagnosis)),
     }
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import httpx
 import pytest
 
+from app.web import languages
 from app.web.access import Role
 from app.web.languages import Languages
 from tests.app.whole_app import House, whole_app
@@ -46,6 +48,35 @@ def test_one_file_adds_a_language(tmp_path: Path) -> None:
     assert norwegian.t("Set {unit} to {value}", unit="Nip", value="1,0") == "Still Nip til 1,0"
     assert norwegian.t("not translated yet {x}") == "not translated yet {x}"
     assert str(norwegian) == "nb"
+
+
+@pytest.mark.parametrize(
+    ("english", "german"),
+    [
+        (
+            "unit 3: 25000 is outside 0 to 2000 (the limits set for this unit); the nearest is 2000; "
+            "nothing was sent",
+            "Regler 3: 25000 liegt außerhalb von 0 bis 2000 (die für diesen Regler gesetzten Grenzen); "
+            "am nächsten liegt 2000; nichts wurde gesendet",
+        ),
+        ("unit 7 refused: illegal speed value", "Regler 7 hat abgelehnt: unzulässige Drehzahl"),
+        (
+            "unit lost: no answer to 3 questions in a row",
+            "Regler verloren: keine Antwort auf 3 Fragen hintereinander",
+        ),
+        ("nobody ever built this sentence", "nobody ever built this sentence"),
+    ],
+)
+def test_a_sentence_that_was_built_in_english_is_said_again(english: str, german: str) -> None:
+    assert Languages()["de"].t(english) == german
+    assert Languages()["en"].t(english) == english
+
+
+def test_a_pattern_has_the_names_of_its_sentence() -> None:
+    for path in (Path(languages.__file__).parent).glob("*.toml"):
+        for text, said in tomllib.loads(path.read_text(encoding="utf-8")).get("sentences", {}).items():
+            names = [sorted(re.findall(r"\{(\w*)\}", each)) for each in (text, said)]
+            assert names[0] == names[1], text
 
 
 @pytest.mark.parametrize("language", [each.tag for each in Languages()])

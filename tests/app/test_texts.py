@@ -20,6 +20,7 @@ from bus.errors import UnitErrorCode, unit_error_name
 APP = Path(__file__).resolve().parents[2] / "app"
 COMMENT = re.compile(r"\{#.*?#\}", re.DOTALL)
 CALL = re.compile(r"""(?<![\w.])t\(\s*(?:"((?:[^"\\]|\\.)*)"|'((?:[^'\\]|\\.)*)')""")
+FILLED = "X1"
 OTHERS = [tag.tag for tag in Languages() if tag.tag != "en"]
 
 
@@ -56,6 +57,23 @@ def in_tables() -> set[str]:
     }
 
 
+def built() -> set[str]:
+    """Sentences that pages show and that are built where they are raised, with something in each brace."""
+    found = set()
+    for part in ("auth", "commands", "recipes", "sets", "swap"):
+        for path in (APP / part).glob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Raise) and node.exc is not None:
+                    found |= {
+                        sentence(each) for each in ast.walk(node.exc) if isinstance(each, ast.JoinedStr)
+                    }
+    return {text for text in found if re.search("[a-z]{2,} [a-z]", text)}
+
+
+def sentence(node: ast.JoinedStr) -> str:
+    return "".join(str(part.value) if isinstance(part, ast.Constant) else FILLED for part in node.values)
+
+
 def names(text: str) -> set[str]:
     return {name for _, name, _, _ in string.Formatter().parse(text) if name}
 
@@ -73,6 +91,13 @@ def test_a_translation_has_the_names_of_its_text(tag: str) -> None:
     assert {text: said for text, said in texts.items() if names(text) != names(said)} == {}
 
 
+@pytest.mark.parametrize("tag", OTHERS)
+def test_every_sentence_that_is_raised_is_found_by_its_pattern(tag: str) -> None:
+    language = Languages()[tag]
+    assert sorted(text for text in built() if language.t(text) == text) == []
+
+
 def test_the_search_finds_texts_at_all() -> None:
     assert "Set line to zero" in in_templates()
     assert "verified" in in_code()
+    assert f"set {FILLED} does not hold unit {FILLED}" in built()

@@ -7,25 +7,33 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from app.web.languages.sentences import Sentences
+
 DEFAULT = "en"
 
 
 @dataclass(frozen=True)
 class Language:
-    """One language: its tag, what it calls itself, its locale for numbers and dates, its texts."""
+    """One language: its tag, what it calls itself, its locale for numbers and dates, its texts.
+
+    ``sentences`` are for what was built in English before anybody knew who would read it.
+    """
 
     tag: str
     name: str
     locale: str
     texts: dict[str, str] = field(default_factory=dict)
+    sentences: Sentences = field(default_factory=Sentences)
 
     def __str__(self) -> str:
         return self.tag
 
     def t(self, text: str, /, **values: object) -> str:
         """The text in this language (in English when it is not translated), ``{names}`` filled in."""
-        translated = self.texts.get(text, text)
-        return translated.format(**values) if values else translated
+        translated = self.texts.get(text)
+        if values:
+            return (translated or text).format(**values)
+        return self.sentences.say(text, self.t) if translated is None else translated
 
 
 class Languages:
@@ -56,7 +64,8 @@ class Languages:
 
 def _load(path: Path) -> Language:
     data = tomllib.loads(path.read_text(encoding="utf-8"))
-    return Language(path.stem, data["name"], data["locale"], data["texts"])
+    sentences = Sentences(data.get("sentences"))
+    return Language(path.stem, data["name"], data["locale"], data["texts"], sentences)
 
 
 def _by_preference(accept_language: str) -> list[str]:

@@ -1,0 +1,48 @@
+"""Finished sentences in another language, found by the pattern that they were built from.
+
+A rule, a unit's worker or the log of events says a whole sentence with numbers and names in it, in
+English: it also stands in the API and in the log, and may come from another process or from last year.
+A page finds the pattern again, and what stood in its braces.
+"""
+
+from __future__ import annotations
+
+import re
+import string
+from collections.abc import Callable, Mapping
+
+MOST_REMEMBERED = 2000
+
+
+class Sentences:
+    """``{"unit {n} did not answer": "Regler {n} antwortet nicht"}``; the first pattern that fits is taken."""
+
+    def __init__(self, patterns: Mapping[str, str] | None = None) -> None:
+        self._patterns = [(_expression(text), said) for text, said in (patterns or {}).items()]
+        self._known: dict[str, str] = {}
+
+    def say(self, sentence: str, t: Callable[[str], str]) -> str:
+        """The sentence in this language, each value in it by ``t``; as it is where no pattern fits."""
+        known = self._known.get(sentence)
+        if known is None:
+            if len(self._known) >= MOST_REMEMBERED:
+                self._known.clear()
+            known = self._known[sentence] = self._find(sentence, t)
+        return known
+
+    def _find(self, sentence: str, t: Callable[[str], str]) -> str:
+        if " " not in sentence:
+            return sentence
+        for expression, said in self._patterns:
+            found = expression.fullmatch(sentence)
+            if found:
+                return said.format(**{name: t(value) for name, value in found.groupdict().items()})
+        return sentence
+
+
+def _expression(pattern: str) -> re.Pattern[str]:
+    parts = (
+        re.escape(literal) + (f"(?P<{name}>.+?)" if name else "")
+        for literal, name, _, _ in string.Formatter().parse(pattern)
+    )
+    return re.compile("".join(parts), re.DOTALL)
