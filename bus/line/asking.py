@@ -70,6 +70,7 @@ class Asking:
     def settle(self, heard: Heard) -> None:
         """The exchange with what ``next_request`` gave is over."""
         if heard.request != self.ask.request:
+            self._rubbish = heard.rubbish
             self._settle_fence(answered=heard.reply is not None)
             return
         self._attempts += 1

@@ -275,7 +275,7 @@ class Link:
             self._clock.epoch(current.ends_sending),
             self._clock.epoch(now) if exchange.reply is not None else None,
             b"" if is_secret(request) else current.frame,
-            Rubbish(current.spoilt, current.strange) if current.spoilt or current.strange else NO_RUBBISH,
+            _rubbish(current),
         )
         self.done(heard, current.began, now)
         self._count(current)
@@ -334,3 +334,10 @@ class Link:
 
 def _nobody(_heard: Heard, _began: float, _ended: float) -> None:
     """Until the poller listens."""
+
+
+def _rubbish(current: _Current) -> Rubbish:
+    """Bytes that never became a frame are rubbish too: two units at one address may sound like that."""
+    exchange = current.exchange
+    spoilt = current.spoilt or (exchange.reply is None and exchange.first_byte_at is not None)
+    return Rubbish(spoilt, current.strange) if spoilt or current.strange else NO_RUBBISH

@@ -6,6 +6,9 @@ import asyncio
 
 from bus.contract import FoundUnit, Progress, Reading, Result, ScanBus, UnitLink
 from bus.simulator.faults import Kind
+from bus.simulator.memory import Memory
+from bus.simulator.section import Section
+from bus.simulator.unit import Unit
 from tests.bus.virtual_line import VirtualLine, run
 
 CONFIGURED, PRESENT = 3, 5
@@ -58,6 +61,18 @@ def test_what_is_no_digimax_is_called_so() -> None:
     found = kinds(run(scene, PRESENT, configured=CONFIGURED))
     assert (found[1], found[4]) == ("digimax", "foreign")
     assert found.get(5, "garbled") == "garbled"
+
+
+def test_two_units_at_one_address_are_recognised_every_time() -> None:
+    """Their answers fall into each other: often not even a frame's beginning comes through."""
+
+    async def scene(line: VirtualLine) -> list[str]:
+        line.plant.sections.append(Section(Unit(Memory({17: 3}))))
+        await asyncio.sleep(2.0)
+        looks = [await line.ask(ScanBus(3, 3), within_s=600.0) for _ in range(20)]
+        return [kinds(look).get(3, "silent") for look in looks]
+
+    assert run(scene, 3, configured=3) == ["garbled"] * 20
 
 
 def test_a_scan_without_a_port_says_so() -> None:
