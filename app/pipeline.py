@@ -9,10 +9,17 @@ import asyncio
 from collections.abc import Sequence
 from typing import Protocol
 
+import structlog
+
 from app.audit.log import EventLog
+from app.errors import StoreError
 from app.live.changes import Change, Changes
 from app.live.state import LiveState
 from bus.contract import Hello, Reading, Snapshot, Update
+
+AGAIN_AFTER_S = 1.0
+
+log = structlog.get_logger()
 
 
 class Keeper(Protocol):
@@ -68,9 +75,20 @@ class Pipeline:
         self._note(bus, Change("clock", None, at, f"clock of {whose} stepped by {step_s:+.3f} s", "", ""))
 
     async def record(self) -> None:
-        """Write what was noted into the events, in order, for ever."""
+        """Write what was noted into the events, in order, for ever. What cannot be written now waits."""
+        said = ""
         while True:
             bus, change = await self._to_record.get()
+            while fault := await self._write_down(bus, change):
+                if fault != said:
+                    log.error("events wait", error=fault)
+                said = fault
+                await asyncio.sleep(AGAIN_AFTER_S)
+            self._to_record.task_done()
+
+    async def _write_down(self, bus: str | None, change: Change) -> str:
+        """Gives why it could not be; empty when it is on disk."""
+        try:
             await self._events.record(
                 kind=change.kind,
                 bus=bus,
@@ -80,7 +98,9 @@ class Pipeline:
                 new=change.new,
                 at=change.at,
             )
-            self._to_record.task_done()
+        except StoreError as error:
+            return str(error)
+        return ""
 
     async def recorded(self) -> None:
         """Wait until everything that was noted is in the events."""

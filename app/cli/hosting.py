@@ -67,8 +67,7 @@ def url_of(listening: socket.socket) -> str:
 @contextmanager
 def only_one(data: Path) -> Iterator[None]:
     """Two servers on one folder of data would write the same store. Raises HostingError."""
-    data.mkdir(parents=True, exist_ok=True)
-    lock = os.open(data / "lock", os.O_RDWR | os.O_CREAT, 0o600)
+    lock = _lock_file(data)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
@@ -78,6 +77,17 @@ def only_one(data: Path) -> Iterator[None]:
         ) from error
     finally:
         os.close(lock)
+
+
+def _lock_file(data: Path) -> int:
+    try:
+        data.mkdir(parents=True, exist_ok=True)
+        return os.open(data / "lock", os.O_RDWR | os.O_CREAT, 0o600)
+    except OSError as error:
+        raise HostingError(
+            f"nothing can be written to {data}: {error.strerror}; give the server's user write access to it, "
+            "or name another folder as data in [server]"
+        ) from error
 
 
 def host(settings: Settings, config: Path, *, demo: bool = False) -> None:

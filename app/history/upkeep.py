@@ -70,13 +70,12 @@ class Upkeep:
         self._give_up_before(horizon - horizon % HOUR)
         self._database.write_now(lambda c: store.drop_rollups(c, now - self._keep.years * 365 * DAY))
 
-    def shed(self) -> bool:
-        """Give up the oldest hour of readings, since the disk is short; False when there is none."""
+    def shed(self, now: int) -> None:
+        """Give up the oldest hour of readings, since the disk is short; the last hour is worth more than
+        the little space it takes."""
         oldest = self._database.read_now(store.oldest_raw)
-        if oldest is None:
-            return False
-        self._give_up_before(oldest - oldest % HOUR + HOUR)
-        return True
+        if oldest is not None and oldest - oldest % HOUR + HOUR <= now - HOUR:
+            self._give_up_before(oldest - oldest % HOUR + HOUR)
 
     def sweep(self, deadline: float) -> None:
         """Take away what was given up, until ``deadline`` (monotonic seconds)."""

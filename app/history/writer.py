@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import threading
 import time
 from collections import deque
@@ -62,6 +63,7 @@ class Writer:
         self._taken = 0
         self._lost = 0
         self._open: _Open | None = None
+        self._writable = False
         self._status = Status(since=time.time())
         self._space: Space = "enough"
         self._clock = ClockWatch(time.time(), time.monotonic())
@@ -127,7 +129,7 @@ class Writer:
 
     def _tick(self) -> None:
         self._watch_clock()
-        if self._open is None:
+        if not self._writable:
             if time.monotonic() < self._retry_at:
                 return
             self._open_store()
@@ -166,29 +168,42 @@ class Writer:
         if self._open is None:
             return
         try:
-            self._commit(self._open.recorder)
-            self._open.recorder.fold_everything(time.monotonic() + END_S)
+            if self._writable:
+                self._commit(self._open.recorder)
+                self._open.recorder.fold_everything(time.monotonic() + END_S)
         finally:
             self._open.database.close()
 
     def _open_store(self) -> None:
         prepare(self._path)
         database = Database(self._path, MIGRATIONS, synchronous="FULL")
+        try:
+            opened = self._begin(database)
+        except BaseException:
+            database.close()
+            raise
+        before, self._open = self._open, opened
+        self._writable, self._look_at = True, 0.0
+        if before is not None:
+            before.database.close()
+
+    def _begin(self, database: Database) -> _Open:
+        """Raises StoreError when it cannot be written: the first row shows it."""
+        database.write_now(lambda c: store.write_raw_from(c, store.raw_from(c)))
         recorder = Recorder(database, self.tail)
         try:
             recorder.replay()
         except ValueError as error:
             log.error("history journal", error=str(error))
-        database.write_now(lambda c: store.write_raw_from(c, store.raw_from(c)))
-        self._open = _Open(database, recorder, Upkeep(database, self._keep))
-        self._look_at = 0.0
+        return _Open(database, recorder, Upkeep(database, self._keep))
 
     def _fail(self, why: str) -> None:
+        """What is there can still be read, until the store is opened anew."""
+        self._writable = False
         self._retry_at = time.monotonic() + RETRY_S
         self._set_state("failed", why)
-        opened, self._open = self._open, None
-        if opened is not None:
-            opened.database.close()
+        with suppress(OSError):
+            self._status = replace(self._status, free_bytes=shutil.disk_usage(self._path.parent).free)
 
     def _watch_clock(self) -> None:
         now = time.time()
@@ -206,7 +221,7 @@ class Writer:
         self._look_at = time.monotonic() + LOOK_EVERY_S
         free, self._space = opened.upkeep.look()
         if self._space in ("scarce", "none"):
-            opened.upkeep.shed()
+            opened.upkeep.shed(micros(time.time()))
         oldest = opened.database.read_now(store.oldest_raw)
         state: dict[Space, State] = {"enough": "ok", "low": "low", "scarce": "scarce", "none": "paused"}
         self._set_state(state[self._space])

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from app.errors import StoreError
 from bus.contract import Batch, BusLink
 from tests.app.stage import HEALTHY, Stage, hello, reading, snapshot, staged, until
 
@@ -77,3 +78,23 @@ async def test_a_stepped_clock_is_written_down(stage: Stage) -> None:
     found = await events(stage, 1)
     assert found[0]["kind"] == "clock"
     assert "-3600" in found[0]["what"]
+
+
+async def test_events_that_cannot_be_written_now_are_written_later(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record, refused = stage.events.record, 0
+
+    async def full(**_: Any) -> int:
+        nonlocal refused
+        refused += 1
+        raise StoreError("the disk is full")
+
+    monkeypatch.setattr("app.pipeline.AGAIN_AFTER_S", 0.01)
+    monkeypatch.setattr(stage.events, "record", full)
+    worker = await stage.worker()
+    await worker.update(reading(1))
+    await worker.update(reading(1, outputs=0))
+    await until(lambda: refused >= 3, "some tries")
+    monkeypatch.setattr(stage.events, "record", record)
+    assert [event["kind"] for event in await events(stage, 2)] == ["worker", "mode"]

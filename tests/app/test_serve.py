@@ -178,6 +178,12 @@ def test_two_servers_never_share_their_data(config: Path) -> None:
     assert "another Lineside server uses" in done.stderr
 
 
+def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    (tmp_path / "data").write_text("no folder")
+    with pytest.raises(HostingError, match="nothing can be written to .*data.*File exists; give"):
+        only_one(tmp_path / "data").__enter__()
+
+
 def test_the_demo_shows_a_line_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     with started("demo", "--units", "3", "--port", "0") as (process, url):
