@@ -106,7 +106,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     steps.pipeline = pipeline
     workers = Workers([bus.name for bus in settings.bus], pipeline)
     safeguards = Safeguards(database, events, control_required=settings.site.control)
-    desk = Desk(live, workers.channels, events, safeguards)
+    desk = Desk(live, workers.channels, events, database, safeguards)
     reader = ParameterReader(live, desk)
     local_time = partial(datetime.now, zone(settings.site.time_zone))
     sets = SetKeeper(live, reader, SetStore(database), events, local_time)

@@ -21,9 +21,15 @@ log = structlog.get_logger()
 Event = dict[str, Any]
 """One event with its fate, as `app.audit.store.select` gives it."""
 Subscriber = Callable[[Event], None]
+Also = Callable[[sqlite3.Connection], None]
+"""What else is written in the transaction of an event."""
 
 CHUNK = 1000
 ENDED_BEFORE = "the server stopped before the fate was known"
+
+
+def _nothing(_: sqlite3.Connection) -> None:
+    """Nothing else."""
 
 
 class EventLog:
@@ -57,9 +63,10 @@ class EventLog:
         said = {"bus": bus, "unit": unit, "old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
         return await self._append(kind=kind, who=who, origin=origin, what=what, **said)
 
-    async def intend_together(self, intents: Sequence[Mapping[str, Any]]) -> list[int]:
-        """Several intents (each with the words of `intend`) in one transaction; their numbers in order."""
-        return await self._append_all([self._entry(kind="command", **intent) for intent in intents])
+    async def intend_together(self, intents: Sequence[Mapping[str, Any]], also: Also = _nothing) -> list[int]:
+        """Several intents (each with the words of `intend`) in one transaction, and ``also`` what belongs to
+        them; their numbers in order."""
+        return await self._append_all([self._entry(kind="command", **intent) for intent in intents], also)
 
     async def conclude_together(self, fates: Mapping[int, tuple[Outcome, str]]) -> None:
         """By event number the outcome and message of each, in one transaction."""
@@ -72,12 +79,17 @@ class EventLog:
             await self._tell(event)
 
     async def conclude(
-        self, event: int, outcome: Outcome, message: str = "", frames: Sequence[Frame] = ()
+        self,
+        event: int,
+        outcome: Outcome,
+        message: str = "",
+        frames: Sequence[Frame] = (),
+        also: Also = _nothing,
     ) -> None:
-        """The one fate of what was intended; ``frames`` carried it."""
+        """The one fate of what was intended; ``frames`` carried it. ``also``: in the same transaction."""
         shown = [_frame(frame) for frame in frames]
         entry = self._entry(kind="fate", about=event, outcome=outcome, message=message, frames=shown)
-        await self._database.write(lambda connection: store.append(connection, entry))
+        await self._write_all([entry], also)
         await self._tell(event)
 
     async def record(
@@ -138,14 +150,15 @@ class EventLog:
         entry = self._entry(**said)
         return (await self._append_all([entry]))[0]
 
-    async def _append_all(self, entries: Sequence[Event]) -> list[int]:
-        numbers = await self._write_all(entries)
+    async def _append_all(self, entries: Sequence[Event], also: Also = _nothing) -> list[int]:
+        numbers = await self._write_all(entries, also)
         for number, entry in zip(numbers, entries, strict=True):
             self._say({**entry, "id": number, "concluded_at": None})
         return numbers
 
-    async def _write_all(self, entries: Sequence[Event]) -> list[int]:
+    async def _write_all(self, entries: Sequence[Event], also: Also = _nothing) -> list[int]:
         def append(connection: sqlite3.Connection) -> list[int]:
+            also(connection)
             return [store.append(connection, entry) for entry in entries]
 
         return await self._database.write(append)

@@ -10,6 +10,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 
 from app.audit.log import EventLog
+from app.commands.asked import command_of
 from app.commands.control import ControlledError
 from app.commands.moves import Moves
 from app.commands.objection import Circumstances, ObjectionError
@@ -18,6 +19,7 @@ from app.commands.rules import check, is_write, setpoints_of, units_named
 from app.commands.safeguards import Safeguards
 from app.commands.setpoints import commanded_setpoint
 from app.commands.wish import Wish, time_for
+from app.database import Database
 from app.errors import Problem
 from app.feed.channel import Channel, ProgressListener
 from app.live.lookup import bus_or_404, unit_or_404
@@ -50,12 +52,13 @@ class Desk:
         live: LiveState,
         channels: Mapping[str, Channel],
         events: EventLog,
+        database: Database,
         guards: Safeguards,
         now: Callable[[], float] = time.time,
     ) -> None:
         self._live = live
         self._channels = channels
-        self._record = Record(events)
+        self._record = Record(events, database, now)
         self._guards = guards
         self._now = now
         self._moves = Moves()
@@ -86,16 +89,19 @@ class Desk:
         for unit in units_named(action):
             unit_or_404(self._live, bus, unit)
         kept = self._kept.get(id) if id is not None else None
+        if kept is None and id is not None:
+            earlier = await self._record.earlier(id)
+            kept = self._kept.get(id)
+            if kept is None and earlier is not None:
+                _refuse_other(id, earlier.command == command_of(bus, action))
+                return earlier.fate
         if kept is None:
             time_s = time_for(action, live.settings) if timeout_s is None else timeout_s
             deadline = self._now() + time_s
             wish = Wish(id or uuid.uuid4().hex, person, bus, action, deadline, origin, listener)
             await self._check(wish, live, confirm)
             kept = self._start(wish)
-        if (kept.bus, kept.action) != (bus, action):
-            raise Problem(
-                422, "invalid", f"the id {id!r} was used for another command; nothing was sent", id=id
-            )
+        _refuse_other(id, (kept.bus, kept.action) == (bus, action))
         return await asyncio.shield(kept.fate)
 
     async def cancel(self, bus: str, id: str) -> None:
@@ -167,6 +173,11 @@ class Desk:
             return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=message)
         command = Command(id=wish.id, deadline=wish.deadline, action=wish.action)
         return await self._channels[wish.bus].ask(command, wish.listener)
+
+
+def _refuse_other(id: str | None, same: bool) -> None:
+    if not same:
+        raise Problem(422, "invalid", f"the id {id!r} was used for another command; nothing was sent", id=id)
 
 
 def _steps(action: Action, live: BusLive) -> dict[int, int]:

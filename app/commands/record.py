@@ -5,14 +5,18 @@ A change of several units is one event for the line and one for each unit, all i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import structlog
 
 from app.audit.log import EventLog
+from app.commands import asked
 from app.commands.wish import Wish, writes_secret
 from app.commands.words import Wording, wording, wordings_by_unit
+from app.database import Database
 from app.errors import Problem, StoreError
 from app.live.state import BusLive
 from bus.contract import Outcome, Result
@@ -29,17 +33,24 @@ class Intent:
 
 
 class Record:
-    """Writes commands into the events."""
+    """Writes commands into the events, and their ids beside them."""
 
-    def __init__(self, events: EventLog) -> None:
+    def __init__(self, events: EventLog, database: Database, now: Callable[[], float]) -> None:
         self._events = events
+        self._database = database
+        self._now = now
+
+    async def earlier(self, id: str) -> asked.Earlier | None:
+        """What became of a command asked with this id, before a restart too."""
+        return await self._database.read(lambda connection: asked.find(connection, id))
 
     async def intend(self, wish: Wish, live: BusLive) -> Intent:
         """On disk when this returns. Raises StoreError, and then nothing may be sent."""
         by_unit = wordings_by_unit(wish.action, live)
         whole = _entry(wish, wish.unit, wording(wish.action, live))
         parts = [_entry(wish, unit, words) for unit, words in by_unit.items()]
-        event, *others = await self._events.intend_together([whole, *parts])
+        remember = partial(asked.begin, wish=wish, now=self._now())
+        event, *others = await self._events.intend_together([whole, *parts], remember)
         return Intent(event, dict(zip(by_unit, others, strict=True)))
 
     async def conclude(self, intent: Intent, wish: Wish, result: Result) -> None:
@@ -48,7 +59,8 @@ class Record:
         try:
             if intent.parts:
                 await self._events.conclude_together(_fates(intent, result))
-            await self._events.conclude(intent.event, result.outcome, result.message, frames)
+            remember = partial(asked.end, wish=wish, result=result)
+            await self._events.conclude(intent.event, result.outcome, result.message, frames, remember)
         except StoreError as error:
             log.error("fate not stored", command=wish.id, outcome=result.outcome, error=str(error))
 

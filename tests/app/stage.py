@@ -188,7 +188,7 @@ class Stage:
         self.pipeline = Pipeline(self.live, self.history, self.events)
         self.workers = Workers([settings.name], self.pipeline, silent_ticks=silent_ticks)
         self.guards = Safeguards(self.database, self.events, control_required=control)
-        self.desk = Desk(self.live, self.workers.channels, self.events, self.guards)
+        self.desk = Desk(self.live, self.workers.channels, self.events, self.database, self.guards)
         self.app = FastAPI()
         self.app.state.services = SimpleNamespace(
             live=self.live,
