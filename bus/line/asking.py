@@ -89,8 +89,11 @@ class Asking:
             self._end(Fate.CLOSED)
 
     def _fence(self, doubt: Doubt) -> Request | None:
+        """A retry may take the answer to the try before, as it is hardly older. A later question may not:
+        an answer that a buffer on the way kept for seconds would be shown as new."""
         fence = doubt.fence_before(self.ask.request)
-        if fence is None and self.ask.proves and self.ask.request in doubt.outstanding:
+        fresh = self.ask.proves or not self.begun
+        if fence is None and fresh and self.ask.request in doubt.outstanding:
             fence = doubt.fence()
         return fence if fence != self.ask.request else None
 

@@ -304,9 +304,19 @@ def test_a_read_back_may_follow_the_deadline() -> None:
 
 def test_a_proof_is_fenced_from_an_older_answer_of_its_own_kind() -> None:
     doubt = Doubt(1, PLAIN).sent(ReadStatus(1))
-    assert Asking(Ask(ReadStatus(1))).next_request(0.0, doubt) == ReadStatus(1)
     fence = Asking(Ask(ReadStatus(1), proves=True)).next_request(0.0, doubt)
     assert isinstance(fence, ReadParameter)
+
+
+def test_a_later_poll_is_fenced_too_and_its_retry_is_not() -> None:
+    doubt = Doubt(1, PLAIN).sent(ReadStatus(1))
+    asking = Asking(Ask(ReadStatus(1)))
+    fence = asking.next_request(0.0, doubt)
+    assert isinstance(fence, ReadParameter)
+    asking.settle(Heard(fence, Ack(1), 1.0, 1.5))
+    assert asking.next_request(0.0, Doubt(1, PLAIN)) == ReadStatus(1)
+    asking.settle(miss(ReadStatus(1)))
+    assert asking.next_request(0.0, doubt) == ReadStatus(1)
 
 
 def test_a_closed_port_ends_it() -> None:
