@@ -3,11 +3,13 @@
 //   data-live="dry-end/1.actual"          the text
 //   data-live-is="dry-end/1.state"        data-is, for CSS; "dry-end/1.inputs@2" takes one place of the text
 //   data-live-var="off=dry-end/1.off …"   custom properties of its style, here --off; for bars
+//   data-live-step="dry-end/1.off"        data-step, the nearest of 48 steps from 0 to 1; for bars in great number
 const values = new Map();
 const listeners = new Map();
 let bound = new Map();
 
 const UNKNOWN = "–";
+const STEPS = 48;
 const FIGURE_SPACE = "\u2007";
 
 function textOf(element) {
@@ -38,6 +40,16 @@ function variableOf(element, name) {
   };
 }
 
+function stepOf(element) {
+  let shown = null;
+  return (value) => {
+    const step = value === "" ? "" : Math.round(value * STEPS);
+    if (step === shown) return;
+    shown = step;
+    element.setAttribute("data-step", step);
+  };
+}
+
 function add(key, write) {
   const dot = key.indexOf(".");
   const group = key.slice(0, dot);
@@ -62,6 +74,7 @@ const KINDS = {
       add(key, variableOf(element, name));
     }
   },
+  "data-live-step": (element) => add(element.dataset.liveStep, stepOf(element)),
 };
 
 /** Bind every marked element of the document: once, and again after a fragment came in. */
