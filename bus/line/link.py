@@ -1,12 +1,14 @@
 """One exchange at a time over an open port: deadlines, windows, and what else comes in.
 
-The window of an answer begins when the request's last byte has left the wire, which is computed, not
-waited for. It ends when a unit's turnaround is over and nothing is coming in any more, or at the latest
-when the longest answer would be through; so bytes without end cannot hold it open.
+The window of an answer (``bus.line.window``) begins when the request's last byte has left the wire,
+which is computed, not waited for.
 
 On a port that is as slow as its baud rate says, a frame that is complete before the answer can be is a
 leftover of an earlier exchange. A port may be faster (an unpaced simulator, a device server that
 buffers): that shows at its first answer, and then this test is left out.
+
+On such a slow port nothing can be done before the answer can be complete, so until shortly before that
+moment bytes are left to gather. What has gathered by then is still seen to be early.
 """
 
 from __future__ import annotations
@@ -16,13 +18,14 @@ from dataclasses import dataclass
 
 from bus.contract import Direction
 from bus.line.asking import Heard
-from bus.line.clock import Alarm, Clock
+from bus.line.clock import Clock
 from bus.line.port import OpenPort
 from bus.line.roster import Roster
 from bus.line.steps import NO_RUBBISH, Rubbish
 from bus.line.trace import Passed, Trace
+from bus.line.window import QUIET_BYTES, Window
 from bus.settings import BITS_PER_BYTE, Dialect
-from bus.wire.commands import Nak, ReadStatus, Request, longest_reply_bytes
+from bus.wire.commands import Nak, ReadStatus, Request, least_reply_bytes, longest_reply_bytes
 from bus.wire.describe import is_secret
 from bus.wire.exchange import Answered, Doubled, Echo, Event, Exchange, Foreign, Late, Unexpected
 from bus.wire.fence import Doubt, Doubts
@@ -30,13 +33,12 @@ from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise, Receiv
 
 MARGIN_S = 0.010
 """What the machine and the adapter may add to a unit's turnaround."""
-QUIET_BYTES = 4
-"""An answer that pauses for so many byte times is over."""
 EARLY = 0.9
 """A frame that is there in less than this part of the least time cannot be the answer."""
+UNHEARD = 0.85
+"""So long a part of the least time bytes are left to gather; less than ``EARLY``."""
 EARLY_TO_BELIEVE = 3
 ON_TIME_TO_BELIEVE = 50
-TIMER_SLACK_S = 0.0005
 
 
 @dataclass(slots=True)
@@ -79,6 +81,7 @@ class _Current:
     ends_sending: float
     """When the request's last byte has left."""
     last_moment: float
+    """No answer can come later, whenever this process gets to hear it."""
     dialect: Dialect
     frame: bytes = b""
     spoilt: bool = False
@@ -103,10 +106,7 @@ class Link:
         self._doubts = Doubts(dialect)
         self._current: _Current | None = None
         self._idle: Exchange | None = None
-        self._alarm: Alarm | None = None
-        self._alarm_at = 0.0
-        self._deadline: float | None = None
-        self._last_byte_at = 0.0
+        self._window = Window(clock, self._nothing_came)
         self._last_answer = b""
         self.done: Callable[[Heard, float, float], None] = _nobody
         """Called with what was heard and when the exchange began and ended."""
@@ -118,6 +118,7 @@ class Link:
         """The port is open: nothing that was under way before can still arrive."""
         self._port = port
         self._byte_s = BITS_PER_BYTE / baud
+        self._window.attach(port, self._byte_s)
         self._pace = Pace()
         self._decoder = FrameDecoder(self._dialect)
         self._doubts = Doubts(self._dialect)
@@ -128,6 +129,7 @@ class Link:
         if self._port is not None:
             self._port.retune(baud)
         self._byte_s = BITS_PER_BYTE / baud
+        self._window.attach(self._port, self._byte_s)
         self._decoder = FrameDecoder(self._dialect)
         self._doubts = Doubts(self._dialect)
 
@@ -135,7 +137,7 @@ class Link:
         """The port is gone; gives the exchange under way, which has no answer."""
         current, self._current = self._current, None
         self._port = None
-        self._deadline = None
+        self._window.attach(None, self._byte_s)
         if current is None:
             return None
         return Heard(current.exchange.request, None, self._clock.epoch(current.ends_sending))
@@ -181,13 +183,14 @@ class Link:
         window_s = self._turnaround_s + MARGIN_S if request.unit else 0.0
         last_moment = ends_sending + window_s + (longest + MARGIN_S if request.unit else 0.0)
         self._current = _Current(exchange, began, ends_sending, last_moment, dialect)
-        self._arm(ends_sending + window_s)
+        window_ends = ends_sending + window_s
+        self._window.open(window_ends, last_moment, self._unheard_until(request, began, window_ends))
         self._note(began, "out", exchange.sent, request)
 
     def data_received(self, data: bytes) -> None:
         """Bytes came in."""
         now = self._clock.now()
-        self._last_byte_at = now
+        self._window.heard(now)
         current = self._current
         exchange = current.exchange if current is not None else self._idle
         if exchange is None:
@@ -261,26 +264,26 @@ class Link:
 
     def _spoilt(self, now: float) -> None:
         """The answer came with a wrong checksum: no other will come, so only quiet is waited for."""
-        if self._deadline is not None:
-            self._arm(min(self._deadline, now + QUIET_BYTES * self._byte_s))
+        self._window.shorten(now + QUIET_BYTES * self._byte_s)
 
     def _finish(self, current: _Current, now: float) -> None:
         exchange = current.exchange
         request = exchange.request
-        self._current, self._idle, self._deadline = None, exchange, None
+        self._current, self._idle = None, exchange
+        self._window.close()
         self._doubts.after(exchange.doubt)
         heard = Heard(
             request,
             exchange.reply,
             self._clock.epoch(current.ends_sending),
-            self._clock.epoch(now) if exchange.reply is not None else None,
+            self._clock.epoch(min(now, current.last_moment)) if exchange.reply is not None else None,
             b"" if is_secret(request) else current.frame,
             _rubbish(current),
         )
         self.done(heard, current.began, now)
-        self._count(current)
+        self._count(current, now)
 
-    def _count(self, current: _Current) -> None:
+    def _count(self, current: _Current, ended: float) -> None:
         exchange = current.exchange
         request = exchange.request
         self.counts.busy_s += (len(exchange.sent) + len(current.frame)) * self._byte_s
@@ -293,36 +296,31 @@ class Link:
             statistics.timeouts += 1
             return
         statistics.answers += 1
+        begins = ended - len(current.frame) * self._byte_s
         if exchange.first_byte_at is not None:
-            statistics.times.add(exchange.first_byte_at - self._byte_s - current.ends_sending)
+            begins = min(begins, exchange.first_byte_at - self._byte_s)
+        statistics.times.add(begins - current.ends_sending)
         if isinstance(exchange.reply, Nak):
             statistics.refused(exchange.reply.code)
 
     # --- waiting -------------------------------------------------------------------------------
 
-    def _arm(self, when: float) -> None:
-        """Have ``_ring`` called at ``when``; an alarm that comes earlier is let come and set again."""
-        self._deadline = when
-        if self._alarm is not None and self._alarm_at <= when:
-            return
-        if self._alarm is not None:
-            self._alarm.cancel()
-        self._alarm, self._alarm_at = self._clock.call_at(when, self._ring), when
+    def _unheard_until(self, request: Request, began: float, window_ends: float) -> float | None:
+        """Shortly before the answer can be complete, on a port that is as slow as its baud rate."""
+        assert self._current is not None
+        if not self._pace.paced or request.unit == 0:
+            return None
+        sent, least = len(self._current.exchange.sent), least_reply_bytes(request, self._dialect)
+        return min(began + UNHEARD * self.least_s(sent, least), window_ends - MARGIN_S / 2)
 
-    def _ring(self) -> None:
-        self._alarm = None
+    def _nothing_came(self, now: float) -> None:
         current = self._current
-        if current is None or self._deadline is None:
+        if current is None:
             return
-        now = self._clock.now()
-        quiet_at = self._last_byte_at + max(QUIET_BYTES * self._byte_s, MARGIN_S / 2)
-        until = max(self._deadline, min(quiet_at, current.last_moment)) if current.exchange.awaiting else 0.0
-        if now < until - TIMER_SLACK_S or now < self._deadline - TIMER_SLACK_S:
-            self._arm(max(until, self._deadline))
-            return
-        current.exchange.give_up()
-        if self._port is not None:
+        # Of a broadcast nothing ever comes: it may be on its way still, and the next request follows it.
+        if current.exchange.awaiting and self._port is not None:
             self._port.drop_output()
+        current.exchange.give_up()
         self._finish(current, now)
 
     def _note(

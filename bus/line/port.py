@@ -33,6 +33,9 @@ class OpenPort(Protocol):
         any other WireError when it took nothing.
         """
 
+    def listen(self, *, now: bool) -> None:
+        """Give what comes in at once, or let it gather until this is called again."""
+
     def drop_output(self) -> None:
         """Forget what has not left yet."""
 

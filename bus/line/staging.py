@@ -174,11 +174,16 @@ def _prove(member: _Member, broadcast: Answer, wish: Wish) -> Part:
     staging = member.answer
     member.outcome = msgspec.structs.replace(
         outcome,
-        message="" if proof.shown else f"unit {member.unit}: {proof.why}",
+        message="" if proof.shown else _not_shown(member, proof),
         sent_at=staging.sent_at if staging is not None else broadcast.sent_at,
         acknowledged_at=staging.answered_at if staging is not None else None,
         attempts=staging.attempts if staging is not None else 1,
     )
+
+
+def _not_shown(member: _Member, proof: Proof) -> str:
+    """Whoever missed the broadcast has the value in its memory, and the next execute would find it there."""
+    return f"unit {member.unit}: {proof.why}; it may still hold {member.raw} staged"
 
 
 def _tell_singly(member: _Member, wish: Wish) -> Part:

@@ -11,6 +11,7 @@ import errno
 import grp
 import os
 import pwd
+import select
 import socket
 import termios
 from contextlib import suppress
@@ -74,9 +75,22 @@ def _reason(exc: Exception | None) -> str:
 
 
 class _Serial(serial.Serial):
-    """pySerial, but closing it never waits for bytes to leave: pyserial-asyncio flushes on its loop."""
+    """pySerial as a loop needs it: reading looks once, not twice, and closing never waits."""
+
+    def read(self, size: int = 1) -> bytes:
+        """What is there. The loop has seen that there is something, so it is not asked for again."""
+        try:
+            data = os.read(self.fileno(), size)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise serial.SerialException(error.errno, os.strerror(error.errno or 0)) from error
+        if not data and select.select([self], [], [], 0)[0]:
+            raise serial.SerialException("it is ready and has nothing: it was pulled out")
+        return data
 
     def flush(self) -> None:
+        """pyserial-asyncio would wait on its loop until every byte has left."""
         with suppress(termios.error, serial.SerialException, OSError):
             self.reset_output_buffer()
 
@@ -100,6 +114,12 @@ class _Device:
             raise WireError(f"{self._name} is gone ({os.strerror(error.errno or 0)})") from error
         if written != len(data):
             raise PartlySent(f"{self._name} took {written} of {len(data)} bytes")
+
+    def listen(self, *, now: bool) -> None:
+        if now:
+            self._transport.resume_reading()
+        else:
+            self._transport.pause_reading()
 
     def drop_output(self) -> None:
         with suppress(termios.error, OSError):
@@ -207,6 +227,9 @@ class _Stream:
         if self._transport.get_write_buffer_size() > 0:
             raise WireError(f"{self._name} takes no bytes")
         self._transport.write(data)
+
+    def listen(self, *, now: bool) -> None:
+        """A packet is no single byte: it is heard when it comes."""
 
     def drop_output(self) -> None:
         """The kernel's buffer cannot be emptied; a server that takes nothing is lost by its timeout."""

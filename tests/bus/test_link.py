@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -43,6 +44,8 @@ class Wires:
         self.alarms: list[Entry] = []
         self.written: list[bytes] = []
         self.dropped = 0
+        self.listens = True
+        self.gathered = b""
         self.heard: list[tuple[Heard, float]] = []
         self.roster = Roster([1, 2], 0.0)
         self.trace = Trace()
@@ -68,6 +71,13 @@ class Wires:
     # the port
     def write(self, data: bytes) -> None:
         self.written.append(data)
+
+    def listen(self, *, now: bool) -> None:
+        self.listens = now
+        if now:
+            gathered, self.gathered = self.gathered, b""
+            if gathered:
+                self.link.data_received(gathered)
 
     def drop_output(self) -> None:
         self.dropped += 1
@@ -95,7 +105,10 @@ class Wires:
         """Byte by byte, each in its time."""
         for value in data:
             self.pass_time(BYTE_S)
-            self.link.data_received(bytes((value,)))
+            if self.listens:
+                self.link.data_received(bytes((value,)))
+            else:
+                self.gathered += bytes((value,))
 
     def answer(self, reply: Reply = STATUS, after_s: float = 0.005) -> None:
         """As a unit would: after the request has left."""
@@ -283,3 +296,50 @@ def test_the_trace_is_bounded_by_time_and_by_bytes() -> None:
     for number in range(10):
         trace.add(Passed(1000.0 + number, "in", bytes(60_000)))
     assert next(trace.since(0.0)).at >= 60.0 - 1
+
+
+def test_a_broadcast_is_left_to_leave() -> None:
+    line = Wires()
+    line.link.send(ExecuteSpeed(0))
+    line.pass_time(0.1)
+    assert line.heard[-1][0].request == ExecuteSpeed(0)
+    assert line.dropped == 0, "nobody answers it, so its end says nothing about whether it has left"
+    line.link.send(ReadStatus(1))
+    line.pass_time(1.0)
+    assert line.dropped == 1
+
+
+def test_bytes_gather_until_an_answer_can_be_complete() -> None:
+    line = Wires()
+    line.link.send(ReadStatus(1))
+    assert line.listens, "how fast the port is shows at its first answer"
+    line.answer(after_s=0.0)
+    line.link.send(ReadStatus(2))
+    assert not line.listens
+    line.answer(replace(STATUS, unit=2), after_s=0.0)
+    heard, ended = line.heard[-1]
+    assert heard.reply == replace(STATUS, unit=2)
+    assert ended == pytest.approx(100.0 + 2 * 25 * BYTE_S)
+    assert line.roster[2].statistics.times.largest == pytest.approx(0.0, abs=0.0002)
+
+
+def test_a_leftover_that_gathered_is_still_too_early() -> None:
+    line = Wires()
+    for _ in range(2):
+        line.link.send(ReadStatus(1))
+        line.answer()
+    line.link.send(ReadStatus(2))
+    line.gathered = encode_reply(replace(STATUS, unit=2, actual=77), PLAIN)
+    line.answer(replace(STATUS, unit=2, actual=78))
+    assert line.heard[-1][0].reply == replace(STATUS, unit=2, actual=78)
+
+
+def test_an_answer_that_a_stalled_process_finds_waiting_is_as_old_as_its_window() -> None:
+    line = Wires()
+    line.link.send(ReadStatus(1))
+    line.time += 3600.0
+    line.link.data_received(encode_reply(STATUS, PLAIN))
+    heard, _ = line.heard[-1]
+    assert heard.reply == STATUS
+    assert heard.answered_at is not None
+    assert heard.answered_at < 101.0, "a value is never said to be newer than it can be"

@@ -232,6 +232,23 @@ def test_one_that_missed_the_broadcast_is_told_singly() -> None:
     run(scene, 4)
 
 
+def test_one_that_missed_the_broadcast_and_stays_silent_may_still_hold_it_and_that_is_said() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        unit = line.plant.unit(2)
+        command = line.command(SetLine(ALL))
+        await line.until(lambda: unit.entered == 502)
+        line.faults.set(Kind.DEAD, 1.0, 2)
+        await line.until(lambda: line.fate_of(command))
+        fate = line.fate_of(command)
+        assert fate is not None
+        assert fate.outcome == "unverified"
+        assert unit.entered == 502
+        assert "unit 2: it did not answer the read-back; it may still hold 502 staged" in fate.message
+
+    run(scene, 4)
+
+
 def test_given_up_before_the_broadcast_it_is_withdrawn() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)

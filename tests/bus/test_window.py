@@ -1,0 +1,183 @@
+"""The window of an answer: when it ends, when nothing is heard, and what a stalled process still hears."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from bus.line.clock import Alarm
+from bus.line.window import LATE_S, LOOK_ONCE_MORE_S, Window
+
+BYTE_S = 0.001
+QUIET_S = 0.005
+
+
+class Bench:
+    """A clock whose alarms may ring late, a port that only notes whether it is heard."""
+
+    def __init__(self) -> None:
+        self.time = 100.0
+        self.alarms: list[tuple[float, Callable[[], None]]] = []
+        self.listening: list[tuple[float, bool]] = []
+        self.over: list[float] = []
+        self.window = Window(self, self.over.append)
+        self.window.attach(self, BYTE_S)
+
+    def now(self) -> float:
+        return self.time
+
+    def epoch(self, now: float) -> float:
+        return now
+
+    def settle(self) -> None:
+        """Not needed here."""
+
+    def call_at(self, when: float, callback: Callable[[], None]) -> Alarm:
+        entry = (when, callback)
+        self.alarms.append(entry)
+        return _Cancel(lambda: self.alarms.remove(entry))
+
+    def listen(self, *, now: bool) -> None:
+        self.listening.append((round(self.time - 100.0, 4), now))
+
+    def write(self, data: bytes) -> None:
+        """Not used."""
+
+    def drop_output(self) -> None:
+        """Not used."""
+
+    def retune(self, baud: int) -> None:
+        """Not used."""
+
+    def check(self) -> None:
+        """Not used."""
+
+    def close(self) -> None:
+        """Not used."""
+
+    def pass_time(self, until: float, stalled_until: float = 0.0) -> None:
+        """To ``until``; no alarm rings before ``stalled_until``. Seconds from the beginning."""
+        while self.alarms and min(self.alarms)[0] <= 100.0 + until:
+            alarm = min(self.alarms)
+            self.alarms.remove(alarm)
+            self.time = max(self.time, alarm[0], 100.0 + stalled_until)
+            alarm[1]()
+        self.time = max(self.time, 100.0 + until)
+
+    def ended_at(self) -> list[float]:
+        return [round(when - 100.0, 4) for when in self.over]
+
+
+class _Cancel:
+    def __init__(self, cancel: Callable[[], None]) -> None:
+        self.cancel = cancel
+
+
+def test_it_ends_at_its_end_once() -> None:
+    bench = Bench()
+    bench.window.open(100.05, 100.09)
+    bench.pass_time(1.0)
+    assert bench.ended_at() == [0.05]
+
+
+def test_bytes_that_come_hold_it_open_but_not_past_the_last_moment() -> None:
+    bench = Bench()
+    bench.window.open(100.05, 100.09)
+    for step in range(100):
+        bench.pass_time(step * BYTE_S)
+        bench.window.heard(bench.time)
+    bench.pass_time(1.0)
+    assert bench.ended_at() == [0.09]
+
+
+def test_an_answer_that_pauses_is_over() -> None:
+    bench = Bench()
+    bench.window.open(100.05, 100.09)
+    bench.pass_time(0.049)
+    bench.window.heard(bench.time)
+    bench.pass_time(1.0)
+    assert bench.ended_at() == [0.049 + QUIET_S]
+
+
+def test_a_closed_one_never_ends_and_the_next_has_its_own_time() -> None:
+    bench = Bench()
+    bench.window.open(100.05, 100.09)
+    bench.pass_time(0.02)
+    bench.window.close()
+    bench.window.open(100.30, 100.35)
+    bench.pass_time(1.0)
+    assert bench.ended_at() == [0.30]
+
+
+def test_it_can_be_shortened_but_not_made_longer() -> None:
+    bench = Bench()
+    bench.window.open(100.05, 100.09)
+    bench.window.shorten(100.08)
+    bench.window.shorten(100.03)
+    bench.pass_time(1.0)
+    assert bench.ended_at() == [0.03]
+
+
+def test_bytes_gather_until_they_are_wanted() -> None:
+    bench = Bench()
+    bench.window.open(100.05, 100.09, hears_at=100.02)
+    bench.pass_time(0.04)
+    assert bench.listening == [(0.0, False), (0.02, True)]
+    bench.pass_time(1.0)
+    assert bench.ended_at() == [0.05]
+
+
+def test_what_gathered_is_heard_when_the_exchange_is_over_before_that() -> None:
+    bench = Bench()
+    bench.window.open(100.05, 100.09, hears_at=100.02)
+    bench.pass_time(0.01)
+    bench.window.close()
+    assert bench.listening == [(0.0, False), (0.01, True)]
+
+
+def test_an_earlier_alarm_does_not_wake_the_port() -> None:
+    bench = Bench()
+    bench.window.open(100.03, 100.03)
+    bench.window.close()
+    bench.window.open(100.10, 100.14, hears_at=100.06)
+    bench.pass_time(0.04)
+    assert bench.listening == [(0.0, False)]
+    bench.pass_time(1.0)
+    assert bench.listening == [(0.0, False), (0.06, True)]
+    assert bench.ended_at() == [0.10]
+
+
+def test_a_stalled_process_looks_once_more_before_a_unit_is_silent() -> None:
+    bench = Bench()
+    bench.window.open(100.05, 100.09)
+    bench.pass_time(0.3, stalled_until=0.3)
+    assert not bench.over
+    bench.pass_time(0.3 + LOOK_ONCE_MORE_S)
+    assert bench.ended_at() == [0.301]
+
+
+def test_a_process_that_stalled_while_bytes_gathered_hears_them_first() -> None:
+    bench = Bench()
+    bench.window.open(100.05, 100.09, hears_at=100.02)
+    bench.pass_time(0.3, stalled_until=0.3)
+    assert bench.listening[-1] == (0.3, True)
+    assert not bench.over
+    bench.window.heard(bench.time)
+    bench.window.close()
+    bench.pass_time(1.0)
+    assert not bench.over
+
+
+def test_a_little_late_is_not_late() -> None:
+    bench = Bench()
+    bench.window.open(100.05, 100.09)
+    bench.pass_time(0.05, stalled_until=0.05 + LATE_S / 2)
+    assert len(bench.over) == 1
+
+
+def test_without_a_port_nothing_rings() -> None:
+    bench = Bench()
+    bench.window.open(100.05, 100.09, hears_at=100.02)
+    bench.window.attach(None, BYTE_S)
+    bench.pass_time(1.0)
+    assert not bench.over
+    assert bench.listening == [(0.0, False)]
