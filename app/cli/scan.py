@@ -6,18 +6,19 @@ import asyncio
 import json
 import sys
 from collections.abc import Sequence
-from functools import partial
 from typing import Annotated, Any
 
 import typer
 
 from app.cli.ending import ending
 from bus.line.scan import Found, conclude, silent_seconds
-from bus.line.scanner import BaudScan, scan_baud
+from bus.line.scanner import PASSES, BaudScan, scan_baud
 from bus.settings import BAUDS
 
 FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
 """9600 is the default of a unit, and the quickest to try."""
+INTERRUPTED = 130
+"""As a shell says of a program that SIGINT ended."""
 _SOCKET = "socket://"
 _KINDS = {"digimax": "DIGIMAX IV", "garbled": "garbled", "foreign": "no DIGIMAX IV"}
 
@@ -42,7 +43,10 @@ def scan(
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="The result as JSON.")] = False,
 ) -> None:
-    """Ask every address; nothing is written to any unit. Exit 0 when something answered, else 1."""
+    """Ask every address, a silent one twice; nothing is written to any unit.
+
+    Exit 0 when something answered, 1 when nothing did, 130 when it was interrupted by Ctrl-C.
+    """
     if baud is not None and baud not in BAUDS:
         raise typer.BadParameter(f"{baud} is none of {', '.join(map(str, BAUDS))}", param_hint="--baud")
     if first > last:
@@ -50,10 +54,22 @@ def scan(
     bauds = bauds_to_try(port, baud)
     addresses = range(first, last + 1)
     typer.echo(announcement(port, bauds, addresses, turnaround_ms / 1000, every_baud), err=True)
-    with ending():
-        scans = asyncio.run(_scan(port, bauds, addresses, turnaround_ms / 1000, every_baud))
+    scans: list[BaudScan] = []
+    trouble, code = "", 0
+    try:
+        with ending():
+            asyncio.run(_scan(scans, port, bauds, addresses, turnaround_ms / 1000, every_baud))
+    except typer.Exit:
+        if not any(done.found for done in scans):
+            raise
+        trouble, code = "the port was lost", 1
+    except KeyboardInterrupt:
+        trouble, code = "interrupted", INTERRUPTED
     found = [one for done in scans for one in done.found]
-    _report(port, scans, found, as_json)
+    _report(port, scans, found, as_json, complete=not trouble)
+    if trouble:
+        typer.echo(f"lineside: {trouble}: the scan is not complete, this is what was found so far.", err=True)
+        raise typer.Exit(code)
     if not found:
         tried = ", ".join(str(done.baud) for done in scans)
         typer.echo(
@@ -75,7 +91,7 @@ def announcement(
     port: str, bauds: Sequence[int], addresses: range, turnaround_s: float, every_baud: bool
 ) -> str:
     """What will be done and how long it takes, before it is done."""
-    seconds = [len(addresses) * silent_seconds(baud, turnaround_s) for baud in bauds]
+    seconds = [PASSES * len(addresses) * silent_seconds(baud, turnaround_s) for baud in bauds]
     which = (
         f"addresses {addresses[0]} to {addresses[-1]}" if len(addresses) > 1 else f"address {addresses[0]}"
     )
@@ -88,7 +104,7 @@ def announcement(
             f"{bauds[0]} baud, about {_duration(seconds[0])}, then the slower ones until something answers: "
             f"{_duration(sum(seconds))} at most"
         )
-    return f"Scanning {port}, {which}, at {how_long}; each unit found adds up to 2 s."
+    return f"Scanning {port}, {which}, at {how_long}; each unit found adds up to 2 s. Ctrl-C ends it."
 
 
 def _duration(seconds: float) -> str:
@@ -97,24 +113,30 @@ def _duration(seconds: float) -> str:
 
 
 async def _scan(
-    port: str, bauds: Sequence[int], addresses: range, turnaround_s: float, every_baud: bool
-) -> list[BaudScan]:
-    scans = []
+    scans: list[BaudScan],
+    port: str,
+    bauds: Sequence[int],
+    addresses: range,
+    turnaround_s: float,
+    every_baud: bool,
+) -> None:
     for baud in bauds:
-        with typer.progressbar(length=len(addresses), label=f"{baud:>5} baud", file=sys.stderr) as bar:
-            done = partial(bar.update, 1)
-            scans.append(await scan_baud(port, baud, addresses, turnaround_s, done))
+        scans.append(BaudScan(baud))
+        length = PASSES * len(addresses)
+        with typer.progressbar(length=length, label=f"{baud:>5} baud", file=sys.stderr) as bar:
+            await scan_baud(scans[-1], port, addresses, turnaround_s, bar.update)
         if scans[-1].found and not every_baud:
             break
-    return scans
 
 
-def _report(port: str, scans: Sequence[BaudScan], found: Sequence[Found], as_json: bool) -> None:
+def _report(
+    port: str, scans: Sequence[BaudScan], found: Sequence[Found], as_json: bool, *, complete: bool
+) -> None:
     remarks = conclude(found)
     if any(done.echoes for done in scans):
         remarks.append("the adapter hears what it sends (half duplex): its echo is recognised")
     if as_json:
-        typer.echo(json.dumps(_json(port, scans, found, remarks)))
+        typer.echo(json.dumps({**_json(port, scans, found, remarks), "complete": complete}))
         return
     for one in found:
         typer.echo(_line(one))

@@ -2,6 +2,9 @@
 
 One window ends when a unit's turnaround is over and nothing is coming in any more; after an answer it
 stays open for a few byte times, to hear a second copy or a checksum byte that is sent twice.
+
+An answer may get lost, so nobody is called absent after one question: the silent addresses are asked once
+more when all have been asked, and again as long as that finds somebody.
 """
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from bus.errors import WireError
 from bus.line.scan import MARGIN_S, Checksum10h, Found, Outcome, Question, examine
@@ -27,42 +30,55 @@ LISTEN_S = 0.2
 MOST_UNASKED_BYTES = 10
 """More than this in that time, and nothing on the line can be told from anything else."""
 
+PASSES = 2
+MOST_PASSES = 4
+
 _PLAIN = Dialect()
 _DOUBLED = Dialect(checksum_10h="twice")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class BaudScan:
-    """What answered at one baud rate. ``unasked_bytes``: what came before anything was asked."""
+    """What has answered so far at one baud rate. ``echoes``: the adapter hears what it sends."""
 
     baud: int
-    found: tuple[Found, ...]
-    echoes: bool
-    seconds: float
+    found: list[Found] = field(default_factory=list)
+    echoes: bool = False
+    seconds: float = 0.0
 
 
 async def scan_baud(
-    port: str, baud: int, addresses: Iterable[int], turnaround_s: float, progress: Callable[[], None]
-) -> BaudScan:
-    """Ask every one of ``addresses``; ``progress`` is called after each.
+    scan: BaudScan,
+    port: str,
+    addresses: Iterable[int],
+    turnaround_s: float,
+    progress: Callable[[int], None],
+) -> None:
+    """Ask every one of ``addresses`` and put down in ``scan`` who answers, in their order.
 
+    ``progress`` is called with how many of ``PASSES`` questions for each address are settled.
     Raises WireError when the port cannot be opened or is lost, or when bytes come that nobody asked for.
     """
-    loop = asyncio.get_running_loop()
-    began = loop.time()
-    async with _opened(port, baud, turnaround_s) as line:
+    began = asyncio.get_running_loop().time()
+    async with _opened(port, scan.baud, turnaround_s) as line:
         if (unasked := await line.listen(LISTEN_S)) > MOST_UNASKED_BYTES:
             raise WireError(
                 f"{unasked} bytes came in {LISTEN_S} s although nobody asked: is another host on this line, "
                 "or is the cable open? Silence it and scan again"
             )
-        found = []
-        for unit in addresses:
-            one = await line.examine(unit)
-            if one is not None:
-                found.append(one)
-            progress()
-        return BaudScan(baud, tuple(found), line.echoes, loop.time() - began)
+        silent, passes, found_again = list(addresses), 0, False
+        while silent and (passes < PASSES or (found_again and passes < MOST_PASSES)):
+            asked, silent = silent, []
+            for unit in asked:
+                one = await line.examine(unit)
+                if one is None:
+                    silent.append(unit)
+                else:
+                    scan.found.append(one)
+                    scan.found.sort(key=lambda each: each.unit)
+                scan.echoes, scan.seconds = line.echoes, asyncio.get_running_loop().time() - began
+                progress(1 if one is None else max(PASSES - passes, 0))
+            passes, found_again = passes + 1, len(silent) < len(asked)
 
 
 @asynccontextmanager

@@ -15,6 +15,9 @@ from typer.testing import CliRunner, Result
 
 from app.cli import scan
 from app.cli.scan import announcement, bauds_to_try
+from bus.errors import WireError
+from bus.line import scanner
+from bus.line.scan import Found
 from bus.settings import Dialect
 from bus.simulator.faults import Faults, Kind
 from bus.simulator.line import SimulatedLine
@@ -135,6 +138,45 @@ def test_nothing_there() -> None:
     assert "nothing answered at 9600 baud" in result.stderr
 
 
+def test_nobody_is_called_absent_after_one_question(monkeypatch: pytest.MonkeyPatch) -> None:
+    examine, asked = scanner._Line.examine, list[int]()
+
+    async def deaf_at_first(line: Any, address: int) -> Found | None:
+        asked.append(address)
+        return await examine(line, address) if asked.count(address) > 1 else None
+
+    monkeypatch.setattr(scanner._Line, "examine", deaf_at_first)
+    with line(unit(3), unit(2)) as port:
+        answer = scanned(port, "--baud", "9600")
+    assert [one["id"] for one in answer["units"]] == [2, 3]
+    assert asked == [1, 2, 3, 4, 5, 6, 1, 2, 3, 4, 5, 6, 1, 4, 5, 6], "and again, as that found somebody"
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [(KeyboardInterrupt(), 130, "interrupted"), (WireError("it is gone"), 1, "it is gone")],
+)
+def test_what_was_found_before_the_end_is_told(
+    monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int, words: str
+) -> None:
+    examine = scanner._Line.examine
+
+    async def ended(line: Any, address: int) -> Found | None:
+        if address == 4:
+            raise error
+        return await examine(line, address)
+
+    monkeypatch.setattr(scanner._Line, "examine", ended)
+    with line(unit(2), unit(5)) as port:
+        result = run(port, "--json", "--baud", "9600", "--last", "6", "--turnaround-ms", PATIENCE_MS)
+    assert result.exit_code == code
+    answer = json.loads(result.stdout)
+    assert [one["id"] for one in answer["units"]] == [2]
+    assert answer["complete"] is False
+    assert words in result.stderr
+    assert "the scan is not complete" in result.stderr
+
+
 def test_a_line_that_talks_unasked_is_not_scanned() -> None:
     faults = Faults(1)
     faults.set(Kind.FLOOD, 1.0)
@@ -174,10 +216,10 @@ def test_a_device_server_keeps_its_own_baud_rate() -> None:
 
 def test_it_says_beforehand_how_long_it_takes() -> None:
     every = range(1, 256)
-    assert "at 9600 baud: about 17 s;" in announcement("P", (9600,), every, 0.05, False)
+    assert "at 9600 baud: about 35 s;" in announcement("P", (9600,), every, 0.05, False)
     six = announcement("P", (9600, 4800, 2400, 1200, 600, 300), every, 0.05, False)
-    assert "9600 baud, about 17 s, then the slower ones until something answers: 3 min 46 s at most" in six
-    assert "all six baud rates: about 3 min 46 s" in announcement(
+    assert "9600 baud, about 35 s, then the slower ones until something answers: 7 min 31 s at most" in six
+    assert "all six baud rates: about 7 min 31 s" in announcement(
         "P", (9600, 4800, 2400, 1200, 600, 300), every, 0.05, True
     )
     assert "address 7, at 300 baud: about 1 s" in announcement("P", (300,), range(7, 8), 0.05, False)
