@@ -112,7 +112,9 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     sets = SetKeeper(live, reader, SetStore(database), events, local_time)
     desk.before_parameter_write = sets.keep_known
     accounts = Accounts(database, passwords, events)
-    accounts.on_rights_changed(safeguards.control.release_all_of)
+    accounts.on_rights_changed(safeguards.release_all_of)
+    sign_in = SignIn(database, passwords, events, worker_token)
+    sign_in.on_gone = safeguards.release_all_of
     hub = Hub(live, templates, time)
     hub.block, hub.drift, hub.watch = safeguards.block_reason, sets.drifted, workers.watch
     hub.holder = safeguards.holder
@@ -130,7 +132,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         events=events,
         passwords=passwords,
         accounts=accounts,
-        sign_in=SignIn(database, passwords, events, worker_token),
+        sign_in=sign_in,
         live=live,
         history=history,
         clock_steps=steps,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 
 from app.audit.log import EventLog
 from app.auth import rules, store
@@ -14,7 +14,7 @@ from app.database import Database
 from app.web.access import Role
 from bus.errors import CallerError
 
-Ended = Callable[[str], object]
+Ended = Callable[[str], Awaitable[None]]
 
 
 class Accounts:
@@ -126,8 +126,5 @@ class Accounts:
     async def _note(self, kind: str, what: str, by: str, origin: str, *ended: str) -> None:
         await self._events.record(kind=kind, what=what, who=by, origin=origin)
         for name in ended:
-            self._tell(name)
-
-    def _tell(self, name: str) -> None:
-        for subscriber in self._subscribers:
-            subscriber(name)
+            for subscriber in self._subscribers:
+                await subscriber(name)

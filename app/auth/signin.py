@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import hmac
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 
 from app.audit.log import EventLog
 from app.auth import rules, store
@@ -16,6 +16,7 @@ from app.database import Database
 from app.errors import Problem
 from app.web.access import Person, Role
 
+Gone = Callable[[str], Awaitable[None]]
 RETRY_AFTER_S = str(round(WINDOW_S))
 
 
@@ -38,6 +39,8 @@ class SignIn:
         self._one_at_a_time = asyncio.Lock()
         self.worker_token = worker_token or rules.new_secret()
         """For the workers that this server starts itself; it ends with the server."""
+        self.on_gone: Gone | None = None
+        """Hears the name of whoever is signed in nowhere any more."""
 
     async def sign_in(self, name: str, secret: str, address: str, *, panel: bool = False) -> str:
         """The cookie of a new session. Raises Problem 401, and 429 after too many failures."""
@@ -52,8 +55,7 @@ class SignIn:
 
     async def sign_out(self, cookie: str, person: Person, address: str) -> None:
         """End the session."""
-        hash_ = rules.secret_hash(cookie)
-        await self._database.write(lambda connection: store.end_session(connection, hash_))
+        await self._end(rules.secret_hash(cookie), person.name)
         await self._events.record(kind="logout", what="signed out", who=person.name, origin=address)
 
     async def is_secret_of(self, name: str, secret: str) -> bool:
@@ -72,7 +74,10 @@ class SignIn:
         hash_ = rules.secret_hash(cookie)
         session = await self._database.read(lambda connection: store.session(connection, hash_))
         now = self._clock()
-        if session is None or session.expires_at <= now or session.user.disabled:
+        if session is None or session.user.disabled:
+            return None
+        if session.expires_at <= now:
+            await self._end(hash_, session.user.name)
             return None
         if is_use:
             await self._note_use(hash_, session, now)
@@ -108,6 +113,14 @@ class SignIn:
         )
         await self._events.record(kind="login", what="signed in", who=user.name, origin=address)
         return cookie
+
+    async def _end(self, hash_: bytes, name: str) -> None:
+        now = self._clock()
+        was_last = await self._database.write(
+            lambda connection: store.end_session(connection, hash_, name, now)
+        )
+        if was_last and self.on_gone is not None:
+            await self.on_gone(name)
 
     async def _note_use(self, hash_: bytes, session: Session, now: float) -> None:
         if now - session.used_at < rules.USE_NOTED_EVERY_S:

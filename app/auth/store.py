@@ -145,9 +145,11 @@ def prolong_session(connection: sqlite3.Connection, hash_: bytes, now: float, en
     connection.execute(change, (now, ends, hash_))
 
 
-def end_session(connection: sqlite3.Connection, hash_: bytes) -> None:
-    """Sign out."""
+def end_session(connection: sqlite3.Connection, hash_: bytes, name: str, now: float) -> bool:
+    """Sign out. Whether it was the user's last session."""
     connection.execute("DELETE FROM sessions WHERE hash = ?", (hash_,))
+    query = "SELECT 1 FROM sessions WHERE name = ? AND expires_at > ?"
+    return connection.execute(query, (name, now)).fetchone() is None
 
 
 def end_sessions_of(connection: sqlite3.Connection, name: str) -> None:

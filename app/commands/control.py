@@ -64,10 +64,11 @@ class Control:
             raise ControlledError(_who_holds(holding))
         del self._holdings[bus]
 
-    def release_all_of(self, who: str) -> list[str]:
-        """A person's session is gone: whatever they held is free. Gives the buses."""
-        held = [bus for bus, holding in self._holdings.items() if holding.holder == who]
-        for bus in held:
+    def release_all_of(self, who: str, now: float) -> list[str]:
+        """Whatever somebody held is free, as they are gone. Gives the buses."""
+        theirs = [bus for bus, holding in self._holdings.items() if holding.holder == who]
+        held = [bus for bus in theirs if self.holding(bus, now) is not None]
+        for bus in theirs:
             del self._holdings[bus]
         return held
 

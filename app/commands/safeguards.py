@@ -13,6 +13,7 @@ from app.database import Database
 from app.errors import Problem
 from app.web.access import Person, Role
 
+SIGNED_OUT = "signed out, or has other rights"
 Changed = Callable[[str, int], None]
 """Told of the bus and the unit that was blocked or freed."""
 
@@ -111,6 +112,13 @@ class Safeguards:
         except ControlledError as error:
             raise _controlled(error) from error
         await self._record("control", person, bus, None, "control given back", person.name, None)
+
+    async def release_all_of(self, who: str) -> None:
+        """Somebody is signed in nowhere any more, or may do less: whatever they held is free."""
+        for bus in self.control.release_all_of(who, self._now()):
+            await self._events.record(
+                kind="control", what="control given back", who=who, bus=bus, old=who, message=SIGNED_OUT
+            )
 
     def _tell_of_block(self, bus: str, unit: int) -> None:
         for subscriber in self._block_subscribers:

@@ -83,7 +83,11 @@ async def test_every_change_is_an_event_with_its_author(accounts: Accounts) -> N
 
 async def test_who_listens_hears_whose_rights_changed(accounts: Accounts) -> None:
     heard: list[str] = []
-    accounts.on_rights_changed(heard.append)
+
+    async def hear(name: str) -> None:
+        heard.append(name)
+
+    accounts.on_rights_changed(hear)
     await accounts.add_user("ann", Role.VIEWER, "password1", **BY)
     await accounts.set_role("ann", Role.OPERATOR, **BY)
     await accounts.create_token("plc", Role.VIEWER, **BY)

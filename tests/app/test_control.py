@@ -34,9 +34,15 @@ def test_whoever_is_gone_holds_nothing() -> None:
     control = Control(required=True)
     control.take("one", "anna", 0.0)
     control.take("two", "ben", 0.0)
-    assert control.release_all_of("anna") == ["one"]
+    assert control.release_all_of("anna", 1.0) == ["one"]
     assert control.holding("one", 0.0) is None
     assert control.holding("two", 0.0) is not None
+
+
+def test_what_had_lapsed_is_not_given_back() -> None:
+    control = Control(required=True)
+    control.take("one", "anna", 0.0)
+    assert control.release_all_of("anna", LAPSES_AFTER_S) == []
 
 
 def test_nobody_holds_it_says_so() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from app.audit.store import Filter
 from app.commands.blocks import Block, BlockStore
 from app.commands.limits import NO_LIMITS, Limits, LimitsStore
 from app.database import Database
@@ -185,3 +186,13 @@ async def test_reading_needs_no_control(controlled: Stage) -> None:
     worker = await obeying(controlled)
     await controlled.ask("GET", "/units/1/parameters?refresh=true", role="viewer")
     assert len(worker.commands) == 1
+
+
+async def test_whoever_is_gone_gives_control_back_and_the_events_say_so(controlled: Stage) -> None:
+    assert (await controlled.ask("POST", "/control", role="operator")).status_code == 200
+    await controlled.guards.release_all_of("operator")
+    assert controlled.guards.holder("dry-end") == ""
+    newest = (await controlled.events.page(Filter(kind="control"), 1))[0][0]
+    assert (newest["what"], newest["old"], newest["who"]) == ("control given back", "operator", "operator")
+    await controlled.guards.release_all_of("operator")
+    assert len((await controlled.events.page(Filter(kind="control"), 9))[0]) == 2

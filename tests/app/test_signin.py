@@ -188,3 +188,33 @@ async def test_the_workers_own_token_is_good_for_the_feed_only(house: House) -> 
     person = await house.sign_in.by_token(house.sign_in.worker_token)
     assert person is not None
     assert person.role is Role.WORKER
+
+
+@pytest.fixture
+def gone(house: House) -> list[str]:
+    """Whoever is signed in nowhere any more, as it is told."""
+    told: list[str] = []
+
+    async def tell(name: str) -> None:
+        told.append(name)
+
+    house.sign_in.on_gone = tell
+    return told
+
+
+async def test_the_last_signing_out_is_told_and_no_other(house: House, gone: list[str]) -> None:
+    await house.add()
+    first, second = await house.enter(), await house.enter()
+    for cookie, told in ((first, []), (second, ["ann"])):
+        person = await house.sign_in.by_cookie(cookie)
+        assert person is not None
+        await house.sign_in.sign_out(cookie, person, "a")
+        assert gone == told
+
+
+async def test_a_session_that_is_over_is_told_once(house: House, gone: list[str]) -> None:
+    await house.add()
+    cookie = await house.enter()
+    house.now += rules.PERSON_LIFETIME.idle_s + 1
+    assert [await house.sign_in.by_cookie(cookie) for _ in range(2)] == [None, None]
+    assert gone == ["ann"]
