@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 from zoneinfo import available_timezones
 
-from pydantic import Field, field_validator
+from pydantic import Field, StrictBool, field_validator
 from pydantic_core import PydanticCustomError
 
 from bus import configuration
@@ -25,9 +25,9 @@ class Site(Strict):
     """For whoever has chosen none and whose browser asks for none we have."""
     time_zone: str = ""
     """An IANA name such as Europe/Berlin; empty: the machine's own."""
-    simulated: bool = False
+    simulated: StrictBool = False
     """No drive is connected: every page says so."""
-    control: bool = False
+    control: StrictBool = False
     """One person at a time holds control of a line, and nobody else may set anything."""
 
     @field_validator("time_zone")
@@ -50,7 +50,7 @@ class Server(Strict):
     """Where the dashboard listens and keeps its data."""
 
     host: str = "127.0.0.1"
-    port: Annotated[int, Field(ge=0, le=65535)] = 8000
+    port: Annotated[int, Field(strict=True, ge=0, le=65535)] = 8000
     """0 takes any free port."""
     data: Path = Path("data")
     """Relative to the file; absolute once loaded."""
@@ -64,9 +64,9 @@ class Server(Strict):
 class History(Strict):
     """How long readings are kept."""
 
-    raw_days: Annotated[int, Field(ge=1, le=3650)] = 30
+    raw_days: Annotated[int, Field(strict=True, ge=1, le=3650)] = 30
     """Every reading itself; after that one-minute and one-hour least, greatest and average."""
-    years: Annotated[int, Field(ge=1, le=100)] = 10
+    years: Annotated[int, Field(strict=True, ge=1, le=100)] = 10
     """Those, and the bits as intervals."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Annotated, Literal
+from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
@@ -48,7 +49,7 @@ class UnitLabels(Strict):
 class UnitSettings(Strict):
     """One DIGIMAX IV: its address (#17) and its name on the floor."""
 
-    id: Annotated[int, Field(ge=1, le=255)]
+    id: Annotated[int, Field(strict=True, ge=1, le=255)]
     name: Annotated[str, Field(min_length=1, max_length=60)]
     group: str = ""
     labels: UnitLabels = UnitLabels()
@@ -60,7 +61,7 @@ class BusSettings(Dialect):
     name: Annotated[str, Field(pattern=r"^[a-z0-9]([a-z0-9-]*[a-z0-9])?$", max_length=40)]
     port: Annotated[str, Field(min_length=1)]
     baud: Baud = 9600
-    turnaround_ms: Annotated[float, Field(ge=0, le=5000)] = 50
+    turnaround_ms: Annotated[float, Field(strict=True, ge=0, le=5000)] = 50
     unit: tuple[UnitSettings, ...] = ()
 
     @field_validator("unit")
@@ -79,6 +80,8 @@ class BusSettings(Dialect):
     def _port_is_one_we_open(cls, port: str) -> str:
         if "://" in port and not port.startswith(("socket://", "rfc2217://")):
             raise ValueError("write a device path, socket://host:port or rfc2217://host:port")
+        if "://" in port and not _names_host_and_port(port):
+            raise ValueError("write host and port number, like socket://192.168.0.7:4001")
         return port
 
     @property
@@ -90,3 +93,11 @@ class BusSettings(Dialect):
     def turnaround_s(self) -> float:
         """What a unit may take to begin its answer, seconds."""
         return self.turnaround_ms / 1000
+
+
+def _names_host_and_port(url: str) -> bool:
+    parts = urlsplit(url)
+    try:
+        return bool(parts.hostname) and parts.port is not None
+    except ValueError:
+        return False

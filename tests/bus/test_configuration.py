@@ -125,3 +125,16 @@ def test_lines_are_found_in_arrays_dotted_keys_and_long_values() -> None:
     assert lines.of(("x", 1, "q r", "z")) == 12
     assert lines.of(("x", 1, "y", 5)) == 10
     assert lines.of(("nowhere",)) == 1
+
+
+@pytest.mark.parametrize(
+    ("good", "bad", "right"),
+    [
+        ("id = 16", "id = true", "valid integer"),
+        ("id = 16", 'id = "16"', "valid integer"),
+        ("socket://10.0.0.7:4001", "socket://10.0.0.7", "host and port number"),
+        ("socket://10.0.0.7:4001", "rfc2217://:4001", "host and port number"),
+    ],
+)
+def test_a_value_is_not_bent_into_what_was_meant(tmp_path: Path, good: str, bad: str, right: str) -> None:
+    assert right in fault(tmp_path, GOOD.replace(good, bad))
