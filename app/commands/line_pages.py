@@ -14,6 +14,7 @@ from app.commands.bodies import Quantity
 from app.commands.fate import Fate
 from app.commands.forms import TIMEOUT_S, Desks, Desktop, new_id
 from app.commands.ramp import Change, change_of, present_setpoint
+from app.commands.speed_pages import refuse_outside
 from app.commands.typed import Typed
 from app.commands.words import shown_setpoint
 from app.errors import Problem
@@ -70,7 +71,7 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
         setpoints = {change.unit: change.new_raw for change in changes}
         desk.desk.check(person, bus, SetLine(setpoints=setpoints), confirm=True)
     except (CallerError, Problem) as error:
-        response = desk.render("unit/_not_so.html", reason=str(error), nearest="", status=422)
+        response = desk.render("unit/_not_so.html", reason=desk.voice.t(str(error)), nearest="", status=422)
         response.headers["HX-Retarget"] = f"#setpoints-error-{bus}"
         return response
     return desk.render(
@@ -91,8 +92,9 @@ async def _changes(person: Person, desk: Desktop, bus: str, live: BusLive, form:
             continue
         try:
             raw = await Typed(desk.desk, person, bus, unit, TIMEOUT_S).setpoint(Quantity(value=text))
-        except CallerError as error:
-            raise CallerError(f"{unit.settings.name}: {error}") from error
+            refuse_outside(desk, bus, unit, raw)
+        except (CallerError, Problem) as error:
+            raise CallerError(f"{unit.settings.name}: {desk.voice.t(str(error))}") from error
         changes.append(change_of(live, unit, raw, desk.guards.limits.of(bus, number)))
     if not changes:
         raise CallerError("no new setpoint is given; empty is not zero")

@@ -43,14 +43,15 @@ async def review_speed(
     live = desk.unit(bus, unit)
     try:
         raw = await Typed(desk.desk, person, bus, live, TIMEOUT_S).setpoint(Quantity(value=value))
-        _refuse_outside(desk, bus, live, raw)
+        refuse_outside(desk, bus, live, raw)
         await _know_ramp(person, desk, bus, live)
         return _review(person, desk, bus, live, raw, execute=how == "now")
     except (CallerError, Problem) as error:
         return _not_so(desk, live, error)
 
 
-def _refuse_outside(desk: Desktop, bus: str, live: UnitLive, raw: int) -> None:
+def refuse_outside(desk: Desktop, bus: str, live: UnitLive, raw: int) -> None:
+    """Raises Problem 422 in the unit's own decimals for a setpoint outside its limits; 0 is never outside."""
     lowest, highest, _ = bounds(live, desk.guards.limits.of(bus, live.settings.id))
     if lowest <= raw <= highest or raw == 0:
         return
@@ -88,7 +89,7 @@ def _not_so(desk: Desktop, live: UnitLive, error: CallerError | Problem) -> Resp
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     response = desk.render(
         "unit/_not_so.html",
-        reason=str(error),
+        reason=desk.voice.t(str(error)),
         nearest="" if nearest is None else desk.voice.formats.point(shown_setpoint(nearest, live)),
         status=error.status if isinstance(error, Problem) else 422,
     )

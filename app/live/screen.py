@@ -150,13 +150,21 @@ class Screen:
     def _line(self, now: float) -> Fields:
         tally, self.entries = Tally(), []
         for name, bus in self.live.buses.items():
-            trouble = bus_trouble(bus, self.voice)
+            trouble = bus_trouble(bus, self.voice) or self._all_silent(name, bus)
             if trouble is not None:
                 self.entries.append(Entry(name, name, trouble, self._since(trouble, now)))
             for number in bus.units:
                 self._take(unit_key(name, number), tally, now, silent=trouble is not None)
         self.entries.sort(key=lambda entry: LEVELS.index(entry.trouble.level))
         return self._totals(tally) | self._figures()
+
+    def _all_silent(self, name: str, bus: BusLive) -> Trouble | None:
+        """One cause, said once: no unit of a whole bus answers."""
+        units = [self._judged.get(unit_key(name, number), (None, None))[1] for number in bus.units]
+        lost = [unit.since for unit in units if unit is not None and unit.code == "offline"]
+        if len(units) < 2 or len(lost) < len(units):
+            return None
+        return Trouble("urgent", self.voice.t("no unit answers"), "silent", max(at for at in lost if at))
 
     def _take(self, key: str, tally: Tally, now: float, *, silent: bool) -> None:
         if key not in self._judged:
@@ -188,7 +196,13 @@ class Screen:
                 for entry in self.entries[:MOST_ENTRIES]
             ),
             "troubles": f"{len(self.entries)}",
+            "blocked": self._blocked(),
         }
+
+    def _blocked(self) -> str:
+        """Every block with its reason, for the pages without the strip."""
+        sights = (sight for sight, _ in self._judged.values() if sight.blocked)
+        return " · ".join(f"{sight.unit.settings.name}: {sight.blocked}" for sight in sights)
 
     def _figures(self) -> Fields:
         """The slowest scan and the fullest wire of all buses."""

@@ -41,8 +41,17 @@ function draw(strip, troubles) {
   }
 }
 
+/** Pages without the strip say it to a screen reader: only when it is more or less than before, never at first. */
+function say(verdict) {
+  const place = document.getElementById("verdict");
+  if (place && !document.querySelector("[data-strip]")) place.textContent = verdict;
+}
+
 export function start() {
+  let known = null;
   listen("line", (fields, changed) => {
     if ("strip" in changed) draw(fields.strip, Number(fields.troubles));
+    if (known !== null && fields.troubles !== known) say(fields.verdict);
+    known = fields.troubles ?? known;
   });
 }

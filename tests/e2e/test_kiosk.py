@@ -1,4 +1,4 @@
-"""A panel on the wall, worked by touch: its account, home, dark, cleaning; and the pages as an installed app."""
+"""A panel on the wall, worked by touch: account, home, dark, cleaning; and the pages as an installed app."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, expect
+from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
 
-PANEL = {"width": 1280, "height": 800}
+PANEL: ViewportSize = {"width": 1280, "height": 800}
 LIVE = "body[data-link=live]"
 HOME = "/units/line/2"
 PIN = "246810"
@@ -31,7 +31,9 @@ Object.defineProperty(navigator, "wakeLock", {value: {request: async kind => {
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Two units, and a server that a test may kill."""
-    with one_site(tmp_path_factory.mktemp("kiosk"), 2, line_options=("--no-script",)) as made:
+    with one_site(
+        tmp_path_factory.mktemp("kiosk"), 2, line_options=("--no-script", "--speedup", "10")
+    ) as made:
         yield made
 
 
