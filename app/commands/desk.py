@@ -154,7 +154,7 @@ class Desk:
 
     async def _carry_out(self, wish: Wish) -> Result:
         live = self._live.buses[wish.bus]
-        if not is_write(wish.action) and not isinstance(wish.action, ScanBus):
+        if not is_write(wish.action) and not _is_a_search(wish.action):
             return await self._send(wish, live)
         if isinstance(wish.action, WriteParameter) and self.before_parameter_write is not None:
             await self.before_parameter_write(wish.person, wish.bus, wish.action.unit)
@@ -178,6 +178,11 @@ class Desk:
 def _refuse_other(id: str | None, same: bool) -> None:
     if not same:
         raise Problem(422, "invalid", f"the id {id!r} was used for another command; nothing was sent", id=id)
+
+
+def _is_a_search(action: Action) -> bool:
+    """A scan is an event; a look at one address, as a swap takes every few seconds, is not."""
+    return isinstance(action, ScanBus) and action.last > action.first
 
 
 def _steps(action: Action, live: BusLive) -> dict[int, int]:

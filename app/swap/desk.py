@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import asyncio
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from app.audit.log import EventLog
 from app.errors import Problem
 from app.sets.restore_record import Restore
 from app.swap.rules import Advice, Sight, seen_words
 from app.web.access import Person
+
+LOOK_WAIT_S = 2.0
+"""How long a page waits for a look before it is told what the last one showed."""
 
 
 @dataclass(slots=True)
@@ -26,9 +31,13 @@ class Swap:
     seen: list[str] = field(default_factory=list)
     restore: Restore | None = None
     proven: bool = False
+    sight: Sight | None = None
+    """What the last look showed."""
+    look: asyncio.Task[Sight] | None = None
 
     def saw(self, sight: Sight) -> None:
         """The wire was looked at."""
+        self.sight = sight
         if sight.at_target == "silent":
             self.is_new = True
         words = seen_words(sight)
@@ -41,6 +50,22 @@ class Swap:
         if self.restore is None or self.restore.state == "planned":
             return None
         return self.restore.state == "equal"
+
+
+async def latest(swap: Swap, look: Callable[[], Coroutine[Any, Any, Sight]]) -> Sight | None:
+    """What the wire shows, or showed at the last look where this one takes long; None before the first.
+
+    One look at a time: it takes the gaps of the scan, and a page that asks again must not pile up more.
+    Raises the Problem that ended the look.
+    """
+    running = swap.look = swap.look or asyncio.create_task(look(), name=f"look for the spare of {swap.unit}")
+    done, _ = await asyncio.wait({running}, timeout=LOOK_WAIT_S)
+    if done and swap.look is running:
+        swap.look = None
+        swap.saw(running.result())
+    if swap.sight is None:
+        return None
+    return replace(swap.sight, is_new=swap.is_new, equal=swap.equal)
 
 
 class SwapDesk:

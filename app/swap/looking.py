@@ -14,13 +14,13 @@ LOOK_TIMEOUT_S = 10.0
 
 
 async def look(desk: Desk, live: LiveState, person: Person, swap: Swap) -> Sight:
-    """What the wire shows now; the swap remembers it. Raises Problem 503 while the bus is closed."""
+    """What the wire shows now. Raises Problem 503 while the bus is closed."""
     bus, target = swap.bus, swap.unit
     at_target = await _answers(desk, person, bus, target)
     at_factory: Kind = "silent"
     if at_target == "silent" and target != FACTORY_ADDRESS:
         at_factory = await _answers(desk, person, bus, FACTORY_ADDRESS)
-    sight = Sight(
+    return Sight(
         target=target,
         at_target=at_target,
         at_factory=at_factory,
@@ -30,8 +30,6 @@ async def look(desk: Desk, live: LiveState, person: Person, swap: Swap) -> Sight
         configured=frozenset(live.buses[bus].units),
         baud=live.buses[bus].settings.baud,
     )
-    swap.saw(sight)
-    return sight
 
 
 async def _answers(desk: Desk, person: Person, bus: str, address: int) -> Kind:

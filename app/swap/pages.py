@@ -12,7 +12,7 @@ from app.errors import Problem
 from app.live.lookup import unit_or_404
 from app.sets.api import Keeper, Live, Restores
 from app.sets.lookup import plan, set_or_404, unit_rows_or_404
-from app.swap.desk import SwapDesk, step_text
+from app.swap.desk import SwapDesk, latest, step_text
 from app.swap.looking import look
 from app.swap.rules import FACTORY_ADDRESS, STEPS, Advice, advice, done_steps
 from app.web.access import Engineer
@@ -76,7 +76,8 @@ async def look_again(
     unit_or_404(live, bus, unit)
     swap = swaps.of_or_404(bus, unit)
     try:
-        now = advice(await look(desk, live, person, swap))
+        sight = await latest(swap, lambda: look(desk, live, person, swap))
+        now = Advice("find", "reading the wire", at_panel=False) if sight is None else advice(sight)
     except Problem as problem:
         now = Advice("find", problem.detail, at_panel=False)
     baud = live.buses[bus].settings.baud

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 
 from app.sets.model import UnitRows
 from app.sets.plan import LeftOut, RestorePlan, Write
 from app.sets.restore_record import Restore, RowResult, State
-from app.swap.desk import SwapDesk
+from app.swap.desk import SwapDesk, latest
 from app.swap.rules import STEPS, Kind, Sight, advice, done_steps
 from tests.app.played_desk import ANNA, Noted
 
@@ -100,3 +102,20 @@ def a_restore(state: State, planned_at: float = 101.0) -> Restore:
 def test_all_steps_lie_behind_only_when_it_is_proven() -> None:
     assert tuple(done_steps("proven")) == STEPS
     assert list(done_steps("remote")) == ["find", "address"]
+
+
+async def test_a_page_that_asks_again_does_not_pile_up_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.swap.desk.LOOK_WAIT_S", 0.01)
+    swap = await SwapDesk(Noted(), lambda: 100.0).begin(ANNA, "dry-end", 5, source=7)  # type: ignore[arg-type]
+    begun, seen = [], asyncio.Event()
+
+    async def look() -> Sight:
+        begun.append(1)
+        await seen.wait()
+        return sight("silent")
+
+    assert [await latest(swap, look) for _ in range(3)] == [None] * 3
+    assert len(begun) == 1
+    seen.set()
+    assert (await latest(swap, look)) == sight("silent", equal=None)
+    assert swap.is_new

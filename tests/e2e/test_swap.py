@@ -1,0 +1,180 @@
+"""A unit swap as a person is led through it, to its very end; the hands at the keypad are the simulator's."""
+
+from __future__ import annotations
+
+import re
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import Site, eventually
+from tests.e2e.site import site as one_site
+
+OFFICE = {"width": 1280, "height": 900}
+SLOW = 60_000
+
+
+GOOD = {1: 1500, 2: 1600, 4: 9000, 5: 100, 6: 33, 7: 44, 9: 444, 10: 6, 11: 7, 12: 8, 15: 11}
+GOOD |= {22: 7, 23: 200, 25: 9, 29: 1, 30: 1900, 31: 19000, 38: 5500, 39: 21}
+"""What the third unit differs in from one out of its box, beside its address."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """Three units at rest; the third is about to die, and a set of it is stored."""
+    folder = tmp_path_factory.mktemp("swap")
+    with one_site(folder, 3, line_options=("--no-script", "--speedup", "10")) as made:
+        new_section(made, GOOD)
+        with made.api("engineer") as client:
+            taken = client.post("/buses/line/sets", json={"units": [3], "name": "the good one"})
+            assert taken.status_code == 201, taken.text
+        yield made
+
+
+def new_section(site: Site, parameters: dict[int, int], **traits: Any) -> None:
+    """Whatever was at address 3 is gone; one unit is there, and the site has heard it."""
+    hands = site.line.remote
+    eventually(lambda: not removed(site), "nobody at address 3")
+    eventually(lambda: site.unit(3)["link"] == "offline", "the address is silent")
+    hands.do("spare", parameters={17: 3} | parameters, **traits)
+    eventually(lambda: site.unit(3)["link"] == "online", "the unit of section 3")
+
+
+def removed(site: Site) -> bool:
+    try:
+        site.line.remote.do("remove", unit=3)
+    except RuntimeError:
+        return False
+    return True
+
+
+def begin(page: Page) -> None:
+    page.goto("/swap/line/3")
+    leave = page.get_by_role("button", name="Leave this swap")
+    if leave.count():
+        leave.click()
+        page.goto("/swap/line/3")
+    page.get_by_role("button", name="Begin the swap of Coater").click()
+
+
+def says(page: Page, text: str) -> None:
+    expect(page.locator("#steps [role=status]")).to_contain_text(text, timeout=SLOW)
+
+
+def keypad(site: Site, place: int, number: int, raw: int) -> None:
+    site.line.remote.do("parameter", place=place, number=number, raw=raw)
+
+
+def events(site: Site, kind: str) -> list[dict[str, Any]]:
+    with site.api() as client:
+        found: list[dict[str, Any]] = client.get("/events", params={"kind": kind, "limit": 50}).json()[
+            "events"
+        ]
+        return found
+
+
+def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensPages) -> None:
+    hands = site.line.remote
+    page = browser_page("engineer", viewport=OFFICE)
+    begin(page)
+    says(page, "If it is the old one, switch it off and take it off the cable")
+    hands.do("remove", unit=3)
+    says(page, "Nothing new answers yet")
+
+    spare = hands.do("spare", parameters={18: 48, 19: 0})
+    keypad(site, spare, 18, 96)
+    says(page, "set parameter 18 to 96 (9600 baud)")
+    hands.do("power_cycle", place=spare)
+    says(page, "Two units answer at address 1: the spare still has its factory address")
+    keypad(site, spare, 17, 3)
+    says(page, "At the keypad of the new unit set parameter 19 to 1 (REMOTE)")
+    hands.do("mode", place=spare, to="remote")
+    says(page, "The unit answers in REMOTE")
+
+    page.get_by_role("button", name="Review the restore").click()
+    expect(page.get_by_role("status").first).to_contain_text("Nothing has been written")
+    expect(page.get_by_text("accelerates in 3.3 s instead of 10.0 s")).to_be_visible()
+    page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
+    expect(page.get_by_role("heading", name=re.compile("^Proof"))).to_be_visible(timeout=SLOW)
+    page.get_by_role("link", name="Back to the swap").click()
+    says(page, "The new unit is what the old one was, proven by a full read.")
+    expect(page.get_by_role("link", name="The proof, to read or print")).to_be_visible()
+
+    assert [hands.do("parameter", unit=3, number=number) for number in (6, 9, 22)] == [33, 444, 7]
+    [end, start] = events(site, "swap")
+    assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and proven", "verified", 3)
+    assert "begun" in start["what"]
+    for part in ("two units answer at 1", "not in REMOTE", "in REMOTE", "#6", "proven by a full read"):
+        assert part in end["message"], end["message"]
+
+
+def test_a_spare_with_the_older_list_at_the_address_already(site: Site, browser_page: OpensPages) -> None:
+    new_section(site, {}, last_parameter=20)
+    page = browser_page("engineer", viewport=OFFICE)
+    begin(page)
+    says(page, "If it is the spare already, say so")
+    page.get_by_role("button", name="It is the spare").click()
+    says(page, "The unit answers in REMOTE")
+    page.get_by_role("button", name="Review the restore").click()
+    expect(
+        page.get_by_role("row", name=re.compile("Minimum Ratio.*this unit does not have it"))
+    ).to_be_visible()
+    page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
+    expect(page.get_by_text("what was asked but for the rows left out")).to_be_visible(timeout=SLOW)
+    assert "#38: this unit does not have it" in events(site, "swap")[0]["message"]
+
+
+def test_two_units_at_the_address_of_the_section(site: Site, browser_page: OpensPages) -> None:
+    new_section(site, GOOD)
+    page = browser_page("engineer", viewport=OFFICE)
+    begin(page)
+    says(page, "A unit answers at address 3")
+    site.line.remote.do("spare", parameters={17: 3})
+    says(page, "Two units answer at address 3 at once. Take the old one off the cable")
+    eventually(lambda: site.unit(2)["link"] == "online", "the others go on")
+    page.get_by_role("button", name="Leave this swap").click()
+    expect(page).to_have_url(re.compile("/units/line/3$"))
+    removed(site)
+
+
+@pytest.mark.provokes("WebSocket", "fetch", "Failed to fetch")
+def test_a_server_killed_in_the_midst_of_a_restore_says_what_was_done(
+    site: Site, browser_page: OpensPages
+) -> None:
+    new_section(site, {})
+    page = browser_page("engineer", viewport=OFFICE)
+    page.goto("/units/line/3/restore")
+    newest = page.locator("#source option", has_text="the good one").get_attribute("value")
+    page.get_by_label("From a stored set").select_option(newest)
+    page.get_by_role("button", name="Read the unit and show the difference").click()
+    site.line.remote.do("fault", kind="slow", rate=1, unit=3)
+    page.get_by_role("button", name=f"Write {len(GOOD)} rows to unit 3").click()
+    expect(page.get_by_text(re.compile(r"writing: [1-9]\d* of"))).to_be_visible(timeout=SLOW)
+    site.stop(signal.SIGKILL)
+    expect(page.locator(".gone")).to_be_visible()
+    site.line.remote.do("clear")
+    site.start()
+    expect(page.get_by_text("It ended early: the server ended while it was under way")).to_be_visible(
+        timeout=SLOW
+    )
+    done = page.get_by_role("cell", name="verified", exact=True).count()
+    assert 1 <= done < len(GOOD)
+    assert done + page.get_by_role("cell", name=re.compile("not written|unverified")).count() == len(GOOD)
+    eventually(lambda: site.unit(3)["link"] == "online", "the unit of section 3")
+    page.get_by_role("button", name="Review what is left").click()
+    left = page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3"))
+    expect(left).to_be_visible(timeout=SLOW)
+    assert len(GOOD) - done - 1 <= int(left.inner_text().split()[1]) <= len(GOOD) - done
+    left.click()
+    expect(page.get_by_text("proven by a full read")).to_be_visible(timeout=SLOW)
+    assert {number: parameter(site, number) for number in GOOD} == GOOD
+    page.goto("/units/line/3/restore")
+    expect(page.get_by_role("row", name=re.compile("ended early"))).to_have_count(1)
+
+
+def parameter(site: Site, number: int) -> int:
+    return int(site.line.remote.do("parameter", unit=3, number=number))
