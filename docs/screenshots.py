@@ -36,8 +36,9 @@ README = {
     ("one-off", "line-tiles", "panel", "dark-en"): "line-dark",
     ("one-off", "line-tiles", "phone", "light-en"): "line-phone",
     ("well", "unit", "panel", "light-en"): "unit",
-    ("255-abnormal", "line-board", "desktop", "dark-en"): "board",
+    ("well", "parameters", "panel", "light-en"): "parameters",
     ("well", "unit-review", "panel", "light-de"): "review",
+    ("255-abnormal", "line-board", "panel", "dark-en"): "board",
 }
 """Situation, scene, size, look → the name of a picture that is kept."""
 
@@ -70,7 +71,7 @@ class Camera:
                 _keep(page, ALL / f"{name}.png", whole=scene.whole)
                 kept = README.get((situation.name, scene.name, size, look))
                 if kept:
-                    (PICTURES / f"{kept}.png").write_bytes((ALL / f"{name}.png").read_bytes())
+                    _keep(page, PICTURES / f"{kept}.png", whole=False)
 
 
 def main() -> int:

@@ -161,10 +161,13 @@ class Screen:
     def _all_silent(self, name: str, bus: BusLive) -> Trouble | None:
         """One cause, said once: no unit of a whole bus answers."""
         units = [self._judged.get(unit_key(name, number), (None, None))[1] for number in bus.units]
-        lost = [unit.since for unit in units if unit is not None and unit.code == "offline"]
-        if len(units) < 2 or len(lost) < len(units):
+        silent = [unit for unit in units if unit is not None and unit.code in ("offline", "unknown")]
+        if len(units) < 2 or len(silent) < len(units):
             return None
-        return Trouble("urgent", self.voice.t("no unit answers"), "silent", max(at for at in lost if at))
+        lost = [unit.since for unit in silent if unit.since is not None]
+        if not lost:
+            return Trouble("low", self.voice.t("no unit has answered yet"), "silent")
+        return Trouble("urgent", self.voice.t("no unit answers"), "silent", max(lost))
 
     def _take(self, key: str, tally: Tally, now: float, *, silent: bool) -> None:
         if key not in self._judged:

@@ -94,3 +94,11 @@ def test_the_strip_has_an_end() -> None:
     changed = shown.see("dry", list(range(1, 61)), 100.2, whole_bus=False)
     assert len(changed["line"]["strip"].split("\n")) == 30
     assert changed["line"]["troubles"] == "60"
+
+
+def test_a_bus_on_which_no_unit_answers_is_one_entry() -> None:
+    shown = screen(line())
+    shown.settle(111.0)
+    strip = shown.shown["line"]["strip"].split("\t")
+    assert strip[:4] == ["dry", "urgent", "dry", "no unit answers"]
+    assert shown.shown["dry/1"]["trouble"] == "no answer"
