@@ -1,7 +1,7 @@
 """One browser's socket: it gets the newest values, never a queue.
 
-What changed while the socket was busy is merged into one pending update, so a slow browser costs
-one update's memory and is always shown the present.
+What changed while the socket was busy goes together as one update, so a slow browser is always shown the
+present and costs no more than a few references: all who missed the same share what it is made of.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,31 +20,53 @@ from app.live.screen import Groups
 MOST_FRAMES = 300
 """Frames of the trace kept for a browser that cannot keep up; older ones are dropped and counted."""
 
-FLOOD = 120
-FLOOD_OF_ALL = 2000
-WINDOW_S = 0.5
-"""More changes than this within a window, which is more than six full wires bring, and the page is told once
-in a window until it is quieter: it could not draw them all, and its device has other things to do. So with
-very many pages, whose share of ``FLOOD_OF_ALL`` is smaller: the server has other things to do."""
+FLOOD = 60
+FLOOD_OF_ALL = 1000
+WINDOW_S = 0.25
+"""More changed units than this within a window, which is more than six full wires bring, and the page is
+told once in a window until it is quieter: it could not draw them all, and its device has other things to do.
+So with very many pages, whose share of ``FLOOD_OF_ALL`` is smaller: the server has other things to do."""
+
+MOST_WAITING = 64
+"""Changes that wait for a slow browser before they are made one."""
 
 encode = msgspec.json.Encoder().encode
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, slots=True)
 class Diff:
-    """What changed between the numbers ``before`` and ``after``; ``text`` is the same, encoded for all."""
+    """What changed between the numbers ``before`` and ``after``, the same object for all of a language."""
 
     before: int
     after: int
     at: float
     groups: Groups
-    text: str
+    _text: str = ""
+    _since: dict[int, Diff] = field(default_factory=dict)
 
-    @classmethod
-    def of(cls, before: int, after: int, at: float, groups: Groups) -> Diff:
+    @property
+    def text(self) -> str:
         """Encoded once, whoever it goes to."""
-        message = {"is": "diff", "p": before, "n": after, "t": round(at, 3), "f": groups}
-        return cls(before, after, at, groups, encode(message).decode())
+        if not self._text:
+            message = {
+                "is": "diff",
+                "p": self.before,
+                "n": self.after,
+                "t": round(self.at, 3),
+                "f": self.groups,
+            }
+            self._text = encode(message).decode()
+        return self._text
+
+    def after_all(self, earlier: Sequence[Diff]) -> Diff:
+        """One that says what ``earlier``, which led to this one, and this one said; made once for all who
+        missed the same."""
+        if not earlier:
+            return self
+        before = earlier[0].before
+        if before not in self._since:
+            self._since[before] = Diff(before, self.after, self.at, _merged([*earlier, self]))
+        return self._since[before]
 
 
 @dataclass(slots=True)
@@ -57,13 +79,13 @@ class Flow:
     _count: int = 0
     _flooded: bool = False
 
-    def came(self) -> None:
-        """There is something new for the page."""
+    def came(self, units: int = 1) -> None:
+        """There is something new of so many units for the page."""
         now = self.clock()
         if now - self._began >= WINDOW_S:
             self._flooded = self._count > self.most and now - self._began < 2 * WINDOW_S
             self._began, self._count = now, 0
-        self._count += 1
+        self._count += units
 
     def pause_s(self) -> float:
         """How long to wait before telling it: nothing unless there is a flood."""
@@ -81,7 +103,7 @@ class Browser:
     language: str
     units: frozenset[tuple[str, int]] = frozenset()
     trace: str = ""
-    _pending: Diff | None = None
+    _waiting: list[Diff] = field(default_factory=list)
     _messages: deque[str] = field(default_factory=deque)
     _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
     _wake: asyncio.Event = field(default_factory=asyncio.Event)
@@ -92,17 +114,17 @@ class Browser:
         self._flow.most = min(FLOOD, max(1, FLOOD_OF_ALL // pages))
 
     def tell(self, diff: Diff) -> None:
-        """Newest wins: merged with what has not been sent."""
-        self._flow.came()
-        if self._pending is None:
-            self._pending = diff
+        """Newest wins: it goes together with what has not been sent."""
+        self._flow.came(len(diff.groups) or 1)
+        if len(self._waiting) >= MOST_WAITING:
+            self._waiting = [diff.after_all(self._waiting)]
         else:
-            self._pending = _merged(self._pending, diff)
+            self._waiting.append(diff)
         self._wake.set()
 
     def say(self, message: dict[str, Any]) -> None:
         """A message of its own, before any diff: snapshot. It makes what was pending worthless."""
-        self._pending = None
+        self._waiting.clear()
         self._messages.append(encode(message).decode())
         self._wake.set()
 
@@ -120,17 +142,19 @@ class Browser:
         self._wake.clear()
         texts = list(self._messages)
         self._messages.clear()
-        if self._pending is not None:
-            texts.append(self._pending.text)
-            self._pending = None
+        if self._waiting:
+            *earlier, newest = self._waiting
+            self._waiting.clear()
+            texts.append(newest.after_all(earlier).text)
         if self._frames:
             texts.append(encode({"is": "frames", "frames": list(self._frames)}).decode())
             self._frames.clear()
         return texts
 
 
-def _merged(older: Diff, newer: Diff) -> Diff:
-    groups = {group: dict(fields) for group, fields in older.groups.items()}
-    for group, fields in newer.groups.items():
-        groups.setdefault(group, {}).update(fields)
-    return Diff.of(older.before, newer.after, newer.at, groups)
+def _merged(diffs: Sequence[Diff]) -> Groups:
+    groups: Groups = {}
+    for diff in diffs:
+        for group, fields in diff.groups.items():
+            groups.setdefault(group, {}).update(fields)
+    return groups

@@ -206,7 +206,7 @@ class Hub:
         self._numbers[language] = before + 1
         readers = [browser for browser in self._browsers if browser.language == language]
         if readers:
-            diff = Diff.of(before, before + 1, self._clock(), groups)
+            diff = Diff(before, before + 1, self._clock(), groups)
             for browser in readers:
                 browser.tell(diff)
 

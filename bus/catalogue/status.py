@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 _AT_SPEED, _REMOTE = 7, 6
 _RUN, _ESTOP, _PRESET, _REVERSE, _UP, _DOWN, _FOLLOWER = range(7)
@@ -26,6 +27,7 @@ class StatusBits:
     follower: bool
 
 
+@lru_cache(maxsize=4096)
 def status_bits(outputs: int, inputs: int, estop_healthy: int = 1) -> StatusBits:
     """``outputs`` is ST2, ``inputs`` is ST1; ``estop_healthy`` is the dialect's level of a healthy chain."""
     one, two, three, four, five, six = (_bit(outputs, number - 1) for number in OUTPUT_NUMBERS)

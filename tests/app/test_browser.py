@@ -3,11 +3,11 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from app.live.browser import FLOOD, MOST_FRAMES, WINDOW_S, Browser, Diff, Flow
+from app.live.browser import FLOOD, FLOOD_OF_ALL, MOST_FRAMES, WINDOW_S, Browser, Diff, Flow
 
 
 def diff(n: int, **fields: str) -> Diff:
-    return Diff.of(n - 1, n, 100.0 + n, {"dry/1": fields} if fields else {})
+    return Diff(n - 1, n, 100.0 + n, {"dry/1": fields} if fields else {})
 
 
 async def told(browser: Browser) -> list[dict[str, Any]]:
@@ -38,6 +38,20 @@ async def test_a_merged_diff_leaves_the_shared_one_as_it_was() -> None:
     browser.tell(first)
     browser.tell(diff(2, actual="2"))
     assert first.groups == {"dry/1": {"actual": "1"}}
+
+
+async def test_all_who_missed_the_same_get_the_same_text() -> None:
+    one, other = Browser("anna", "operator", "en"), Browser("bernd", "viewer", "en")
+    for each in [diff(n, actual=str(n)) for n in range(1, 500)]:
+        one.tell(each)
+        other.tell(each)
+    assert (await one.next())[0] is (await other.next())[0]
+
+
+async def test_a_burst_of_many_units_is_a_flood_at_once() -> None:
+    browser = Browser("anna", "operator", "en")
+    browser.tell(Diff(0, 1, 100.0, {f"dry/{unit}": {"actual": "1"} for unit in range(FLOOD + 1)}))
+    assert 0 < browser._flow.pause_s() <= WINDOW_S
 
 
 async def test_a_snapshot_makes_what_was_pending_worthless() -> None:
@@ -88,8 +102,8 @@ def test_a_flood_is_told_once_in_a_window_until_it_is_over() -> None:
 def test_very_many_pages_share_what_the_server_can_send() -> None:
     browser = Browser("anna", "operator", "en")
     browser.share(20)
-    assert browser._flow.most == 100
+    assert browser._flow.most == FLOOD_OF_ALL // 20
     browser.share(200)
-    assert browser._flow.most == 10
+    assert browser._flow.most == FLOOD_OF_ALL // 200
     browser.share(1)
     assert browser._flow.most == FLOOD
