@@ -7,7 +7,6 @@ import io
 import json
 import re
 from collections.abc import AsyncIterator
-from datetime import UTC, datetime
 from typing import Annotated, Any, cast
 
 from fastapi import APIRouter, Depends, Query
@@ -18,6 +17,7 @@ from starlette.responses import StreamingResponse
 from app.audit.log import Event, EventLog
 from app.audit.store import Filter
 from app.web.access import Admin, Viewer
+from app.web.shape import iso
 
 router = APIRouter(prefix="/api/v1", tags=["events"])
 MOST = 1000
@@ -92,11 +92,6 @@ async def wanted_events(
 
 
 Wanted = Annotated[Filter, Depends(wanted_events)]
-
-
-def iso(at: float) -> str:
-    """An instant as the API writes it: UTC, milliseconds."""
-    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds")
 
 
 def shown(event: Event) -> dict[str, Any]:

@@ -10,8 +10,8 @@ from typing_extensions import TypedDict
 
 from app.errors import Problem
 from app.live.state import BusLive
-from app.live.view import iso
 from app.web.problems import respond
+from app.web.shape import iso
 from bus.contract import Direction, Frame, Outcome, Result, UnitOutcome
 from bus.errors import unit_error_name
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from decimal import Decimal
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import Field, StringConstraints, model_validator
+
+from app.web.shape import Strict
 
 TimeoutS = Annotated[float, Field(ge=0.05, le=30)]
 """How long a write may wait for the wire, seconds; after that it is dropped."""
@@ -13,19 +15,15 @@ UnitKey = Annotated[str, StringConstraints(pattern=r"^[1-9][0-9]{0,2}$")]
 TypedValue = str | int | float
 
 
-class Body(BaseModel):
+class Body(Strict):
     """Of any command."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     timeout_s: TimeoutS | None = None
     confirm: bool = False
 
 
-class Quantity(BaseModel):
+class Quantity(Strict):
     """A raw integer of the wire, or what a person would type, not both."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     raw: int | None = None
     value: TypedValue | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, cast
 
 from fastapi import APIRouter, Depends
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 from starlette.requests import HTTPConnection
 
 from app.commands.control import LAPSES_AFTER_S, Holding
@@ -13,18 +13,16 @@ from app.commands.limits import HIGHEST_SETPOINT, Limits
 from app.commands.safeguards import Safeguards
 from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
-from app.live.view import iso
 from app.web.access import Engineer, Operator, Viewer
+from app.web.shape import Strict, iso
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"])
 
 Setpoint = Annotated[int, Field(ge=0, le=HIGHEST_SETPOINT)]
 
 
-class LimitsBody(BaseModel):
+class LimitsBody(Strict):
     """All four in raw setpoint units; null or left out: no limit."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     lowest: Setpoint | None = None
     highest: Setpoint | None = None
@@ -38,18 +36,18 @@ class LimitsBody(BaseModel):
         return self
 
 
-class BlockBody(BaseModel):
+class BlockBody(Strict):
     """Why the unit must not be commanded."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, str_strip_whitespace=True)
+    model_config = ConfigDict(str_strip_whitespace=True)
 
     reason: Annotated[str, Field(min_length=1, max_length=200)]
 
 
-class HandOverBody(BaseModel):
+class HandOverBody(Strict):
     """Who shall hold control."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, str_strip_whitespace=True)
+    model_config = ConfigDict(str_strip_whitespace=True)
 
     to: Annotated[str, Field(min_length=1, max_length=60)]
 

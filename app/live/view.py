@@ -7,12 +7,12 @@ that was never read is null. ``…_raw`` are the integers of the wire.
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import UTC, datetime
 from typing import Any
 
 from app.live.age import scan_s_of, unit_link_now
 from app.live.fields import bits_of, mode_of
 from app.live.state import BusLive, LiveState, UnitLive, follower
+from app.web.shape import iso
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits
 from bus.catalogue.values import (
@@ -45,11 +45,6 @@ _NEVER_READ = dict.fromkeys(
         *("rpm", "analog_raw", "analog", "at_speed", "remote", "mode", "outputs", "inputs"),
     )
 )
-
-
-def iso(at: float) -> str:
-    """An instant as the API writes it: ISO 8601, UTC, milliseconds."""
-    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds")
 
 
 def line_json(site: str, live: LiveState, now: float, block: BlockReason, history: str) -> Json:

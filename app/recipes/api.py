@@ -5,35 +5,32 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from app.commands.answers import answer
 from app.errors import Problem
+from app.live.api import Live
 from app.live.lookup import bus_or_404
-from app.live.state import LiveState
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, setpoints_now
 from app.recipes.view import dry_run_json, loaded_json, recipe_json
 from app.web.access import Engineer, Operator, Viewer
+from app.web.shape import Strict
 
 router = APIRouter(prefix="/api/v1", tags=["recipes"])
 
 Raw = Annotated[int, Field(ge=0, le=99999)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class SaveRecipe(_Strict):
+class SaveRecipe(Strict):
     """``setpoints``: unit → raw; without any, the setpoints that the line has now."""
 
     name: Annotated[str, Field(min_length=1, max_length=80)]
     comment: Annotated[str, Field(max_length=1000)] = ""
-    setpoints: Annotated[dict[str, Raw], Field(max_length=255)] = {}
+    setpoints: Annotated[dict[str, Raw], Field(max_length=255, default_factory=dict)]
 
 
-class LoadRecipe(_Strict):
+class LoadRecipe(Strict):
     """``confirm``: steps that an engineer wants reviewed have been reviewed."""
 
     confirm: bool = False
@@ -45,14 +42,7 @@ def book_of(request: Request) -> RecipeBook:
     return book
 
 
-def live_of(request: Request) -> LiveState:
-    """The present state."""
-    live: LiveState = request.app.state.services.live
-    return live
-
-
 Book = Annotated[RecipeBook, Depends(book_of)]
-Live = Annotated[LiveState, Depends(live_of)]
 
 
 @router.get("/recipes")

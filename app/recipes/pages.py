@@ -8,9 +8,10 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 
 from app.errors import Problem
+from app.live.api import Live
 from app.live.lookup import bus_or_404
 from app.live.state import BusLive
-from app.recipes.api import Book, Live, recipe_or_404
+from app.recipes.api import Book, recipe_or_404
 from app.recipes.rules import Setpoint, present_raw, setpoint_kind, setpoint_text
 from app.web.access import Engineer, Operator, Viewer
 from app.web.templating import render

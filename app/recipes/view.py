@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from typing import Any
 
 from app.live.state import BusLive
 from app.recipes.rules import Departure, DryRun, Recipe, setpoint_text
 from app.recipes.store import Loaded
+from app.web.shape import iso
 
 
 def recipe_json(recipe: Recipe, bus: BusLive | None) -> dict[str, Any]:
@@ -19,7 +19,7 @@ def recipe_json(recipe: Recipe, bus: BusLive | None) -> dict[str, Any]:
         "version": recipe.version,
         "comment": recipe.comment,
         "who": recipe.who,
-        "saved_at": _iso(recipe.saved_at),
+        "saved_at": iso(recipe.saved_at),
         "setpoints": {
             str(setpoint.unit): {
                 "raw": setpoint.raw,
@@ -61,12 +61,8 @@ def loaded_json(loaded: Loaded, departed: list[Departure]) -> dict[str, Any]:
         "name": loaded.recipe.name,
         "version": loaded.recipe.version,
         "who": loaded.who,
-        "loaded_at": _iso(loaded.at),
+        "loaded_at": iso(loaded.at),
         "departed": [
             {"id": one.unit, "name": one.name, "recipe": one.recipe, "now": one.now} for one in departed
         ],
     }
-
-
-def _iso(at: float) -> str:
-    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds")

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from app.audit.api import Events
 from app.audit.log import EventLog
 from app.errors import Problem
+from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
-from app.live.state import LiveState
 from app.sets.compare import compare
 from app.sets.document import write_document
 from app.sets.keeper import SetKeeper
@@ -26,41 +27,38 @@ from app.sets.reading import ParameterReader
 from app.sets.restore import RestoreDesk
 from app.sets.view import compared_json, restore_json, set_json, summary_json
 from app.web.access import Engineer, Person, Role, Viewer
+from app.web.shape import Strict
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"])
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class TakeSet(_Strict):
+class TakeSet(Strict):
     """Which units to read now (all of the bus when empty)."""
 
-    units: list[int] = []
+    units: Annotated[list[int], Field(default_factory=list)]
     name: Annotated[str, Field(max_length=80)] = ""
     comment: Annotated[str, Field(max_length=1000)] = ""
 
 
-class GoldenMark(_Strict):
+class GoldenMark(Strict):
     """The unit whose golden set this becomes."""
 
     unit: int
 
 
-class Schedule(_Strict):
+class Schedule(Strict):
     """Minute of the local day at which all units of the bus are read; null ends it."""
 
     minute_of_day: Annotated[int, Field(ge=0, le=1439)] | None
 
 
-class PlanRestore(_Strict):
+class PlanRestore(Strict):
     """What a unit shall become: a stored set, or a TOML document with one unit (or with this one)."""
 
     set: int | None = None
     document: str | None = None
     from_unit: int | None = None
-    ticked: list[int] = []
+    ticked: Annotated[list[int], Field(default_factory=list)]
 
 
 def keeper_of(request: Request) -> SetKeeper:
@@ -81,23 +79,9 @@ def reader_of(request: Request) -> ParameterReader:
     return reader
 
 
-def live_of(request: Request) -> LiveState:
-    """The present state."""
-    live: LiveState = request.app.state.services.live
-    return live
-
-
-def events_of(request: Request) -> EventLog:
-    """The event log."""
-    events: EventLog = request.app.state.services.events
-    return events
-
-
 Keeper = Annotated[SetKeeper, Depends(keeper_of)]
 Restores = Annotated[RestoreDesk, Depends(restores_of)]
 Reader = Annotated[ParameterReader, Depends(reader_of)]
-Live = Annotated[LiveState, Depends(live_of)]
-Events = Annotated[EventLog, Depends(events_of)]
 
 
 @router.get("/sets")

@@ -9,8 +9,8 @@ from fastapi import APIRouter, Depends, Request, Response
 from app.commands.api import desk_of
 from app.commands.desk import Desk
 from app.errors import Problem
+from app.live.api import Live
 from app.live.lookup import bus_or_404
-from app.sets.api import Live
 from app.sets.batch import rows_of_batch, write_batch
 from app.web.access import Engineer
 from app.web.templating import render

@@ -7,10 +7,11 @@ import tomllib
 from datetime import UTC, datetime
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from app.sets.compare import with_unit
 from app.sets.model import ParameterSet, Row, UnitRows
+from app.web.shape import Strict
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
 
@@ -22,11 +23,7 @@ class DocumentError(CallerError):
     """The file is not a parameter set that can be used; nothing was written to any unit."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class _Parameter(_Strict):
+class _Parameter(Strict):
     name: str = ""
     raw: int | None = None
     value: str = ""
@@ -34,14 +31,14 @@ class _Parameter(_Strict):
     masked: bool = False
 
 
-class _Unit(_Strict):
+class _Unit(Strict):
     id: Annotated[int, Field(ge=1, le=255)]
     name: str = ""
     read_at: datetime | None = None
     parameters: dict[str, _Parameter]
 
 
-class _Document(_Strict):
+class _Document(Strict):
     format: Literal["lineside parameter set"]
     version: int
     bus: str = ""

@@ -6,15 +6,17 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Form, Request, Response, UploadFile
 
+from app.audit.api import Events
 from app.errors import Problem
+from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
-from app.sets.api import Events, Keeper, Live, Restores
+from app.sets.api import Keeper, Restores
 from app.sets.changers import who_changed
 from app.sets.compare import compare
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import document_rows, plan, restore_or_404, set_or_404, unit_rows_or_404
 from app.sets.model import UnitRows
-from app.sets.sides import side
+from app.sets.sides import choices, side
 from app.sets.taking import Taking, Takings
 from app.sets.view import compared_json, restore_json, set_json
 from app.web.access import Engineer, Viewer
@@ -98,14 +100,15 @@ async def compare_page(
     _: Viewer,
     keeper: Keeper,
     live: Live,
-    left: str,
-    right: str,
+    left: str = "",
+    right: str = "",
     tolerance: int = 0,
     everything: bool = False,
 ) -> Response:
-    """Two sides row by row; equal rows only when asked for."""
-    one, other = await side(left, keeper, live), await side(right, keeper, live)
-    rows = compare(one.rows, other.rows, max(0, tolerance))
+    """Two sides row by row, equal rows only when asked for; and the choice of both sides."""
+    one = await side(left, keeper, live) if left else None
+    other = await side(right, keeper, live) if right else None
+    rows = compare(one.rows, other.rows, max(0, tolerance)) if one and other else []
     return render(
         request,
         "sets/compare.html",
@@ -113,6 +116,7 @@ async def compare_page(
         right=right,
         one=one,
         other=other,
+        choices=choices(live, await keeper.store.summaries()),
         tolerance=tolerance,
         everything=everything,
         equal=sum(row.kind == "equal" for row in rows),

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from typing import Any
 
 from app.sets.compare import Compared, meaning, with_unit
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore_record import Restore, RowResult
 from app.sets.store import SetSummary
+from app.web.shape import iso
 from bus.catalogue.parameters import PARAMETERS
 
 
 def summary_json(summary: SetSummary) -> dict[str, Any]:
     """One line of the list."""
     return {
-        "id": summary.id,
-        "bus": summary.bus,
-        "name": summary.name,
-        "comment": summary.comment,
-        "taken_at": iso(summary.taken_at),
-        "who": summary.who,
-        "origin": summary.origin,
+        **_head(summary),
         "units": list(summary.units),
         "golden_for": list(summary.golden_for),
     }
@@ -30,15 +24,21 @@ def summary_json(summary: SetSummary) -> dict[str, Any]:
 def set_json(stored: ParameterSet) -> dict[str, Any]:
     """A whole set; secrets masked."""
     return {
-        "id": stored.id,
-        "bus": stored.bus,
-        "name": stored.name,
-        "comment": stored.comment,
-        "taken_at": iso(stored.taken_at),
-        "who": stored.who,
-        "origin": stored.origin,
+        **_head(stored),
         "golden_for": sorted(stored.golden_for),
         "units": [_unit_json(rows) for rows in stored.units],
+    }
+
+
+def _head(of: SetSummary | ParameterSet) -> dict[str, Any]:
+    return {
+        "id": of.id,
+        "bus": of.bus,
+        "name": of.name,
+        "comment": of.comment,
+        "taken_at": iso(of.taken_at),
+        "who": of.who,
+        "origin": of.origin,
     }
 
 
@@ -54,7 +54,7 @@ def _unit_json(rows: UnitRows) -> dict[str, Any]:
                 "raw": None if parameter.secret else row.raw,
                 "value": None if shown or row.raw is None else with_unit(parameter, row.raw, rows),
                 "available": row.available,
-                "read_at": iso(row.read_at),
+                "read_at": None if row.read_at is None else iso(row.read_at),
                 "frame": None if parameter.secret else row.frame.hex(" "),
             }
         )
@@ -105,7 +105,7 @@ def _row_json(restore: Restore, row: RowResult) -> dict[str, Any]:
     parameter = PARAMETERS[row.write.number]
     present = _shown(restore.before, row.write.number, row.write.present)
     wanted = _shown(restore.wanted, row.write.number, row.write.wanted)
-    words = "" if parameter.secret else meaning(parameter.number)
+    words = meaning(parameter.number)
     return {
         "number": parameter.number,
         "name": parameter.name,
@@ -124,8 +124,3 @@ def _row_json(restore: Restore, row: RowResult) -> dict[str, Any]:
 def _shown(rows: UnitRows, number: int, raw: int) -> str:
     parameter = PARAMETERS[number]
     return "secret" if parameter.secret else with_unit(parameter, raw, rows)
-
-
-def iso(at: float | None) -> str | None:
-    """ISO 8601 in UTC."""
-    return None if at is None else datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds")
