@@ -9,8 +9,9 @@ from fastapi import APIRouter, Depends, Form, Request, Response
 from app.commands.api import desk_of
 from app.commands.desk import Desk
 from app.errors import Problem
+from app.live.api import Live
 from app.live.lookup import unit_or_404
-from app.sets.api import Keeper, Live, Restores
+from app.sets.api import Keeper, Restores
 from app.sets.lookup import plan, set_or_404, unit_rows_or_404
 from app.swap.desk import SwapDesk, latest, step_text
 from app.swap.looking import look
