@@ -14,6 +14,7 @@ from app.cli.dashboard import Dashboard, DashboardError, dashboard
 from app.cli.ending import ending
 from app.sets.document import write_document
 from app.sets.model import ParameterSet, UnitRows
+from bus.errors import CallerError
 
 AT_ONCE = 4
 """Reads of several units take turns on the wire, which saves the fence between two reads of one."""
@@ -39,13 +40,22 @@ def backup(
 ) -> None:
     """Read all parameters from the units and write them to a file (#21 is masked)."""
     with ending(), dashboard(url, token) as there:
+        if not out.parent.is_dir():
+            raise CallerError(f"there is no folder {out.parent} for {out.name}; nothing was read")
         wanted = [unit] if unit is not None else list(there.units(bus))
         read, missing = _read(there, bus, wanted)
         if read:
-            out.write_text(write_document(_set(bus, read, missing)), encoding="utf-8")
+            _write(out, write_document(_set(bus, read, missing)))
         _tell(out, read, missing, as_json)
         if missing:
             raise typer.Exit(1)
+
+
+def _write(out: Path, text: str) -> None:
+    """All of it or nothing: what is broken off leaves the file of the day before."""
+    fresh = out.with_name(f".{out.name}.new")
+    fresh.write_text(text, encoding="utf-8")
+    fresh.replace(out)
 
 
 def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows], dict[int, str]]:

@@ -43,15 +43,20 @@ class Dashboard:
             )
         return {unit["id"]: unit["name"] for unit in buses[bus]["units"]}
 
-    def read_unit(self, bus: str, unit: int, *, gaps: bool = False) -> UnitRows:
-        """All parameters of a unit, read from it now; with ``gaps`` only in the gaps of the scan."""
+    def check_unit(self, bus: str, unit: int) -> str:
+        """Its name; raises CallerError for a unit that is not configured."""
         units = self.units(bus)
         if unit not in units:
             known = ", ".join(str(number) for number in units)
             raise CallerError(f"bus {bus!r} has no unit {unit}; it has {known or 'none'}")
+        return units[unit]
+
+    def read_unit(self, bus: str, unit: int, *, gaps: bool = False) -> UnitRows:
+        """All parameters of a unit, read from it now; with ``gaps`` only in the gaps of the scan."""
+        name = self.check_unit(bus, unit)
         query = {"refresh": "true", "gaps": str(gaps).lower()}
         rows = [_row(given) for given in self.get(f"/buses/{bus}/units/{unit}/parameters", **query)]
-        return UnitRows(unit, units[unit], {row.number: row for row in rows})
+        return UnitRows(unit, name, {row.number: row for row in rows})
 
     def _answer(self, method: str, path: str, **request: Any) -> Any:
         try:
@@ -62,7 +67,7 @@ class Dashboard:
             ) from error
         if response.is_success:
             return response.json()
-        raise DashboardError(f"{method} {path}: {_problem_text(response)}")
+        raise DashboardError(_problem_text(response))
 
 
 @contextmanager
@@ -87,5 +92,6 @@ def _problem_text(response: httpx.Response) -> str:
     try:
         problem = response.json()
     except ValueError:
-        return f"status {response.status_code}"
-    return str(problem.get("detail") or problem.get("title") or f"status {response.status_code}")
+        problem = {}
+    asked = f"{response.request.method} {response.request.url.path}"
+    return str(problem.get("detail") or f"{asked} ended with status {response.status_code}")

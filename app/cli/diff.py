@@ -49,8 +49,10 @@ def load(path: Path) -> ParameterSet:
     """A parameter set from a file; raises CallerError (DocumentError) in words."""
     try:
         return read_document(path.read_text(encoding="utf-8"), str(path))
-    except (OSError, UnicodeDecodeError) as error:
-        raise CallerError(f"{path} cannot be read: {error}") from error
+    except OSError as error:
+        raise CallerError(f"{path} cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise CallerError(f"{path} is no text: {error.reason} at byte {error.start}") from error
 
 
 def rows_for(parameter_set: ParameterSet, unit: int, path: Path) -> UnitRows:

@@ -52,6 +52,7 @@ def restore(
 def _plan(there: Dashboard, bus: str, unit: int, file: Path, ticked: list[int]) -> Any:
     held = load(file)
     rows = rows_for(held, unit, file)
+    there.check_unit(bus, unit)
     document = write_document(
         ParameterSet(held.bus, held.taken_at, held.who, "from a file", (rows,)), with_secrets=True
     )

@@ -31,6 +31,7 @@ _MEANINGS: dict[int, str] = {
     38: "follows at {new} at least instead of {old}",
 }
 _ANY_MEANING = "{new} instead of {old}"
+_SECRET_MEANING = "it differs; a secret is not shown"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +89,8 @@ def _words(number: int, kind: Kind) -> str:
 
 def meaning(number: int) -> str:
     """What it means that a parameter differs: a template for the texts ``old`` and ``new``."""
+    if PARAMETERS[number].secret:
+        return _SECRET_MEANING
     return _MEANINGS.get(number, _ANY_MEANING)
 
 

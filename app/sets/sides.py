@@ -6,6 +6,7 @@ said when it was last read.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from app.errors import Problem
@@ -15,6 +16,7 @@ from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.model import UnitRows
 from app.sets.reading import known_rows
+from app.sets.store import SetSummary
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +27,36 @@ class Side:
     of: str
     unit: int
     rows: UnitRows
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A side that can be chosen: ``text`` as an address names it, ``unit`` and ``name`` of its section,
+    ``taken_at`` and ``title`` of a stored set (None: the live unit)."""
+
+    text: str
+    bus: str
+    unit: int
+    name: str
+    taken_at: float | None = None
+    title: str = ""
+    golden: bool = False
+
+
+def choices(live: LiveState, sets: Sequence[SetSummary]) -> list[Choice]:
+    """Every unit as last read, then every unit of every stored set, newest first."""
+    found = [
+        Choice(f"live:{bus}:{number}", bus, number, unit.settings.name)
+        for bus, line in live.buses.items()
+        for number, unit in line.units.items()
+    ]
+    return found + [_stored(live, one, unit) for one in sets for unit in one.units]
+
+
+def _stored(live: LiveState, one: SetSummary, unit: int) -> Choice:
+    known = live.buses[one.bus].units.get(unit) if one.bus in live.buses else None
+    name = "" if known is None else known.settings.name
+    return Choice(f"set:{one.id}:{unit}", one.bus, unit, name, one.taken_at, one.name, unit in one.golden_for)
 
 
 async def side(text: str, keeper: SetKeeper, live: LiveState) -> Side:
