@@ -146,6 +146,7 @@ class _Change:
         if not lost:
             message = f"{why}: every unit is back at {self._old} baud, as before"
         else:
+            outcome = "unverified"
             message = (
                 f"{why}; every other unit is back at {self._old} baud. At the panel of unit {_names(lost)}: "
                 f"set #18 to {self._old // HUNDREDS}, then switch it off and on"

@@ -1,0 +1,100 @@
+"""``rfc2217://``: units behind a device server whose baud rate is set from here."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+
+import pytest
+
+from bus.contract import Reading, SetSpeed
+from bus.errors import WireError
+from bus.line.port import PortUnavailable
+from bus.line.transport import open_port
+from bus.settings import BusSettings, Dialect, UnitSettings
+from bus.simulator.demo import demo_line
+from bus.simulator.line import SimulatedLine
+from bus.simulator.ports import PtyPort
+from bus.simulator.serve import LineServer
+from bus.wire.commands import SetAndExecuteSpeed, encode_request
+from bus.worker.service import run_worker
+from tests.bus.fake_app import TOKEN, FakeApp
+from tests.bus.rfc2217_server import DeviceServer
+from tests.bus.test_transport import POLL, Ear, on_both_loops
+
+pytest.importorskip("serialx", reason="the extra 'rfc2217' is not installed")
+
+ESCAPED = encode_request(SetAndExecuteSpeed(1, 0xFF), Dialect())
+"""FFh means something to Telnet, so it goes doubled between the host and the device server."""
+
+
+@pytest.fixture
+def server() -> Iterator[DeviceServer]:
+    line = SimulatedLine(demo_line(2, script=False).plant, speedup=20)
+    with LineServer(line, PtyPort(follow_speed=False)) as simulated, DeviceServer(simulated.port.name) as box:
+        yield box
+
+
+@on_both_loops
+async def test_bytes_go_and_come_whatever_they_are(server: DeviceServer) -> None:
+    ear = Ear()
+    port = await open_port(server.url, 4800, ear)
+    port.write(POLL)
+    await ear.until(18)
+    assert server.bauds[-1] == 4800
+    port.write(ESCAPED)
+    await ear.until(18 + 7)
+    ear.data.clear()
+    port.write(POLL)
+    await ear.until(18)
+    assert bytes(ear.data[4:8]) == b"\0\0\0\xff"
+    port.check()
+    port.drop_output()
+    port.close()
+    await asyncio.sleep(0.01)
+    assert not ear.lost
+
+
+@on_both_loops
+async def test_a_server_that_hangs_up_is_told_once_and_found_again(server: DeviceServer) -> None:
+    ear = Ear()
+    port = await open_port(server.url, 9600, ear)
+    port.write(POLL)
+    await ear.until(18)
+    server.hang_up()
+    await ear.until(lost=True)
+    assert len(ear.lost) == 1
+    assert server.url in ear.lost[0]
+    with pytest.raises(WireError):
+        port.check()
+    port.close()
+    again = Ear()
+    port = await open_port(server.url, 9600, again)
+    port.write(POLL)
+    await again.until(18)
+    port.close()
+    await asyncio.sleep(0.01)
+
+
+@on_both_loops
+async def test_nobody_there_is_said_in_words() -> None:
+    with pytest.raises(PortUnavailable, match=r"rfc2217://127\.0\.0\.1:1 (refuses|cannot be)"):
+        await open_port("rfc2217://127.0.0.1:1", 9600, Ear())
+
+
+async def test_a_worker_reads_and_writes_through_it(server: DeviceServer) -> None:
+    units = (UnitSettings(id=1, name="A"), UnitSettings(id=2, name="B"))
+    bus = BusSettings(name="b", port=server.url, unit=units)
+    leave = asyncio.Event()
+    async with FakeApp() as app:
+        working = asyncio.create_task(run_worker(bus, app.url, TOKEN, leave=leave))
+        await app.until(lambda: app.readings(1) and app.readings(2))
+        fate = await app.ask(SetSpeed(2, 255))
+        assert (fate.outcome, fate.read_back) == ("verified", 255)
+        server.hang_up()
+        seen = len([update for update in app.updates() if isinstance(update, Reading)])
+        await app.until(
+            lambda: len([update for update in app.updates() if isinstance(update, Reading)]) > seen + 20
+        )
+        leave.set()
+        await working
