@@ -10,6 +10,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.history import display
+from app.history.first import first_address
+from app.history.runs import micros
 from app.history.service import History
 from app.history.spans import HistoryOf
 from app.history.status import sentence
@@ -25,8 +27,14 @@ async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
     """Any values of any units over any span; the browser draws what its address names."""
     templates = templates_of(request)
     language = templates.language_of(request)
-    memory = sentence(history.status, language.t, templates.formats(language.tag), time.time())
-    return render(request, "trends/page.html", catalogue=_catalogue(history), values=VALUES, memory=memory)
+    return render(
+        request,
+        "trends/page.html",
+        catalogue=_catalogue(history),
+        values=VALUES,
+        memory=sentence(history.status, language.t, templates.formats(language.tag), time.time()),
+        first=first_address(history, request.query_params, micros(time.time())),
+    )
 
 
 def _catalogue(history: History) -> list[dict[str, Any]]:
