@@ -128,12 +128,13 @@ async def _move_control(desk: Desktop, person: Person, bus: str, do: str, to: st
 
 
 def _control_part(desk: Desktop, person: Person, bus: str, fault: str = "") -> Response:
-    context = _control(desk, person, bus)
-    return desk.render("bus/_control.html", bus=desk.bus(bus), fault=fault, **context)
+    context = _control(desk, person, bus) | {"fault": fault}
+    return desk.render("bus/_control.html", bus=desk.bus(bus), **context)
 
 
 def _control(desk: Desktop, person: Person, bus: str) -> dict[str, Any]:
     return {
+        "fault": "",
         "holding": desk.guards.holding(bus),
         "others": _others(desk, person, bus),
         "lapses_min": round(LAPSES_AFTER_S / 60),

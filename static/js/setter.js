@@ -82,9 +82,9 @@ export function start() {
       press(document.getElementById(button.closest("[data-pad-for]").dataset.padFor), button.dataset.pad);
     else if (button.dataset.togetherDo) together(button.closest("form"), button.dataset.togetherDo);
     else {
-      const input =
-        button.closest("form")?.querySelector("input:not([type=hidden])") ??
-        document.getElementById("setpoint");
+      const input = (button.closest("form, td") ?? document).querySelector(
+        "input:not([type=hidden], [type=checkbox])",
+      );
       input.value = button.dataset.use;
       input.dispatchEvent(new Event("input", { bubbles: true }));
       input.focus();

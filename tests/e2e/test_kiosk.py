@@ -129,9 +129,9 @@ def test_the_whole_screen_is_taken_and_given_back(panel: Callable[..., Page]) ->
     page = panel("wall", "/")
     button = page.locator("[data-full-screen]")
     button.tap()
-    page.wait_for_function("document.fullscreenElement !== null")
+    eventually(lambda: page.evaluate("document.fullscreenElement !== null"), "the whole screen")
     button.tap()
-    page.wait_for_function("document.fullscreenElement === null")
+    eventually(lambda: page.evaluate("document.fullscreenElement === null"), "the window again")
 
 
 def test_the_first_touch_after_dark_only_wakes(site: Site, panel: Callable[..., Page]) -> None:

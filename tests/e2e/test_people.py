@@ -1,0 +1,440 @@
+"""Many people at one line: who holds control; what keeps a unit from being set, on every path and page."""
+
+from __future__ import annotations
+
+import re
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import Site, eventually
+from tests.e2e.site import site as one_site
+
+PANEL = {"width": 1280, "height": 800}
+LIVE = "body[data-link=live]"
+WRITES = (0x82, 0x83, 0x84, 0x86, 0x87, 0x88)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """Three units, of which one person at a time holds control."""
+    options = ("--no-script", "--speedup", "10")
+    toml = "[site]\ncontrol = true\n"
+    with one_site(tmp_path_factory.mktemp("people"), 3, line_options=options, toml=toml) as made:
+        yield made
+
+
+@pytest.fixture
+def holder(site: Site) -> Iterator[httpx.Client]:
+    """A program of an admin that holds control; it may ask the pages too."""
+    with httpx.Client(
+        base_url=site.url,
+        headers={"Authorization": f"Bearer {site.tokens['admin']}"},
+        timeout=30,
+        trust_env=False,
+    ) as client:
+        assert (
+            client.post("/api/v1/buses/line/control/hand-over", json={"to": "admin-program"}).status_code
+            == 200
+        )
+        yield client
+        client.request("DELETE", "/api/v1/buses/line/control")
+
+
+@pytest.fixture(scope="module")
+def pages(site: Site) -> list[str]:
+    """Every page there is, with something on it."""
+    with site.api("admin") as client:
+        client.post("/buses/line/control")
+        stored = client.post("/buses/line/sets", json={"name": "as it was", "comment": ""}).json()
+        recipe = client.post(
+            "/buses/line/recipes", json={"name": "Board", "setpoints": {"1": 700, "2": 710}}
+        ).json()
+        planned = client.post("/buses/line/units/3/restores", json={"set": stored["id"], "from_unit": 1})
+        assert planned.status_code == 201, planned.text
+        client.delete("/buses/line/control")
+    return [
+        *("/", "/?view=rows", "/?view=board", "/setpoints", "/trends", "/events", "/bus/line"),
+        *("/units/line/1", "/units/line/1/parameters", "/units/line/1/restore", "/swap/line/1"),
+        *("/sets", f"/sets/{stored['id']}", "/batch/line", f"/restores/{planned.json()['id']}"),
+        *("/recipes", f"/recipes/{recipe['id']}", "/users", "/account"),
+    ]
+
+
+def heard(site: Site) -> list[str]:
+    """Every request that writes, as the units heard it."""
+    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["heard"])
+    return [entry["hex"] for entry in entries if bytes.fromhex(entry["hex"])[1] in WRITES]
+
+
+def setpoint(site: Site, unit: int) -> int:
+    found: int = site.line.remote.do("state", unit=unit)["setpoint"]
+    return found
+
+
+def opened(page: Page, path: str) -> Page:
+    page.goto(path)
+    expect(page.locator(LIVE)).to_be_attached()
+    return page
+
+
+# --- control --------------------------------------------------------------------------------------
+
+
+def test_control_is_taken_seen_handed_over_and_given_back(site: Site, browser_page: OpensPages) -> None:
+    anna = opened(browser_page("operator", viewport=PANEL), "/bus/line")
+    ben = opened(browser_page("engineer", viewport=PANEL), "/bus/line")
+    looks = opened(browser_page("viewer", viewport=PANEL), "/units/line/1")
+    expect(anna.locator("[data-people]")).to_contain_text("engineer · engineer")
+    expect(looks.locator("[data-live='people.count']")).to_have_text("3")
+
+    anna.get_by_role("button", name="Take control").click()
+    expect(anna.get_by_role("button", name="Give control back")).to_be_focused()
+    expect(ben.locator("[data-control]")).to_contain_text("operator holds control since")
+    expect(ben.get_by_role("button", name="Take control")).to_have_count(0)
+    expect(looks.locator("[data-live='line.holder']")).to_have_text("operator")
+
+    anna.get_by_label("Hand over to").select_option("engineer")
+    anna.get_by_role("button", name="Hand over").click()
+    expect(ben.locator("[data-control]")).to_contain_text("You hold control since")
+    expect(anna.get_by_role("button", name="Give control back")).to_have_count(0)
+    with site.api("operator") as client:
+        assert client.post("/buses/line/control").status_code == 409
+
+    ben.get_by_role("button", name="Give control back").click()
+    expect(anna.get_by_role("button", name="Take control")).to_be_visible()
+    expect(looks.locator("[data-live='line.holder']")).to_have_text("\u2013")
+
+
+@pytest.mark.usefixtures("holder")
+def test_who_does_not_hold_control_sets_nothing(site: Site, browser_page: OpensPages) -> None:
+    before = heard(site)
+    page = opened(browser_page("operator", viewport=PANEL), "/units/line/1")
+    expect(page.locator(".plate__set")).to_contain_text("admin-program")
+    page.locator("#setpoint").fill("55.0")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("#setpoint-error")).to_contain_text("admin-program holds control")
+    page.locator(".nudges button").nth(2).click()
+    expect(page.locator("#setpoint-error")).to_contain_text("admin-program holds control")
+    page.get_by_role("button", name="Set line to zero").click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=bad]")).to_contain_text("0 of 3 units took speed 0")
+    with site.api("operator") as client:
+        answer = client.post("/buses/line/units/1/speed", json={"raw": 550})
+    assert (answer.status_code, answer.json()["code"]) == (409, "controlled")
+    assert heard(site) == before
+
+
+@pytest.mark.usefixtures("holder")
+def test_refusals_are_said_in_the_language_of_the_page(browser_page: OpensPages) -> None:
+    page = opened(browser_page("operator", viewport=PANEL, locale="de-DE"), "/units/line/1")
+    page.locator("#setpoint").fill("55,0")
+    page.get_by_role("button", name="Jetzt stellen").click()
+    expect(page.locator("#setpoint-error")).to_contain_text("admin-program hat die Bedienung")
+    opened(page, "/bus/line")
+    expect(page.locator("[data-people]")).to_contain_text("operator · Bediener")
+
+
+# --- limits and blocks ----------------------------------------------------------------------------
+
+STATUS = {"load": 409, "write": 200}
+"""A recipe says why it cannot be loaded; a batch has a fate for each row."""
+SENDS: list[tuple[str, str, dict[str, Any]]] = [
+    ("POST", "/api/v1/buses/line/units/1/speed", {"json": {"raw": 900, "confirm": True}}),
+    ("POST", "/api/v1/buses/line/units/1/speed", {"json": {"raw": 900, "execute": False, "confirm": True}}),
+    ("POST", "/api/v1/buses/line/speeds", {"json": {"setpoints": {"1": {"raw": 900}}, "confirm": True}}),
+    ("PUT", "/api/v1/buses/line/units/1/parameters/20", {"json": {"raw": 900, "confirm": True}}),
+    ("POST", "/units/line/1/review", {"data": {"value": "90.0"}}),
+    ("POST", "/units/line/1/speed", {"data": {"raw": "900", "how": "now", "id": "a" * 32}}),
+    ("POST", "/units/line/1/nudge", {"data": {"step": "300", "id": "b" * 32}}),
+    ("POST", "/setpoints/review", {"data": {"bus": "line", "new-1": "90.0"}}),
+    ("POST", "/setpoints", {"data": {"bus": "line", "raw-1": "900", "id": "c" * 32}}),
+    ("POST", "/batch/line/write", {"data": {"number": "20", "unit-1": "90.0"}}),
+]
+ALSO_BLOCKED: list[tuple[str, str, dict[str, Any]]] = [
+    ("POST", "/api/v1/buses/line/units/1/execute", {}),
+    ("PUT", "/api/v1/buses/line/units/1/outputs/1", {"json": {"on": True}}),
+    ("PUT", "/api/v1/buses/line/units/1/analog-output", {"json": {"raw": 0}}),
+    ("PUT", "/api/v1/buses/line/units/1/parameters/6", {"json": {"raw": 55}}),
+    ("POST", "/units/line/1/parameters/6", {"data": {"raw": "55", "id": "d" * 32}}),
+    ("POST", "/batch/line/write", {"data": {"number": "6", "unit-1": "5.5"}}),
+]
+
+
+def press(client: httpx.Client, site: Site, method: str, path: str, asked: dict[str, Any]) -> httpx.Response:
+    """As a page or a program sends it, with what a review would have put into the form."""
+    form = dict(asked.get("data", {}))
+    if form:
+        present = str(setpoint(site, 1))
+        form = {"was": present, "was-1": present, "reviewed_at": "9999999999", **form}
+        asked = {"data": form, "headers": {"HX-Request": "true", "Accept": "text/html"}}
+    return client.request(method, path, **asked)
+
+
+@pytest.fixture
+def staged_and_saved(site: Site, holder: httpx.Client) -> Iterator[int]:
+    """A recipe that wants 90.0 of unit 1, which stands at 60.0."""
+    api = "/api/v1/buses/line"
+    assert holder.post(f"{api}/units/1/speed", json={"raw": 600}).status_code == 200
+    eventually(lambda: site.unit(1)["commanded_raw"] == 600, "unit 1 at 60.0")
+    recipe = holder.post(f"{api}/recipes", json={"name": "Fast", "setpoints": {"1": 900, "2": 610}}).json()
+    yield int(recipe["id"])
+    holder.put(f"{api}/units/1/limits", json={})
+    holder.request("DELETE", f"{api}/units/1/block")
+
+
+@pytest.mark.parametrize(
+    "limits", [{"highest": 800}, {"lowest": 950}, {"per_minute": 100}], ids=["highest", "lowest", "rate"]
+)
+def test_a_limit_holds_on_every_path(
+    site: Site, holder: httpx.Client, staged_and_saved: int, limits: dict[str, int]
+) -> None:
+    assert holder.put("/api/v1/buses/line/units/1/limits", json=limits).status_code == 200
+    before = heard(site)
+    load: tuple[str, str, dict[str, Any]] = (
+        "POST",
+        f"/api/v1/recipes/{staged_and_saved}/load",
+        {"json": {"confirm": True}},
+    )
+    for method, path, asked in [*SENDS, load]:
+        answer = press(holder, site, method, path, asked)
+        assert answer.status_code == STATUS.get(path.rpartition("/")[2], 422), (path, answer.text)
+        assert heard(site) == before, path
+    assert setpoint(site, 1) == 600
+
+
+def test_a_large_step_wants_a_review_on_every_path(
+    site: Site, holder: httpx.Client, staged_and_saved: int
+) -> None:
+    assert holder.put("/api/v1/buses/line/units/1/limits", json={"largest_step": 50}).status_code == 200
+    before = heard(site)
+    for path, body in (
+        ("/api/v1/buses/line/units/1/speed", {"raw": 900}),
+        ("/api/v1/buses/line/speeds", {"setpoints": {"1": {"raw": 900}}}),
+        (f"/api/v1/recipes/{staged_and_saved}/load", {}),
+    ):
+        answer = holder.post(path, json=body)
+        assert (answer.status_code, answer.json()["code"]) == (409, "confirm_needed"), path
+    nudged = press(holder, site, "POST", "/units/line/1/nudge", {"data": {"step": "51", "id": "e" * 32}})
+    assert "data-review-act" in nudged.text
+    assert heard(site) == before
+    assert press(
+        holder, site, "POST", "/units/line/1/nudge", {"data": {"step": "50", "id": "f" * 32}}
+    ).is_success
+    assert setpoint(site, 1) == 650
+
+
+def test_a_block_holds_on_every_path(site: Site, holder: httpx.Client, staged_and_saved: int) -> None:
+    api = "/api/v1/buses/line"
+    assert holder.post(f"{api}/units/1/speed", json={"raw": 640, "execute": False}).status_code == 200
+    other = {"set": _a_set(holder), "from_unit": 2}
+    planned = holder.post(f"{api}/units/1/restores", json=other).json()
+    assert holder.post(f"{api}/units/1/block", json={"reason": "belt off since 14:20"}).status_code == 200
+    before = heard(site)
+    more: list[tuple[str, str, dict[str, Any]]] = [
+        ("POST", f"/api/v1/recipes/{staged_and_saved}/load", {"json": {"confirm": True}}),
+        ("POST", f"{api}/execute", {}),
+        ("POST", "/line/zero", {"data": {"id": "g" * 32}}),
+    ]
+    for method, path, asked in [*SENDS, *ALSO_BLOCKED, *more[:2]]:
+        answer = press(holder, site, method, path, asked)
+        expected = 422 if path == "/setpoints/review" else STATUS.get(path.rpartition("/")[2], 423)
+        assert answer.status_code == expected, (path, answer.text)
+        assert "belt off since 14:20" in answer.text, (path, answer.text)
+        assert heard(site) == before, path
+    holder.post(f"/api/v1/restores/{planned['id']}/start")
+    ended = eventually(lambda: _ended(holder, planned["id"]), "the end of the restore")
+    assert "belt off" in str(ended)
+    assert heard(site) == before
+    assert "is not told: blocked" in press(holder, site, *more[2]).text
+    assert setpoint(site, 1) == 600
+
+
+def _a_set(client: httpx.Client) -> int:
+    number: int = client.post("/api/v1/buses/line/sets", json={"name": "now", "comment": ""}).json()["id"]
+    return number
+
+
+def _ended(client: httpx.Client, restore: str) -> Any:
+    said = client.get(f"/api/v1/restores/{restore}").json()
+    return said if said["state"] not in ("planned", "running", "proving") else None
+
+
+def test_a_block_is_shown_on_every_page_and_lifted_by_name(
+    site: Site, browser_page: OpensPages, pages: list[str]
+) -> None:
+    page = opened(browser_page("admin", viewport=PANEL), "/units/line/1")
+    page.locator("summary").click()
+    page.locator("#reason").fill("belt off since 14:20")
+    page.get_by_role("button", name="Block Unwind").click()
+    expect(page.locator(".plate__set")).to_contain_text("belt off since 14:20")
+    unsaid = []
+    for path in pages:
+        opened(page, path)
+        expect(page.locator("[data-live='line.verdict']").first).to_contain_text("need")
+        if path != "/account" and "belt off since 14:20" not in page.locator("body").inner_text():
+            unsaid.append(path)
+    opened(page, "/units/line/1")
+    page.locator("summary").click()
+    page.get_by_role("button", name="Lift the block of Unwind").click()
+    expect(page.locator("#setpoint")).to_be_visible()
+    with site.api() as client:
+        events = client.get("/events", params={"kind": "block", "limit": 2}).json()["events"]
+    assert [(event["who"], event["what"]) for event in events] == [
+        ("admin", "block lifted"),
+        ("admin", "unit blocked"),
+    ]
+    assert unsaid == []
+
+
+# --- every page -----------------------------------------------------------------------------------
+
+UNREACHABLE = """() => [...document.querySelectorAll(
+        "[hx-get]:not([hx-trigger], form), [hx-post]:not(form), [data-pad], [data-command]:not(form)")]
+    .filter(element => element.tabIndex < 0 || !element.matches("a[href], button, input, select, summary"))
+    .map(element => element.outerHTML.slice(0, 120))"""
+
+
+def test_zero_is_one_press_and_one_confirm_from_every_page_by_keyboard(
+    site: Site, browser_page: OpensPages, pages: list[str]
+) -> None:
+    page = browser_page("admin", viewport=PANEL)
+    before = heard(site)
+    with site.api("admin") as client:
+        client.post("/buses/line/control")
+    for path in pages:
+        opened(page, path)
+        assert page.evaluate(UNREACHABLE) == [], path
+        button = page.get_by_role("button", name="Set line to zero")
+        button.focus()
+        page.keyboard.press("Enter")
+        expect(page.locator("[data-review-act]")).to_have_text("Set 3 units to speed 0")
+        expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+        page.keyboard.press("Escape")
+        expect(page.locator("dialog[open]")).to_have_count(0)
+        expect(button).to_be_focused()
+    assert heard(site) == before
+
+
+@pytest.mark.provokes("WebSocket", "fetch")
+def test_every_page_is_covered_without_its_server_and_sends_nothing(
+    site: Site, browser_page: OpensPages, pages: list[str]
+) -> None:
+    first = browser_page("admin", viewport=PANEL)
+    tabs = [first, *(first.context.new_page() for _ in pages[1:])]
+    for tab, path in zip(tabs, pages, strict=True):
+        opened(tab, path)
+    before = heard(site), newest_event(site)
+    assert site.server is not None
+    site.server.send_signal(signal.SIGSTOP)
+    try:
+        for tab, path in zip(tabs, pages, strict=True):
+            expect(tab.locator("body[data-link=lost]"), path).to_be_attached()
+            expect(tab.locator(".gone__box"), path).to_be_visible()
+            assert tab.evaluate(
+                "[...document.querySelectorAll('.main, .rail, .top')].every(part => part.inert)"
+            )
+            tab.evaluate("for (const form of document.querySelectorAll('form')) form.requestSubmit()")
+    finally:
+        site.server.send_signal(signal.SIGCONT)
+    for tab, path in zip(tabs, pages, strict=True):
+        expect(tab.locator(LIVE), path).to_be_attached()
+        expect(tab, path).to_have_url(re.compile(re.escape(path)))
+    assert (heard(site), newest_event(site)) == before
+
+
+def newest_event(site: Site) -> int:
+    with site.api() as client:
+        events = client.get("/events", params={"limit": 20}).json()["events"]
+    return max(
+        (event["id"] for event in events if event["kind"] not in ("service", "bus", "unit")), default=0
+    )
+
+
+@pytest.mark.provokes("WebSocket", "fetch")
+def test_a_form_that_was_held_up_on_the_way_is_not_carried_out(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page("operator", viewport=PANEL, service_workers="block"), "/units/line/2")
+    page.locator("summary").click()
+    page.locator("#reason").fill("held up")
+    page.route(
+        "**/block*",
+        lambda route: route.continue_(url=re.sub(r"asked_at=[\d.]+", "asked_at=1", route.request.url)),
+    )
+    page.get_by_role("button", name=re.compile("^Block ")).click()
+    expect(page.locator("[role=alert]")).to_contain_text("too late")
+    assert site.unit(2)["blocked"] is None
+
+
+# --- what is heard, and where the focus stays -----------------------------------------------------
+
+LISTEN = """() => {
+    window.said = [];
+    new MutationObserver(changes => {
+        for (const {target} of changes) {
+            const region = (target.nodeType === 3 ? target.parentElement : target)
+                ?.closest("[aria-live]:not([aria-live=off]), [role=status], [role=alert]");
+            if (region) window.said.push(region.textContent.trim());
+        }
+    }).observe(document.body, {subtree: true, childList: true, characterData: true});
+}"""
+
+
+@pytest.mark.parametrize("path", ["/", "/units/line/2", "/setpoints"])
+def test_a_screen_reader_hears_the_verdict_and_no_figures(
+    site: Site, browser_page: OpensPages, holder: httpx.Client, path: str
+) -> None:
+    page = opened(browser_page("viewer", viewport=PANEL), path)
+    page.evaluate(LISTEN)
+    site.line.remote.do("mode", unit=3, to="local")
+    try:
+        holder.post("/api/v1/buses/line/units/2/speed", json={"raw": 300})
+        holder.post("/api/v1/buses/line/units/2/speed", json={"raw": 350})
+        eventually(
+            lambda: any("look" in text for text in page.evaluate("window.said")), "the verdict was said"
+        )
+    finally:
+        site.line.remote.do("mode", unit=3, to="remote")
+    assert not any(re.search(r"\d\.\d", text) for text in page.evaluate("window.said"))
+
+
+def test_focus_stays_while_a_unit_is_not_heard(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page("operator", viewport=PANEL), "/units/line/2")
+    field = page.locator("#setpoint")
+    field.focus()
+    page.keyboard.type("4")
+    site.line.remote.do("fault", kind="dead", rate=1, unit=2)
+    try:
+        expect(page.locator("form.setter[inert]")).to_be_attached()
+    finally:
+        site.line.remote.do("clear")
+    expect(field).to_be_focused()
+    page.keyboard.type("5")
+    expect(field).to_have_value("45")
+
+
+def test_focus_stays_in_the_row_that_was_written(browser_page: OpensPages, holder: httpx.Client) -> None:
+    holder.post("/api/v1/buses/line/control/hand-over", json={"to": "engineer"})
+    page = opened(browser_page("engineer", viewport=PANEL), "/units/line/2/parameters")
+    row = page.locator("#parameter-6")
+    row.locator("[name=value]").focus()
+    page.keyboard.type("12.5")
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    page.keyboard.press("Enter")
+    expect(page.locator("dialog[open]")).to_have_count(0)
+    expect(row.locator("[name=value]")).to_be_focused()
+    holder.post("/api/v1/buses/line/control/hand-over", json={"to": "admin-program"})
+
+
+def test_nothing_moves_for_whoever_wants_no_motion(browser_page: OpensPages) -> None:
+    page = opened(browser_page("viewer", viewport=PANEL, reduced_motion="reduce"), "/units/line/1")
+    moving = "document.getAnimations().map(one => one.effect.target.className)"
+    assert page.evaluate(moving) == []
