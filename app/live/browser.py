@@ -21,11 +21,14 @@ MOST_FRAMES = 300
 """Frames of the trace kept for a browser that cannot keep up; older ones are dropped and counted."""
 
 FLOOD = 60
-FLOOD_OF_ALL = 1000
 WINDOW_S = 0.25
 """More changed units than this within a window, which is more than six full wires bring, and the page is
-told once in a window until it is quieter: it could not draw them all, and its device has other things to do.
-So with very many pages, whose share of ``FLOOD_OF_ALL`` is smaller: the server has other things to do."""
+told once in a window until it is quieter: it could not draw them all, its device has other things to do."""
+
+FEW_PAGES = 40
+MOST_TOLD_S = 1600
+"""With more pages than a few, none is told again before its share of so many messages a second: the server
+has other things to do. 200 pages are told eight times a second, 40 and fewer of every single answer."""
 
 MOST_WAITING = 64
 """Changes that wait for a slow browser before they are made one."""
@@ -74,24 +77,31 @@ class Flow:
     """How much there was to tell a page lately, by a monotonic clock in seconds."""
 
     clock: Callable[[], float] = time.monotonic
-    most: int = FLOOD
+    gap_s: float = 0.0
     _began: float = 0.0
     _count: int = 0
     _flooded: bool = False
+    _told_at: float = -1.0
 
     def came(self, units: int = 1) -> None:
         """There is something new of so many units for the page."""
         now = self.clock()
         if now - self._began >= WINDOW_S:
-            self._flooded = self._count > self.most and now - self._began < 2 * WINDOW_S
+            self._flooded = self._count > FLOOD and now - self._began < 2 * WINDOW_S
             self._began, self._count = now, 0
         self._count += units
 
     def pause_s(self) -> float:
-        """How long to wait before telling it: nothing unless there is a flood."""
-        if self._flooded or self._count > self.most:
-            return max(0.0, self._began + WINDOW_S - self.clock())
-        return 0.0
+        """How long to wait before telling it: nothing unless there is a flood, or very many pages."""
+        until = self._told_at + self.gap_s
+        if self._flooded or self._count > FLOOD:
+            until = max(until, self._began + WINDOW_S)
+        return max(0.0, until - self.clock())
+
+    def told(self) -> None:
+        """It was told everything."""
+        if self.gap_s:
+            self._told_at = self.clock()
 
 
 @dataclass(eq=False, slots=True)
@@ -111,7 +121,7 @@ class Browser:
 
     def share(self, pages: int) -> None:
         """So many pages are open in all."""
-        self._flow.most = min(FLOOD, max(1, FLOOD_OF_ALL // pages))
+        self._flow.gap_s = pages / MOST_TOLD_S if pages > FEW_PAGES else 0.0
 
     def tell(self, diff: Diff) -> None:
         """Newest wins: it goes together with what has not been sent."""
@@ -140,6 +150,7 @@ class Browser:
         if pause_s:
             await asyncio.sleep(pause_s)
         self._wake.clear()
+        self._flow.told()
         texts = list(self._messages)
         self._messages.clear()
         if self._waiting:

@@ -3,7 +3,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from app.live.browser import FLOOD, FLOOD_OF_ALL, MOST_FRAMES, WINDOW_S, Browser, Diff, Flow
+import pytest
+
+from app.live.browser import FEW_PAGES, FLOOD, MOST_FRAMES, MOST_TOLD_S, WINDOW_S, Browser, Diff, Flow
 
 
 def diff(n: int, **fields: str) -> Diff:
@@ -100,10 +102,23 @@ def test_a_flood_is_told_once_in_a_window_until_it_is_over() -> None:
 
 
 def test_very_many_pages_share_what_the_server_can_send() -> None:
-    browser = Browser("anna", "operator", "en")
-    browser.share(20)
-    assert browser._flow.most == FLOOD_OF_ALL // 20
+    made, now = flow()
+    browser = Browser("anna", "operator", "en", _flow=made)
     browser.share(200)
-    assert browser._flow.most == FLOOD_OF_ALL // 200
-    browser.share(1)
-    assert browser._flow.most == FLOOD
+    made.came()
+    assert made.pause_s() == 0.0, "the first is told at once"
+    made.told()
+    made.came()
+    assert made.pause_s() == pytest.approx(200 / MOST_TOLD_S)
+    now[0] += 1.01 * 200 / MOST_TOLD_S
+    assert made.pause_s() == 0.0
+
+
+def test_a_few_pages_are_told_of_every_answer() -> None:
+    made, _now = flow()
+    browser = Browser("anna", "operator", "en", _flow=made)
+    browser.share(200)
+    browser.share(FEW_PAGES)
+    made.told()
+    made.came()
+    assert made.pause_s() == 0.0
