@@ -36,7 +36,7 @@ class RecipeBook:
     def departed(self, bus: str) -> list[Departure]:
         """What has left the loaded recipe since."""
         loaded = self._loaded.get(bus)
-        return departures(loaded.recipe, self._state.buses[bus]) if loaded is not None else []
+        return departures(loaded.recipe, self._state.buses[bus], loaded.at) if loaded is not None else []
 
     def loaded_words(self, bus: str) -> tuple[str, int] | None:
         """Name of the loaded recipe and how many units have departed from it; None without one."""

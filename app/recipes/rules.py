@@ -14,7 +14,7 @@ from bus.settings import BITS_PER_BYTE
 
 Kind = Literal["speed", "ratio"]
 
-_MAX_DISPLAY, _DECIMALS, _ACCELERATION, _DECELERATION, _MODE = 2, 3, 6, 7, 8
+_MAX_DISPLAY, _DECIMALS, _ACCELERATION, _DECELERATION, _MODE, _RATIO = 2, 3, 6, 7, 8, 37
 _STAGE_BYTES = 11 + 7
 """82h with four data bytes and its ACK."""
 _EXECUTE_BYTES = 7
@@ -45,8 +45,9 @@ class Recipe:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What loading does to one unit, in words. ``ramp_s`` None where it is not known.
+    """What loading does to one unit. ``ramp_s`` None where it is not known.
 
+    ``words``: what will happen, a template for ``old``, ``new`` and ``seconds``.
     ``obstacle``: why it cannot be loaded now; empty when nothing stands in the way.
     """
 
@@ -57,6 +58,13 @@ class Step:
     new: str
     ramp_s: float | None
     obstacle: str = ""
+    words: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """What will happen, in English."""
+        seconds = "" if self.ramp_s is None else f"{self.ramp_s:.1f}"
+        return self.words.format(old=self.old, new=self.new, seconds=seconds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,9 +120,9 @@ def wire_seconds(units: int, bus: BusLive) -> float:
     return total * BITS_PER_BYTE / bus.settings.baud
 
 
-def departures(recipe: Recipe, bus: BusLive) -> list[Departure]:
-    """Units that were read since and no longer command what the recipe says."""
-    found = (_departure(setpoint, bus.units.get(setpoint.unit)) for setpoint in recipe.setpoints)
+def departures(recipe: Recipe, bus: BusLive, since: float = 0.0) -> list[Departure]:
+    """Units that no longer command what the recipe says. ``since``: when it was loaded."""
+    found = (_departure(setpoint, bus.units.get(setpoint.unit), since) for setpoint in recipe.setpoints)
     return [departure for departure in found if departure is not None]
 
 
@@ -131,15 +139,29 @@ def _step(setpoint: Setpoint, bus: BusLive, refusal: Callable[[int, int], str]) 
             None,
             "not in the configuration",
         )
+    ramp_s = ramp_seconds(unit, setpoint)
     return Step(
         unit=setpoint.unit,
         name=unit.settings.name,
         raw=setpoint.raw,
         old=_present_text(unit, setpoint.kind),
         new=setpoint_text(unit, setpoint),
-        ramp_s=ramp_seconds(unit, setpoint),
+        ramp_s=ramp_s,
         obstacle=_obstacle(setpoint, unit, bus) or refusal(setpoint.unit, setpoint.raw),
+        words=_words(setpoint, present_raw(unit, setpoint.kind), ramp_s),
     )
+
+
+def _words(setpoint: Setpoint, present: int | None, ramp_s: float | None) -> str:
+    """What will happen to a unit whose setpoint is ``present``."""
+    if present is None:
+        return "becomes {new}; what it has now is not known"
+    if present == setpoint.raw:
+        return "stays at {new}"
+    if setpoint.kind == "ratio":
+        return "follows at {new} of its master instead of {old}"
+    way = "speeds up" if setpoint.raw > present else "slows down"
+    return f"{way} from {{old}} to {{new}}" + ("" if ramp_s is None else " in {seconds} s")
 
 
 def _obstacle(setpoint: Setpoint, unit: UnitLive, bus: BusLive) -> str:
@@ -185,18 +207,26 @@ def _present_text(unit: UnitLive, kind: Kind) -> str:
 def present_raw(unit: UnitLive, kind: Kind) -> int | None:
     """What the unit is commanded now: CS of its last answer, or #37 for a ratio."""
     if kind == "ratio":
-        return unit.parameter_raw(37)
+        return unit.parameter_raw(_RATIO)
     return unit.reading.commanded if unit.reading is not None else None
 
 
-def _departure(setpoint: Setpoint, unit: UnitLive | None) -> Departure | None:
-    if unit is None:
+def _departure(setpoint: Setpoint, unit: UnitLive | None, since: float) -> Departure | None:
+    if unit is None or not _told_since(unit, setpoint.kind, since):
         return None
     now = present_raw(unit, setpoint.kind)
     if now is None or now == setpoint.raw:
         return None
     shown = setpoint_text(unit, Setpoint(setpoint.unit, now, setpoint.kind))
     return Departure(setpoint.unit, unit.settings.name, setpoint_text(unit, setpoint), shown)
+
+
+def _told_since(unit: UnitLive, kind: Kind, moment: float) -> bool:
+    """#37 is read in the slow circle: what it said before the recipe was loaded says nothing about it."""
+    if kind == "speed":
+        return unit.reading is not None
+    read = unit.parameters.get(_RATIO)
+    return read is not None and read.at > moment
 
 
 def setpoints_now(units: Iterable[UnitLive]) -> tuple[Setpoint, ...]:

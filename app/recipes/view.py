@@ -48,6 +48,7 @@ def dry_run_json(run: DryRun) -> dict[str, Any]:
                 "new": step.new,
                 "ramp_s": None if step.ramp_s is None else round(step.ramp_s, 1),
                 "obstacle": step.obstacle,
+                "words": step.sentence,
             }
             for step in run.steps
         ],

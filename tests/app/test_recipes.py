@@ -104,3 +104,33 @@ async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None
     assert [(one.unit, one.recipe, one.now) for one in scene.book.departed("dry-end")] == [
         (2, "121.0", "120.0")
     ]
+
+
+async def test_the_dry_run_says_in_words_what_will_happen(scene: Scene) -> None:
+    answering(scene.live, commanded=1000)
+    scene.live.apply(
+        "dry-end",
+        [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()],
+    )
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 11000, 2: 10100})
+    said = [step.sentence for step in scene.book.try_out(ANNA, recipe).steps]
+    assert said == [
+        "speeds up from 100.0 to 1100.0 in 5.0 s",
+        "follows at 1.0100 of its master instead of 1.0000",
+    ]
+
+
+async def test_a_ratio_read_before_the_recipe_was_loaded_is_no_departure(scene: Scene) -> None:
+    answering(scene.live)
+    follower = [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()]
+    scene.live.apply("dry-end", follower)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {2: 10100})
+    await scene.book.load(ANNA, recipe, confirm=True, command_id="one")
+    assert scene.book.departed("dry-end") == []
+    loaded = scene.book.loaded("dry-end")
+    assert loaded is not None
+    scene.live.apply("dry-end", [ParameterValue(unit=2, number=37, at=loaded.at + 60, raw=9900)])
+    assert [one.now for one in scene.book.departed("dry-end")] == ["0.9900"]
+
+
+FOLLOWER = {8: 1, 37: 10000}
