@@ -169,6 +169,8 @@ def test_a_unit_in_local_takes_the_controls_away_and_says_why(site: Site, browse
     try:
         expect(page.locator(".by-mode__not")).to_be_visible()
         expect(page.locator("#setpoint")).to_be_hidden()
+        expect(page.get_by_role("button", name="Switch output 1")).to_be_hidden()
+        expect(page.locator('[hx-post$="/analog-output/review"]')).to_be_hidden()
     finally:
         site.line.remote.do("mode", unit=1, to="remote")
     expect(page.locator("#setpoint")).to_be_visible()
