@@ -47,7 +47,7 @@ from app.web import pages as web_pages
 from app.web import problems, schema
 from app.web.late import NotTooLate
 from app.web.routes import refuse_undeclared
-from app.web.security import BoundedBody, OwnPagesOnly, SecurityHeaders
+from app.web.security import BoundedRequest, OwnPagesOnly, SecurityHeaders
 from app.wiring import Services, build, running
 
 FEATURES = (
@@ -107,7 +107,7 @@ def create_app(settings: Settings, *, demo: bool = False, worker_token: str = ""
     problems.install(app)
     app.add_middleware(NotTooLate)
     app.add_middleware(Identify, sign_in=services.sign_in, demo=demo)
-    app.add_middleware(BoundedBody)
+    app.add_middleware(BoundedRequest)
     app.add_middleware(OwnPagesOnly)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(SecurityHeaders)

@@ -20,6 +20,8 @@ from bus.settings import BusSettings
 
 MOST_POINTS = 20_000
 MOST_SERIES = 32
+FIRST_YEAR, LAST_YEAR = 1970, 9998
+"""Within these an instant stays one in every time zone."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND = timedelta(microseconds=1)
 _PLUS_LOST = re.compile(r"(:\d\d(?:\.\d+)?) (\d\d:?\d\d)$")
@@ -53,6 +55,8 @@ def moment(text: str, name: str) -> int:
     if at is None or at.tzinfo is None:
         detail = f"{name}: write an ISO 8601 time with its zone, such as 2026-11-21T03:12:00Z, not {text!r}"
         raise Problem(422, "invalid", detail)
+    if not FIRST_YEAR <= at.year <= LAST_YEAR:
+        raise Problem(422, "invalid", f"{name}: write a year from {FIRST_YEAR} to {LAST_YEAR}, not {at.year}")
     return (at - _EPOCH) // _MICROSECOND
 
 

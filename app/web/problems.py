@@ -23,6 +23,13 @@ log = structlog.get_logger()
 
 _CODES = {401: "unauthorized", 403: "forbidden", 404: "not_found", 405: "method_not_allowed", 422: "invalid"}
 
+_WORDS = {
+    "model_attributes_type": 'it must be a JSON object, {"…": …}, sent as Content-Type: application/json',
+    "extra_forbidden": "there is no such field",
+    "missing": "it is missing",
+}
+"""By the kind of fault, where the validator's own words say less."""
+
 
 def wants_json(connection: HTTPConnection) -> bool:
     """Whether a program asks: the API, and whoever accepts no HTML elsewhere."""
@@ -71,11 +78,16 @@ def _place(location: Sequence[int | str]) -> str:
     return ".".join(str(step) for step in location if step not in ("body", "query", "path")) or "body"
 
 
+def _fault(error: Any) -> str:
+    words = _WORDS.get(error["type"], "")
+    return words or str(error["msg"]).removeprefix("Value error, ")
+
+
 def invalid(errors: Sequence[Any]) -> Problem:
     """Malformed input, each fault named. Nothing was done."""
     if any(error["type"] == "json_invalid" for error in errors):
         return Problem(422, "invalid", "the body is not JSON; nothing was sent")
-    faults = [{"where": _place(error["loc"]), "message": error["msg"]} for error in errors]
+    faults = [{"where": _place(error["loc"]), "message": _fault(error)} for error in errors]
     words = "; ".join(f"{fault['where']}: {fault['message']}" for fault in faults)
     return Problem(422, "invalid", f"{words}; nothing was sent", errors=faults)
 
@@ -97,6 +109,8 @@ async def _on_http(request: Request, error: Exception) -> Response:
     detail = str(error.detail)
     if error.status_code == 404:
         detail = f"there is nothing at {request.url.path}"
+    if error.status_code == 405:
+        detail = f"{request.method} is not for {request.url.path}; nothing was done"
     problem = Problem(error.status_code, _CODES.get(error.status_code, "refused"), detail)
     problem.headers.update(error.headers or {})
     return respond(request, problem)

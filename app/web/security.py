@@ -32,6 +32,7 @@ HEADERS = {
 }
 MOST_BODY_BYTES = 4 * 1024 * 1024
 """The largest thing anybody sends is a file of parameter sets: 255 units are half a megabyte."""
+LONGEST_PATH = 1000
 _DEFAULT_PORTS = {"http": 80, "https": 443, "ws": 80, "wss": 443}
 
 
@@ -105,15 +106,20 @@ class OwnPagesOnly:
         await self._app(scope, receive, send)
 
 
-class BoundedBody:
-    """Refuses a body larger than anything that is asked for here, before it fills the memory."""
+class BoundedRequest:
+    """Refuses a body or an address larger than anything that is asked for here, before it costs anything."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
+        if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
+            return
+        if len(scope["path"]) > LONGEST_PATH:
+            await refuse(
+                scope, receive, send, Problem(414, "too_long", "nothing here has so long an address")
+            )
             return
         said = Headers(scope=scope).get("content-length", "0")
         if said.isdecimal() and int(said) > MOST_BODY_BYTES:

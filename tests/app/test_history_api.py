@@ -134,6 +134,8 @@ async def test_a_unit_that_was_never_heard_has_empty_columns(client: httpx.Async
         ({"to": at(0)}, 422, "begin before it ends"),
         ({"from": "2026-11-21T12:00:00"}, 422, "zone"),
         ({"to": "yesterday"}, 422, "ISO 8601"),
+        ({"from": "0001-01-01T00:00:00+23:59"}, 422, "from 1970 to 9998"),
+        ({"to": "9999-12-31T23:59:59-23:59"}, 422, "from 1970 to 9998"),
         ({"points": 1_000_000}, 422, "20000"),
         ({"points": 0}, 422, "from 1"),
         ({"points": "many"}, 422, "points"),

@@ -74,6 +74,27 @@ async def test_malformed_input_is_invalid_and_says_that_nothing_was_sent(
     assert "nothing was sent" in answer.json()["detail"]
 
 
+async def test_an_address_longer_than_any_is_refused(engineer: httpx.AsyncClient) -> None:
+    check_problem(await engineer.get("/api/v1/buses/dry-end/units/" + "9" * 5000), 414, "too_long")
+
+
+@pytest.mark.parametrize(
+    ("body", "kind", "words"),
+    [
+        (b'{"raw": 5}', "text/plain", "body: it must be a JSON object"),
+        (b'{"raw": 5, "rav": 5}', "application/json", "rav: there is no such field"),
+        (b'{"raw": 5, "value": "5"}', "application/json", "body: give either raw"),
+        (b"", "application/json", "body: it is missing"),
+    ],
+)
+async def test_a_fault_is_said_in_words_that_help(
+    engineer: httpx.AsyncClient, body: bytes, kind: str, words: str
+) -> None:
+    answer = await engineer.post(SPEED, content=body, headers={"content-type": kind})
+    check_problem(answer, 422, "invalid")
+    assert answer.json()["detail"].startswith(words)
+
+
 async def test_each_fault_of_a_body_is_named(engineer: httpx.AsyncClient) -> None:
     answer = await engineer.put("/api/v1/buses/dry-end/units/1/outputs/1", json={"on": "maybe"})
     assert answer.json()["errors"][0]["where"] == "on"
