@@ -1,11 +1,13 @@
-"""Browsers without a window, so many live sockets: ``python -m benchmarks.onlookers URL TOKEN COUNT``.
+"""Browsers without a window, so many live sockets: ``python -m benchmarks.onlookers URL TOKEN COUNT [BUS]``.
 
+With BUS, the first of them follows the trace of that bus; its token must be an engineer's.
 Prints ``ready`` when all are open and have their snapshot.
 """
 
 from __future__ import annotations
 
 import asyncio
+import json
 import sys
 from itertools import count
 
@@ -14,28 +16,29 @@ from websockets.asyncio.client import ClientConnection, connect
 SPEAK_S = 10.0
 
 
-async def watch(url: str, token: str, opened: asyncio.Semaphore) -> None:
+async def watch(url: str, token: str, opened: asyncio.Semaphore, trace: str) -> None:
     headers = {"Authorization": f"Bearer {token}", "Origin": url}
     address = url.replace("http", "ws", 1) + "/live?language=en"
     async with connect(address, additional_headers=headers, compression=None, max_size=None) as socket:
-        await socket.send("{}")
+        await socket.send(json.dumps({"trace": trace}))
         await socket.recv()
         opened.release()
-        speaking = asyncio.create_task(_speak(socket))
+        speaking = asyncio.create_task(_speak(socket, trace))
         async for _ in socket:
             pass
         speaking.cancel()
 
 
-async def _speak(socket: ClientConnection) -> None:
+async def _speak(socket: ClientConnection, trace: str) -> None:
     for _ in count():
         await asyncio.sleep(SPEAK_S)
-        await socket.send("{}")
+        await socket.send(json.dumps({"trace": trace}))
 
 
-async def main(url: str, token: str, number: int) -> None:
+async def main(url: str, token: str, number: int, trace: str = "") -> None:
     opened = asyncio.Semaphore(0)
-    watching = [asyncio.create_task(watch(url, token, opened)) for _ in range(number)]
+    traces = [trace, *[""] * (number - 1)]
+    watching = [asyncio.create_task(watch(url, token, opened, each)) for each in traces]
     for _ in watching:
         await opened.acquire()
     print("ready", flush=True)
@@ -43,4 +46,4 @@ async def main(url: str, token: str, number: int) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main(sys.argv[1], sys.argv[2], int(sys.argv[3])))
+    asyncio.run(main(sys.argv[1], sys.argv[2], int(sys.argv[3]), *sys.argv[4:]))

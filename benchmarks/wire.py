@@ -6,14 +6,17 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
+import httpx
+
 from benchmarks.modbus_line import ModbusLine
 from benchmarks.processes import cpu_seconds, family, memory_mib
-from benchmarks.served import served_line
+from benchmarks.served import CONFIG, LINESIDE, served_line
 from benchmarks.tables import microseconds, show
 from benchmarks.witness import Seen, look
 from bus.settings import BITS_PER_BYTE
@@ -23,7 +26,7 @@ from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
 from bus.simulator.record import Entry, Happened
 from bus.simulator.serve import LineServer
-from tests.e2e.site import end
+from tests.e2e.site import end, eventually
 
 UNITS = 8
 BAUD = 9600
@@ -37,7 +40,43 @@ READS_OF_A_SETTLED_HOST = 10
 MEASURED_S = 20.0
 DEAD = 3
 
+ONLOOKERS = 20
+
 Host = Callable[[str, Path], list[str]]
+Company = Callable[[Path], AbstractContextManager[None]]
+
+
+@contextmanager
+def _alone(_folder: Path) -> Iterator[None]:
+    yield
+
+
+@contextmanager
+def _onlookers(folder: Path) -> Iterator[None]:
+    """Pages that are open on a served line, one of them on the trace."""
+    config = folder / CONFIG
+    arguments = ["token", "create", "onlooker", "--role", "engineer", "--config", str(config)]
+    token = subprocess.run([LINESIDE, *arguments], capture_output=True, text=True, check=True).stdout.split()[
+        -1
+    ]
+    number = tomllib.loads(config.read_text(encoding="utf-8"))["server"]["port"]
+    url = f"http://127.0.0.1:{number}"
+    eventually(lambda: _serves(url), f"an answer from {url}")
+    command = [sys.executable, "-m", "benchmarks.onlookers", url, token, str(ONLOOKERS), "line"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n", "the onlookers were not let in"
+        yield
+    finally:
+        end(process)
+
+
+def _serves(url: str) -> bool:
+    try:
+        return httpx.get(f"{url}/healthz", trust_env=False).status_code == 200
+    except httpx.HTTPError:
+        return False
 
 
 def run() -> None:
@@ -48,13 +87,20 @@ def run() -> None:
 
 def _show_rates() -> None:
     rows: list[list[object]] = [["the wire itself", f"{WIRE_ITSELF:.1f}", "1.000", "0", "0", "", ""]]
-    for name, host in HOSTS.items():
-        seen, cpu, memory = _measure(host, _line_for(host))
+    for name, (host, company) in {
+        **{name: (host, _alone) for name, host in HOSTS.items()},
+        f"the same, {ONLOOKERS} browsers and the trace": (_lineside, _onlookers),
+    }.items():
+        seen, cpu, memory = _measure(host, _line_for(host), company)
         gaps = [microseconds(seen.gap_median), microseconds(seen.gap_p99)]
-        part = f"{seen.rate / WIRE_ITSELF:.3f}"
+        part = f"{seen.octets * BITS_PER_BYTE / BAUD:.3f}"
         rows.append([name, f"{seen.rate:.1f}", part, *gaps, f"{cpu:.1%}", f"{memory:.0f} MiB"])
     header = ["host", "polls/s", "of the wire", "gap median", "gap p99", "CPU of one core", "memory"]
-    note = "Gap: from the last byte of an answer to the first byte of the next request. No turnaround."
+    note = (
+        "Of the wire: the byte times of all answered exchanges, polls and the few parameter reads alike.\n"
+        "  Gap: from the last byte of an answer to the first byte of the next request. No turnaround.\n"
+        "  Lineside keeps its history while it is measured."
+    )
     show(f"{UNITS} units at {BAUD} baud, polled for {MEASURED_S:g} s", header, rows, note)
 
 
@@ -71,12 +117,13 @@ def _show_dead_unit() -> None:
     show(f"One of {UNITS} units is off: what the others keep of their rate", header, rows)
 
 
-def _measure(host: Host, line: Any) -> tuple[Seen, float, float]:
+def _measure(host: Host, line: Any, company: Company = _alone) -> tuple[Seen, float, float]:
     """What the line saw of a host, its share of a core, and its memory in MiB."""
     with (
         tempfile.TemporaryDirectory() as folder,
         LineServer(line, PtyPort(baud=BAUD)) as server,
         _hosted(host(server.port.name, Path(folder))) as process,
+        company(Path(folder)),
     ):
         _settle(server)
         members = family(process.pid)

@@ -14,9 +14,11 @@ SHORTEST_POLL_ANSWER = 10
 
 @dataclass(frozen=True)
 class Seen:
-    """``rate``: answered polls a second; ``gaps``: from an answer's last byte to the next request's first."""
+    """``rate``: answered polls a second; ``octets``: bytes of all answered exchanges a second; ``gaps``: from
+    an answer's last byte to the next request's first."""
 
     rate: float
+    octets: float
     per_unit: dict[int, float]
     gaps: list[float]
 
@@ -34,13 +36,18 @@ def look(entries: Iterable[Entry], seconds: float) -> Seen:
     said: dict[int, int] = {}
     gaps: list[float] = []
     answered_at: float | None = None
+    asked = octets = 0
     for entry in entries:
         if entry.what is Happened.SENT:
             answered_at = entry.at
+            octets += asked + len(entry.data)
+            asked = 0
         elif entry.what is Happened.SAID and len(entry.data) >= SHORTEST_POLL_ANSWER:
             said[entry.unit] = said.get(entry.unit, 0) + 1
-        elif entry.what is Happened.CAME and answered_at is not None:
-            gaps.append(entry.at - answered_at)
-            answered_at = None
+        elif entry.what is Happened.CAME:
+            asked = len(entry.data)
+            if answered_at is not None:
+                gaps.append(entry.at - answered_at)
+                answered_at = None
     per_unit = {unit: count / seconds for unit, count in sorted(said.items())}
-    return Seen(sum(per_unit.values()), per_unit, gaps)
+    return Seen(sum(per_unit.values()), octets / seconds, per_unit, gaps)

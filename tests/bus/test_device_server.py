@@ -1,0 +1,99 @@
+"""``socket://`` while the device server misbehaves: said in words, recovered alone, nothing sent late."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+
+import pytest
+
+from bus.contract import BusLink, SetSpeed
+from bus.line.transport import TCP_LOST_AFTER_MS, open_port
+from bus.settings import BusSettings, UnitSettings
+from bus.simulator.demo import demo_line
+from bus.simulator.line import SimulatedLine
+from bus.simulator.ports import TcpPort
+from bus.simulator.record import Happened
+from bus.simulator.serve import LineServer
+from bus.worker.service import run_worker
+from tests.bus.fake_app import TOKEN, FakeApp
+from tests.bus.test_transport import Ear
+
+TCP_USER_TIMEOUT = 18
+"""Linux, which names it only from Python 3.12 on."""
+
+
+@pytest.fixture
+def line() -> Iterator[LineServer]:
+    with LineServer(SimulatedLine(demo_line(2, script=False).plant, speedup=20), TcpPort()) as server:
+        yield server
+
+
+@asynccontextmanager
+async def working(line: LineServer) -> AsyncIterator[FakeApp]:
+    """A worker on the line, both units read once."""
+    units = (UnitSettings(id=1, name="A"), UnitSettings(id=2, name="B"))
+    bus = BusSettings(name="b", port=line.port.name, unit=units)
+    leave = asyncio.Event()
+    async with FakeApp() as app:
+        worker = asyncio.create_task(run_worker(bus, app.url, TOKEN, leave=leave))
+        await app.until(lambda: app.readings(1) and app.readings(2))
+        yield app
+        leave.set()
+        await worker
+
+
+def causes(app: FakeApp) -> list[str]:
+    return [
+        update.cause for update in app.updates() if isinstance(update, BusLink) and update.link == "closed"
+    ]
+
+
+def number_of(line: LineServer) -> int:
+    return int(line.port.name.rpartition(":")[2])
+
+
+async def test_one_that_accepts_and_drops_is_left_in_peace_and_found_when_it_serves(line: LineServer) -> None:
+    accepted = asyncio.Semaphore(0)
+
+    def drop(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        accepted.release()
+        writer.close()
+
+    async with working(line) as app:
+        line.unplug()
+        async with await asyncio.start_server(drop, "127.0.0.1", number_of(line)):
+            began = asyncio.get_running_loop().time()
+            for _ in range(4):
+                await accepted.acquire()
+            assert asyncio.get_running_loop().time() - began > 1.0, "it is not hammered"
+            fate = await app.ask(SetSpeed(1, 777))
+        assert fate.outcome in ("bus_closed", "unverified", "not_sent")
+        assert any(f"{line.port.name} closed the connection" in cause for cause in causes(app))
+        seen = len(app.readings(1))
+        line.plug()
+        await app.until(lambda: len(app.readings(1)) > seen + 5)
+        acted = line.call(lambda simulated: list(simulated.record.since(0, Happened.ACTED)))
+        assert acted == [], "nothing is sent late"
+        assert (await app.ask(SetSpeed(1, 778))).outcome == "verified"
+
+
+async def test_one_that_goes_away_is_told_and_so_is_what_it_says_then(line: LineServer) -> None:
+    async with working(line) as app:
+        line.unplug()
+        await app.until(lambda: any("refuses the connection" in cause for cause in causes(app)))
+        line.plug()
+        seen = len(app.readings(2))
+        await app.until(lambda: len(app.readings(2)) > seen + 5)
+
+
+async def test_one_that_lost_its_power_is_noticed_by_what_it_does_not_confirm(line: LineServer) -> None:
+    """A dead box cannot be had here; what makes the kernel notice one is looked at instead."""
+    port = await open_port(line.port.name, 9600, Ear())
+    connection: socket.socket = port._transport.get_extra_info("socket")  # type: ignore[attr-defined]
+    assert connection.getsockopt(socket.IPPROTO_TCP, TCP_USER_TIMEOUT) == TCP_LOST_AFTER_MS < 1000
+    assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+    assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    port.close()
