@@ -98,7 +98,8 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     database = Database(settings.server.store)
     events, passwords = EventLog(database), Passwords()
     assets = Assets(static_dir())
-    templates = Templates(templates_dir(), assets, settings.site, demo=demo)
+    compiled = settings.server.data / "compiled"
+    templates = Templates(templates_dir(), assets, settings.site, demo=demo, kept_in=compiled)
     live = LiveState(settings.bus, time())
     steps = ClockSteps()
     history = History(settings, on_clock_step=steps.tell)

@@ -14,6 +14,7 @@ from starlette.responses import HTMLResponse
 from app.settings import Site
 from app.web.access import Person, Role, person_of
 from app.web.assets import Assets
+from app.web.compiled import Compiled
 from app.web.formats import Formats
 from app.web.languages import Language, Languages
 
@@ -21,20 +22,30 @@ from app.web.languages import Language, Languages
 class Templates:
     """Renders templates. In every template: ``t()``, ``asset()``, ``formats``, ``language``,
     ``languages``, ``site``, ``Role``, ``demo``; in a page or fragment of a request also ``person``,
-    ``request`` and ``path``."""
+    ``request`` and ``path``. ``kept_in``: where they stay compiled from one start to the next."""
 
-    def __init__(self, folder: Path, assets: Assets, site: Site, *, demo: bool = False) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        assets: Assets,
+        site: Site,
+        *,
+        demo: bool = False,
+        kept_in: Path | None = None,
+    ) -> None:
         self.languages = Languages()
         self._site = site
         self._demo = demo
         self._assets = assets
         self._loader = FileSystemLoader(folder)
+        self._compiled = Compiled(kept_in) if kept_in is not None else None
         self.environment = cache(self._environment)
 
     def _environment(self, tag: str) -> Environment:
         language = self.languages[tag]
         environment = Environment(
             loader=self._loader,
+            bytecode_cache=self._compiled,
             autoescape=True,
             undefined=StrictUndefined,
             trim_blocks=True,
