@@ -18,7 +18,7 @@ def register(cli: typer.Typer) -> None:
 
 
 def worker(
-    bus: Annotated[str, typer.Option(help="Name of the [[bus]].")],
+    bus: Annotated[str, typer.Option(help="Name of the bus, as the configuration says it.")],
     app: Annotated[str, typer.Option(help="Address of the dashboard, http://host:port.")],
     token: Annotated[str, typer.Option(help="A bearer token.", envvar="LINESIDE_WORKER_TOKEN")],
     config: Annotated[Path, typer.Option(help="The configuration that has the bus.")] = Path("lineside.toml"),

@@ -196,7 +196,7 @@ class Poller:
             return []
         if reply is None:
             updates = self.roster.missed(request.unit, self.clock.epoch(now))
-            if self.roster[request.unit].link.link == "offline" and request.unit in self.schedule.round:
+            if self.roster[request.unit].silent and request.unit in self.schedule.round:
                 self.schedule.fell_silent(request.unit, now)
             return updates
         assert heard.answered_at is not None

@@ -36,15 +36,18 @@ from bus.wire.commands import (
 MISSES_TO_STALE = 2
 MISSES_TO_OFFLINE = 3
 """One lost answer is asked for again at once and is nobody's business."""
+LOST_AFTER_S = 1.0
+"""Three questions pass in a tenth of a second on a short line: a burst of noise that long loses no unit."""
 
 
 @dataclass(slots=True)
 class UnitRecord:
-    """One unit. ``misses``: questions in a row that it did not answer."""
+    """One unit. ``misses``: questions in a row that it did not answer since ``answered_at``."""
 
     unit: int
     link: UnitLink
     misses: int = 0
+    answered_at: float | None = None
     reading: Reading | None = None
     parameters: dict[int, ParameterValue] = field(default_factory=dict)
     staged: int | None = None
@@ -52,6 +55,15 @@ class UnitRecord:
 
     def __post_init__(self) -> None:
         self.statistics = UnitStatistics(self.unit)
+
+    @property
+    def silent(self) -> bool:
+        """Whether it need not be asked in every round any more."""
+        return self.misses >= MISSES_TO_OFFLINE
+
+    def lost(self, at: float) -> bool:
+        """Whether it is silent and has been for long enough; a clock that was set back counts as long."""
+        return self.silent and (self.answered_at is None or not 0 <= at - self.answered_at < LOST_AFTER_S)
 
     def raw(self, number: int) -> int | None:
         """A parameter as last read; None when it never was, or the unit does not have it."""
@@ -128,7 +140,7 @@ class Roster:
         """``unit`` did not answer one question."""
         record = self[unit]
         record.misses += 1
-        if record.misses >= MISSES_TO_OFFLINE:
+        if record.lost(at):
             return self._link(record, "offline", at, f"no answer to {MISSES_TO_OFFLINE} questions in a row")
         if record.link.link == "online" and record.misses >= MISSES_TO_STALE:
             return self._link(record, "stale", at, "an answer is overdue")
@@ -153,7 +165,7 @@ class Roster:
         ]
 
     def _answered(self, record: UnitRecord, at: float) -> list[Update]:
-        record.misses = 0
+        record.misses, record.answered_at = 0, at
         return self._link(record, "online", at, "") if record.link.link != "online" else []
 
     def _learn(self, record: UnitRecord, value: ParameterValue) -> list[Update]:

@@ -52,6 +52,15 @@ def test_one_miss_is_nobodys_business_two_are_stale_three_are_offline(roster: Ro
     assert told == [[], ["stale"], ["offline"], []]
 
 
+def test_a_short_burst_of_noise_loses_no_unit(roster: Roster) -> None:
+    roster.heard(ReadStatus(1), STATUS, 101.0, b"")
+    told = [links(roster.missed(1, 101.1 + miss / 10)) for miss in range(5)]
+    assert told == [[], ["stale"], [], [], []]
+    assert roster[1].silent
+    assert links(roster.heard(ReadStatus(1), STATUS, 101.7, b"")) == ["online"]
+    assert not roster[1].silent
+
+
 def test_misses_are_counted_in_a_row(roster: Roster) -> None:
     roster.heard(ReadStatus(1), STATUS, 101.0, b"")
     for _ in range(5):
