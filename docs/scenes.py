@@ -297,6 +297,11 @@ def abnormal_of_many(site: Site) -> None:
     site.line.remote.do("fault", kind="dead", rate=1, unit=200)
     site.line.remote.do("mode", unit=203, to="local")
     eventually(lambda: site.unit(200)["link"] == "offline", "a lost unit", within=180)
+    eventually(lambda: site.unit(90)["inputs"]["estop"], "an e-stop seen", within=180)
+    eventually(lambda: not site.unit(140)["inputs"]["run"], "a run input seen off", within=180)
+    with site.api() as client:
+        rows = f"/buses/line/units/{site.units}/parameters"
+        eventually(lambda: client.get(rows).json()[WINDOW - 1]["raw"], "the parameters of all", within=600)
 
 
 def nothing(_: Site) -> None:
