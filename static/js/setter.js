@@ -25,7 +25,8 @@ function followUnit(input) {
   };
   listen(key.slice(0, key.indexOf(".")), say);
   input.addEventListener("input", () => (input.dataset.touched = ""));
-  input.addEventListener("focus", () => input.select());
+  // What is half typed is not selected again: the next digit goes on, it does not begin anew.
+  input.addEventListener("focus", () => input.dataset.touched === undefined && input.select());
   const forget = () => {
     delete input.dataset.touched;
     delete input.dataset.fresh;

@@ -129,6 +129,78 @@ def test_out_of_range_is_refused_with_the_nearest(site: Site, browser_page: Open
     assert writes(site) == before
 
 
+def test_a_review_lapses_after_half_a_minute(site: Site, browser_page: OpensPages) -> None:
+    page = browser_page(viewport=PANEL)
+    page.add_init_script(
+        """const wait = setTimeout;
+        window.setTimeout = (what, ms, ...more) => wait(what, ms === 30_000 ? 1000 : ms, ...more);"""
+    )
+    opened(page, "/units/line/3")
+    before = writes(site)
+    page.locator("#setpoint").fill("90.0")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("[data-review-end]")).to_have_text("30 s have passed. Nothing was sent.")
+    expect(page.locator("[data-review-act]")).to_have_count(0)
+    expect(page.get_by_role("button", name="Close")).to_be_focused()
+    assert writes(site) == before
+
+
+def test_paste_works_and_scrolling_changes_nothing(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/3")
+    before = writes(site)
+    field = page.locator("#setpoint")
+    field.focus()
+    page.evaluate(
+        """() => {
+        const carried = new DataTransfer();
+        carried.setData("text/plain", " 92,5 ");
+        const pasted = new ClipboardEvent("paste", {clipboardData: carried, bubbles: true, cancelable: true});
+        if (document.activeElement.dispatchEvent(pasted)) document.execCommand("insertText", false, " 92,5 ");
+    }"""
+    )
+    field.hover()
+    page.mouse.wheel(0, 400)
+    page.mouse.wheel(0, -400)
+    for key in ("ArrowUp", "ArrowDown", "PageUp"):
+        page.keyboard.press(key)
+    expect(field).to_have_value(re.compile("92,5"))
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("[data-review-act]")).to_have_text(re.compile(r"to 92\.5$"))
+    page.get_by_role("button", name="Cancel").click()
+    assert writes(site) == before
+
+
+def test_the_pad_by_touch_erases_and_never_grows_beyond_the_field(
+    site: Site, browser_page: OpensPages
+) -> None:
+    page = opened(browser_page(viewport=PANEL, has_touch=True), "/units/line/3")
+    field = page.locator("#setpoint")
+    for key in ("9", "8", "erase", "7", ".", "5"):
+        page.locator(f'[data-pad="{key}"]').tap()
+    expect(field).to_have_value("97.5")
+    for _ in range(6):
+        page.locator('[data-pad="erase"]').tap()
+    expect(field).to_have_value("")
+    before = writes(site)
+    page.get_by_role("button", name="Set now").tap()
+    expect(page.locator("#setpoint-error")).not_to_be_empty()
+    boxes = page.locator(".pad button, .setter__acts button, .nudges button").evaluate_all(
+        "all => all.map(one => one.getBoundingClientRect()).map(box => Math.min(box.width, box.height))"
+    )
+    assert (min(boxes) >= 48, writes(site)) == (True, before)
+
+
+def test_what_is_refused_at_a_parameter_offers_the_nearest(browser_page: OpensPages) -> None:
+    page = opened(browser_page("engineer", viewport=PANEL), "/units/line/2/parameters")
+    row = page.locator("#parameter-6")
+    row.locator("[name=value]").fill("99999")
+    row.get_by_role("button", name="Write").click()
+    offered = row.get_by_role("button", name=re.compile("^Use "))
+    offered.click()
+    expect(row.locator("[name=value]")).not_to_have_value("99999")
+    expect(row.locator("[name=value]")).to_be_focused()
+
+
 def test_a_small_nudge_needs_no_review(site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=PANEL), "/units/line/7")
     was = state(site, 7)["setpoint"]

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -156,6 +157,58 @@ def test_a_page_that_slept_asks_for_everything_again(own_site: Site, browser_pag
     page.context.set_offline(False)
     expect(page.locator(LIVE)).to_be_attached(timeout=20_000)
     expect(page.locator('[data-live="line/3.commanded"]')).to_have_text("33.3")
+
+
+@pytest.mark.provokes("WebSocket")
+def test_a_device_that_slept_shows_nothing_old_as_new(own_site: Site, browser_page: OpensPages) -> None:
+    page = browser_page(site=own_site, viewport=PANEL)
+    page.add_init_script(
+        """window.links = [];
+        document.addEventListener("lineside:lost", () => window.links.push("lost"));
+        document.addEventListener("lineside:found", () => window.links.push("found"));"""
+    )
+    page.clock.install()
+    opened(page, "/")
+    # While a device sleeps its timers and the page's own clock stand still; only the time of day goes on.
+    page.clock.set_system_time(datetime.now(UTC) + timedelta(hours=1))
+    eventually(
+        lambda: page.evaluate("window.links")[-2:] == ["lost", "found"], "lost at once, and found again"
+    )
+    expect(page.locator('[data-unit="line/1"]')).to_have_attribute("data-quality", "online")
+
+
+@pytest.mark.provokes("WebSocket")
+def test_a_frozen_tab_comes_back_with_the_present_and_sends_nothing(
+    own_site: Site, browser_page: OpensPages
+) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/3")
+    page.locator("#setpoint").fill("38.5")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("[data-review-act]")).to_be_visible()
+    before = heard(own_site)
+    devtools = page.context.new_cdp_session(page)
+    other = page.context.new_page()
+    other.bring_to_front()
+    devtools.send("Page.setWebLifecycleState", {"state": "frozen"})
+    with own_site.api("operator") as client:
+        assert client.post("/buses/line/units/3/speed", json={"value": "36.6"}).status_code == 200
+    devtools.send("Page.setWebLifecycleState", {"state": "active"})
+    page.bring_to_front()
+    expect(page.locator(LIVE)).to_be_attached()
+    expect(page.locator('[data-live="line/3.commanded"]').first).to_have_text("36.6")
+    expect(page.locator("[data-review-act]")).to_have_count(0)
+    assert heard(own_site) == before + 1
+
+
+def test_a_hidden_tab_is_told_everything_when_it_is_shown(own_site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
+    other = page.context.new_page()
+    other.bring_to_front()
+    with own_site.api("operator") as client:
+        assert client.post("/buses/line/units/3/speed", json={"value": "35.5"}).status_code == 200
+    page.bring_to_front()
+    expect(page.locator('[data-live="line/3.commanded"]')).to_have_text("35.5")
+    expect(page.locator(LIVE)).to_be_attached()
 
 
 def test_two_posts_of_one_review_are_one_command(own_site: Site, browser_page: OpensPages) -> None:
