@@ -13,23 +13,24 @@ const GUTTER_WIDE = 168;
 const LABEL = 20;
 const PAD = 16;
 const NARROW = 700;
+/** How much of a curve's colour its band has, percent. */
+const BAND = 20;
 const LETTER = 7;
 const SYNC = "trends";
 const INVISIBLE = "rgb(0 0 0 / 0)";
 const zone = document.body.dataset.zone;
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-/** A colour that light-dark() gives, as the canvas understands it. */
-function colour(name) {
+/** A colour that light-dark() gives, as the canvas understands it; `percent` of it, the rest shines through. */
+function colour(name, percent = 100) {
   const probe = document.createElement("i");
-  probe.style.color = css(name) ? `var(${name})` : "currentcolor";
+  const whole = css(name) ? `var(${name})` : "currentcolor";
+  probe.style.color = percent < 100 ? `color-mix(in srgb, ${whole} ${percent}%, transparent)` : whole;
   document.body.append(probe);
   const found = getComputedStyle(probe).color;
   probe.remove();
   return found;
 }
-
-const faded = (rgb) => rgb.replace(/^rgba?\(([^)]*?)(?:,\s*[\d.]+)?\)$/, "rgba($1, 0.2)");
 
 /** Hue and dash of the value at a place: 32 values differ in one of the two. */
 export function look(place) {
@@ -144,10 +145,14 @@ export class Picture {
       const stroke = colour(name);
       const common = { scale: scaleOf(answer), spanGaps: false, paths: lanes ? stepped : undefined };
       const edge = { ...common, stroke: INVISIBLE, width: 1, points: { show: false } };
-      bands.push({ series: [series.length + 2, series.length + 1], fill: faded(stroke) });
-      series.push({ ...common, stroke, dash, width: lanes ? 2 : 1.75, points: lanes ? { show: false } : { size: 4 } }, edge, {
-        ...edge,
-      });
+      bands.push({ series: [series.length + 2, series.length + 1], fill: colour(name, BAND) });
+      series.push(
+        { ...common, stroke, dash, width: lanes ? 2 : 1.75, points: lanes ? { show: false } : { size: 4 } },
+        edge,
+        {
+          ...edge,
+        },
+      );
     }
     const options = {
       width: element.clientWidth || 600,
