@@ -7,6 +7,7 @@ present and costs no more than a few references: all who missed the same share w
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -81,7 +82,7 @@ class Flow:
     _began: float = 0.0
     _count: int = 0
     _flooded: bool = False
-    _told_at: float = -1.0
+    _told_at: float = -math.inf
 
     def came(self, units: int = 1) -> None:
         """There is something new of so many units for the page."""
@@ -92,16 +93,14 @@ class Flow:
         self._count += units
 
     def pause_s(self) -> float:
-        """How long to wait before telling it: nothing unless there is a flood, or very many pages."""
-        until = self._told_at + self.gap_s
-        if self._flooded or self._count > FLOOD:
-            until = max(until, self._began + WINDOW_S)
-        return max(0.0, until - self.clock())
+        """How long to wait before telling it again: nothing unless there is a flood, or very many pages."""
+        flooded = self._flooded or self._count > FLOOD
+        gap_s = max(self.gap_s, WINDOW_S) if flooded else self.gap_s
+        return max(0.0, self._told_at + gap_s - self.clock())
 
     def told(self) -> None:
         """It was told everything."""
-        if self.gap_s:
-            self._told_at = self.clock()
+        self._told_at = self.clock()
 
 
 @dataclass(eq=False, slots=True)

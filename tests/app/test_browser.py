@@ -50,12 +50,6 @@ async def test_all_who_missed_the_same_get_the_same_text() -> None:
     assert (await one.next())[0] is (await other.next())[0]
 
 
-async def test_a_burst_of_many_units_is_a_flood_at_once() -> None:
-    browser = Browser("anna", "operator", "en")
-    browser.tell(Diff(0, 1, 100.0, {f"dry/{unit}": {"actual": "1"} for unit in range(FLOOD + 1)}))
-    assert 0 < browser._flow.pause_s() <= WINDOW_S
-
-
 async def test_a_snapshot_makes_what_was_pending_worthless() -> None:
     browser = Browser("anna", "operator", "en")
     browser.tell(diff(1, actual="1"))
@@ -90,14 +84,17 @@ def test_what_one_wire_brings_is_never_held_up() -> None:
 
 def test_a_flood_is_told_once_in_a_window_until_it_is_over() -> None:
     made, now = flow()
-    for _ in range(FLOOD + 1):
-        made.came()
-    assert made.pause_s() == WINDOW_S
+    made.came(FLOOD + 1)
+    assert made.pause_s() == 0.0, "a burst is told at once"
+    made.told()
+    assert made.pause_s() == WINDOW_S, "and what follows it later"
     now[0] += WINDOW_S
     made.came()
+    made.told()
     assert made.pause_s() == WINDOW_S, "the next window begins flooded"
     now[0] += WINDOW_S
     made.came()
+    made.told()
     assert made.pause_s() == 0.0, "that window was quiet"
 
 
