@@ -25,8 +25,7 @@ from bus.line.steps import NO_RUBBISH, Rubbish
 from bus.line.trace import Passed, Trace
 from bus.line.window import QUIET_BYTES, Window
 from bus.settings import BITS_PER_BYTE, Dialect
-from bus.wire.commands import Nak, ReadStatus, Request, least_reply_bytes, longest_reply_bytes
-from bus.wire.describe import is_secret
+from bus.wire.commands import Nak, ReadStatus, Request
 from bus.wire.exchange import Answered, Doubled, Echo, Event, Exchange, Foreign, Late, Unexpected
 from bus.wire.fence import Doubt, Doubts
 from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise, ReceivedFrame
@@ -179,13 +178,13 @@ class Link:
         began = self._clock.now()
         self._port.write(exchange.sent)
         ends_sending = began + len(exchange.sent) * self._byte_s
-        longest = longest_reply_bytes(request, dialect) * self._byte_s
+        longest = exchange.prepared.longest_reply_bytes * self._byte_s
         window_s = self._turnaround_s + MARGIN_S if request.unit else 0.0
         last_moment = ends_sending + window_s + (longest + MARGIN_S if request.unit else 0.0)
         self._current = _Current(exchange, began, ends_sending, last_moment, dialect)
         window_ends = ends_sending + window_s
-        self._window.open(window_ends, last_moment, self._unheard_until(request, began, window_ends))
-        self._note(began, "out", exchange.sent, request)
+        self._window.open(window_ends, last_moment, self._unheard_until(exchange, began, window_ends))
+        self._note(began, "out", exchange.sent, exchange)
 
     def data_received(self, data: bytes) -> None:
         """Bytes came in."""
@@ -198,15 +197,16 @@ class Link:
             self._note(now, "in", data, None, valid=False)
             return
         for event in exchange.receive(data, now):
-            self._take(event, exchange.request, now)
+            self._take(event, exchange, now)
         if current is not None and current.exchange.reply is not None:
             self._finish(current, now)
 
-    def _take(self, event: Event, request: Request, now: float) -> None:
+    def _take(self, event: Event, exchange: Exchange, now: float) -> None:
+        request = exchange.request
         if isinstance(event, Noise | DoubledChecksum):
             if isinstance(event, Noise):
                 self._take_noise(event, request, now)
-            self._note(now, "in", event.data, request, valid=False)
+            self._note(now, "in", event.data, exchange, valid=False)
             return
         statistics = self._roster[request.unit].statistics
         match event:
@@ -224,7 +224,7 @@ class Link:
                 statistics.foreign += 1
         if self._current is not None and isinstance(event, Unexpected | Foreign):
             self._current.strange = True
-        self._note(now, "in", event.frame.wire, request)
+        self._note(now, "in", event.frame.wire, exchange)
 
     def _take_noise(self, noise: Noise, request: Request, now: float) -> None:
         self.counts.noise_bytes += len(noise.data)
@@ -277,7 +277,7 @@ class Link:
             exchange.reply,
             self._clock.epoch(current.ends_sending),
             self._clock.epoch(min(now, current.last_moment)) if exchange.reply is not None else None,
-            b"" if is_secret(request) else current.frame,
+            b"" if exchange.prepared.secret else current.frame,
             _rubbish(current),
         )
         self.done(heard, current.began, now)
@@ -305,13 +305,12 @@ class Link:
 
     # --- waiting -------------------------------------------------------------------------------
 
-    def _unheard_until(self, request: Request, began: float, window_ends: float) -> float | None:
+    def _unheard_until(self, exchange: Exchange, began: float, window_ends: float) -> float | None:
         """Shortly before the answer can be complete, on a port that is as slow as its baud rate."""
-        assert self._current is not None
-        if not self._pace.paced or request.unit == 0:
+        if not self._pace.paced or exchange.request.unit == 0:
             return None
-        sent, least = len(self._current.exchange.sent), least_reply_bytes(request, self._dialect)
-        return min(began + UNHEARD * self.least_s(sent, least), window_ends - MARGIN_S / 2)
+        least_s = self.least_s(len(exchange.sent), exchange.prepared.least_reply_bytes)
+        return min(began + UNHEARD * least_s, window_ends - MARGIN_S / 2)
 
     def _nothing_came(self, now: float) -> None:
         current = self._current
@@ -324,9 +323,9 @@ class Link:
         self._finish(current, now)
 
     def _note(
-        self, now: float, way: Direction, data: bytes, request: Request | None, *, valid: bool = True
+        self, now: float, way: Direction, data: bytes, exchange: Exchange | None, *, valid: bool = True
     ) -> None:
-        hidden = request is not None and is_secret(request)
+        hidden = exchange is not None and exchange.prepared.secret
         self._trace.add(Passed(self._clock.epoch(now), way, data, valid, hidden))
 
 

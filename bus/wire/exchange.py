@@ -22,9 +22,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bus.settings import Dialect
-from bus.wire.commands import Reply, Request, encode_request, parse_reply, request_body
+from bus.wire.commands import Reply, Request, parse_reply
 from bus.wire.fence import Doubt
 from bus.wire.framing import DoubledChecksum, FrameDecoder, Noise, ReceivedFrame
+from bus.wire.prepared import prepare
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,14 +92,14 @@ class Exchange:
         doubt: Doubt | None = None,
     ) -> None:
         self.request = request
-        self.sent = encode_request(request, dialect)
+        self.prepared = prepare(request, dialect)
+        self.sent = self.prepared.wire
         self.decoder = decoder or FrameDecoder(dialect)
         self.awaiting = request.unit != 0
         self.reply: Reply | None = None
         self.first_byte_at: float | None = None
         """When the first byte after the request (and its echo) came, in the caller's time."""
         self._dialect = dialect
-        self._own_body = request_body(request, dialect)
         self._before = doubt or Doubt(request.unit, dialect)
         self._answer: bytes | None = None
         self.doubt = self._before.sent(request)
@@ -125,7 +126,7 @@ class Exchange:
         self.awaiting = False
 
     def _classify(self, frame: ReceivedFrame) -> Event:
-        if frame.body == self._own_body:
+        if frame.body == self.prepared.body:
             return Echo(frame)
         unit = frame.body[0]
         if unit != self.request.unit:

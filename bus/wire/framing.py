@@ -164,7 +164,7 @@ class FrameDecoder:
             yield Noise(self._take(piece), Fault.OUTSIDE)
 
     def _accept(self, verdict: _Verdict) -> ReceivedFrame:
-        self._after_checksum_10h = checksum(verdict.body) == DLE
+        self._after_checksum_10h = self._buffer[verdict.end - 1] == DLE
         return ReceivedFrame(verdict.body, self._take(verdict.end))
 
     def _give_up(self, end: int, fault: Fault, body: bytes) -> Noise:

@@ -1,0 +1,60 @@
+"""A request ready to leave: its bytes, and how long its answer may be. Reads are prepared once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+from bus.settings import Dialect
+from bus.wire.commands import (
+    Request,
+    is_write,
+    least_reply_bytes,
+    longest_reply_bytes,
+    request_body,
+)
+from bus.wire.describe import is_secret
+from bus.wire.framing import encode_frame
+
+MOST_KEPT = 4096
+"""More than 40 parameters and the status of all the units that one bus commonly has."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """``wire`` is the frame, ``body`` what it carries; ``secret``: neither may be kept or shown (#21)."""
+
+    request: Request
+    body: bytes
+    wire: bytes
+    least_reply_bytes: int
+    longest_reply_bytes: int
+    secret: bool
+
+
+def prepare(request: Request, dialect: Dialect) -> Prepared:
+    """Raises CallerError for an address, number or value outside the manual's ranges."""
+    if is_write(request):
+        return _prepare(request, dialect)
+    return _prepare_read(
+        request, dialect.checksum_10h, dialect.parameter_reply_bytes, dialect.parameter_numbers
+    )
+
+
+def _prepare(request: Request, dialect: Dialect) -> Prepared:
+    body = request_body(request, dialect)
+    return Prepared(
+        request,
+        body,
+        encode_frame(body, dialect),
+        least_reply_bytes(request, dialect),
+        longest_reply_bytes(request, dialect),
+        is_secret(request),
+    )
+
+
+@lru_cache(MOST_KEPT)
+def _prepare_read(request: Request, checksum_10h: str, reply_bytes: int, numbers: str) -> Prepared:
+    """What of a dialect tells how a request is written, as plain values: they are compared quickly."""
+    how = {"checksum_10h": checksum_10h, "parameter_reply_bytes": reply_bytes, "parameter_numbers": numbers}
+    return _prepare(request, Dialect.model_validate(how))
