@@ -300,8 +300,8 @@ def abnormal_of_many(site: Site) -> None:
     eventually(lambda: site.unit(90)["inputs"]["estop"], "an e-stop seen", within=180)
     eventually(lambda: not site.unit(140)["inputs"]["run"], "a run input seen off", within=180)
     with site.api() as client:
-        rows = f"/buses/line/units/{site.units}/parameters"
-        eventually(lambda: client.get(rows).json()[WINDOW - 1]["raw"], "the parameters of all", within=600)
+        rows = "/buses/line/units/96/parameters"
+        eventually(lambda: client.get(rows).json()[WINDOW - 1]["raw"], "the first parameters", within=600)
 
 
 def nothing(_: Site) -> None:

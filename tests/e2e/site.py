@@ -109,8 +109,8 @@ class Site:
         eventually(self._answers, f"an answer from {self.url}")
 
     def wait_for_units(self) -> None:
-        """Until every unit has been read, and its decimals are known."""
-        eventually(self._all_read, "a reading from every unit")
+        """Until every unit has been read, and its decimals are known: of many, one after the other."""
+        eventually(self._all_read, "a reading from every unit", within=max(START_S, 2.0 * self.units))
 
     def stop(self, number: int = signal.SIGTERM) -> int:
         """End the server by a signal; what it returned."""
