@@ -93,7 +93,9 @@ function asked(form) {
 function submitted(event) {
   const form = event.target;
   if (event.defaultPrevented || form.method !== "post" || !document.body.dataset.liveUrl) return;
-  if (!isLive()) return event.preventDefault();
+  if (document.body.dataset.link === "lost") return event.preventDefault();
+  // A page that was opened just now has not been told the time; its server has only just answered.
+  if (!isLive()) return;
   const url = new URL(form.action);
   url.searchParams.set("asked_at", clock.now().toFixed(3));
   form.action = url.href;
