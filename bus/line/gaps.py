@@ -8,13 +8,16 @@ from collections.abc import Collection, Sequence
 
 FIRST_OF_ALL = 3
 """Without #3 (decimals) no speed can be shown right."""
+DECIMALS_EVERY = 4
+"""So many reads of the circle bring one #3, and a first reading of all the others still ends soon."""
 
 
 class Gaps:
     """Two queues of 85h reads: those needed to show a unit right, and a slow circle of all others.
 
     The needed ones go number by number over all units, so that all units are shown right together.
-    The circle never ends: what was read goes to its end, which finds what was changed at a panel.
+    The circle never ends: what was read goes to its end, which finds what was changed at a panel. Every
+    fourth read of it is #3 of the next unit, as decimals changed at a panel make every shown speed wrong.
     """
 
     def __init__(self, numbers: Sequence[int], needed: Collection[int]) -> None:
@@ -22,9 +25,11 @@ class Gaps:
         self._needed_numbers = frozenset(needed)
         self._needed: list[tuple[bool, int, int, int]] = []
         self._circle: deque[tuple[int, int]] = deque()
+        self._decimals: deque[tuple[int, int]] = deque()
         self._waiting: set[tuple[int, int]] = set()
         self._urgent: set[tuple[int, int]] = set()
         self._arrivals = 0
+        self._turn = 0
 
     def learn_all(self, unit: int) -> None:
         """``unit`` is new or has returned: everything about it is to be read."""
@@ -48,6 +53,7 @@ class Gaps:
         self._needed = [entry for entry in self._needed if entry[3] != unit]
         heapq.heapify(self._needed)
         self._circle = deque(entry for entry in self._circle if entry[0] != unit)
+        self._decimals = deque(entry for entry in self._decimals if entry[0] != unit)
         self._waiting = {entry for entry in self._waiting if entry[0] != unit}
         self._urgent = {entry for entry in self._urgent if entry[0] != unit}
 
@@ -65,9 +71,11 @@ class Gaps:
 
     def next_of_circle(self) -> tuple[int, int] | None:
         """Unit and number of the next parameter of the slow circle, taken from it."""
-        if not self._circle:
+        self._turn = (self._turn + 1) % DECIMALS_EVERY
+        queue = (self._circle or self._decimals) if self._turn else (self._decimals or self._circle)
+        if not queue:
             return None
-        entry = self._circle.popleft()
+        entry = queue.popleft()
         self._waiting.discard(entry)
         return entry
 
@@ -92,4 +100,5 @@ class Gaps:
     def _circulate(self, unit: int, number: int) -> None:
         if (unit, number) not in self._waiting:
             self._waiting.add((unit, number))
-            self._circle.append((unit, number))
+            queue = self._decimals if number == FIRST_OF_ALL else self._circle
+            queue.append((unit, number))

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.catalogue.parameters import NEEDED_TO_SHOW, PARAMETERS
+from bus.line.gaps import Gaps
 from bus.line.round import KEPT_OF_A_TURN, WATCHED_HZ, Round
 from bus.line.schedule import Kind, Schedule, Task
 from bus.line.share import Share
@@ -271,3 +272,25 @@ def test_a_back_off_never_exceeds_ten_seconds(seed: int) -> None:
         assert silence.due(now) == 1
         silence.unanswered(1, now, 0.01)
     assert silence.back_off_s(1) == STEPS_S[-1]
+
+
+def test_every_fourth_read_of_the_circle_is_the_decimals_of_the_next_unit() -> None:
+    gaps = Gaps(range(1, 41), NEEDED_TO_SHOW)
+    for unit in (1, 2):
+        for number in range(1, 41):
+            gaps.was_read(unit, number, available=True)
+    taken = []
+    for _ in range(8):
+        wanted = gaps.next_of_circle()
+        assert wanted is not None
+        gaps.was_read(*wanted, available=True)
+        taken.append(wanted)
+    assert taken == [(1, 1), (1, 2), (1, 4), (1, 3), (1, 5), (1, 6), (1, 7), (2, 3)]
+
+
+def test_a_unit_that_was_forgotten_is_in_no_part_of_the_circle() -> None:
+    gaps = Gaps(range(1, 41), NEEDED_TO_SHOW)
+    gaps.was_read(1, 3, available=True)
+    gaps.was_read(1, 6, available=True)
+    gaps.forget(1)
+    assert gaps.next_of_circle() is None
