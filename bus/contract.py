@@ -112,6 +112,8 @@ class BusFigures(Message, frozen=True, tag="bus_figures"):
     units: list[UnitFigures] = []
     updates_lost: int = 0
     """Readings and news dropped because the app was away longer than the worker can keep them."""
+    baud: int = 0
+    """The rate that the port goes at now, which a change of #18 may have moved; 0 from an older worker."""
 
 
 class Frame(Message, frozen=True, tag="frame"):

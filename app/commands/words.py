@@ -144,7 +144,7 @@ def _parameter(action: WriteParameter, live: UnitLive) -> Wording:
 def _without_values(action: Action, bus: BusLive) -> Wording:
     match action:
         case ChangeBaud():
-            return Wording("change the baud of the line", str(bus.settings.baud), str(action.baud))
+            return Wording("change the baud of the line", str(bus.baud), str(action.baud))
         case ScanBus():
             return Wording(f"scan the addresses {action.first} to {action.last}")
         case ReadParameters():

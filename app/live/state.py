@@ -60,6 +60,11 @@ class BusLive:
     figures: BusFigures | None = None
     units: dict[int, UnitLive] = field(default_factory=dict)
 
+    @property
+    def baud(self) -> int:
+        """The present rate: what the worker says, as #18 may have moved it; else as configured."""
+        return (self.figures.baud if self.figures is not None else 0) or self.settings.baud
+
 
 class LiveState:
     """Every configured bus, changed only by :meth:`apply` and its relatives."""

@@ -59,7 +59,7 @@ def bus_json(bus: BusLive, now: float, block: BlockReason) -> Json:
     return {
         "name": bus.settings.name,
         "port": bus.settings.port,
-        "baud": bus.settings.baud,
+        "baud": bus.baud,
         "link": bus.link.link,
         "link_cause": bus.link.cause,
         "link_since": iso(bus.link.at),

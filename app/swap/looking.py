@@ -28,7 +28,7 @@ async def look(desk: Desk, live: LiveState, person: Person, swap: Swap) -> Sight
         equal=swap.equal,
         is_new=swap.is_new,
         configured=frozenset(live.buses[bus].units),
-        baud=live.buses[bus].settings.baud,
+        baud=live.buses[bus].baud,
     )
 
 

@@ -81,7 +81,7 @@ async def look_again(
         now = Advice("find", "reading the wire", at_panel=False) if sight is None else advice(sight)
     except Problem as problem:
         now = Advice("find", problem.detail, at_panel=False)
-    baud = live.buses[bus].settings.baud
+    baud = live.buses[bus].baud
     return render(
         request,
         "swap/_steps.html",

@@ -73,6 +73,7 @@ class Poller:
         self._not_before = 0.0
         self._tuned_at = clock.now()
         self._expected_baud: int | None = None
+        self._look_elsewhere = False
         self._closed_at = clock.now()
         self._wake: Alarm | None = None
 
@@ -117,11 +118,19 @@ class Poller:
                 self._expected_baud = None
             return
         now = self.clock.now()
-        if now - self._tuned_at > LOOK_ELSEWHERE_S and not self.link.busy:
-            other, self._expected_baud = self._expected_baud, self.baud
-            self._retune(other)
-            self.schedule.port_opened(now)
-            self._go(now)
+        if now - self._tuned_at > LOOK_ELSEWHERE_S:
+            self._look_elsewhere = True
+            if not self.link.busy:
+                self._go(now)
+
+    def _turn_to_the_other_rate(self, now: float) -> None:
+        """Between two questions, of which a silent line gets one after the other."""
+        self._look_elsewhere = False
+        if self._expected_baud is None:
+            return
+        other, self._expected_baud = self._expected_baud, self.baud
+        self._retune(other)
+        self.schedule.port_opened(now)
 
     def _retune(self, baud: int) -> None:
         """Everything from here on goes at ``baud``."""
@@ -166,7 +175,8 @@ class Poller:
         """The figures of this moment."""
         now = self.clock.now()
         at = self.clock.epoch(now)
-        return self._figures.take(now, at, self.link.counts, self.roster, self.schedule)
+        figures = self._figures.take(now, at, self.link.counts, self.roster, self.schedule)
+        return msgspec.structs.replace(figures, baud=self.baud)
 
     # --- one exchange after the other ----------------------------------------------------------
 
@@ -238,6 +248,8 @@ class Poller:
         """Send what is next; nothing to send: be waked when there is."""
         if not self.link.open:
             return
+        if self._look_elsewhere:
+            self._turn_to_the_other_rate(now)
         starved = len(self.errands) > 0 and self._leave_a_poll(now)
         if starved and self._routine is None and (poll := self.schedule.next_poll()) is not None:
             self._routine = (poll, Asking(_ask_of(poll)))

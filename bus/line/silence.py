@@ -62,9 +62,11 @@ class Silence:
                 other.due = min(other.due, now)
 
     def forgive(self, now: float) -> None:
-        """The port was opened anew: everybody is worth asking at once."""
+        """The port was opened anew, or goes at another rate: everybody is worth asking at once, whoever has
+        waited longest first, and the first one whatever was spent before."""
+        self._ration = Share(WIRE_SHARE)
         for silent in self._units.values():
-            silent.step, silent.due = 0, now
+            silent.step, silent.due = 0, min(silent.due, now)
 
     def due(self, now: float) -> int | None:
         """The unit to probe now, the longest overdue first; None when none is due or the ration is used."""

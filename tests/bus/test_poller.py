@@ -395,6 +395,24 @@ def test_the_whole_line_goes_to_another_baud_rate(at_once: bool) -> None:
     run(scene, 4)
 
 
+def test_a_slow_line_with_its_first_unit_off_is_found_at_its_new_rate() -> None:
+    """Each look at a silent line costs a long turnaround; both rates must still get theirs in turn."""
+
+    async def scene(line: VirtualLine) -> None:
+        _decide(line, [False] * 3)
+        await settled(line)
+        assert (await line.ask(ChangeBaud(4800), timeout_s=20)).outcome == "verified"
+        line.faults.set(Kind.DEAD, 1.0, 1)
+        for unit in line.plant.units:
+            unit.power_up()
+        await asyncio.sleep(15 * LOOK_ELSEWHERE_S)
+        assert line.worker.poller.baud == 4800
+        assert line.worker.poller.figures().baud == 4800
+        assert [unit_links(line, unit)[-1] for unit in (2, 3)] == ["online"] * 2
+
+    run(scene, 3, turnaround_ms=300)
+
+
 @pytest.mark.parametrize("odd", ["stays", "refuses", "dead", "dies"])
 def test_a_unit_that_does_not_come_along_brings_all_the_others_back(odd: str) -> None:
     async def scene(line: VirtualLine) -> None:
