@@ -50,21 +50,25 @@ def _state(unit: int) -> UnitState:
 
 
 async def feed(url: str, token: str, units: int, rate: float) -> None:
-    """Speak as a worker until cancelled."""
+    """Speak as a worker until the server has ended. The server's own worker, which has no port, may come
+    in between the hello and the snapshot; then once more."""
     address = url.replace("http", "ws", 1) + "/feed"
     headers = {"Authorization": f"Bearer {token}"}
-    async with connect(address, additional_headers=headers, compression=None) as socket:
-        now = time.time()
-        await socket.send(
-            encode(Hello(CONTRACT_VERSION, "line", f"feeder-{now}", now, "feeder", "none", now))
-        )
-        await socket.recv()
-        states = [_state(unit) for unit in range(1, units + 1)]
-        await socket.send(encode(Snapshot(0, now, BusLink(now, "open"), states)))
-        listening = asyncio.create_task(_listen(socket))
-        print("ready", flush=True)
-        await _speak(socket, units, rate)
-        listening.cancel()
+    while True:
+        async with connect(address, additional_headers=headers, compression=None) as socket:
+            with suppress(ConnectionClosed):
+                await _introduce(socket, units)
+                print("ready", flush=True)
+                await asyncio.gather(_listen(socket), _speak(socket, units, rate))
+
+
+async def _introduce(socket: ClientConnection, units: int) -> None:
+    now = time.time()
+    states = [_state(unit) for unit in range(1, units + 1)]
+    snapshot = encode(Snapshot(0, now, BusLink(now, "open"), states))
+    await socket.send(encode(Hello(CONTRACT_VERSION, "line", f"feeder-{now}", now, "feeder", "none", now)))
+    await socket.recv()
+    await socket.send(snapshot)
 
 
 async def _listen(socket: ClientConnection) -> None:
@@ -85,5 +89,5 @@ async def _speak(socket: ClientConnection, units: int, rate: float) -> None:
 
 
 if __name__ == "__main__":
-    with suppress(KeyboardInterrupt, ConnectionClosed):
+    with suppress(KeyboardInterrupt, OSError):
         asyncio.run(feed(sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4])))
