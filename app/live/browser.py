@@ -27,9 +27,9 @@ WINDOW_S = 0.25
 told once in a window until it is quieter: it could not draw them all, its device has other things to do."""
 
 FEW_PAGES = 40
-MOST_TOLD_S = 1600
+MOST_TOLD_S = 1000
 """With more pages than a few, none is told again before its share of so many messages a second: the server
-has other things to do. 200 pages are told eight times a second, 40 and fewer of every single answer."""
+has other things to do. 200 pages are told five times a second, 40 and fewer of every single answer."""
 
 MOST_WAITING = 64
 """Changes that wait for a slow browser before they are made one."""
