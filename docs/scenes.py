@@ -11,9 +11,11 @@ import re
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import httpx
 from playwright.sync_api import Page
 
 from tests.e2e.site import Site, eventually
@@ -300,8 +302,15 @@ def abnormal_of_many(site: Site) -> None:
     eventually(lambda: site.unit(90)["inputs"]["estop"], "an e-stop seen", within=180)
     eventually(lambda: not site.unit(140)["inputs"]["run"], "a run input seen off", within=180)
     with site.api() as client:
-        rows = "/buses/line/units/96/parameters"
-        eventually(lambda: client.get(rows).json()[WINDOW - 1]["raw"], "the first parameters", within=600)
+        for unit in range(1, 97):
+            eventually(partial(_window, client, unit), f"the window of unit {unit}", within=600)
+
+
+def _window(client: httpx.Client, unit: int) -> int | None:
+    """The at-speed window (#12), which a deviation is drawn in; None while it has not been read."""
+    rows = client.get(f"/buses/line/units/{unit}/parameters").json()
+    raw: int | None = rows[WINDOW - 1]["raw"]
+    return raw
 
 
 def nothing(_: Site) -> None:
