@@ -14,7 +14,7 @@ from typing import Any
 from app.live.age import scan_s_of
 from app.live.browser import Browser, Diff
 from app.live.fields import Voice, health_fields, unit_key
-from app.live.screen import Block, Drift, Groups, Recipe, Screen, motions_for, watch_motions
+from app.live.screen import WHOLE_LINE, Block, Drift, Groups, Recipe, Screen, motions_for, watch_motions
 from app.live.state import LiveState
 from app.web.templating import Templates
 from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
@@ -78,7 +78,7 @@ class Hub:
             self._screens[language] = screen
             self._numbers[language] = 0
         self._publish(language, screen.refresh(self._clock()))
-        self._publish(language, screen.put("line", {"memory": self.memory(screen.voice, self._clock())}))
+        self._publish(language, screen.put(WHOLE_LINE, {"memory": self.memory(screen.voice, self._clock())}))
         return screen
 
     def join(self, browser: Browser) -> None:
@@ -130,7 +130,7 @@ class Hub:
             screen = self._screens[language]
             groups = screen.settle(now)
             said = {"holder": self._holders(), "memory": self.memory(screen.voice, now)}
-            for held in (screen.put("line", said), *self._held(screen)):
+            for held in (screen.put(WHOLE_LINE, said), *self._held(screen)):
                 for group, fields in held.items():
                     groups.setdefault(group, {}).update(fields)
             self._publish(language, groups, always=True)

@@ -28,6 +28,8 @@ from app.live.state import BusLive, LiveState, UnitLive
 from app.web.formats import UNKNOWN
 
 Groups = dict[str, Fields]
+WHOLE_LINE = "whole_line"
+"""The group of the totals: a name that no bus can have (a slug holds no underscore)."""
 MOST_ENTRIES = 30
 """In the strip; when more is not well, the verdict has their number."""
 _DECIDES = {"link", "state", "level", "trouble"}
@@ -77,7 +79,7 @@ class Screen:
             fields = bus_fields(bus, self.voice) | {"recipe": self._recipe(bus_name)}
             self._put(changed, bus_name, fields)
         if whole_bus or any(_DECIDES & fields.keys() for fields in changed.values()):
-            self._put(changed, "line", self._line(now))
+            self._put(changed, WHOLE_LINE, self._line(now))
         return changed
 
     def settle(self, now: float) -> Groups:

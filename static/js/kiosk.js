@@ -128,7 +128,7 @@ export function start() {
     item.hidden = !document.fullscreenEnabled;
   if (home === undefined) return;
   arrive();
-  listen("line", (fields) => {
+  listen("whole_line", (fields) => {
     verdict = fields.verdict ?? "";
     level = fields.level ?? "";
     if (!isDark()) return;

@@ -49,7 +49,7 @@ function say(verdict) {
 
 export function start() {
   let known = null;
-  listen("line", (fields, changed) => {
+  listen("whole_line", (fields, changed) => {
     if ("strip" in changed) draw(fields.strip, Number(fields.troubles));
     if (known !== null && fields.troubles !== known) say(fields.verdict);
     known = fields.troubles ?? known;

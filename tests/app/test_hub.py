@@ -164,4 +164,4 @@ async def test_who_holds_control_is_on_every_page(world: World) -> None:
     browser = world.join()
     await told(browser)
     world.hub.tick()
-    assert (await told(browser))[-1]["f"]["line"] == {"holder": "anna"}
+    assert (await told(browser))[-1]["f"]["whole_line"] == {"holder": "anna"}

@@ -97,7 +97,7 @@ def test_control_is_taken_seen_handed_over_and_given_back(site: Site, browser_pa
     expect(anna.get_by_role("button", name="Give control back")).to_be_focused()
     expect(ben.locator("[data-control]")).to_contain_text("operator holds control since")
     expect(ben.get_by_role("button", name="Take control")).to_have_count(0)
-    expect(looks.locator("[data-live='line.holder']")).to_have_text("operator")
+    expect(looks.locator("[data-live='whole_line.holder']")).to_have_text("operator")
 
     anna.get_by_label("Hand over to").select_option("engineer")
     anna.get_by_role("button", name="Hand over").click()
@@ -108,7 +108,7 @@ def test_control_is_taken_seen_handed_over_and_given_back(site: Site, browser_pa
 
     ben.get_by_role("button", name="Give control back").click()
     expect(anna.get_by_role("button", name="Take control")).to_be_visible()
-    expect(looks.locator("[data-live='line.holder']")).to_have_text("\u2013")
+    expect(looks.locator("[data-live='whole_line.holder']")).to_have_text("\u2013")
 
 
 @pytest.mark.usefixtures("holder")
@@ -276,7 +276,7 @@ def test_a_block_is_shown_on_every_page_and_lifted_by_name(
     unsaid = []
     for path in pages:
         opened(page, path)
-        expect(page.locator("[data-live='line.verdict']").first).to_contain_text("need")
+        expect(page.locator("[data-live='whole_line.verdict']").first).to_contain_text("need")
         if path != "/account" and "belt off since 14:20" not in page.locator("body").inner_text():
             unsaid.append(path)
     opened(page, "/units/line/1")
