@@ -43,7 +43,7 @@ def restore(
             typer.echo("nothing was written", err=True)
             raise typer.Exit(1)
         ended = _run(there, planned, quiet=as_json)
-        typer.echo(json.dumps(ended["rows"]) if as_json else _ending_text(ended))
+        typer.echo(json.dumps(_results(ended)) if as_json else _ending_text(ended))
         if ended["state"] != "equal":
             typer.echo(f"lineside: unit {unit} does not equal {file}: {_why(ended)}", err=True)
             raise typer.Exit(1)
@@ -79,6 +79,16 @@ def _run(there: Dashboard, planned: Any, *, quiet: bool) -> Any:
         if now["state"] in _ENDED:
             return now
         time.sleep(_LOOK_AGAIN_S)
+
+
+def _results(ended: Any) -> list[Any]:
+    """A result per row, also of those that nothing was sent for because the unit is not in REMOTE."""
+    unsent = [
+        {key: left[key] for key in ("number", "name")} | {"outcome": "left_out", "message": left["reason"]}
+        for left in ended["left_out"]
+        if left["later"]
+    ]
+    return [*ended["rows"], *unsent]
 
 
 def _plan_text(planned: Any) -> str:

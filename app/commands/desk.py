@@ -100,7 +100,7 @@ class Desk:
             deadline = self._now() + time_s
             wish = Wish(id or uuid.uuid4().hex, person, bus, action, deadline, origin, listener)
             await self._check(wish, live, confirm)
-            kept = self._start(wish)
+            kept = self._start(wish, live)
         _refuse_other(id, (kept.bus, kept.action) == (bus, action))
         return await asyncio.shield(kept.fate)
 
@@ -142,28 +142,38 @@ class Desk:
             confirm=confirm,
         )
 
-    def _start(self, wish: Wish) -> _Kept:
+    def _start(self, wish: Wish, live: BusLive) -> _Kept:
         already = self._kept.get(wish.id)
         if already is not None:
             return already
-        fate = asyncio.create_task(self._carry_out(wish), name=f"command {wish.id}")
+        # Noted before anybody else can be checked: two at once must not both pass the limit of a minute.
+        steps, at = _steps(wish.action, live), self._now()
+        for unit, step in steps.items():
+            self._moves.note(wish.bus, unit, step, at)
+        fate = asyncio.create_task(self._follow(wish, live, steps, at), name=f"command {wish.id}")
         kept = self._kept[wish.id] = _Kept(wish.bus, wish.action, fate)
         while len(self._kept) > REMEMBERED and next(iter(self._kept.values())).fate.done():
             self._kept.popitem(last=False)
         return kept
 
-    async def _carry_out(self, wish: Wish) -> Result:
-        live = self._live.buses[wish.bus]
+    async def _follow(self, wish: Wish, live: BusLive, steps: dict[int, int], at: float) -> Result:
+        """Carry it out; its steps, which were noted for ``at``, count no more when no unit acted."""
+        acted = False
+        try:
+            result = await self._carry_out(wish, live)
+            acted = result.outcome in ACTED
+            return result
+        finally:
+            for unit, step in () if acted else steps.items():
+                self._moves.take_back(wish.bus, unit, step, at)
+
+    async def _carry_out(self, wish: Wish, live: BusLive) -> Result:
         if not is_write(wish.action) and not _is_a_search(wish.action):
             return await self._send(wish, live)
         if isinstance(wish.action, WriteParameter) and self.before_parameter_write is not None:
             await self.before_parameter_write(wish.person, wish.bus, wish.action.unit)
         intent = await self._record.intend(wish, live)
-        steps = _steps(wish.action, live)
         result = await self._send(wish, live)
-        if result.outcome in ACTED:
-            for unit, step in steps.items():
-                self._moves.note(wish.bus, unit, step, self._now())
         await self._record.conclude(intent, wish, result)
         return result
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from contextlib import suppress
 
 WINDOW_S = 60.0
 
@@ -16,6 +17,11 @@ class Moves:
     def note(self, bus: str, unit: int, step: int, at: float) -> None:
         """A setpoint was moved by ``step``."""
         self._steps.setdefault((bus, unit), deque()).append((at, step))
+
+    def take_back(self, bus: str, unit: int, step: int, at: float) -> None:
+        """The step noted for ``at`` did not happen."""
+        with suppress(ValueError):
+            self._steps.get((bus, unit), deque()).remove((at, step))
 
     def within_a_minute(self, bus: str, unit: int, now: float) -> int:
         """The sum of all steps of the last minute."""

@@ -18,7 +18,7 @@ from app.errors import Problem
 from app.web.access import Operator, Person
 from bus.contract import Result, SetLine, SetSpeed, UnitOutcome
 
-router = APIRouter(prefix="/line/zero")
+router = APIRouter(prefix="/line/zero", include_in_schema=False)
 Proof = tuple[str, str, Fate]
 """A unit's name, what was asked of it, and its fate."""
 

@@ -20,6 +20,7 @@ from bus.catalogue.parameter import (
 )
 
 __all__ = [
+    "NEEDED_TO_JUDGE",
     "NEEDED_TO_SHOW",
     "PARAMETERS",
     "IllegalValue",
@@ -149,3 +150,5 @@ PARAMETERS: Mapping[int, Parameter] = MappingProxyType({row.number: row for row 
 """Every parameter by its number, 1 to 40."""
 NEEDED_TO_SHOW = (1, 2, 3, 8, 12, 22, 23, 28, 29, 30)
 """Without these a reading cannot be shown right."""
+NEEDED_TO_JUDGE = (31, 38)
+"""Without these a ratio cannot be judged before it is sent: they are a follower's limits."""

@@ -10,15 +10,18 @@ from bus.contract import ParameterValue, Result
 from bus.errors import unit_error_name
 from bus.line.proof import ask
 from bus.line.roster import UnitRecord
-from bus.line.steps import Ask, Fate, Procedure, Tell, Wish
+from bus.line.steps import Ask, Fate, Procedure, Tell, Wait, Wish
 from bus.wire.commands import ReadParameter
+
+MOMENT_S = 0.5
+"""How long a unit that missed a question is left alone: its three tries pass in a tenth of a second."""
 
 
 def read_parameters(record: UnitRecord, numbers: Sequence[int], wish: Wish) -> Procedure:
     """85h for each of ``numbers``, all of the list when empty.
 
-    The first that is not answered is asked again at the end: a moment of noise does not cost a whole list.
-    A second one is a unit that has fallen silent, and ends it.
+    The first that is not answered is asked again at the end, and the rest a moment later: noise does not
+    cost a whole list. A second one is a unit that has fallen silent, and ends it.
     """
     wanted = tuple(numbers) or tuple(PARAMETERS)
     waiting, missed = deque(wanted), False
@@ -37,6 +40,7 @@ def read_parameters(record: UnitRecord, numbers: Sequence[int], wish: Wish) -> P
                 return _partly(record, values, wanted, f"no answer to #{number}")
             missed = True
             waiting.append(number)
+            yield Wait(MOMENT_S)
             continue
         known = record.parameters.get(number)
         if known is not None and known.at == answer.answered_at:

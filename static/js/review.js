@@ -1,5 +1,5 @@
-// The review dialog: focus rests on Cancel, Enter does not execute, it lapses after 30 s or when the value has
-// moved, and nothing leaves while the server is not heard.
+// The review dialog: focus rests on Cancel, Enter does not execute, it lapses after 30 s, when the value has moved
+// or the unit has fallen silent, and nothing leaves while the server is not heard.
 import { listen, rebind, value } from "./bind.js";
 import * as clock from "./clock.js";
 import { giveBack } from "./focus.js";
@@ -46,6 +46,7 @@ function watch(form) {
   endings.push(
     listen(group, () => {
       const present = value(key);
+      if (value(`${group}.link`) !== "online") return end(form, word("silent"));
       if (present !== undefined && present !== was) end(form, word("moved", present));
     }),
   );
@@ -92,8 +93,9 @@ function asked(form) {
  * so that one that is held up on the way is refused (app/web/late.py). */
 function submitted(event) {
   const form = event.target;
-  if (event.defaultPrevented || form.method !== "post" || !document.body.dataset.liveUrl) return;
+  if (event.defaultPrevented || !document.body.dataset.liveUrl) return;
   if (document.body.dataset.link === "lost") return event.preventDefault();
+  if (form.method !== "post") return;
   // A page that was opened just now has not been told the time; its server has only just answered.
   if (!isLive()) return;
   const url = new URL(form.action);

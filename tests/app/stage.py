@@ -30,6 +30,7 @@ from app.commands.trace_api import router as trace_router
 from app.database import Database
 from app.feed.socket import router as feed_router
 from app.feed.workers import Workers
+from app.history.status import Status
 from app.live.api import router as live_router
 from app.live.state import LiveState
 from app.pipeline import Pipeline
@@ -102,6 +103,7 @@ class History:
 
     def __init__(self) -> None:
         self.updates: list[Update] = []
+        self.status = Status()
 
     def append(self, bus: str, updates: Sequence[Update]) -> None:
         """As the real one."""
@@ -196,6 +198,7 @@ class Stage:
             safeguards=self.guards,
             workers=self.workers,
             events=self.events,
+            history=self.history,
             hub=SimpleNamespace(block=self.guards.block_reason),
             settings=SimpleNamespace(site=SimpleNamespace(name="Test line")),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
 
@@ -77,6 +78,13 @@ async def test_movement_within_a_minute_adds_up(stage: Stage) -> None:
     assert await speed(stage, 1101) == (422, "invalid")
     assert await speed(stage, 1100) == (200, "verified")
     assert await speed(stage, 1101) == (422, "invalid")
+
+
+async def test_two_moves_at_once_do_not_both_pass(stage: Stage) -> None:
+    await obeying(stage)
+    await stage.ask("PUT", "/units/1/limits", {"per_minute": 100})
+    outcomes = await asyncio.gather(speed(stage, 1060), speed(stage, 1080))
+    assert sorted(outcomes) == [(200, "verified"), (422, "invalid")]
 
 
 async def test_what_did_not_move_does_not_count(stage: Stage) -> None:

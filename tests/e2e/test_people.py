@@ -428,6 +428,7 @@ def test_focus_stays_in_the_row_that_was_written(browser_page: OpensPages, holde
     page.keyboard.press("Tab")
     page.keyboard.press("Enter")
     expect(page.locator("[data-review-done=good]")).to_be_visible()
+    expect(page.get_by_role("button", name="Close")).to_be_focused()
     page.keyboard.press("Enter")
     expect(page.locator("dialog[open]")).to_have_count(0)
     expect(row.locator("[name=value]")).to_be_focused()
