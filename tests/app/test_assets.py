@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -84,3 +85,19 @@ async def test_every_file_that_the_frame_asks_for_is_there(house: House) -> None
 def test_the_folders_are_found() -> None:
     assert (static_dir() / "css").is_dir()
     assert (templates_dir() / "base.html").is_file()
+
+
+def test_every_module_that_a_page_begins_with_is_asked_for_at_once() -> None:
+    base = (templates_dir() / "base.html").read_text(encoding="utf-8")
+    asked_for = set(re.findall(r'"(\w+)"', re.findall(r"{% for module in \[(.*?)\] %}", base)[0]))
+    assert asked_for == imported("main") - {"main"}
+
+
+def imported(module: str, known: frozenset[str] = frozenset()) -> frozenset[str]:
+    """A module and all that it imports."""
+    known |= {module}
+    source = (static_dir() / "js" / f"{module}.js").read_text(encoding="utf-8")
+    for name in re.findall(r'from "\./([\w-]+)\.js"', source):
+        if name not in known:
+            known |= imported(name, known)
+    return known

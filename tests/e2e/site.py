@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import IO, Any
 
@@ -164,10 +165,15 @@ class Site:
         assert self.server is not None
         if self.server.poll() is not None:
             raise AssertionError("lineside serve ended:\n" + (self.folder / "serve.log").read_text()[-4000:])
+        # Nothing heavier: it is asked fifty times a second while the server starts, and that is measured.
+        asked = HTTPConnection(self.url.rpartition("/")[2], timeout=30)
         try:
-            return httpx.get(f"{self.url}/healthz", trust_env=False).status_code == 200
-        except httpx.HTTPError:
+            asked.request("GET", "/healthz")
+            return asked.getresponse().status == 200
+        except (OSError, HTTPException):
             return False
+        finally:
+            asked.close()
 
     def _all_read(self) -> bool:
         with self.api() as client:
