@@ -103,9 +103,12 @@ def _delays(served: Site, page: Page, groups: list[list[int]]) -> tuple[list[flo
 
 def _ramp(served: Site) -> None:
     """To the other end of the scale, so that every answer says something new."""
-    high = served.unit(1)["commanded_raw"] < 500
-    setpoints = {str(unit): {"raw": 1900 if high else 50} for unit in range(1, served.units + 1)}
     with served.api("operator") as client:
+        units = client.get("/line").json()["buses"][0]["units"]
+        # Followers take a ratio, and come along with their master.
+        masters = {str(unit["id"]): unit["commanded_raw"] for unit in units if not unit["inputs"]["slave"]}
+        raw = 1900 if min(masters.values()) < 500 else 50
+        setpoints = {unit: {"raw": raw} for unit in masters}
         client.post("/buses/line/speeds", json={"setpoints": setpoints, "timeout_s": 30}).raise_for_status()
 
 
