@@ -46,7 +46,7 @@ function watch(form) {
   endings.push(
     listen(group, () => {
       const present = value(key);
-      if (value(`${group}.link`) !== "online") return end(form, word("silent"));
+      if (value(`${group}.link`) !== "online") return end(form, word("fellSilent"));
       if (present !== undefined && present !== was) end(form, word("moved", present));
     }),
   );
