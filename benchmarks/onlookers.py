@@ -8,12 +8,38 @@ from __future__ import annotations
 
 import asyncio
 import json
+import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import count
 
 from websockets.asyncio.client import ClientConnection, connect
 
+from tests.e2e.site import end
+
 SPEAK_S = 10.0
+
+
+@contextmanager
+def onlookers(url: str, token: str, number: int, *, trace: str = "") -> Iterator[None]:
+    """So many of them in a process of their own, until the end; all are let in when it begins."""
+    command = [
+        sys.executable,
+        "-m",
+        "benchmarks.onlookers",
+        url,
+        token,
+        str(number),
+        *([trace] if trace else []),
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n", "the onlookers were not let in"
+        yield
+    finally:
+        end(process)
 
 
 async def watch(url: str, token: str, opened: asyncio.Semaphore, trace: str) -> None:

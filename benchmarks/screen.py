@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
@@ -13,10 +11,11 @@ from typing import Any
 
 from playwright.sync_api import Page, sync_playwright
 
+from benchmarks.onlookers import onlookers
 from benchmarks.processes import cpu_seconds, family, memory_mib
 from benchmarks.tables import median, milliseconds, quantile, show
 from tests.e2e.conftest import CHROMIUM, FLAGS, signed_in
-from tests.e2e.site import Site, end, site
+from tests.e2e.site import Site, site
 
 MEASURED_S = 12.0
 CROWDS = (1, 20, 200, 500)
@@ -142,13 +141,5 @@ def _onlookers(served: Site, count: int) -> Iterator[None]:
     if not count:
         yield
         return
-    arguments = [served.url, served.tokens["viewer"], str(count)]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "benchmarks.onlookers", *arguments], stdout=subprocess.PIPE, text=True
-    )
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n", "the onlookers were not let in"
+    with onlookers(served.url, served.tokens["viewer"], count):
         yield
-    finally:
-        end(process)

@@ -15,6 +15,7 @@ from typing import Any
 import httpx
 
 from benchmarks.modbus_line import ModbusLine
+from benchmarks.onlookers import onlookers
 from benchmarks.processes import cpu_seconds, family, memory_mib
 from benchmarks.served import CONFIG, LINESIDE, served_line
 from benchmarks.tables import microseconds, show
@@ -62,14 +63,8 @@ def _onlookers(folder: Path) -> Iterator[None]:
     number = tomllib.loads(config.read_text(encoding="utf-8"))["server"]["port"]
     url = f"http://127.0.0.1:{number}"
     eventually(lambda: _serves(url), f"an answer from {url}")
-    command = [sys.executable, "-m", "benchmarks.onlookers", url, token, str(ONLOOKERS), "line"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n", "the onlookers were not let in"
+    with onlookers(url, token, ONLOOKERS, trace="line"):
         yield
-    finally:
-        end(process)
 
 
 def _serves(url: str) -> bool:
