@@ -60,7 +60,7 @@ def load_bus(path: Path, name: str) -> BusSettings:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: there is no such file; name one with --config FILE") from None
     except UnicodeDecodeError as error:
@@ -157,6 +157,8 @@ def _sentence(model: type[BaseModel], place: tuple[Step, ...], details: ErrorDet
     if "at" in details.get("ctx", {}):
         return details["msg"]
     names = ".".join(step for step in place if isinstance(step, str) and step != "[key]")
+    if details["type"] == "tuple_type" and isinstance(details["input"], dict):
+        return f"write [[{names}]] instead of [{names}], as there may be several"
     return f"{names} = {details['input']!r}: {_right(details)}"
 
 

@@ -34,6 +34,14 @@ class Dialect(Strict):
     estop_healthy: Literal[0, 1] = 1
     """The value of the e-stop input bit while no emergency stop is active."""
 
+    @field_validator("parameter_reply_bytes", "estop_healthy", mode="before")
+    @classmethod
+    def _is_a_number(cls, value: object) -> object:
+        """TOML's true is no 1, though Python's is: whoever writes it may mean the opposite."""
+        if type(value) is not int:
+            raise ValueError("write a whole number, without quotes")
+        return value
+
 
 class UnitLabels(Strict):
     """Names of what is wired to a unit."""

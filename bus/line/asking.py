@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 from bus.line.steps import NO_RUBBISH, Answer, Ask, Fate, Rubbish
 from bus.settings import Dialect
@@ -13,8 +13,7 @@ MOST_FENCES = 8
 """Fences that are answered, each before a try that is not: such a unit hears one frame in two."""
 
 
-@dataclass(frozen=True, slots=True)
-class Heard:
+class Heard(msgspec.Struct, frozen=True):
     """How one exchange ended. Times: seconds since the epoch; ``reply`` None: no answer in its window."""
 
     request: Request

@@ -2,6 +2,7 @@
 
 One unit: its drop or its address. All: adapter, main cable or termination. All from one place on: the
 cable there. Spoilt bytes at many: shielding. Spoilt bytes at one address only: two units may share it.
+All but one answer twice: that one answers for the others too.
 """
 
 from __future__ import annotations
@@ -13,7 +14,10 @@ TROUBLED = 0.1
 """A unit is in trouble when it misses or spoils more than this part of its answers."""
 FEW = 3
 """Fewer events than this are chance."""
+MANY = 3
+"""Units of which one can be told from all the others."""
 LATE_PART = 0.05
+MUCH_NOISE_BYTES = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +51,13 @@ class UnitTrouble:
 
 def diagnose(units: Sequence[UnitTrouble], noise_bytes: int, echoes: int) -> str:
     """One or two sentences; empty when all is well."""
-    found = [_garbled(units), _silent(units), _slow(units), _foreign(units)]
+    others_too = _answers_for_others(units)
+    found = [_garbled(units), _silent(units)]
+    found += [others_too] if others_too else [_slow(units), _foreign(units)]
     if echoes:
         found.append("The adapter hears itself: switch its echo (or two-wire mode) off.")
-    if noise_bytes >= 100 and not any(found):
-        found.append("Stray bytes come in without being asked for: look at shielding and grounding.")
+    if noise_bytes >= MUCH_NOISE_BYTES:
+        found.append(_noise(units, named=any(found)))
     return " ".join(sentence for sentence in found if sentence)
 
 
@@ -84,6 +90,22 @@ def _garbled(units: Sequence[UnitTrouble]) -> str:
     if len(garbled) == len(units):
         return "Answers of every unit are spoilt: look at shielding, grounding and termination."
     return f"Answers of units {_names(garbled)} are spoilt: look at the shielding of their stretch of cable."
+
+
+def _answers_for_others(units: Sequence[UnitTrouble]) -> str:
+    alone = [each for each in units if not each.slow]
+    if len(alone) != 1 or len(units) < MANY or not alone[0].answers:
+        return ""
+    unit = alone[0].unit
+    return f"The answers of every unit but unit {unit} come twice: does unit {unit} answer to every address?"
+
+
+def _noise(units: Sequence[UnitTrouble], *, named: bool) -> str:
+    if any(each.silent and not each.garbled for each in units):
+        return "Bytes come in that are no answer: another protocol, or another baud rate?"
+    if named:
+        return ""
+    return "Stray bytes come in without being asked for: look at shielding and grounding."
 
 
 def _slow(units: Sequence[UnitTrouble]) -> str:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from bus.contract import BusFigures, UnitFigures
 from bus.line.diagnosis import UnitTrouble, diagnose
-from bus.line.link import WireCounts
 from bus.line.roster import Roster
 from bus.line.schedule import Schedule
+from bus.line.tally import WireCounts
 
 WINDOW_S = 10.0
 

@@ -3,88 +3,43 @@
 The window of an answer (``bus.line.window``) begins when the request's last byte has left the wire,
 which is computed, not waited for.
 
-On a port that is as slow as its baud rate says, a frame that is complete before the answer can be is a
-leftover of an earlier exchange. A port may be faster (an unpaced simulator, a device server that
-buffers): that shows at its first answer, and then this test is left out.
+On a port that is as slow as its baud rate says (``bus.line.port_pace``), a frame that is complete before
+the answer can be is a leftover of an earlier exchange. On such a port nothing can be done before the answer
+can be complete, so until shortly before that moment bytes are left to gather. What has gathered by then is
+still seen to be early.
 
-On such a slow port nothing can be done before the answer can be complete, so until shortly before that
-moment bytes are left to gather. What has gathered by then is still seen to be early.
+While an answer is under way the request that follows can be prepared: it leaves as soon as the answer is
+there, and all else that is to be done about that answer is done after.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from bus.contract import Direction
+from bus.errors import WireError
 from bus.line.asking import Heard
 from bus.line.clock import Clock
 from bus.line.port import OpenPort
+from bus.line.port_pace import PortPace
 from bus.line.roster import Roster
-from bus.line.steps import NO_RUBBISH, Rubbish
+from bus.line.tally import Tally, WireCounts
 from bus.line.trace import Passed, Trace
+from bus.line.underway import UnderWay
 from bus.line.window import QUIET_BYTES, Window
 from bus.settings import BITS_PER_BYTE, Dialect
-from bus.wire.commands import Nak, ReadStatus, Request
-from bus.wire.exchange import Answered, Doubled, Echo, Event, Exchange, Foreign, Late, Unexpected
+from bus.wire.commands import Request
+from bus.wire.exchange import Answered, Event, Exchange, Foreign, Unexpected
 from bus.wire.fence import Doubt, Doubts
-from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise, ReceivedFrame
+from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise
 
 MARGIN_S = 0.010
 """What the machine and the adapter may add to a unit's turnaround."""
-EARLY = 0.9
-"""A frame that is there in less than this part of the least time cannot be the answer."""
-UNHEARD = 0.85
-"""So long a part of the least time bytes are left to gather; less than ``EARLY``."""
-EARLY_TO_BELIEVE = 3
-ON_TIME_TO_BELIEVE = 50
-
-
-@dataclass(slots=True)
-class WireCounts:
-    """What the whole bus carried since the worker started."""
-
-    busy_s: float = 0.0
-    noise_bytes: int = 0
-    echoes: int = 0
-    broadcasts: int = 0
-
-
-class Pace:
-    """Whether the port is as slow as its baud rate: learned from its answers."""
-
-    def __init__(self) -> None:
-        self.paced: bool | None = None
-        self._against = 0
-
-    def believes(self, *, early: bool) -> bool:
-        """Whether an answer may be taken; ``early``: it was complete before it could be."""
-        if self.paced is None:
-            self.paced = not early
-        if early != self.paced:
-            self._against = 0
-            return True
-        self._against += 1
-        if self._against >= (EARLY_TO_BELIEVE if self.paced else ON_TIME_TO_BELIEVE):
-            self.paced, self._against = not self.paced, 0
-            return True
-        return not early
-
-
-@dataclass(slots=True)
-class _Current:
-    """The exchange under way, in the line's own time."""
-
-    exchange: Exchange
-    began: float
-    ends_sending: float
-    """When the request's last byte has left."""
-    last_moment: float
-    """No answer can come later, whenever this process gets to hear it."""
-    dialect: Dialect
-    frame: bytes = b""
-    spoilt: bool = False
-    strange: bool = False
+UNHEARD = 0.93
+"""So long a part of the least time bytes are left to gather, as each few that are heard alone cost as much as
+an answer; less than ``port_pace.EARLY``."""
+AHEAD_S = 0.002
+"""So long before an answer can be complete they are heard in any case: a loop's timers count milliseconds."""
 
 
 class Link:
@@ -97,44 +52,37 @@ class Link:
         self._byte_s = BITS_PER_BYTE / baud
         self._turnaround_s = turnaround_s
         self._clock = clock
-        self._roster = roster
         self._trace = trace
+        self._tally = Tally(roster)
         self._port: OpenPort | None = None
-        self._pace = Pace()
-        self._decoder = FrameDecoder(dialect)
-        self._doubts = Doubts(dialect)
-        self._current: _Current | None = None
-        self._idle: Exchange | None = None
         self._window = Window(clock, self._nothing_came)
-        self._last_answer = b""
+        self._current: UnderWay | None = None
+        self._idle: Exchange | None = None
+        self._next: Exchange | None = None
+        """What leaves as soon as the answer to ``_current`` is there."""
+        self._pace = PortPace()
+        self._forget()
         self.done: Callable[[Heard, float, float], None] = _nobody
         """Called with what was heard and when the exchange began and ended."""
-        self.counts = WireCounts()
 
     # --- the port ------------------------------------------------------------------------------
 
     def attach(self, port: OpenPort, baud: int) -> None:
         """The port is open: nothing that was under way before can still arrive."""
         self._port = port
-        self._byte_s = BITS_PER_BYTE / baud
-        self._window.attach(port, self._byte_s)
-        self._pace = Pace()
-        self._decoder = FrameDecoder(self._dialect)
-        self._doubts = Doubts(self._dialect)
         self._idle = None
+        self._go_at(baud)
+        self._pace = PortPace()
 
     def retune(self, baud: int) -> None:
         """Go on at ``baud``. Raises WireError where the port cannot."""
         if self._port is not None:
             self._port.retune(baud)
-        self._byte_s = BITS_PER_BYTE / baud
-        self._window.attach(self._port, self._byte_s)
-        self._decoder = FrameDecoder(self._dialect)
-        self._doubts = Doubts(self._dialect)
+        self._go_at(baud)
 
     def detach(self) -> Heard | None:
         """The port is gone; gives the exchange under way, which has no answer."""
-        current, self._current = self._current, None
+        current, self._current, self._next = self._current, None, None
         self._port = None
         self._window.attach(None, self._byte_s)
         if current is None:
@@ -151,6 +99,16 @@ class Link:
         """Whether an exchange is under way."""
         return self._current is not None
 
+    @property
+    def paced(self) -> bool:
+        """Whether the port is known to be as slow as its baud rate."""
+        return self._pace.paced is True
+
+    @property
+    def counts(self) -> WireCounts:
+        """What the bus carried since the worker started."""
+        return self._tally.wire
+
     def doubt(self, unit: int) -> Doubt:
         """What ``unit`` may still answer late or twice.
 
@@ -159,9 +117,16 @@ class Link:
         """
         return self._doubts.about(unit)
 
-    def least_s(self, sent_bytes: int, received_bytes: int) -> float:
-        """What an exchange takes on the wire."""
-        return (sent_bytes + received_bytes) * self._byte_s
+    def _go_at(self, baud: int) -> None:
+        self._byte_s = BITS_PER_BYTE / baud
+        self._window.attach(self._port, self._byte_s)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Nothing of what was said before matters any more."""
+        self._decoder = FrameDecoder(self._dialect)
+        self._doubts = Doubts(self._dialect)
+        self._next = None
 
     # --- one exchange --------------------------------------------------------------------------
 
@@ -172,145 +137,129 @@ class Link:
         """
         assert self._port is not None
         assert self._current is None
-        doubt = self.doubt(request.unit)
-        dialect = dialect or self._dialect
-        exchange = Exchange(request, dialect, decoder=self._decoder, doubt=doubt)
+        exchange = self._exchange(request, self.doubt(request.unit), dialect)
         began = self._clock.now()
         self._port.write(exchange.sent)
-        ends_sending = began + len(exchange.sent) * self._byte_s
-        longest = exchange.prepared.longest_reply_bytes * self._byte_s
-        window_s = self._turnaround_s + MARGIN_S if request.unit else 0.0
-        last_moment = ends_sending + window_s + (longest + MARGIN_S if request.unit else 0.0)
-        self._current = _Current(exchange, began, ends_sending, last_moment, dialect)
-        window_ends = ends_sending + window_s
-        self._window.open(window_ends, last_moment, self._unheard_until(exchange, began, window_ends))
-        self._note(began, "out", exchange.sent, exchange)
+        self._begin(exchange, began)
+
+    def prepare(self, request: Request) -> None:
+        """Have ``request`` leave as soon as the answer under way, another unit's, is there.
+
+        It does not where anything is strange about that answer, and never on a port faster than its rate:
+        then ``done`` finds the link free. Raises CallerError for a request that no frame can carry.
+        """
+        assert self._current is not None
+        assert request.unit != self._current.exchange.request.unit
+        self._next = self._exchange(request, self.doubt(request.unit).moved_on(), None)
+
+    def do_not_follow(self) -> None:
+        """Something else is more urgent than what was prepared."""
+        self._next = None
 
     def data_received(self, data: bytes) -> None:
         """Bytes came in."""
         now = self._clock.now()
-        self._window.heard(now)
         current = self._current
         exchange = current.exchange if current is not None else self._idle
         if exchange is None:
-            self.counts.noise_bytes += len(data)
+            self._tally.wire.noise_bytes += len(data)
             self._note(now, "in", data, None, valid=False)
             return
-        for event in exchange.receive(data, now):
+        events = exchange.receive(data, now)
+        followed_at = self._follow(current, events, now) if current is not None and self._next else None
+        self._window.heard(now)
+        for event in events:
             self._take(event, exchange, now)
         if current is not None and current.exchange.reply is not None:
-            self._finish(current, now)
+            self._finish(current, now, followed_at)
+
+    def _exchange(self, request: Request, doubt: Doubt, dialect: Dialect | None) -> Exchange:
+        return Exchange(request, dialect or self._dialect, decoder=self._decoder, doubt=doubt)
+
+    def _follow(self, current: UnderWay, events: list[Event], now: float) -> float | None:
+        """Send what was prepared, if ``events`` are the answer and nothing else; when it was sent."""
+        if len(events) != 1 or not isinstance(events[0], Answered):
+            return None
+        least_s = (len(current.exchange.sent) + len(events[0].frame.wire)) * self._byte_s
+        if not self._pace.on_time(now - current.began, least_s):
+            return None
+        assert self._next is not None
+        assert self._port is not None
+        began = self._clock.now()
+        try:
+            self._port.write(self._next.sent)
+        except WireError:
+            # The port is lost, and tells so at the next request.
+            return None
+        return began
+
+    def _begin(self, exchange: Exchange, began: float) -> None:
+        """``exchange`` was handed to the port at ``began``."""
+        asks = exchange.request.unit != 0
+        ends_sending = began + len(exchange.sent) * self._byte_s
+        window_ends = ends_sending + (self._turnaround_s + MARGIN_S if asks else 0.0)
+        longest_s = exchange.prepared.longest_reply_bytes * self._byte_s
+        last_moment = window_ends + (longest_s + MARGIN_S if asks else 0.0)
+        self._current = UnderWay(exchange, began, ends_sending, last_moment)
+        self._window.open(window_ends, last_moment, self._unheard_until(exchange, began, window_ends))
+        self._note(began, "out", exchange.sent, exchange)
+
+    def _finish(self, current: UnderWay, now: float, followed_at: float | None = None) -> None:
+        self._current, self._idle = None, current.exchange
+        following, self._next = self._next, None
+        self._window.close()
+        self._doubts.after(current.exchange.doubt)
+        if following is not None and followed_at is not None:
+            self._begin(following, followed_at)
+        self.done(current.heard(self._clock, now), current.began, now)
+        self._tally.ended(current, now, self._byte_s)
+
+    # --- what came in --------------------------------------------------------------------------
 
     def _take(self, event: Event, exchange: Exchange, now: float) -> None:
-        request = exchange.request
         if isinstance(event, Noise | DoubledChecksum):
             if isinstance(event, Noise):
-                self._take_noise(event, request, now)
+                self._take_noise(event, exchange.request.unit, now)
             self._note(now, "in", event.data, exchange, valid=False)
             return
-        statistics = self._roster[request.unit].statistics
-        match event:
-            case Answered(frame=frame):
-                self._take_answer(frame.wire, now)
-            case Echo():
-                self.counts.echoes += 1
-            case Foreign(unit=unit, frame=frame):
-                self._foreign(unit, frame, request)
-            case Doubled():
-                self._heard_twice(request.unit)
-            case Late():
-                statistics.late += 1
-            case Unexpected():
-                statistics.foreign += 1
+        if isinstance(event, Answered):
+            self._take_answer(event.frame.wire, now)
+        else:
+            self._tally.no_answer(event, exchange.request.unit, self._doubts)
         if self._current is not None and isinstance(event, Unexpected | Foreign):
             self._current.strange = True
         self._note(now, "in", event.frame.wire, exchange)
 
-    def _take_noise(self, noise: Noise, request: Request, now: float) -> None:
-        self.counts.noise_bytes += len(noise.data)
-        if self._current is not None:
-            self._current.spoilt = True
-        if noise.reason is not Fault.CHECKSUM:
+    def _take_noise(self, noise: Noise, asked: int, now: float) -> None:
+        """After an answer with a wrong checksum no other will come, so only quiet is waited for."""
+        self._tally.noise(noise, asked)
+        if self._current is None:
             return
-        self._roster[request.unit].statistics.checksum_errors += 1
-        if self._current is not None and noise.body[0] == request.unit:
-            self._spoilt(now)
+        self._current.spoilt = True
+        if noise.reason is Fault.CHECKSUM and noise.body[0] == asked:
+            self._window.shorten(now + QUIET_BYTES * self._byte_s)
 
     def _take_answer(self, wire: bytes, now: float) -> None:
         current = self._current
         if current is None:
             return
-        least = (len(current.exchange.sent) + len(wire)) * self._byte_s
-        if self._pace.believes(early=now - current.began < least * EARLY):
-            current.frame = self._last_answer = wire
+        least_s = (len(current.exchange.sent) + len(wire)) * self._byte_s
+        if self._pace.believes(now - current.began, least_s):
+            current.frame = wire
             return
         request = current.exchange.request
-        self._heard_twice(request.unit)
-        doubt = self.doubt(request.unit)
-        current.exchange = Exchange(request, current.dialect, decoder=self._decoder, doubt=doubt)
-
-    def _heard_twice(self, unit: int) -> None:
-        self._roster[unit].statistics.late += 1
-
-    def _foreign(self, unit: int, frame: ReceivedFrame, request: Request) -> None:
-        """Another unit's frame: late where that unit owes one or says its last once more, else a mistake.
-
-        It ends no doubt about that unit, for it may be of a third one that answers to a wrong address.
-        """
-        if self._doubts.about(unit).outstanding or frame.wire == self._last_answer:
-            self._heard_twice(unit)
-        elif request.unit:
-            self._roster[request.unit].statistics.foreign += 1
-
-    def _spoilt(self, now: float) -> None:
-        """The answer came with a wrong checksum: no other will come, so only quiet is waited for."""
-        self._window.shorten(now + QUIET_BYTES * self._byte_s)
-
-    def _finish(self, current: _Current, now: float) -> None:
-        exchange = current.exchange
-        request = exchange.request
-        self._current, self._idle = None, exchange
-        self._window.close()
-        self._doubts.after(exchange.doubt)
-        heard = Heard(
-            request,
-            exchange.reply,
-            self._clock.epoch(current.ends_sending),
-            self._clock.epoch(min(now, current.last_moment)) if exchange.reply is not None else None,
-            b"" if exchange.prepared.secret else current.frame,
-            _rubbish(current),
-        )
-        self.done(heard, current.began, now)
-        self._count(current, now)
-
-    def _count(self, current: _Current, ended: float) -> None:
-        exchange = current.exchange
-        request = exchange.request
-        self.counts.busy_s += (len(exchange.sent) + len(current.frame)) * self._byte_s
-        if request.unit == 0:
-            self.counts.broadcasts += 1
-            return
-        statistics = self._roster[request.unit].statistics
-        statistics.polls += isinstance(request, ReadStatus)
-        if exchange.reply is None:
-            statistics.timeouts += 1
-            return
-        statistics.answers += 1
-        begins = ended - len(current.frame) * self._byte_s
-        if exchange.first_byte_at is not None:
-            begins = min(begins, exchange.first_byte_at - self._byte_s)
-        statistics.times.add(begins - current.ends_sending)
-        if isinstance(exchange.reply, Nak):
-            statistics.refused(exchange.reply.code)
+        self._tally.heard_twice(request.unit)
+        current.exchange = self._exchange(request, self.doubt(request.unit), current.exchange.dialect)
 
     # --- waiting -------------------------------------------------------------------------------
 
     def _unheard_until(self, exchange: Exchange, began: float, window_ends: float) -> float | None:
         """Shortly before the answer can be complete, on a port that is as slow as its baud rate."""
-        if not self._pace.paced or exchange.request.unit == 0:
+        if not self.paced or exchange.request.unit == 0:
             return None
-        least_s = self.least_s(len(exchange.sent), exchange.prepared.least_reply_bytes)
-        return min(began + UNHEARD * least_s, window_ends - MARGIN_S / 2)
+        least_s = (len(exchange.sent) + exchange.prepared.least_reply_bytes) * self._byte_s
+        unheard_s = min(UNHEARD * least_s, least_s - AHEAD_S)
+        return min(began + unheard_s, window_ends - MARGIN_S / 2)
 
     def _nothing_came(self, now: float) -> None:
         current = self._current
@@ -331,10 +280,3 @@ class Link:
 
 def _nobody(_heard: Heard, _began: float, _ended: float) -> None:
     """Until the poller listens."""
-
-
-def _rubbish(current: _Current) -> Rubbish:
-    """Bytes that never became a frame are rubbish too: two units at one address may sound like that."""
-    exchange = current.exchange
-    spoilt = current.spoilt or (exchange.reply is None and exchange.first_byte_at is not None)
-    return Rubbish(spoilt, current.strange) if spoilt or current.strange else NO_RUBBISH

@@ -66,7 +66,8 @@ def _procedure(poller: Poller, action: Action, wish: Wish) -> Callable[[], Proce
             own_rate = "://" not in poller.bus.port
             return lambda: rebaud.change_baud(roster, poller.baud, baud, wish, own_rate=own_rate)
         case ScanBus(first=first, last=last):
-            return lambda: survey.survey(roster, first, last, poller.baud, wish)
+            pace = survey.Pace(poller.baud, poller.bus.turnaround_s)
+            return lambda: survey.survey(roster, first, last, pace, wish)
         case _:
             return _write(poller.roster, action, wish)
 

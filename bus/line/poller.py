@@ -1,7 +1,8 @@
-"""The master of one bus: operators' errands first, then the schedule, one exchange at a time.
+"""The master of one bus: one exchange at a time, in the order of ``bus.line.turns``.
 
-An answer's last byte and the next request's first byte are handled in the same breath: ``_heard`` takes
-the answer in, chooses and sends what is next, and only then tells anybody.
+An answer's last byte and the next request's first byte are handled in the same breath: what follows a poll
+is prepared while its answer is still under way (``_foresee``), and whatever else there is to do about an
+answer is done once the next request has left.
 """
 
 from __future__ import annotations
@@ -12,36 +13,23 @@ import msgspec
 
 from bus.contract import BusFigures, BusLink, Progress, Result, Update, Watch
 from bus.errors import CallerError, WireError
-from bus.line.asking import Asking, Heard
+from bus.line.asking import Heard
 from bus.line.clock import Alarm, Clock
-from bus.line.errand import Claim, Errand
+from bus.line.errand import Errand
 from bus.line.errands import Errands
 from bus.line.figures import Figures
 from bus.line.link import Link
+from bus.line.other_rate import OtherRate
 from bus.line.port import OpenPort, PartlySent
 from bus.line.roster import Roster
-from bus.line.schedule import Kind, Schedule, Task
-from bus.line.steps import Ask, Expect, Note, Retune, Tell, Unstage
+from bus.line.schedule import Schedule
+from bus.line.steps import Expect, Note, Retune, Tell, Unstage
 from bus.line.trace import Interpreter, Trace
+from bus.line.turns import Turns
 from bus.settings import BusSettings
-from bus.wire.commands import (
-    Nak,
-    ReadParameter,
-    ReadStatus,
-    Request,
-    WriteParameter,
-    usual_reply_bytes,
-    wire_seconds,
-)
+from bus.wire.commands import Nak, ReadStatus, Request, WriteParameter, usual_reply_bytes, wire_seconds
 
-ERRANDS_AT_A_STRETCH_S = 0.5
-"""Operators' writes without end leave one poll in this time, unless a change of many units is under way."""
-PACE = 0.8
-"""On a port faster than its baud rate a round still takes this part of the time it would on the wire."""
 CLOSED_TO_OFFLINE_S = 3.0
-LOOK_ELSEWHERE_S = 3.0
-"""How long a wholly silent line is asked at one baud rate before it is asked at the other."""
-_TRIES = {Kind.FIRST: 1, Kind.PROBE: 1}
 
 
 class Poller:
@@ -55,7 +43,7 @@ class Poller:
         self.baud: int = bus.baud
         self.trace = Trace()
         self.roster = Roster((unit.id for unit in bus.unit), clock.epoch(clock.now()))
-        self.schedule = Schedule(self.roster.configured, self._poll_s(), seed)
+        self.schedule = Schedule(self.roster.configured, self._exchange_s(ReadStatus(1)), seed)
         self.link = Link(bus.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
         self.link.done = self._heard
         self.state = BusLink(at=clock.epoch(clock.now()), link="closed", cause="not opened yet")
@@ -63,17 +51,11 @@ class Poller:
         """Called when the port proved unusable; whoever opened it opens it again."""
         self._emit = emit
         self._figures = Figures()
-        self.errands = Errands()
-        self._routine: tuple[Task, Asking] | None = None
-        self._owner: Errand | None = None
+        self._turns = Turns(self.schedule, self.link.doubt, self._exchange_s)
+        self._other_rate = OtherRate(clock.now())
         self._sending: Request | None = None
         self._held: list[Update] | None = None
         """What is told once the next request has left."""
-        self._routine_at = 0.0
-        self._not_before = 0.0
-        self._tuned_at = clock.now()
-        self._expected_baud: int | None = None
-        self._look_elsewhere = False
         self._closed_at = clock.now()
         self._wake: Alarm | None = None
 
@@ -92,7 +74,7 @@ class Poller:
         """Nothing can be asked; whatever was under way ends as unknown. Nothing is sent later."""
         now = self.clock.now()
         self._settle_last(self.link.detach(), now)
-        self._routine = None
+        self._turns.drop_routine()
         self._closed_at = now
         updates: list[Update] = self.not_opened(cause)
         updates += self.roster.port_closed(self.clock.epoch(now), cause)
@@ -109,39 +91,6 @@ class Poller:
         self.state = BusLink(at=self.clock.epoch(self.clock.now()), link="closed", cause=cause)
         return [self.state]
 
-    def tick(self) -> None:
-        """Now and then: a line that fell silent may have come back at the rate it was given."""
-        if self._expected_baud is None or not self.link.open or len(self.errands):
-            return
-        if len(self.schedule.round):
-            if self.baud == self._expected_baud:
-                self._expected_baud = None
-            return
-        now = self.clock.now()
-        if now - self._tuned_at > LOOK_ELSEWHERE_S:
-            self._look_elsewhere = True
-            if not self.link.busy:
-                self._go(now)
-
-    def _turn_to_the_other_rate(self, now: float) -> None:
-        """Between two questions, of which a silent line gets one after the other."""
-        self._look_elsewhere = False
-        if self._expected_baud is None:
-            return
-        other, self._expected_baud = self._expected_baud, self.baud
-        self._retune(other)
-        self.schedule.port_opened(now)
-
-    def _retune(self, baud: int) -> None:
-        """Everything from here on goes at ``baud``."""
-        self._tuned_at = self.clock.now()
-        try:
-            self.link.retune(baud)
-        except WireError as error:
-            cause = str(error)
-            self.clock.call_at(self._tuned_at, lambda: self.port_lost(cause))
-        self.baud = baud
-
     def still_closed(self, cause: str) -> None:
         """Another try to open it failed."""
         now = self.clock.now()
@@ -150,7 +99,42 @@ class Poller:
             updates += self.roster.port_stays_closed(self.clock.epoch(now), cause)
         self._emit(updates)
 
+    def _settle_last(self, heard: Heard | None, now: float) -> None:
+        """The port broke while a request was on its way, or as it was handed over."""
+        errand, self._turns.owner = self._turns.owner, None
+        self.trace.witness = None
+        if errand is None or errand.result is not None or self._sending is None:
+            return
+        errand.settle(heard or Heard(self._sending, None, self.clock.epoch(now)), now)
+
+    # --- the rate ------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Now and then: a line that fell silent may have come back at the rate it was given."""
+        if not self.link.open or len(self.errands):
+            return
+        now = self.clock.now()
+        answers = len(self.schedule.round) > 0
+        if self._other_rate.look(now, self.baud, answers=answers) and not self.link.busy:
+            self._go(now)
+
+    def _retune(self, baud: int) -> None:
+        """Everything from here on goes at ``baud``."""
+        now = self.clock.now()
+        self._other_rate.tuned(now)
+        try:
+            self.link.retune(baud)
+        except WireError as error:
+            cause = str(error)
+            self.clock.call_at(now, lambda: self.port_lost(cause))
+        self.baud = baud
+
     # --- what people want ----------------------------------------------------------------------
+
+    @property
+    def errands(self) -> Errands:
+        """All commands that wait or are under way."""
+        return self._turns.errands
 
     def watch(self, watch: Watch) -> None:
         """These units are on an open page."""
@@ -160,6 +144,7 @@ class Poller:
         """Carry out ``errand``: its first frame is the next one, if its claim allows."""
         now = self.clock.now()
         self.errands.add(errand)
+        self.link.do_not_follow()
         if not self.link.open:
             errand.close(now)
             self._sweep(now)
@@ -183,22 +168,21 @@ class Poller:
     def _heard(self, heard: Heard, began: float, ended: float) -> None:
         """An ordinary answer changes nothing about who is next, so it is taken in after the next has left."""
         self.trace.witness = None
-        errand, self._owner = self._owner, None
-        ordinary = errand is None and heard.reply is not None and heard.request.unit in self.schedule.round
+        unit = heard.request.unit
+        ordinary = self._turns.owner is None and heard.reply is not None and unit in self.schedule.round
         self._held = [] if ordinary else self._learn(heard, ended)
-        if errand is not None:
-            errand.settle(heard, ended)
-            if errand.claim is Claim.SLOW:
-                self.schedule.spent(Task(Kind.SLOW), began, ended, answered=True)
-        elif self._routine is not None:
-            self._settle_routine(heard, began, ended)
-        if not self.link.busy:
+        if self._turns.settle(heard, began, ended):
+            self.roster[unit].statistics.retries += 1
+        if self.link.busy:
+            self._sending = self._turns.followed(ended)
+        else:
             self._go(ended)
         told, self._held = self._held, None
         updates = [*self._learn(heard, ended), *told] if ordinary else told
         if updates:
             self._emit(updates)
         self._sweep(ended)
+        self._foresee(ended)
 
     def _learn(self, heard: Heard, now: float) -> list[Update]:
         request, reply = heard.request, heard.reply
@@ -217,52 +201,30 @@ class Poller:
                 self.schedule.gaps.need(request.unit)
         return updates
 
-    def _settle_last(self, heard: Heard | None, now: float) -> None:
-        """The port broke while a request was on its way, or as it was handed over."""
-        errand, self._owner = self._owner, None
-        self.trace.witness = None
-        if errand is None or errand.result is not None or self._sending is None:
+    def _foresee(self, now: float) -> None:
+        """A request is on its way: have ready what follows it."""
+        if self._sending is None or not self.link.busy or not self.link.paced:
             return
-        errand.settle(heard or Heard(self._sending, None, self.clock.epoch(now)), now)
-
-    def _settle_routine(self, heard: Heard, began: float, ended: float) -> None:
-        assert self._routine is not None
-        task, asking = self._routine
-        asking.settle(heard)
-        self.schedule.spent(task, began, ended, answered=heard.reply is not None)
-        answer = asking.answer
-        if answer is None:
-            self.roster[task.unit].statistics.retries += 1
-            return
-        self._routine = None
-        if task.kind is Kind.FIRST and answer.reply is None:
-            self.schedule.fell_silent(task.unit, ended)
-        if task.kind is Kind.PARAMETER and task.unit in self.schedule.round:
-            if answer.reply is None:
-                self.schedule.gaps.was_not_read(task.unit, task.number)
-            else:
-                available = not isinstance(answer.reply, Nak)
-                self.schedule.gaps.was_read(task.unit, task.number, available=available)
+        following = self._turns.foresee(self._sending, now)
+        if following is not None:
+            self.link.prepare(following)
 
     def _go(self, now: float) -> None:
         """Send what is next; nothing to send: be waked when there is."""
         if not self.link.open:
             return
-        if self._look_elsewhere:
-            self._turn_to_the_other_rate(now)
-        starved = len(self.errands) > 0 and self._leave_a_poll(now)
-        if starved and self._routine is None and (poll := self.schedule.next_poll()) is not None:
-            self._routine = (poll, Asking(_ask_of(poll)))
-        request = self._errands_request(now) if not starved else None
-        if request is None:
-            request = self._routine_request(now)
+        other = self._other_rate.turn(self.baud)
+        if other is not None:
+            self._retune(other)
+            self.schedule.port_opened(now)
+        request = self._turns.next_request(now)
         if request is None:
             self._sleep(now)
             return
         self._send(request)
 
     def _send(self, request: Request) -> None:
-        errand = self._owner
+        errand = self._turns.owner
         self._sending = request
         self.trace.witness = errand.frames if errand is not None else None
         asking = errand.asking if errand is not None else None
@@ -274,7 +236,7 @@ class Poller:
             self._sending = None
             self.port_lost(str(error))
         except CallerError as error:
-            self._owner = None
+            self._turns.owner = None
             if errand is None:
                 raise
             errand.end(Result(id="", at=0.0, outcome="invalid", message=str(error)))
@@ -283,57 +245,13 @@ class Poller:
             if errand is not None and asking is not None and asking.tells_of(request):
                 self.note(errand.id, Tell("sent", request.unit))
 
-    def _errands_request(self, now: float, *, slow: bool = False) -> Request | None:
-        chosen = self.errands.next_request(now, self.link.doubt, slow=slow)
-        if chosen is None:
-            return None
-        self._owner, request = chosen
-        return request
-
-    def _leave_a_poll(self, now: float) -> bool:
-        return (
-            not self.errands.whole_line_changes
-            and now - self._routine_at > ERRANDS_AT_A_STRETCH_S
-            and len(self.schedule.round) > 0
-        )
-
-    def _routine_request(self, now: float) -> Request | None:
-        if now < self._not_before:
-            return None
-        slow_waits = self.errands.slow_waits
-        while self._routine is None:
-            task = self.schedule.next(now, slow_waits=slow_waits)
-            if task is None:
-                return None
-            if task.kind is not Kind.SLOW:
-                self._routine = (task, Asking(_ask_of(task)))
-                break
-            request = self._errands_request(now, slow=True)
-            if request is not None:
-                self._pace(request, now)
-                return request
-            slow_waits = False
-        task, asking = self._routine
-        request = asking.next_request(now, self.link.doubt(task.unit))
-        assert request is not None
-        self._pace(request, now)
-        return request
-
-    def _pace(self, request: Request, now: float) -> None:
-        self._routine_at = now
-        self._not_before = now + PACE * self._exchange_s(request)
-
     def _exchange_s(self, request: Request) -> float:
         return wire_seconds(7 + usual_reply_bytes(request, self.bus), self.baud)
-
-    def _poll_s(self) -> float:
-        return self._exchange_s(ReadStatus(1))
 
     # --- waiting and telling -------------------------------------------------------------------
 
     def _sleep(self, now: float) -> None:
-        moments = [self.schedule.wake_at(), self._not_before, *self.errands.moments()]
-        ahead = [moment for moment in moments if moment is not None and now < moment < float("inf")]
+        ahead = [moment for moment in self._turns.moments() if now < moment < float("inf")]
         if self._wake is not None:
             self._wake.cancel()
         self._wake = self.clock.call_at(min(ahead), self._waked) if ahead else None
@@ -368,7 +286,7 @@ class Poller:
             case Retune(baud=baud):
                 self._retune(baud)
             case Expect(baud=baud):
-                self._expected_baud = baud
+                self._other_rate.expect(baud)
 
     def _tell(self, updates: list[Update]) -> None:
         """In the order of happening, but after the next request has left."""
@@ -376,10 +294,3 @@ class Poller:
             self._held += updates
         elif updates:
             self._emit(updates)
-
-
-def _ask_of(task: Task) -> Ask:
-    tries = _TRIES.get(task.kind, 0)
-    if task.kind is Kind.PARAMETER:
-        return Ask(ReadParameter(task.unit, task.number), most_tries=tries)
-    return Ask(ReadStatus(task.unit), most_tries=tries)

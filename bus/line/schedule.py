@@ -16,8 +16,9 @@ here: they come before everything (``bus.line.poller``).
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
 from enum import StrEnum
+
+import msgspec
 
 from bus.catalogue.parameters import NEEDED_TO_JUDGE, NEEDED_TO_SHOW, PARAMETERS
 from bus.line.gaps import Gaps
@@ -46,8 +47,7 @@ class Kind(StrEnum):
     SLOW = "slow"
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
+class Task(msgspec.Struct, frozen=True):
     """The next use of the wire. ``number``: the parameter, where one is read; SLOW has no unit."""
 
     kind: Kind

@@ -15,6 +15,9 @@ JITTER = 0.2
 """A step is shortened by up to this part, so that units lost together do not stay in step."""
 WIRE_SHARE = 0.05
 """What all silent units together may cost of the wire."""
+WIRE_SHARE_ALONE = 0.5
+"""The same while no unit answers: a line that is switched on again is found at once, however long it may take
+to begin an answer."""
 
 
 @dataclass(slots=True)
@@ -32,7 +35,7 @@ class Silence:
 
     def __init__(self, seed: int = 0) -> None:
         self._units: dict[int, _Silent] = {}
-        self._ration = Share(WIRE_SHARE)
+        self._rations = _rations()
         self._random = random.Random(seed)
         self.alone = True
         """Whether no unit answers; set by the schedule."""
@@ -49,7 +52,7 @@ class Silence:
 
     def unanswered(self, unit: int, now: float, cost_s: float) -> None:
         """A probe of ``unit`` cost a timeout of ``cost_s`` seconds that ended at ``now``."""
-        self._ration.spend(now, cost_s)
+        self._rations[self.alone].spend(now, cost_s)
         silent = self._units.get(unit)
         if silent is not None:
             silent.step = min(silent.step + 1, len(STEPS_S) - 1)
@@ -64,13 +67,13 @@ class Silence:
     def forgive(self, now: float) -> None:
         """The port was opened anew, or goes at another rate: everybody is worth asking at once, whoever has
         waited longest first, and the first one whatever was spent before."""
-        self._ration = Share(WIRE_SHARE)
+        self._rations = _rations()
         for silent in self._units.values():
             silent.step, silent.due = 0, min(silent.due, now)
 
     def due(self, now: float) -> int | None:
         """The unit to probe now, the longest overdue first; None when none is due or the ration is used."""
-        if not self._units or not self._ration.ready(now):
+        if not self._units or not self._rations[self.alone].ready(now):
             return None
         unit = min(self._units, key=lambda each: self._due_of(self._units[each]))
         return unit if self._due_of(self._units[unit]) <= now else None
@@ -79,7 +82,8 @@ class Silence:
         """When the next probe may leave; None when nobody is silent."""
         if not self._units:
             return None
-        return max(self._ration.ready_at, min(self._due_of(silent) for silent in self._units.values()))
+        first_due = min(self._due_of(silent) for silent in self._units.values())
+        return max(self._rations[self.alone].ready_at, first_due)
 
     def back_off_s(self, unit: int) -> float:
         """The present back-off step of ``unit`` in seconds, 0 when it is not silent."""
@@ -94,3 +98,8 @@ class Silence:
             return silent.due
         late = max(0.0, STEPS_S[silent.step] - ALONE_STEP_S)
         return silent.due - late
+
+
+def _rations() -> dict[bool, Share]:
+    """By whether no unit answers."""
+    return {False: Share(WIRE_SHARE), True: Share(WIRE_SHARE_ALONE)}

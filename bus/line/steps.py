@@ -11,6 +11,8 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from enum import StrEnum
 
+import msgspec
+
 from bus.contract import Result, Stage
 from bus.settings import Dialect
 from bus.wire.commands import Nak, Reply, Request, is_write
@@ -20,8 +22,7 @@ WRITE_TRIES = 4
 """The first and two more for a read, three more for a write."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ask:
+class Ask(msgspec.Struct, frozen=True):
     """One request and its answer. ``proves``: only an answer that nothing older can be taken for.
 
     ``withdraws``: a write that puts back what a change has staged; it may leave after the deadline.
@@ -42,15 +43,13 @@ class Ask:
         return self.most_tries or (WRITE_TRIES if is_write(self.request) else READ_TRIES)
 
 
-@dataclass(frozen=True, slots=True)
-class Wait:
+class Wait(msgspec.Struct, frozen=True):
     """Seconds in which the procedure wants nothing."""
 
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
-class Tell:
+class Tell(msgspec.Struct, frozen=True):
     """How far a command is."""
 
     stage: Stage
@@ -59,29 +58,25 @@ class Tell:
     of: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Unstage:
+class Unstage(msgspec.Struct, frozen=True):
     """``unit`` holds no staged speed any more: it was executed, as proven, or withdrawn."""
 
     unit: int
 
 
-@dataclass(frozen=True, slots=True)
-class Retune:
+class Retune(msgspec.Struct, frozen=True):
     """Everything from here on goes at ``baud``."""
 
     baud: int
 
 
-@dataclass(frozen=True, slots=True)
-class Expect:
+class Expect(msgspec.Struct, frozen=True):
     """Units may be found at ``baud`` once they have been switched off and on."""
 
     baud: int
 
 
-@dataclass(frozen=True, slots=True)
-class Rubbish:
+class Rubbish(msgspec.Struct, frozen=True):
     """What else came in while an answer was awaited."""
 
     spoilt: bool = False
@@ -106,8 +101,7 @@ class Fate(StrEnum):
     """There is no link to the bus."""
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
+class Answer(msgspec.Struct, frozen=True):
     """What an Ask led to. Times: seconds since the epoch. ``attempts``: how often the request left."""
 
     fate: Fate

@@ -1,56 +1,90 @@
 """A scan of addresses on a bus that is at work, between its polls. Pure procedures (``bus.line.steps``).
 
-The questions and the conclusions are those of ``bus.line.scan``; only the way they are asked is another.
+The questions and the conclusions are those of ``bus.line.examination``; they are only asked another way.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator
+from dataclasses import dataclass
 
-from bus.contract import FoundUnit, Result
+from bus.contract import Result
+from bus.line.examination import Outcome, Question, examine
+from bus.line.found import Found, conclude
+from bus.line.passes import Passes, silent_seconds
 from bus.line.proof import ask
 from bus.line.roster import Roster
-from bus.line.scan import Found, Outcome, Question, examine
-from bus.line.steps import Answer, Ask, Fate, Procedure, Step, Tell, Wish
+from bus.line.steps import Answer, Ask, Fate, Procedure, Step, Tell, Wait, Wish
 from bus.settings import Dialect
+from bus.wire.commands import wire_seconds
+
+SHARE = 1 / 3
+"""Of the wire, at most: a unit that is polled keeps two thirds of its rate."""
+ANSWERED_BYTES = 25
+"""An 81h and its answer."""
 
 _PLAIN = Dialect()
 _DOUBLED = Dialect(checksum_10h="twice")
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How fast the line goes, and how much of it a scan may take from the units that are polled."""
+
+    baud: int
+    turnaround_s: float
+
+    def rest_s(self, outcome: Outcome) -> float:
+        """Seconds without a question after one that ended so."""
+        took_s = silent_seconds(self.baud, self.turnaround_s)
+        if outcome.reply is not None:
+            took_s = wire_seconds(ANSWERED_BYTES, self.baud)
+        return took_s * (1 / SHARE - 1)
 
 
 class _Lost(Exception):
     """There is no link to the bus any more."""
 
 
-def survey(roster: Roster, first: int, last: int, baud: int, wish: Wish) -> Procedure:
-    """Which of the addresses ``first`` to ``last`` answer at ``baud``, the bus's present rate."""
-    found: list[FoundUnit] = []
-    addresses = range(first, last + 1)
-    for done, unit in enumerate(addresses):
+def survey(roster: Roster, first: int, last: int, pace: Pace, wish: Wish) -> Procedure:
+    """Which of the addresses ``first`` to ``last`` answer at the bus's present rate."""
+    found: list[Found] = []
+    passes = Passes(range(first, last + 1))
+    of = last - first + 1
+    for unit in passes:
         if wish.cancelled:
-            return _result(found, f"given up after {done} of {len(addresses)} addresses")
-        yield Tell("sent", unit, done, len(addresses))
+            return _result(found, f"given up after {passes.done} of {of} addresses")
+        yield Tell("sent", unit, passes.done, of)
         try:
-            one = yield from _examine(roster, unit, baud)
+            one = yield from _examine(roster, unit, pace)
         except _Lost:
-            return _result(found, f"the link to the bus was lost after {done} of {len(addresses)} addresses")
-        if one is not None:
-            found.append(one.for_contract())
+            return _result(found, f"the link to the bus was lost after {passes.done} of {of} addresses")
+        if one is None:
+            passes.silent()
+        else:
+            passes.found()
+            found.append(one)
     return _result(found, "")
 
 
-def _result(found: list[FoundUnit], trouble: str) -> Result:
+def _result(found: list[Found], trouble: str) -> Result:
+    found.sort(key=lambda one: one.unit)
     return Result(
-        id="", at=0.0, outcome="unverified" if trouble else "verified", message=trouble, found=found
+        id="",
+        at=0.0,
+        outcome="unverified" if trouble else "verified",
+        message="; ".join(conclude(found) + ([trouble] if trouble else [])),
+        found=[one.for_contract() for one in found],
     )
 
 
-def _examine(roster: Roster, unit: int, baud: int) -> Generator[Step, Answer | None, Found | None]:
-    examination = examine(unit, baud)
+def _examine(roster: Roster, unit: int, pace: Pace) -> Generator[Step, Answer | None, Found | None]:
+    examination = examine(unit, pace.baud)
     try:
         question = next(examination)
         while True:
             outcome = yield from _outcome(roster, question)
+            yield Wait(pace.rest_s(outcome))
             question = examination.send(outcome)
     except StopIteration as end:
         found: Found | None = end.value

@@ -150,6 +150,9 @@ def _message_of(unit: int, answer: Answer, proof: Proof) -> str:
     if answer.refusal is not None:
         said = f"refused: {unit_error_name(answer.refusal)}"
     looks = f" ({1 + LOOKS_AGAIN} looks)" if proof.read_back is not None else ""
+    if proof.read_back is None:
+        joined = "and" if said == "did not acknowledge" else "but"
+        return f"unit {unit} {said}, {joined} {proof.why}: its state is not known"
     return f"unit {unit} {said}, but {proof.why}{looks}: its state is not what was asked"
 
 

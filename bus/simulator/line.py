@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from bus.settings import Dialect
 from bus.simulator.answering import ALL_UNITS, Turn, encode, respond
@@ -19,7 +19,7 @@ from bus.simulator.plant import STEP_S, Plant
 from bus.simulator.record import Happened, Record
 from bus.simulator.unit import Unit
 from bus.wire.commands import Nak
-from bus.wire.framing import FrameDecoder, ReceivedFrame
+from bus.wire.framing import DLE, FrameDecoder, ReceivedFrame
 
 IDLE_S = 1.5 * STEP_S
 """How far behind the physics may fall while nobody asks."""
@@ -30,9 +30,12 @@ ECHO_TALKER = -2
 
 
 class _Arriving(NamedTuple):
+    """A request on its way. ``checksum_10h``: only units that take such a checksum so hear it."""
+
     at: float
     body: bytes
     baud: int | None
+    checksum_10h: Literal["once", "twice"] | None = None
 
 
 @dataclass
@@ -54,6 +57,7 @@ class SimulatedLine:
         self._replies = ReplyLine()
         self._decoder = FrameDecoder(Dialect())
         self._arriving: deque[_Arriving] = deque()
+        self._half_heard: _Arriving | None = None
         self._physics_at = math.inf
 
     def receive(self, now: float, data: bytes, host_baud: int | None = None) -> None:
@@ -63,9 +67,10 @@ class SimulatedLine:
         for at, value in zip(self._requests.carry(now, len(data), byte_s), data, strict=True):
             if self.faults.strikes(Kind.ECHO):
                 self._replies.transmit(ECHO_TALKER, at - byte_s, bytes((value,)), byte_s)
+            self._hear_second_10h(at, value, byte_s)
             for event in self._decoder.feed(bytes((value,))):
                 if isinstance(event, ReceivedFrame):
-                    self._arriving.append(_Arriving(at, event.body, host_baud))
+                    self._frame_came(_Arriving(at, event.body, host_baud), event.wire[-1])
 
     def advance(self, now: float) -> bytes:
         """Let everything happen that is due by ``now``; the bytes that reach the host with it."""
@@ -88,8 +93,20 @@ class SimulatedLine:
     def unplug(self) -> None:
         """The cable is gone: nothing that is under way arrives."""
         self._arriving.clear()
+        self._half_heard = None
         self._replies.hush()
         self._decoder = FrameDecoder(Dialect())
+
+    def _frame_came(self, arriving: _Arriving, check: int) -> None:
+        if check == DLE:
+            self._half_heard = arriving = arriving._replace(checksum_10h="once")
+        self._arriving.append(arriving)
+
+    def _hear_second_10h(self, at: float, value: int, byte_s: float) -> None:
+        """A unit that waits for a second 10h has its frame when that follows at once."""
+        half, self._half_heard = self._half_heard, None
+        if half is not None and value == DLE and at - half.at < 2 * byte_s:
+            self._arriving.append(half._replace(at=at, checksum_10h="twice"))
 
     def _step_physics(self, now: float, behind: float) -> None:
         """Up to ``behind`` before ``now``; best when a request is in, for its answer leaves time."""
@@ -112,6 +129,8 @@ class SimulatedLine:
 
     def _hears(self, unit: Unit, arriving: _Arriving) -> bool:
         if arriving.baud is not None and arriving.baud != unit.baud:
+            return False
+        if arriving.checksum_10h not in (None, unit.traits.dialect.checksum_10h):
             return False
         asked = arriving.body[0]
         if asked not in (ALL_UNITS, unit.address) and not self.faults.strikes(Kind.EVERYBODY, unit.address):

@@ -9,8 +9,9 @@ wire; ``parse_request``, the unit's side, takes whatever can arrive and leaves t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
+
+import msgspec
 
 from bus.errors import CallerError, LinesideError, UnitErrorCode
 from bus.settings import BITS_PER_BYTE, Dialect
@@ -22,16 +23,14 @@ _FRAME_OVERHEAD = 5
 """10 02 before the body; 10 03 and the checksum after it."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReadStatus:
+class ReadStatus(msgspec.Struct, frozen=True):
     """81h: commanded and actual speed, analog input, outputs and inputs."""
 
     COMMAND: ClassVar[int] = 0x81
     unit: int
 
 
-@dataclass(frozen=True, slots=True)
-class StageSpeed:
+class StageSpeed(msgspec.Struct, frozen=True):
     """82h: into the unit's memory only; takes effect with 83h. ``raw``: display units, or ratio x 10000."""
 
     COMMAND: ClassVar[int] = 0x82
@@ -39,16 +38,14 @@ class StageSpeed:
     raw: int
 
 
-@dataclass(frozen=True, slots=True)
-class ExecuteSpeed:
+class ExecuteSpeed(msgspec.Struct, frozen=True):
     """83h: act on the staged speed. Unit 0 is every unit at once, and none of them answers."""
 
     COMMAND: ClassVar[int] = 0x83
     unit: int
 
 
-@dataclass(frozen=True, slots=True)
-class SetAndExecuteSpeed:
+class SetAndExecuteSpeed(msgspec.Struct, frozen=True):
     """84h: a new speed, effective now."""
 
     COMMAND: ClassVar[int] = 0x84
@@ -56,8 +53,7 @@ class SetAndExecuteSpeed:
     raw: int
 
 
-@dataclass(frozen=True, slots=True)
-class ReadParameter:
+class ReadParameter(msgspec.Struct, frozen=True):
     """85h."""
 
     COMMAND: ClassVar[int] = 0x85
@@ -65,8 +61,7 @@ class ReadParameter:
     number: int
 
 
-@dataclass(frozen=True, slots=True)
-class WriteParameter:
+class WriteParameter(msgspec.Struct, frozen=True):
     """86h."""
 
     COMMAND: ClassVar[int] = 0x86
@@ -75,8 +70,7 @@ class WriteParameter:
     raw: int
 
 
-@dataclass(frozen=True, slots=True)
-class WriteOutput:
+class WriteOutput(msgspec.Struct, frozen=True):
     """87h: auxiliary output 1-6 on or off, whatever it was before."""
 
     COMMAND: ClassVar[int] = 0x87
@@ -85,8 +79,7 @@ class WriteOutput:
     on: bool
 
 
-@dataclass(frozen=True, slots=True)
-class WriteAnalogOutput:
+class WriteAnalogOutput(msgspec.Struct, frozen=True):
     """88h: needs #28 = 2 and #29 <= raw <= #30."""
 
     COMMAND: ClassVar[int] = 0x88
@@ -106,8 +99,7 @@ Request = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class StatusReply:
+class StatusReply(msgspec.Struct, frozen=True):
     """Answer to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1."""
 
     unit: int
@@ -118,24 +110,21 @@ class StatusReply:
     inputs: int
 
 
-@dataclass(frozen=True, slots=True)
-class Ack:
+class Ack(msgspec.Struct, frozen=True):
     """A write was taken. ``data`` is empty, but for 86h, where a unit may say the value."""
 
     unit: int
     data: bytes = b""
 
 
-@dataclass(frozen=True, slots=True)
-class Nak:
+class Nak(msgspec.Struct, frozen=True):
     """The unit refused; ``code`` is [ERR]."""
 
     unit: int
     code: int
 
 
-@dataclass(frozen=True, slots=True)
-class ParameterReply:
+class ParameterReply(msgspec.Struct, frozen=True):
     """Answer to 85h; it does not name the parameter. ``width``: bytes it came in (or to send it in)."""
 
     unit: int

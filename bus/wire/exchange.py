@@ -19,7 +19,7 @@ Everything that is no good frame passes through as the Noise that framing made o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 from bus.settings import Dialect
 from bus.wire.commands import Reply, Request, parse_reply
@@ -28,45 +28,39 @@ from bus.wire.framing import DoubledChecksum, FrameDecoder, Noise, ReceivedFrame
 from bus.wire.prepared import prepare
 
 
-@dataclass(frozen=True, slots=True)
-class Answered:
+class Answered(msgspec.Struct, frozen=True):
     """The answer to the request."""
 
     reply: Reply
     frame: ReceivedFrame
 
 
-@dataclass(frozen=True, slots=True)
-class Foreign:
+class Foreign(msgspec.Struct, frozen=True):
     """A good frame with another address than the one asked."""
 
     unit: int
     frame: ReceivedFrame
 
 
-@dataclass(frozen=True, slots=True)
-class Echo:
+class Echo(msgspec.Struct, frozen=True):
     """Our own request came back."""
 
     frame: ReceivedFrame
 
 
-@dataclass(frozen=True, slots=True)
-class Unexpected:
+class Unexpected(msgspec.Struct, frozen=True):
     """A good frame of the unit asked that no unit gives as the answer to this command."""
 
     frame: ReceivedFrame
 
 
-@dataclass(frozen=True, slots=True)
-class Late:
+class Late(msgspec.Struct, frozen=True):
     """A good frame of the unit that belongs, or may belong, to an earlier request."""
 
     frame: ReceivedFrame
 
 
-@dataclass(frozen=True, slots=True)
-class Doubled:
+class Doubled(msgspec.Struct, frozen=True):
     """The answer already taken, once more."""
 
     frame: ReceivedFrame
@@ -99,11 +93,11 @@ class Exchange:
         self.reply: Reply | None = None
         self.first_byte_at: float | None = None
         """When the first byte after the request (and its echo) came, in the caller's time."""
-        self._dialect = dialect
+        self.dialect = dialect
         self._before = doubt or Doubt(request.unit, dialect)
         self._answer: bytes | None = None
-        self.doubt = self._before.sent(request)
-        """What the unit may still answer late once this exchange is over."""
+        self._doubt = self._before.sent(request)
+        self._to_ponder: bytes | None = None
 
     def receive(self, data: bytes, at: float) -> list[Event]:
         """Take what came in at ``at``, in any cut; say what it is."""
@@ -121,6 +115,13 @@ class Exchange:
             self.first_byte_at = at
         return events
 
+    @property
+    def doubt(self) -> Doubt:
+        """What the unit may still answer late once this exchange is over."""
+        if self._to_ponder is not None:
+            self._doubt, self._to_ponder = self._doubt.heard(self._to_ponder), None
+        return self._doubt
+
     def give_up(self) -> None:
         """The deadline has passed: whatever comes now is late."""
         self.awaiting = False
@@ -131,17 +132,15 @@ class Exchange:
         unit = frame.body[0]
         if unit != self.request.unit:
             return Foreign(unit, frame)
-        before, self.doubt = self.doubt, self.doubt.heard(frame.body)
-        if self.awaiting:
-            return self._judge(frame)
         # What was answered twice has not been asked twice.
-        if frame.body == self._answer:
-            self.doubt = before
+        if not self.awaiting and frame.body == self._answer:
             return Doubled(frame)
-        return Late(frame)
+        # What it means for later requests is worked out when somebody asks: now the next one is urgent.
+        self._doubt, self._to_ponder = self.doubt, frame.body
+        return self._judge(frame) if self.awaiting else Late(frame)
 
     def _judge(self, frame: ReceivedFrame) -> Event:
-        reply = parse_reply(self.request, frame.body, self._dialect)
+        reply = parse_reply(self.request, frame.body, self.dialect)
         if reply is None:
             return Unexpected(frame)
         if not self._before.believes(self.request, frame.body):

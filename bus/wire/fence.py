@@ -26,9 +26,10 @@ that knows the commands gives it, and in doubt it is not believed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
+
+import msgspec
 
 from bus.errors import UnitErrorCode
 from bus.settings import Dialect
@@ -123,8 +124,7 @@ class Answer(NamedTuple):
     shape: Shape
 
 
-@dataclass(frozen=True, slots=True)
-class Doubt:
+class Doubt(msgspec.Struct, frozen=True):
     """What one unit may still answer late or twice. A value: each step gives the next one."""
 
     unit: int
@@ -174,11 +174,11 @@ class Doubt:
 
     def believes(self, request: Request, body: bytes) -> bool:
         """Whether ``body``, which fits ``request``, can only be its answer (rule 3)."""
-        shape = shape_of(body)
         late = self._may_be_late(request)
         twice = self._may_come_twice(request)
         if not late and not twice:
             return True
+        shape = shape_of(body)
         return shape not in late | twice and (not late or shape in ordinary_shapes(request, self.dialect))
 
     def fence_before(self, request: Request) -> Request | None:

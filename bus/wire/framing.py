@@ -18,9 +18,10 @@ and their bytes, put together, are the bytes that came in.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
+
+import msgspec
 
 from bus.errors import CallerError
 from bus.settings import Dialect
@@ -49,16 +50,14 @@ class Fault(StrEnum):
     CUT = "cut off"
 
 
-@dataclass(frozen=True, slots=True)
-class ReceivedFrame:
+class ReceivedFrame(msgspec.Struct, frozen=True):
     """A whole frame with the right checksum. ``body`` is unstuffed, ``wire`` is as received."""
 
     body: bytes
     wire: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Noise:
+class Noise(msgspec.Struct, frozen=True):
     """Bytes that belong to no good frame.
 
     ``body`` is the unstuffed content where a frame was whole but for its checksum, else empty.
@@ -69,8 +68,7 @@ class Noise:
     body: bytes = b""
 
 
-@dataclass(frozen=True, slots=True)
-class DoubledChecksum:
+class DoubledChecksum(msgspec.Struct, frozen=True):
     """The second 10h of a checksum that was sent twice; it belongs to the frame before it."""
 
     data: bytes = bytes((DLE,))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
+
+import msgspec
 
 from bus.settings import Dialect
 from bus.wire.commands import (
@@ -20,8 +21,7 @@ MOST_KEPT = 4096
 """More than 40 parameters and the status of all the units that one bus commonly has."""
 
 
-@dataclass(frozen=True, slots=True)
-class Prepared:
+class Prepared(msgspec.Struct, frozen=True):
     """``wire`` is the frame, ``body`` what it carries; ``secret``: neither may be kept or shown (#21)."""
 
     request: Request

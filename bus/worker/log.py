@@ -2,10 +2,32 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import sys
+from contextlib import suppress
+from typing import TextIO, cast
 
 import structlog
+
+
+class Unbreakable(io.TextIOBase):
+    """Where the log cannot be written (its disk is full, its pipe is closed), lines are lost and whoever
+    wrote them goes on: the log is never a reason to lose the line or its history."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Raises nothing."""
+        with suppress(OSError, ValueError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Raises nothing."""
+        with suppress(OSError, ValueError):
+            self._stream.flush()
 
 
 def configure_log() -> None:
@@ -20,6 +42,6 @@ def configure_log() -> None:
             structlog.dev.ConsoleRenderer() if people else structlog.processors.JSONRenderer(),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
-        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
+        logger_factory=structlog.PrintLoggerFactory(cast(TextIO, Unbreakable(sys.stderr))),
         cache_logger_on_first_use=True,
     )

@@ -10,7 +10,8 @@ from contextlib import asynccontextmanager
 import pytest
 
 from bus.contract import BusLink, SetSpeed
-from bus.line.transport import TCP_LOST_AFTER_MS, open_port
+from bus.line.ports.tcp import TCP_LOST_AFTER_MS
+from bus.line.transport import open_port
 from bus.settings import BusSettings, UnitSettings
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
+from bus.errors import WireError
 from bus.line.asking import Heard
 from bus.line.clock import Alarm
-from bus.line.link import MARGIN_S, Link, Pace
+from bus.line.link import MARGIN_S, Link
+from bus.line.port_pace import PortPace
 from bus.line.roster import Roster
 from bus.line.trace import HIDDEN, Interpreter, Passed, Trace
 from bus.settings import Dialect
@@ -195,11 +197,11 @@ def test_a_port_faster_than_its_baud_rate_is_learned_from_its_first_answer(wires
 @given(st.lists(st.booleans(), max_size=300))
 def test_pace_is_never_stuck(history: list[bool]) -> None:
     """Whatever came before: early answers alone, or answers on time alone, are soon believed."""
-    pace = Pace()
+    pace = PortPace()
     for early in history:
-        pace.believes(early=early)
+        pace.believes(0.5 if early else 1.0, 1.0)
     for early in (True, False):
-        assert any(pace.believes(early=early) for _ in range(3))
+        assert any(pace.believes(0.5 if early else 1.0, 1.0) for _ in range(3))
 
 
 def test_a_broadcast_is_over_once_it_has_left(wires: Wires) -> None:
@@ -343,3 +345,84 @@ def test_an_answer_that_a_stalled_process_finds_waiting_is_as_old_as_its_window(
     assert heard.reply == STATUS
     assert heard.answered_at is not None
     assert heard.answered_at < 101.0, "a value is never said to be newer than it can be"
+
+
+def _paced() -> Wires:
+    """A port that is known to be as slow as its baud rate."""
+    line = Wires()
+    line.link.send(ReadStatus(2))
+    line.answer(replace(STATUS, unit=2))
+    return line
+
+
+def test_what_was_prepared_leaves_before_the_answer_is_told() -> None:
+    line = _paced()
+    written: list[int] = []
+
+    def told(heard: Heard, _began: float, ended: float) -> None:
+        written.append(len(line.written))
+        line.heard.append((heard, ended))
+
+    line.link.done = told
+    line.link.send(ReadStatus(1))
+    line.link.prepare(ReadStatus(2))
+    line.answer()
+    assert line.heard[-1][0].reply == STATUS
+    assert written == [3], "the next request was on its way when the answer was told"
+    assert line.link.busy
+    line.answer(replace(STATUS, unit=2))
+    assert line.heard[-1][0].reply == replace(STATUS, unit=2)
+    assert not line.link.busy
+
+
+def test_what_follows_stands_after_the_answer_in_the_trace() -> None:
+    line = _paced()
+    line.link.send(ReadStatus(1))
+    line.link.prepare(ReadStatus(2))
+    line.answer()
+    ways = [passed.direction for passed in line.trace.since(0.0)]
+    assert ways == ["out", "in", "out", "in", "out"]
+
+
+def test_nothing_follows_by_itself_where_more_came_than_the_answer() -> None:
+    line = _paced()
+    line.link.send(ReadStatus(1))
+    line.link.prepare(ReadStatus(2))
+    line.pass_time(25 * BYTE_S)
+    line.link.data_received(encode_reply(STATUS, PLAIN) + encode_reply(replace(STATUS, unit=7), PLAIN))
+    assert line.heard[-1][0].reply == STATUS
+    assert line.roster[1].statistics.foreign == 1
+    assert len(line.written) == 2
+    assert not line.link.busy
+
+
+def test_nothing_follows_a_leftover_a_silence_or_second_thoughts() -> None:
+    line = _paced()
+    line.link.send(ReadStatus(1))
+    line.link.prepare(ReadStatus(2))
+    line.gathered = encode_reply(STATUS, PLAIN)
+    line.pass_time(1.0)
+    assert len(line.written) == 2
+    assert line.heard[-1][0].reply is None
+    line.link.send(ReadStatus(1))
+    line.link.prepare(ReadStatus(2))
+    line.link.do_not_follow()
+    line.answer()
+    assert len(line.written) == 3
+    assert not line.link.busy
+
+
+def test_a_port_that_takes_nothing_tells_so_at_the_next_request() -> None:
+    line = _paced()
+    line.link.send(ReadStatus(1))
+    line.link.prepare(ReadStatus(2))
+
+    def broken(data: bytes) -> None:
+        raise WireError(f"{len(data)} bytes are not taken: it is gone")
+
+    line.write = broken  # type: ignore[method-assign]
+    line.answer()
+    assert line.heard[-1][0].reply == STATUS
+    assert not line.link.busy
+    with pytest.raises(WireError):
+        line.link.send(ReadStatus(2))

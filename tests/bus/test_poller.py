@@ -25,7 +25,7 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from bus.line.poller import LOOK_ELSEWHERE_S
+from bus.line.other_rate import LOOK_ELSEWHERE_S
 from bus.line.port import OpenPort, Receiver
 from bus.simulator.faults import Kind
 from bus.simulator.memory import Prm
@@ -207,6 +207,17 @@ def test_a_port_that_is_absent_at_start_is_waited_for() -> None:
         await line.until(lambda: line.readings(1), within_s=3.0)
 
     run(scene, 2)
+
+
+def test_a_line_that_is_switched_on_again_is_found_within_three_seconds_however_slow_it_may_be() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        line.faults.set(Kind.DEAD, 1.0)
+        await asyncio.sleep(60)
+        line.faults.clear()
+        await line.until(lambda: all(unit_links(line, unit)[-1] == "online" for unit in line.units), 3.0)
+
+    run(scene, 8, turnaround_ms=300)
 
 
 def test_a_port_that_opens_and_is_gone_at_once_is_not_hammered() -> None:
@@ -438,6 +449,53 @@ def test_a_unit_that_does_not_come_along_brings_all_the_others_back(odd: str) ->
         assert unit_links(line, 1)[-1] == "online"
 
     run(scene, 4)
+
+
+def test_a_nak_on_the_retry_does_not_speak_for_the_try_before() -> None:
+    """Somebody turns the unit to LOCAL between its lost ACK and the retry: it holds the new #18 all the same,
+    takes no other over the link, and would leave the line at its next power-up."""
+
+    async def scene(line: VirtualLine) -> None:
+        _decide(line, [False] * 3)
+        await settled(line)
+        line.faults.set(Kind.LOST, 1.0, 2)
+        command = line.command(ChangeBaud(4800), timeout_s=10)
+        await line.until(lambda: line.acted(2))
+        line.plant.unit(2).memory[Prm.MODE] = 0
+        line.faults.clear()
+        await line.until(lambda: line.fate_of(command))
+        fate = _fate(line, command)
+        assert fate.outcome == "unverified"
+        assert "unit 2 refused" in fate.message
+        assert "At the panel of unit 2: set #18 to 96" in fate.message
+        assert {each.unit: each.outcome for each in fate.units} == {
+            1: "verified",
+            2: "unverified",
+            3: "verified",
+        }
+        assert [unit.memory[Prm.BAUD] for unit in line.plant.units] == [96, 48, 96]
+
+    run(scene, 3)
+
+
+def test_a_nak_on_the_retry_of_a_unit_that_is_soon_back_leaves_nothing_behind() -> None:
+    async def scene(line: VirtualLine) -> None:
+        _decide(line, [False] * 3)
+        await settled(line)
+        line.faults.set(Kind.LOST, 1.0, 2)
+        command = line.command(ChangeBaud(4800), timeout_s=10)
+        await line.until(lambda: line.acted(2))
+        line.plant.unit(2).memory[Prm.MODE] = 0
+        line.faults.clear()
+        await line.until(lambda: line.worker.poller.baud == 4800)
+        line.plant.unit(2).memory[Prm.MODE] = 1
+        await line.until(lambda: line.fate_of(command))
+        fate = _fate(line, command)
+        assert fate.outcome == "refused"
+        assert "every unit is back at 9600 baud" in fate.message
+        assert [unit.memory[Prm.BAUD] for unit in line.plant.units] == [96] * 3
+
+    run(scene, 3)
 
 
 def test_an_impossible_baud_rate_is_not_tried() -> None:

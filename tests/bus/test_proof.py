@@ -144,6 +144,7 @@ def test_what_stands_above_the_setpoint_is_named(record: UnitRecord) -> None:
 def test_no_read_back_is_unverified(record: UnitRecord) -> None:
     result, _ = play(set_speed(record), brain_of(reads=[Fate.SILENT]))
     assert (result.outcome, result.read_back) == ("unverified", None)
+    assert result.message.endswith("it did not answer the read-back: its state is not known")
 
 
 def test_nothing_sent_is_never_more_than_not_sent(record: UnitRecord) -> None:

@@ -224,6 +224,8 @@ def ill(*units: int, **trouble: int) -> list[UnitTrouble]:
         (ill(3, foreign=20), 0, 0, "DIGIMAX"),
         (WELL, 0, 50, "echo"),
         (WELL, 500, 0, "Stray bytes"),
+        (ill(3, timeouts=40), 10_000, 0, "Bytes come in that are no answer"),
+        (ill(1, 2, 4, 5, late=20), 0, 0, "does unit 3 answer to every address?"),
     ],
 )
 def test_the_likely_cause_in_words(units: list[UnitTrouble], noise: int, echoes: int, words: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable
 
 from bus.contract import FoundUnit, Progress, Reading, Result, ScanBus, UnitLink
 from bus.simulator.faults import Kind
@@ -39,17 +40,58 @@ def test_the_app_hears_of_strangers_only_in_the_result() -> None:
     assert run(scene, PRESENT, configured=CONFIGURED) <= set(range(1, CONFIGURED + 1))
 
 
-def test_the_round_goes_on_meanwhile_and_progress_is_told() -> None:
-    async def scene(line: VirtualLine) -> tuple[int, list[Progress]]:
-        await asyncio.sleep(2.0)
-        before = len(line.readings())
-        await line.ask(ScanBus(1, 8), within_s=600.0)
-        told = [update for update in line.updates if isinstance(update, Progress) and update.of == 8]
-        return len(line.readings()) - before, told
+def test_the_silent_are_asked_again_and_progress_is_told() -> None:
+    async def scene(line: VirtualLine) -> list[Progress]:
+        await scan(line)
+        return told(line)
 
-    readings, told = run(scene, PRESENT, configured=CONFIGURED)
-    assert readings > 10
-    assert [progress.unit for progress in told] == list(range(1, 9))
+    progress = run(scene, PRESENT, configured=CONFIGURED)
+    assert [each.unit for each in progress] == [1, 2, 3, 4, 5, 6, 7, 8, 6, 7, 8]
+    assert [each.done for each in progress] == sorted(each.done for each in progress)
+    assert progress[-1].done == 7
+
+
+def told(line: VirtualLine) -> list[Progress]:
+    """How far a scan of eight addresses said it was."""
+    return [update for update in line.updates if isinstance(update, Progress) and update.of == 8]
+
+
+def test_a_unit_whose_first_answer_was_lost_is_found() -> None:
+    async def scene(line: VirtualLine) -> Result:
+        await asyncio.sleep(2.0)
+        line.faults.set(Kind.DEAD, 1.0, unit=4)
+        scanning = asyncio.create_task(line.ask(ScanBus(1, 8), within_s=600.0))
+        await line.until(lambda: any(each.unit == 5 for each in told(line)))
+        line.faults.clear()
+        return await scanning
+
+    assert list(kinds(run(scene, PRESENT, configured=CONFIGURED))) == [1, 2, 3, 4, 5]
+
+
+def test_a_scan_leaves_the_units_two_thirds_of_their_rate() -> None:
+    async def scene(line: VirtualLine) -> tuple[float, float]:
+        await asyncio.sleep(5.0)
+        before = await readings_in(line, asyncio.sleep(2.0))
+        meanwhile = await readings_in(line, line.ask(ScanBus(101, 120), within_s=600.0))
+        return before, meanwhile
+
+    before, meanwhile = run(scene, 8)
+    assert meanwhile > 0.6 * before
+
+
+async def readings_in(line: VirtualLine, work: Awaitable[object]) -> float:
+    """Readings a second while ``work`` goes on."""
+    began, had = line.loop.time(), len(line.readings())
+    await work
+    return (len(line.readings()) - had) / (line.loop.time() - began)
+
+
+def test_a_unit_that_answers_for_others_is_named() -> None:
+    async def scene(line: VirtualLine) -> Result:
+        line.faults.set(Kind.EVERYBODY, 1.0, unit=2)
+        return await scan(line)
+
+    assert "unit 2 answers to addresses that are not its own" in run(scene, 2, configured=2).message
 
 
 def test_what_is_no_digimax_is_called_so() -> None:

@@ -18,9 +18,10 @@ import serial
 import uvloop
 
 from bus.errors import WireError
-from bus.line import transport
 from bus.line.holders import holders_of
 from bus.line.port import OpenPort, PartlySent, PortUnavailable
+from bus.line.ports import tcp
+from bus.line.ports.refusal import why_not
 from bus.line.transport import open_port
 from bus.settings import Dialect
 from bus.simulator.demo import demo_line
@@ -137,11 +138,33 @@ async def test_closing_never_waits_for_bytes_nobody_takes() -> None:
 
 
 @on_both_loops
+async def test_what_comes_while_nobody_listens_gathers_and_a_lost_port_is_noticed_all_the_same() -> None:
+    master, slave = pty.openpty()
+    ear = Ear()
+    port = await open_port(os.ttyname(slave), 9600, ear)
+    port.listen(now=False)
+    for byte in (b"a", b"b", b"c"):
+        os.write(master, byte)
+        await asyncio.sleep(0.01)
+    assert not ear.data
+    port.listen(now=True)
+    await ear.until(3)
+    assert ear.data == b"abc"
+    port.listen(now=False)
+    os.close(slave)
+    os.close(master)
+    await ear.until(3, lost=True)
+    assert ear.data == b"abc"
+    port.listen(now=True)
+    port.close()
+
+
+@on_both_loops
 async def test_a_port_that_takes_half_a_request_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     master, slave = pty.openpty()
     try:
         port = await open_port(os.ttyname(slave), 9600, Ear())
-        monkeypatch.setattr(transport.os, "write", lambda _fd, data: len(data) // 2)
+        monkeypatch.setattr(os, "write", lambda _fd, data: len(data) // 2)
         with pytest.raises(PartlySent, match="3 of 7"):
             port.write(POLL)
         monkeypatch.undo()
@@ -215,13 +238,13 @@ async def test_why_a_port_cannot_be_opened(port: str, words: str) -> None:
 
 def test_a_missing_right_is_said_with_the_group_that_has_it() -> None:
     denied = serial.SerialException(errno.EACCES, "could not open port")
-    words = transport._why_not("/dev/null", denied)
+    words = why_not("/dev/null", denied)
     assert "usermod -aG root" in words
 
 
 @on_both_loops
 async def test_a_server_that_never_answers_does_not_stop_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transport, "CONNECT_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(tcp, "CONNECT_TIMEOUT_S", 0.2)
     full = socket.socket()
     full.bind(("127.0.0.1", 0))
     full.listen(0)

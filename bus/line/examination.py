@@ -1,20 +1,21 @@
-"""What answers at an address, found out by reading only. Pure: questions out, outcomes in.
+"""What answers at an address of a scan, found out by reading only. Pure: questions out, outcomes in.
 
 An address is asked 81h. Silence ends it there, which makes a scan as quick as the wire allows. What
 answers is asked more, always 81h and 85h in turn, so that no late or doubled answer can pass for another:
 its own address (#17, which also shows whether it counts parameters in BCD), the last parameter that it
 has (the older list ends at #20), how wide a value comes, and how it takes and sends a checksum of 10h.
+A unit that turns at speed meanwhile shows what its e-stop bit is when all is well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Generator
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import status_bits
-from bus.contract import FoundUnit
+from bus.line.found import STRANGE, TWO_UNITS, TWO_UNITS_OR_ELSE, Checksum10h, Found, remarks_on
 from bus.settings import Dialect
 from bus.wire.commands import (
     Nak,
@@ -24,13 +25,9 @@ from bus.wire.commands import (
     Reply,
     Request,
     StatusReply,
-    encode_request,
-    wire_seconds,
 )
 from bus.wire.framing import DLE, checksum
 
-MARGIN_S = 0.010
-"""What the machine and the adapter may add to a unit's turnaround."""
 LOOKS = 4
 """How often an address is asked that answers, but not as a unit does."""
 TRIES = 2
@@ -39,10 +36,8 @@ GARBLED_SHARE = 0.25
 """Above this part of spoilt or doubled answers more than noise is at work."""
 OWN_ADDRESS = 17
 OWN_ADDRESS_IN_BCD = 0x17
-_HIGHEST = max(PARAMETERS)
+FIRST_OF_EACH_TYPE = tuple({row.type: number for number, row in reversed(list(PARAMETERS.items()))}.values())
 _READABLE = [number for number, parameter in PARAMETERS.items() if not parameter.secret]
-
-Checksum10h = Literal["once", "twice"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,35 +70,8 @@ class Outcome:
         return self.reply is None and not (self.spoilt or self.strange or self.twice)
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
-    """What is at one address. ``own_address``: what its #17 says, None where it says nothing."""
-
-    unit: int
-    baud: int
-    kind: Literal["digimax", "garbled", "foreign"]
-    parameters: tuple[int, ...] = ()
-    remarks: tuple[str, ...] = ()
-    remote: bool | None = None
-    own_address: int | None = None
-    counts_in_bcd: bool = False
-    checksum_10h: Checksum10h | None = None
-    reply_bytes: tuple[int, ...] = ()
-    answered_within_s: float | None = None
-
-    def for_contract(self) -> FoundUnit:
-        """The part of it that the app is told."""
-        return FoundUnit(self.unit, self.baud, self.kind, list(self.parameters), list(self.remarks))
-
-
 Examining = Generator[Question, Outcome, Found | None]
 Asking = Generator[Question, Outcome, Outcome]
-
-
-def silent_seconds(baud: int, turnaround_s: float) -> float:
-    """What an address costs where nothing answers: the request, the turnaround, one byte, the margin."""
-    request = encode_request(ReadStatus(1), Dialect())
-    return wire_seconds(len(request) + 1, baud) + turnaround_s + MARGIN_S
 
 
 def examine(unit: int, baud: int) -> Examining:
@@ -117,42 +85,54 @@ class _Examination:
     unit: int
     baud: int
     outcomes: list[Outcome] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)
     uncertain: bool = False
+    doubles: bool = False
+    """It takes a checksum of 10h twice only, so that is how it is asked."""
 
     def run(self) -> Examining:
-        status = yield from self._status(LOOKS)
+        status = yield from self._first_status()
         if status is None:
             return self._no_unit()
+        takes = yield from self._takes_checksum_10h()
+        self.doubles = takes == "twice"
         own, counts_in_bcd = yield from self._own_address()
         last = yield from self._last_parameter(counts_in_bcd)
-        takes = yield from self._takes_checksum_10h()
+        yield from self._one_of_each_type(counts_in_bcd, last)
         if self._garbled_share() > GARBLED_SHARE:
-            self.remarks.insert(0, TWO_UNITS)
-            return Found(self.unit, self.baud, "garbled", remarks=tuple(self.remarks))
-        self._remark_on(own, counts_in_bcd, last)
-        return Found(
+            return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS,))
+        one = Found(
             self.unit,
             self.baud,
             "digimax",
             parameters=tuple(range(1, last + 1)),
-            remarks=tuple(self.remarks),
             remote=status_bits(status.outputs, status.inputs).remote,
             own_address=own,
             counts_in_bcd=counts_in_bcd,
             checksum_10h=self._sends_checksum_10h() or takes,
             reply_bytes=self._reply_bytes(),
+            estop_healthy=self._estop_healthy(),
             answered_within_s=max(
                 (o.answered_after_s for o in self.outcomes if o.answered_after_s is not None), default=None
             ),
         )
+        spoilt, questions = sum(outcome.spoilt for outcome in self.outcomes), len(self.outcomes)
+        remarks = remarks_on(one, spoilt=spoilt, questions=questions, uncertain=self.uncertain)
+        return replace(one, remarks=remarks)
 
     # --- questions -----------------------------------------------------------------------------
 
-    def _ask(self, request: Request, *, doubled: bool = False) -> Asking:
-        outcome = yield Question(request, doubled)
+    def _ask(self, request: Request) -> Asking:
+        outcome = yield Question(request, self.doubles)
         self.outcomes.append(outcome)
         return outcome
+
+    def _first_status(self) -> Generator[Question, Outcome, StatusReply | None]:
+        """The 81h to unit 111 has the checksum 10h itself: a unit that takes it twice is found so only."""
+        status = yield from self._status(LOOKS)
+        if self.outcomes[-1].silent and checksum(bytes((self.unit, ReadStatus.COMMAND))) == DLE:
+            self.doubles = True
+            status = yield from self._status(LOOKS)
+        return status
 
     def _status(self, looks: int) -> Generator[Question, Outcome, StatusReply | None]:
         """81h until it is answered as a unit answers; an address that is silent at first is left."""
@@ -164,11 +144,11 @@ class _Examination:
                 return None
         return None
 
-    def _read(self, number: int, *, doubled: bool = False) -> Generator[Question, Outcome, Reply | None]:
+    def _read(self, number: int) -> Generator[Question, Outcome, Reply | None]:
         """85h, with 81h before it as the fence."""
         for _ in range(TRIES):
             yield from self._status(TRIES)
-            outcome = yield from self._ask(ReadParameter(self.unit, number), doubled=doubled)
+            outcome = yield from self._ask(ReadParameter(self.unit, number))
             if outcome.reply is not None:
                 return outcome.reply
         return None
@@ -199,14 +179,22 @@ class _Examination:
             probe = (low + high) // 2
         return _READABLE[low] if low >= 0 else 0
 
+    def _one_of_each_type(self, counts_in_bcd: bool, last: int) -> Generator[Question, Outcome, None]:
+        """How wide a value comes shows only where the types have different widths."""
+        dialect = Dialect(parameter_numbers="bcd" if counts_in_bcd else "binary")
+        for number in FIRST_OF_EACH_TYPE:
+            if number <= last:
+                yield from self._read(encode_number(number, dialect))
+
     def _takes_checksum_10h(self) -> Generator[Question, Outcome, Checksum10h | None]:
         """A read whose own checksum is 10h, sent once and, if nobody hears it, twice."""
         number = number_for_checksum_10h(self.unit)
         if number == 0 or (number not in _READABLE and number in PARAMETERS):
             return None
-        if (yield from self._read(number)) is not None:
+        if not self.doubles and (yield from self._read(number)) is not None:
             return "once"
-        heard = yield from self._read(number, doubled=True)
+        self.doubles = True
+        heard = yield from self._read(number)
         return None if heard is None else "twice"
 
     # --- conclusions ---------------------------------------------------------------------------
@@ -234,35 +222,19 @@ class _Examination:
         seen = {outcome.checksum_10h for outcome in self.outcomes}
         return "twice" if "twice" in seen else "once" if "once" in seen else None
 
-    def _remark_on(self, own: int | None, counts_in_bcd: bool, last: int) -> None:
-        if counts_in_bcd:
-            self.remarks.append('counts parameters in BCD: set parameter_numbers = "bcd" for this bus')
-        elif own is None:
-            self.remarks.append("does not say its own address (#17)")
-        elif own != self.unit:
-            self.remarks.append(
-                f"#17 says {own}, not {self.unit}: it counts parameters otherwise, or answers for another"
-            )
-        if last < _HIGHEST:
-            self.remarks.append(
-                f"has the parameters 1 to {last} only" if last else "has no parameter to read"
-            )
-        if self.uncertain:
-            self.remarks.append("did not answer every question, so its list may be longer")
-        spoilt = sum(outcome.spoilt for outcome in self.outcomes)
-        if spoilt:
-            self.remarks.append(
-                f"{spoilt} of {len(self.outcomes)} answers came with noise: look at the shielding"
-            )
-        if self._sends_checksum_10h() == "twice":
-            self.remarks.append('sends a checksum of 10h twice: set checksum_10h = "twice" for this bus')
+    def _estop_healthy(self) -> Literal[0, 1] | None:
+        """A motor that turns at speed, whenever it is looked at, has a healthy e-stop chain."""
+        replies = [outcome.reply for outcome in self.outcomes]
+        statuses = [reply for reply in replies if isinstance(reply, StatusReply)]
+        if not all(_turns_at_speed(status) for status in statuses):
+            return None
+        bits = {status_bits(each.outputs, each.inputs, estop_healthy=0).estop_active for each in statuses}
+        return None if len(bits) > 1 else 1 if True in bits else 0
 
 
-TWO_UNITS = "its answers are garbled or come twice: two units at this address? Switch one off and scan again"
-TWO_UNITS_OR_ELSE = (
-    "every answer is garbled: two units at this address, another protocol, or another baud rate"
-)
-STRANGE = "answers in whole frames, but not as a DIGIMAX IV does"
+def _turns_at_speed(status: StatusReply) -> bool:
+    bits = status_bits(status.outputs, status.inputs)
+    return bits.run and bits.at_speed and status.actual > 0
 
 
 def encode_number(number: int, dialect: Dialect) -> int:
@@ -273,17 +245,3 @@ def encode_number(number: int, dialect: Dialect) -> int:
 def number_for_checksum_10h(unit: int) -> int:
     """The PRM byte that gives an 85h to ``unit`` the checksum 10h; 0, which cannot be asked, for unit 107."""
     return (checksum(bytes((unit, ReadParameter.COMMAND))) - DLE) & 0xFF
-
-
-def conclude(found: Sequence[Found]) -> list[str]:
-    """What only all addresses together show, and what to set for the bus."""
-    remarks = []
-    owners = [one.own_address for one in found if one.own_address not in (None, one.unit)]
-    for owner in sorted({owner for owner in owners if owner is not None}):
-        if owners.count(owner) > 1:
-            remarks.append(
-                f"unit {owner} answers to addresses that are not its own ({owners.count(owner)} of them)"
-            )
-    if any(one.checksum_10h == "twice" for one in found):
-        remarks.append('a checksum of 10h is doubled here: set checksum_10h = "twice"')
-    return remarks

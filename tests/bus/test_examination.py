@@ -8,15 +8,9 @@ from itertools import pairwise
 
 import pytest
 
-from bus.line.scan import (
-    Found,
-    Outcome,
-    Question,
-    conclude,
-    examine,
-    number_for_checksum_10h,
-    silent_seconds,
-)
+from bus.line.examination import Outcome, Question, examine, number_for_checksum_10h
+from bus.line.found import Found, conclude, settings_seen
+from bus.line.passes import silent_seconds
 from bus.settings import Dialect
 from bus.wire.commands import (
     Nak,
@@ -122,6 +116,14 @@ def test_a_unit_that_wants_a_checksum_of_10h_twice() -> None:
     assert found(unit(twice=True)).checksum_10h == "twice"
 
 
+def test_the_unit_whose_81h_has_the_checksum_10h() -> None:
+    """Unit 111, where it takes that twice only, hears nothing that is sent plainly."""
+    plain = unit(111, twice=True)
+    one = found(lambda asked: plain(asked) if asked.doubled else SILENCE, 111)
+    assert (one.kind, one.checksum_10h) == ("digimax", "twice")
+    assert outcome_of(lambda _: SILENCE, 111)[0] is None
+
+
 def test_a_unit_that_sends_a_checksum_of_10h_twice() -> None:
     one = found(lambda question: replace(unit()(question), checksum_10h="twice"))
     assert one.checksum_10h == "twice"
@@ -207,8 +209,44 @@ def test_one_unit_behind_many_addresses() -> None:
 
 
 def test_the_dialect_of_the_bus() -> None:
-    (remark,) = conclude([Found(5, 9600, "digimax", checksum_10h="twice"), Found(6, 9600, "digimax")])
-    assert 'checksum_10h = "twice"' in remark
+    found = [Found(5, 9600, "digimax", checksum_10h="twice", own_address=5), Found(6, 9600, "digimax")]
+    assert conclude(found) == []
+    assert settings_seen(found) == {
+        "checksum_10h": "twice",
+        "parameter_numbers": "binary",
+        "parameter_reply_bytes": None,
+        "estop_healthy": None,
+    }
+
+
+def test_units_that_differ_in_their_dialect() -> None:
+    found = [Found(5, 9600, "digimax", estop_healthy=1), Found(6, 9600, "digimax", estop_healthy=0)]
+    (remark,) = conclude(found)
+    assert "differ in estop_healthy" in remark
+    assert settings_seen(found)["estop_healthy"] is None
+
+
+@pytest.mark.parametrize(
+    ("actual", "outputs", "inputs", "healthy"),
+    [
+        (500, 0xC0, 0b11, 1),
+        (500, 0xC0, 0b01, 0),
+        (0, 0xC0, 0b01, None),
+        (500, 0x40, 0b01, None),
+        (500, 0xC0, 0b10, None),
+    ],
+    ids=["turns", "turns the other way round", "stands", "slows down", "coasts"],
+)
+def test_what_turns_at_speed_has_no_emergency_stop(
+    actual: int, outputs: int, inputs: int, healthy: int | None
+) -> None:
+    status = StatusReply(5, 500, actual, 0, outputs, inputs)
+
+    def answer(question: Question) -> Outcome:
+        outcome = unit()(question)
+        return replace(outcome, reply=status) if isinstance(outcome.reply, StatusReply) else outcome
+
+    assert found(answer).estop_healthy == healthy
 
 
 def test_what_the_app_is_told() -> None:

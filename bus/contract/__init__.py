@@ -1,0 +1,124 @@
+"""The messages between a bus worker and the app, and nothing else that the two share.
+
+The worker opens the WebSocket and speaks first. Its order of speech is fixed:
+``Hello`` → (app) ``Welcome`` → ``Snapshot`` → the backlog the app has not had, as ``Batch`` with
+``live=False`` → ``Batch`` after ``Batch``, numbered without a gap. The app answers each with
+``Delivered`` so that the worker may forget it.
+
+Times are seconds since the epoch on the speaker's own clock (float, microsecond resolution).
+Speeds, parameters and analog values are the raw integers of the wire.
+"""
+
+from __future__ import annotations
+
+from bus.contract.actions import (
+    Action,
+    ChangeBaud,
+    ExecuteAll,
+    ExecuteSpeed,
+    ReadParameters,
+    ReadTrace,
+    ScanBus,
+    SetLine,
+    SetSpeed,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.contract.fates import (
+    FoundUnit,
+    Progress,
+    Result,
+    UnitOutcome,
+)
+from bus.contract.message import (
+    CONTRACT_VERSION,
+    BusLinkState,
+    Direction,
+    Message,
+    Outcome,
+    Stage,
+    UnitLinkState,
+)
+from bus.contract.readings import (
+    BusFigures,
+    BusLink,
+    Frame,
+    Frames,
+    ParameterValue,
+    Reading,
+    Staged,
+    UnitFigures,
+    UnitLink,
+)
+from bus.contract.speech import (
+    AppMessage,
+    Batch,
+    Cancel,
+    Clock,
+    Command,
+    Delivered,
+    Hello,
+    Snapshot,
+    UnitState,
+    Update,
+    WantSnapshot,
+    Watch,
+    Welcome,
+    WorkerMessage,
+    decode_from_app,
+    decode_from_worker,
+    encode,
+)
+
+__all__ = [
+    "CONTRACT_VERSION",
+    "Action",
+    "AppMessage",
+    "Batch",
+    "BusFigures",
+    "BusLink",
+    "BusLinkState",
+    "Cancel",
+    "ChangeBaud",
+    "Clock",
+    "Command",
+    "Delivered",
+    "Direction",
+    "ExecuteAll",
+    "ExecuteSpeed",
+    "FoundUnit",
+    "Frame",
+    "Frames",
+    "Hello",
+    "Message",
+    "Outcome",
+    "ParameterValue",
+    "Progress",
+    "ReadParameters",
+    "ReadTrace",
+    "Reading",
+    "Result",
+    "ScanBus",
+    "SetLine",
+    "SetSpeed",
+    "Snapshot",
+    "Stage",
+    "Staged",
+    "UnitFigures",
+    "UnitLink",
+    "UnitLinkState",
+    "UnitOutcome",
+    "UnitState",
+    "Update",
+    "WantSnapshot",
+    "Watch",
+    "Welcome",
+    "WorkerMessage",
+    "WriteAnalogOutput",
+    "WriteOutput",
+    "WriteParameter",
+    "decode_from_app",
+    "decode_from_worker",
+    "encode",
+]

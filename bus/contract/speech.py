@@ -1,0 +1,136 @@
+"""The order of speech between worker and app, and its bytes; it stands at the head of ``bus.contract``."""
+
+from __future__ import annotations
+
+import msgspec
+from msgspec import field
+
+from bus.contract.actions import Action
+from bus.contract.fates import Progress, Result
+from bus.contract.message import Message
+from bus.contract.readings import (
+    BusFigures,
+    BusLink,
+    Frames,
+    ParameterValue,
+    Reading,
+    Staged,
+    UnitLink,
+)
+
+Update = Reading | ParameterValue | UnitLink | BusLink | Staged | BusFigures | Progress | Result | Frames
+
+
+class UnitState(Message, frozen=True, tag="unit_state"):
+    """All that the worker knows of one unit now."""
+
+    unit: int
+    link: UnitLink
+    reading: Reading | None = None
+    parameters: list[ParameterValue] = field(default_factory=list)
+    staged: int | None = None
+
+
+class Hello(Message, frozen=True, tag="hello"):
+    """First word of a worker. ``worker`` is new at every start, so sequence numbers belong to it."""
+
+    version: int
+    bus: str
+    worker: str
+    started_at: float
+    software: str
+    port: str
+    sent_at: float
+
+
+class Snapshot(Message, frozen=True, tag="snapshot"):
+    """The whole present state; ``seq`` is the number of the last update it includes."""
+
+    seq: int
+    sent_at: float
+    bus: BusLink
+    units: list[UnitState]
+    figures: BusFigures | None = None
+
+
+class Batch(Message, frozen=True, tag="batch"):
+    """Updates in order. ``live`` False: kept while the app was away; they belong to history only."""
+
+    seq: int
+    sent_at: float
+    updates: list[Update]
+    live: bool = True
+
+
+WorkerMessage = Hello | Snapshot | Batch
+
+
+class Command(Message, frozen=True, tag="command"):
+    """A wish with an identity and a last moment. ``deadline``: on the app's clock, the last instant at
+    which a frame that writes may leave (the worker knows that clock by ``Clock``).
+    A worker carries out an id once; asked again, it repeats the fate."""
+
+    id: str
+    deadline: float
+    action: Action
+
+
+class Cancel(Message, frozen=True, tag="cancel"):
+    """Give up a command at the next point where nothing is half done."""
+
+    id: str
+
+
+class Welcome(Message, frozen=True, tag="welcome"):
+    """The app's answer to Hello. ``seq``: the last batch it has of this very worker (0: none)."""
+
+    version: int
+    seq: int
+    app_time: float
+    refused: str = ""
+
+
+class Delivered(Message, frozen=True, tag="delivered"):
+    """Everything up to ``seq`` is safe with the app; the worker may forget it."""
+
+    seq: int
+
+
+class Clock(Message, frozen=True, tag="clock"):
+    """The app's time, about once a second: the worker keeps the least delay it has seen, so that a
+    command held up on the way is known to be late."""
+
+    app_time: float
+
+
+class Watch(Message, frozen=True, tag="watch"):
+    """The units on a page that someone has open, and whether someone follows the trace."""
+
+    units: list[int]
+    trace: bool = False
+
+
+class WantSnapshot(Message, frozen=True, tag="want_snapshot"):
+    """A number was missing: say everything again."""
+
+
+AppMessage = Welcome | Delivered | Clock | Watch | WantSnapshot | Command | Cancel
+
+_encoder = msgspec.msgpack.Encoder()
+_worker_decoder: msgspec.msgpack.Decoder[WorkerMessage] = msgspec.msgpack.Decoder(WorkerMessage)
+_app_decoder: msgspec.msgpack.Decoder[AppMessage] = msgspec.msgpack.Decoder(AppMessage)
+
+
+def encode(message: WorkerMessage | AppMessage) -> bytes:
+    """One binary WebSocket message."""
+    return _encoder.encode(message)
+
+
+def decode_from_worker(data: bytes) -> WorkerMessage:
+    """Raises msgspec.DecodeError (ValidationError) when it is not a worker's message."""
+    return _worker_decoder.decode(data)
+
+
+def decode_from_app(data: bytes) -> AppMessage:
+    """Raises msgspec.DecodeError (ValidationError) when it is not the app's message."""
+    return _app_decoder.decode(data)

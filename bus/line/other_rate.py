@@ -1,0 +1,47 @@
+"""At which rate a silent line may be found. Pure: time in seconds is passed in.
+
+Units take a new baud rate (#18) when they are switched off and on, one before the other and nobody says when.
+So a line that is wholly silent is asked at its old rate and at its new one in turn.
+"""
+
+from __future__ import annotations
+
+LOOK_ELSEWHERE_S = 3.0
+"""How long a wholly silent line is asked at one baud rate before it is asked at the other."""
+
+
+class OtherRate:
+    """``look`` now and then, ``turn`` between two questions: a silent line gets one after the other."""
+
+    def __init__(self, now: float) -> None:
+        self._expected: int | None = None
+        self._tuned_at = now
+        self._turns = False
+
+    def expect(self, baud: int) -> None:
+        """Units may be found at ``baud`` once they have been switched off and on."""
+        self._expected = baud
+
+    def tuned(self, now: float) -> None:
+        """The port goes at another rate from now on."""
+        self._tuned_at = now
+
+    def look(self, now: float, baud: int, *, answers: bool) -> bool:
+        """Whether the other rate is to be tried next; ``answers``: whether any unit does at ``baud``."""
+        if self._expected is None:
+            return False
+        if answers:
+            if baud == self._expected:
+                self._expected = None
+            return False
+        if now - self._tuned_at > LOOK_ELSEWHERE_S:
+            self._turns = True
+        return self._turns
+
+    def turn(self, baud: int) -> int | None:
+        """The rate to go on at, where it is time to leave ``baud``."""
+        turns, self._turns = self._turns, False
+        if not turns or self._expected is None:
+            return None
+        other, self._expected = self._expected, baud
+        return other

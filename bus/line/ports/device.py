@@ -1,0 +1,86 @@
+"""A local serial port, through pyserial-asyncio."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import termios
+from contextlib import suppress
+from typing import Any
+
+import serial
+import serial_asyncio
+
+from bus.errors import WireError
+from bus.line.port import OpenPort, PartlySent, PortUnavailable, Receiver
+from bus.line.ports.gated import GatedSerial
+from bus.line.ports.reception import Reception
+from bus.line.ports.refusal import why_not
+
+
+class DevicePort:
+    """An open one."""
+
+    def __init__(self, instance: GatedSerial, transport: Any, protocol: Reception, name: str) -> None:
+        self._serial = instance
+        self._descriptor = instance.device
+        self._transport = transport
+        self._protocol = protocol
+        self._name = name
+
+    def write(self, data: bytes) -> None:
+        """Straight to the descriptor: the transport would wait for the loop's next turn."""
+        try:
+            written = os.write(self._descriptor, data)
+        except BlockingIOError as error:
+            raise WireError(f"{self._name} takes no bytes: is its handshake line connected?") from error
+        except OSError as error:
+            raise WireError(f"{self._name} is gone ({os.strerror(error.errno or 0)})") from error
+        if written != len(data):
+            raise PartlySent(f"{self._name} took {written} of {len(data)} bytes")
+
+    def listen(self, *, now: bool) -> None:
+        self._serial.listen(now=now)
+
+    def drop_output(self) -> None:
+        with suppress(termios.error, OSError):
+            termios.tcflush(self._descriptor, termios.TCOFLUSH)
+
+    def retune(self, baud: int) -> None:
+        try:
+            self._serial.baudrate = baud
+        except (serial.SerialException, termios.error, OSError, ValueError) as error:
+            raise WireError(f"{self._name} cannot go to {baud} baud ({error})") from error
+
+    def check(self) -> None:
+        try:
+            termios.tcgetattr(self._descriptor)
+        except (termios.error, OSError) as error:
+            raise WireError(f"{self._name} is gone: was the adapter pulled out?") from error
+
+    def close(self) -> None:
+        if self._protocol.closed:
+            return
+        self._protocol.closed = True
+        self.drop_output()
+        self._transport.abort()
+
+
+async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
+    """Open the device at ``path``. Raises PortUnavailable."""
+    loop = asyncio.get_running_loop()
+    try:
+        instance = GatedSerial(path, baudrate=baud, timeout=0, write_timeout=0, exclusive=True)
+    except (serial.SerialException, termios.error, OSError, ValueError) as error:
+        raise PortUnavailable(why_not(path, error)) from error
+    _prefer_low_latency(instance)
+    protocol = Reception(receiver, f"{path} is gone: was the adapter pulled out?")
+    transport, _ = await serial_asyncio.connection_for_serial(loop, lambda: protocol, instance)
+    await protocol.made
+    return DevicePort(instance, transport, protocol, path)
+
+
+def _prefer_low_latency(instance: GatedSerial) -> None:
+    """An FTDI adapter would keep bytes for 16 ms; ports that know no such setting refuse it."""
+    with suppress(ValueError, OSError, NotImplementedError, AttributeError):
+        instance.set_low_latency_mode(True)

@@ -1,0 +1,67 @@
+"""A device server whose serial settings are sent to it (RFC 2217), through serialx, an extra."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from bus.line.port import OpenPort, PortUnavailable, Receiver
+from bus.line.ports import tcp
+from bus.line.ports.reception import Reception
+
+
+async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
+    """Open ``rfc2217://host:port`` at ``baud``. Raises PortUnavailable."""
+    try:
+        import serialx
+    except ImportError as error:
+        raise PortUnavailable(f"{url} needs one more package: pip install 'lineside[rfc2217]'") from error
+    tcp.address_of(url)
+    protocol = Reception(receiver, f"{url} closed the connection")
+    kind = _rfc2217_transport()
+    try:
+        async with asyncio.timeout(tcp.CONNECT_TIMEOUT_S):
+            transport, _ = await serialx.create_serial_connection(
+                asyncio.get_running_loop(), lambda: protocol, url, baudrate=baud, transport_cls=kind
+            )
+            await protocol.made
+    except TimeoutError as error:
+        raise PortUnavailable(
+            f"{url} does not answer: is the device server on, in RFC 2217 mode, and its address right?"
+        ) from error
+    except (OSError, ValueError) as error:
+        raise PortUnavailable(f"{url} cannot be opened ({error})") from error
+    return tcp.TcpPort(transport, protocol, url)
+
+
+def _rfc2217_transport() -> Any:
+    """serialx's own, which takes servers as they are.
+
+    Many never acknowledge the masks of line and modem states (RFC 2217, 3), which mean nothing on RS-422, and
+    many speak first: what they say before the connection is known to be there would be an error.
+    """
+    from serialx.platforms.serial_rfc2217 import RFC2217SerialTransport
+    from serialx.platforms.serial_rfc2217.types import SetLinestateMaskCmd, SetModemstateMaskCmd
+
+    class Transport(RFC2217SerialTransport):  # type: ignore[misc, unused-ignore]
+        _said_first = b""
+
+        def _data_received(self, data: bytes) -> None:
+            if self._tcp_transport is None:
+                self._said_first += data
+            else:
+                super()._data_received(data)
+
+        async def _negotiate(self) -> None:
+            assert self._tcp_transport is not None
+            tcp.be_quick_to_notice(self._tcp_transport.get_extra_info("socket"))
+            super()._data_received(self._said_first)
+            await super()._negotiate()
+
+        async def _send_and_wait(self, command: Any) -> Any:
+            if isinstance(command, SetLinestateMaskCmd | SetModemstateMaskCmd):
+                self._send_command(command)
+                return command
+            return await super()._send_and_wait(command)
+
+    return Transport
