@@ -11,6 +11,10 @@ class StoreError(LinesideError):
     """A store cannot be opened, read or written."""
 
 
+class DamagedStoreError(StoreError):
+    """SQLite found pages of an open store damaged."""
+
+
 class Problem(LinesideError):
     """A refusal that goes to whoever asked: problem+json for programs, a page or a fragment for people.
 

@@ -74,6 +74,10 @@ class Pipeline:
         whose = "the app" if bus is None else "the bus worker"
         self._note(bus, Change("clock", None, at, f"clock of {whose} stepped by {step_s:+.3f} s", "", ""))
 
+    def history_damaged(self, what: str, at: float) -> None:
+        """Something that was kept could not be read."""
+        self._note(None, Change("server", None, at, what, "", ""))
+
     async def record(self) -> None:
         """Write what was noted into the events, in order, for ever. What cannot be written now waits."""
         said = ""

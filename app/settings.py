@@ -49,7 +49,7 @@ class Site(Strict):
 class Server(Strict):
     """Where the dashboard listens and keeps its data."""
 
-    host: str = "127.0.0.1"
+    host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
     port: Annotated[int, Field(strict=True, ge=0, le=65535)] = 8000
     """0 takes any free port."""
     data: Path = Path("data")

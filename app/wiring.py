@@ -23,20 +23,24 @@ from app.database import Database
 from app.feed.workers import Workers
 from app.history.service import History
 from app.history.status import sentence
+from app.history.warming import warm
 from app.live.hub import Hub
 from app.live.state import LiveState
 from app.metrics.counts import Counts
 from app.pipeline import Pipeline
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore
+from app.sets.first_write import FirstWrites
 from app.sets.keeper import SetKeeper
 from app.sets.reading import ParameterReader
 from app.sets.restore import RestoreDesk
 from app.sets.restore_store import RestoreStore
+from app.sets.schedule import SetSchedule
 from app.sets.store import SetStore
 from app.sets.taking import Takings
 from app.settings import Settings
 from app.swap.desk import SwapDesk
+from app.swap.store import SwapStore
 from app.web.access import Person, Role
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.formats import zone
@@ -51,17 +55,22 @@ RECORDED_WITHIN_S = 1.0
 """What the end waits for the last changes of the line to be written down."""
 
 
-class ClockSteps:
-    """Carries what the history's own thread notices of the clock over to the event loop."""
+class HistoryNews:
+    """Carries what the history's own thread notices over to the event loop."""
 
     def __init__(self) -> None:
         self.pipeline: Pipeline | None = None
         self.loop: asyncio.AbstractEventLoop | None = None
 
-    def tell(self, step_s: float, at: float) -> None:
+    def clock_stepped(self, step_s: float, at: float) -> None:
         """Called on any thread."""
         if self.loop is not None and self.pipeline is not None:
             self.loop.call_soon_threadsafe(self.pipeline.clock_stepped, None, step_s, at)
+
+    def damaged(self, what: str) -> None:
+        """Called on any thread."""
+        if self.loop is not None and self.pipeline is not None:
+            self.loop.call_soon_threadsafe(self.pipeline.history_damaged, what, time())
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,7 @@ class Services:
     sign_in: SignIn
     live: LiveState
     history: History
-    clock_steps: ClockSteps
+    history_news: HistoryNews
     pipeline: Pipeline
     workers: Workers
     hub: Hub
@@ -86,6 +95,8 @@ class Services:
     desk: Desk
     parameter_reader: ParameterReader
     sets: SetKeeper
+    set_schedule: SetSchedule
+    first_writes: FirstWrites
     takings: Takings
     restores: RestoreDesk
     swaps: SwapDesk
@@ -101,27 +112,33 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     compiled = settings.server.data / "compiled"
     templates = Templates(templates_dir(), assets, settings.site, demo=demo, kept_in=compiled)
     live = LiveState(settings.bus, time())
-    steps = ClockSteps()
-    history = History(settings, on_clock_step=steps.tell)
+    news = HistoryNews()
+    history = History(settings, on_clock_step=news.clock_stepped, on_damage=news.damaged)
     pipeline = Pipeline(live, history, events)
-    steps.pipeline = pipeline
+    news.pipeline = pipeline
     workers = Workers([bus.name for bus in settings.bus], pipeline)
-    safeguards = Safeguards(database, events, control_required=settings.site.control)
+    accounts = Accounts(database, passwords, events)
+    control = settings.site.control
+    safeguards = Safeguards(database, events, control_required=control, role_of=accounts.role_of)
     desk = Desk(live, workers.channels, events, database, safeguards)
     reader = ParameterReader(live, desk)
     local_time = partial(datetime.now, zone(settings.site.time_zone))
-    sets = SetKeeper(live, reader, SetStore(database), events, local_time)
-    desk.before_parameter_write = sets.keep_known
-    accounts = Accounts(database, passwords, events)
+    sets = SetKeeper(live, reader, SetStore(database), events)
+    first_writes = FirstWrites(live, sets, local_time)
+    desk.before_write = first_writes.before
     accounts.on_rights_changed(safeguards.release_all_of)
     sign_in = SignIn(database, passwords, events, worker_token)
     sign_in.on_gone = safeguards.release_all_of
     hub = Hub(live, templates, time)
-    hub.block, hub.drift, hub.watch = safeguards.block_reason, sets.drifted, workers.watch
+    hub.block, hub.drift, hub.watch = safeguards.block_reason, sets.drifts.words, workers.watch
+    sets.drifts.on_change = hub.refresh_unit
     hub.holder = safeguards.holder
     hub.memory = lambda voice, now: sentence(history.status, voice.t, voice.formats, now)
     safeguards.on_block(hub.refresh_unit)
-    restores, swaps = RestoreDesk(reader, desk, events, RestoreStore(database)), SwapDesk(events, time)
+    restores, swaps = (
+        RestoreDesk(reader, desk, events, RestoreStore(database)),
+        SwapDesk(events, SwapStore(database), time),
+    )
     restores.on_end = swaps.ended
     recipes = RecipeBook(live, desk, RecipeStore(database), events)
     hub.recipe = recipes.loaded_words
@@ -136,7 +153,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         sign_in=sign_in,
         live=live,
         history=history,
-        clock_steps=steps,
+        history_news=news,
         pipeline=pipeline,
         workers=workers,
         hub=hub,
@@ -144,6 +161,8 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         desk=desk,
         parameter_reader=reader,
         sets=sets,
+        set_schedule=SetSchedule(live, sets, events, local_time),
+        first_writes=first_writes,
         takings=Takings(sets),
         restores=restores,
         swaps=swaps,
@@ -159,9 +178,13 @@ async def running(services: Services) -> AsyncIterator[None]:
     works = (
         services.pipeline.record,
         services.hub.beat,
-        partial(services.sets.follow_schedule, SERVER),
+        services.history.inspect_daily,
+        partial(services.set_schedule.follow, SERVER),
+        partial(services.sets.learn_marked, SERVER),
     )
     tasks = [asyncio.create_task(_for_ever(work)) for work in works]
+    language = services.settings.site.language
+    tasks.append(asyncio.create_task(warm(services.history, services.templates, services.assets, language)))
     try:
         yield
     finally:
@@ -175,7 +198,7 @@ async def running(services: Services) -> AsyncIterator[None]:
 
 
 async def _begin(services: Services) -> None:
-    services.clock_steps.loop = asyncio.get_running_loop()
+    services.history_news.loop = asyncio.get_running_loop()
     services.history.start()
     await services.events.close_open_intents()
     steps = ", ".join(f"{step.number:04d} {step.name}" for step in services.database.migrated)
@@ -188,13 +211,16 @@ async def _begin(services: Services) -> None:
     if changed:
         await services.events.record(kind="configuration", what="configuration changed", message=changed)
     await services.safeguards.load()
-    await services.sets.load()
+    await services.sets.drifts.load()
     await services.restores.load()
+    await services.swaps.load(services.restores.find)
     await services.recipes.load_marks()
 
 
 async def _end(services: Services) -> None:
     await services.takings.close()
+    await services.first_writes.close()
+    await services.sets.drifts.close()
     await services.restores.close()
     await services.events.record(kind="server", what="server ended")
     await asyncio.to_thread(services.history.close)

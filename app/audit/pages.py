@@ -37,7 +37,8 @@ async def events_page(
 ) -> HTMLResponse:
     """A form's empty fields do not narrow; the days are days at the site."""
     chosen = dict(zip(FIELDS, (kind, bus, unit, who, since, until, search), strict=True))
-    site_zone = templates_of(request).time_zone
+    templates = templates_of(request)
+    site_zone, formats = templates.time_zone, templates.formats(templates.language_of(request).tag)
     wanted = Filter(
         before=_number(before),
         kind=kind or None,
@@ -46,7 +47,7 @@ async def events_page(
         who=who or None,
         since=_day(since, site_zone),
         until=_day(until, site_zone, timedelta(days=1)),
-        search=search,
+        search=formats.typed_number(search),
     )
     found, after = await events.page(wanted, ON_A_PAGE)
     return render(

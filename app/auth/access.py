@@ -97,12 +97,13 @@ def to_login(connection: HTTPConnection) -> Response:
     is_page = connection.scope["method"] in ("GET", "HEAD")
     query = connection.url.query
     where = connection.url.path + (f"?{query}" if query else "")
-    return RedirectResponse(_login_url(where if is_page else "/"), 303)
+    return RedirectResponse(_login_url(where if is_page else _page_of(connection)), 303)
 
 
 def _page_of(connection: HTTPConnection) -> str:
-    """The page that htmx asks from."""
-    parts = urlsplit(connection.headers.get("hx-current-url", "/"))
+    """Our own page that htmx or a form asks from; foreign ones were refused before."""
+    said = connection.headers.get("hx-current-url") or connection.headers.get("referer", "/")
+    parts = urlsplit(said)
     return parts.path + (f"?{parts.query}" if parts.query else "")
 
 

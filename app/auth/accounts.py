@@ -45,6 +45,17 @@ class Accounts:
         """All tokens by name, without what they are."""
         return await self._database.read(store.tokens)
 
+    async def role_of(self, name: str) -> Role | None:
+        """What a user who may sign in, or a token, of this name may do; None when there is none."""
+
+        def find(connection: sqlite3.Connection) -> Role | None:
+            found = store.user(connection, name)
+            if found is not None and not found[0].disabled:
+                return found[0].role
+            return next((token.role for token in store.tokens(connection) if token.name == name), None)
+
+        return await self._database.read(find)
+
     async def add_user(self, name: str, role: Role, password: str, *, by: str, origin: str) -> None:
         """Somebody new. Raises CallerError."""
         rules.check_name(name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from importlib import import_module
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -63,8 +63,20 @@ cli = typer.Typer(
 )
 
 
+def _say_version(is_asked: bool) -> None:
+    if is_asked:
+        from importlib.metadata import version
+
+        typer.echo(f"lineside {version('lineside')}")
+        raise typer.Exit
+
+
 @cli.callback()
-def lineside() -> None:
+def lineside(
+    _: Annotated[
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Which version this is.")
+    ] = False,
+) -> None:
     """Watch and set a line of DIGIMAX IV drives. Exit codes: 0 done, 1 it did not hold, 2 wrong use."""
 
 

@@ -12,7 +12,7 @@ from app.cli.backup import AsJson
 from app.cli.dashboard import dashboard
 from app.cli.ending import ending
 from app.sets.compare import Compared, differences
-from app.sets.document import read_document
+from app.sets.document import LONGEST_DOCUMENT, read_document
 from app.sets.model import ParameterSet, UnitRows
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
@@ -48,11 +48,14 @@ def diff(
 def load(path: Path) -> ParameterSet:
     """A parameter set from a file; raises CallerError (DocumentError) in words."""
     try:
-        return read_document(path.read_text(encoding="utf-8"), str(path))
+        if path.stat().st_size > LONGEST_DOCUMENT:
+            raise CallerError(f"{path} is too long for a parameter set")
+        return read_document(path.read_text(encoding="utf-8-sig"), str(path))
     except OSError as error:
         raise CallerError(f"{path} cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
-        raise CallerError(f"{path} is no text: {error.reason} at byte {error.start}") from error
+        why = f"{path} is no text in UTF-8: {error.reason} at byte {error.start}; save it as UTF-8"
+        raise CallerError(why) from error
 
 
 def rows_for(parameter_set: ParameterSet, unit: int, path: Path) -> UnitRows:

@@ -113,7 +113,7 @@ async def _host(settings: Settings, config: Path, listening: socket.socket, *, d
         asked.cancel()
     finally:
         await workers.stop()
-    server.should_exit = True
+    server.end()
     await serving
     if not server.started:
         raise HostingError("the dashboard could not begin; what stands above says why")

@@ -99,7 +99,8 @@ def _plan_text(planned: Any) -> str:
     lines += [
         f"#{left['number']:<3}{left['name']:<32}left out: {left['reason']}" for left in planned["left_out"]
     ]
-    return "\n".join([f"{len(planned['rows'])} rows to write, {planned['equal']} equal", *lines])
+    head = f"{len(planned['rows'])} rows to write, {planned['equal']} equal"
+    return "\n".join([*(f"note: {remark}" for remark in planned["remarks"]), head, *lines])
 
 
 def _row_text(row: Any) -> str:

@@ -11,8 +11,9 @@ from typing import Annotated, Any
 import typer
 
 from app.cli.ending import ending
-from bus.line.scan import Found, conclude, silent_seconds
-from bus.line.scanner import PASSES, BaudScan, scan_baud
+from bus.line.found import Found, conclude, settings_seen
+from bus.line.passes import PASSES, silent_seconds
+from bus.line.scanner import BaudScan, scan_baud
 from bus.settings import BAUDS
 
 FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
@@ -66,7 +67,7 @@ def scan(
     except KeyboardInterrupt:
         trouble, code = "interrupted", INTERRUPTED
     found = [one for done in scans for one in done.found]
-    _report(port, scans, found, as_json, complete=not trouble)
+    _report(port, scans, found, as_json, turnaround_ms, complete=not trouble)
     if trouble:
         typer.echo(f"lineside: {trouble}: the scan is not complete, this is what was found so far.", err=True)
         raise typer.Exit(code)
@@ -121,22 +122,33 @@ async def _scan(
     every_baud: bool,
 ) -> None:
     for baud in bauds:
-        scans.append(BaudScan(baud))
+        scans.append(BaudScan(baud, turnaround_s))
         length = PASSES * len(addresses)
         with typer.progressbar(length=length, label=f"{baud:>5} baud", file=sys.stderr) as bar:
-            await scan_baud(scans[-1], port, addresses, turnaround_s, bar.update)
+            await scan_baud(scans[-1], port, addresses, bar.update)
         if scans[-1].found and not every_baud:
             break
 
 
 def _report(
-    port: str, scans: Sequence[BaudScan], found: Sequence[Found], as_json: bool, *, complete: bool
+    port: str,
+    scans: Sequence[BaudScan],
+    found: Sequence[Found],
+    as_json: bool,
+    turnaround_ms: float,
+    *,
+    complete: bool,
 ) -> None:
     remarks = conclude(found)
     if any(done.echoes for done in scans):
         remarks.append("the adapter hears what it sends (half duplex): its echo is recognised")
+    allowed_ms = max(round(1000 * done.turnaround_s) for done in scans)
+    if allowed_ms > turnaround_ms:
+        remarks.append(f"units begin their answers late: set turnaround_ms = {allowed_ms} for this bus")
     if as_json:
-        typer.echo(json.dumps({**_json(port, scans, found, remarks), "complete": complete}))
+        settings = {**settings_seen(found), "turnaround_ms": allowed_ms}
+        answer = _json(port, scans, found, remarks)
+        typer.echo(json.dumps({**answer, "settings": settings, "complete": complete}))
         return
     for one in found:
         typer.echo(_line(one))
@@ -178,6 +190,7 @@ def _unit_json(one: Found) -> dict[str, Any]:
         "parameter_numbers": "bcd" if one.counts_in_bcd else "binary",
         "checksum_10h": one.checksum_10h,
         "parameter_reply_bytes": list(one.reply_bytes),
+        "estop_healthy": one.estop_healthy,
         "turnaround_ms": None if answered is None else round(1000 * answered, 1),
         "remarks": list(one.remarks),
     }

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from typing import Any
 
 import uvicorn
 
+from app.cli.frames import FramesProtocol
+from app.cli.patience import PatientProtocol
 from app.main import create_app
 from app.settings import Settings
 
 GRACEFUL_S = 1
 """What requests in flight get when the server ends."""
+DATE_EVERY_S = 1.0
 MOST_MESSAGE_BYTES = 4 * 1024 * 1024
 
 
@@ -25,6 +29,12 @@ class Server(uvicorn.Server):
     ) -> None:
         super().__init__(_config(create_app(settings, demo=demo, worker_token=worker_token)))
         self._serving = serving
+        self._ended = asyncio.Event()
+
+    def end(self) -> None:
+        """Let go of everybody, then return from serving."""
+        self.should_exit = True
+        self._ended.set()
 
     def capture_signals(self) -> Any:
         """The workers must end before the server does."""
@@ -36,14 +46,21 @@ class Server(uvicorn.Server):
         if self.started:
             self._serving()
 
+    async def main_loop(self) -> None:
+        """Once a second for the header ``Date``: uvicorn's own looks ten times whether it shall end."""
+        while not await self.on_tick(0):
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._ended.wait(), DATE_EVERY_S)
+
 
 def _config(app: Any) -> uvicorn.Config:
-    """No deflate on WebSockets: at ten messages a second it costs a quarter of a core."""
+    """No deflate on WebSockets: at ten messages a second it costs a quarter of a core, and every page would
+    need frames of its own."""
     return uvicorn.Config(
         app,
         loop="none",
-        http="httptools",
-        ws="websockets-sansio",
+        http=PatientProtocol,
+        ws=FramesProtocol,
         ws_per_message_deflate=False,
         ws_max_size=MOST_MESSAGE_BYTES,
         access_log=False,

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Annotated, get_args
 
 import typer
+from pydantic import ValidationError
 
-from bus.settings import BAUDS, Baud
+from bus.settings import BAUDS, Baud, Dialect
 from bus.simulator.control import Control
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import Faults
@@ -37,6 +38,21 @@ def simulate(
     turnaround_ms: Annotated[
         float, typer.Option(min=0, max=5000, help="What a unit takes to begin its answer.")
     ] = 0.0,
+    checksum_10h: Annotated[
+        str, typer.Option("--checksum-10h", help="A checksum of 10h comes and is taken: once or twice.")
+    ] = "once",
+    parameter_reply_bytes: Annotated[
+        int, typer.Option(help="Bytes of an answer to 85h: 1, 2 or 4; 0 as wide as the parameter's type.")
+    ] = 0,
+    parameter_numbers: Annotated[
+        str, typer.Option(help="How parameters are numbered on the wire: binary or bcd.")
+    ] = "binary",
+    estop_healthy: Annotated[
+        int, typer.Option(help="The e-stop bit while no emergency stop is active: 0 or 1.")
+    ] = 1,
+    last_parameter: Annotated[
+        int, typer.Option(min=1, max=40, help="The last one that the firmware knows: 20 in the older list.")
+    ] = 40,
     speedup: Annotated[
         float, typer.Option(min=1, max=1000, help="Shorten byte times and turnarounds so many times.")
     ] = 1.0,
@@ -55,7 +71,14 @@ def simulate(
     if tcp is not None and link is not None:
         raise typer.BadParameter("a link leads to a pseudo-terminal, not to a TCP port", param_hint="--link")
     signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
-    plant = demo_line(units, seed=seed, traits=Traits(turnaround_s=turnaround_ms / 1000), script=script).plant
+    dialect = _dialect(
+        checksum_10h=checksum_10h,
+        parameter_reply_bytes=parameter_reply_bytes,
+        parameter_numbers=parameter_numbers,
+        estop_healthy=estop_healthy,
+    )
+    traits = Traits(dialect, last_parameter, turnaround_s=turnaround_ms / 1000)
+    plant = demo_line(units, seed=seed, traits=traits, script=script).plant
     for unit in plant.units:
         unit.memory[Prm.BAUD] = baud // 100
         unit.power_up()
@@ -68,6 +91,16 @@ def simulate(
         signal.sigwait(_ENDINGS)
         if hands is not None:
             hands.close()
+
+
+def _dialect(**answers: str | int) -> Dialect:
+    """What the manual leaves open, as these units decide it; the options are called as in lineside.toml."""
+    try:
+        return Dialect.model_validate(answers)
+    except ValidationError as error:
+        first = error.errors()[0]
+        option = "--" + str(first["loc"][0]).replace("_", "-")
+        raise typer.BadParameter(first["msg"], param_hint=option) from error
 
 
 _ENDINGS = {signal.SIGINT, signal.SIGTERM}

@@ -86,9 +86,13 @@ async def scan(
     desk.bus(bus)
     action = ScanBus(first=min(first, last), last=max(first, last))
     result = await desk.ask(person, bus, action, new_id(), SCAN_S)
-    known = desk.bus(bus).units
     return desk.render(
-        "bus/_found.html", fate=desk.fate(result), found=result.found, known=known, action=action
+        "bus/_found.html",
+        fate=desk.fate(result),
+        found=result.found,
+        remarks=[remark for remark in result.message.split("; ") if remark],
+        known=desk.bus(bus).units,
+        action=action,
     )
 
 

@@ -6,16 +6,17 @@ import asyncio
 import time
 import uuid
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from app.audit.log import EventLog
-from app.commands.asked import command_of
 from app.commands.control import ControlledError
+from app.commands.idempotency import command_of
 from app.commands.moves import Moves
 from app.commands.objection import Circumstances, ObjectionError
 from app.commands.record import Record
-from app.commands.rules import check, is_write, setpoints_of, units_named
+from app.commands.rules import check, is_write, setpoints_of, units_named, units_written
 from app.commands.safeguards import Safeguards
 from app.commands.setpoints import commanded_setpoint
 from app.commands.wish import Wish, time_for
@@ -25,7 +26,7 @@ from app.feed.channel import Channel, ProgressListener
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state import BusLive, LiveState
 from app.web.access import Person
-from bus.contract import Action, Command, Result, ScanBus, SetSpeed, WriteParameter
+from bus.contract import Action, ChangeBaud, Command, Result, ScanBus, SetSpeed, WriteParameter
 
 REMEMBERED = 1000
 """Fates kept for whoever asks with the same id again."""
@@ -34,11 +35,15 @@ ACTED = ("verified", "acknowledged", "unverified")
 """Outcomes after which a unit has acted, or may have."""
 
 
-BeforeParameterWrite = Callable[[Person, str, int], Awaitable[None]]
+class BeforeWrite(Protocol):
+    """Told who is about to write to which units of a bus, and whether it is parameters."""
+
+    async def __call__(self, person: Person, bus: str, units: Sequence[int], *, parameters: bool) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
+    who: str
     bus: str
     action: Action
     fate: asyncio.Task[Result]
@@ -63,8 +68,8 @@ class Desk:
         self._now = now
         self._moves = Moves()
         self._kept: OrderedDict[str, _Kept] = OrderedDict()
-        self.before_parameter_write: BeforeParameterWrite | None = None
-        """Who wants to keep what a unit was, before its parameters are changed."""
+        self.before_write: BeforeWrite | None = None
+        """Who wants to keep what a unit was, before it is written to."""
 
     async def ask(
         self,
@@ -93,7 +98,7 @@ class Desk:
             earlier = await self._record.earlier(id)
             kept = self._kept.get(id)
             if kept is None and earlier is not None:
-                _refuse_other(id, earlier.command == command_of(bus, action))
+                _refuse_other(id, earlier.command == command_of(person.name, bus, action))
                 return earlier.fate
         if kept is None:
             time_s = time_for(action, live.settings) if timeout_s is None else timeout_s
@@ -101,7 +106,7 @@ class Desk:
             wish = Wish(id or uuid.uuid4().hex, person, bus, action, deadline, origin, listener)
             await self._check(wish, live, confirm)
             kept = self._start(wish, live)
-        _refuse_other(id, (kept.bus, kept.action) == (bus, action))
+        _refuse_other(id, (kept.who, kept.bus, kept.action) == (person.name, bus, action))
         return await asyncio.shield(kept.fate)
 
     async def cancel(self, bus: str, id: str) -> None:
@@ -151,7 +156,7 @@ class Desk:
         for unit, step in steps.items():
             self._moves.note(wish.bus, unit, step, at)
         fate = asyncio.create_task(self._follow(wish, live, steps, at), name=f"command {wish.id}")
-        kept = self._kept[wish.id] = _Kept(wish.bus, wish.action, fate)
+        kept = self._kept[wish.id] = _Kept(wish.person.name, wish.bus, wish.action, fate)
         while len(self._kept) > REMEMBERED and next(iter(self._kept.values())).fate.done():
             self._kept.popitem(last=False)
         return kept
@@ -170,8 +175,10 @@ class Desk:
     async def _carry_out(self, wish: Wish, live: BusLive) -> Result:
         if not is_write(wish.action) and not _is_a_search(wish.action):
             return await self._send(wish, live)
-        if isinstance(wish.action, WriteParameter) and self.before_parameter_write is not None:
-            await self.before_parameter_write(wish.person, wish.bus, wish.action.unit)
+        if self.before_write is not None and is_write(wish.action):
+            parameters = isinstance(wish.action, WriteParameter | ChangeBaud)
+            units = units_written(wish.action, live)
+            await self.before_write(wish.person, wish.bus, units, parameters=parameters)
         intent = await self._record.intend(wish, live)
         result = await self._send(wish, live)
         await self._record.conclude(intent, wish, result)

@@ -16,6 +16,10 @@ Shown = Callable[[int], str]
 """A read-back integer as people read it."""
 
 
+_OF_A_PART: dict[Outcome, Tone] = {"not_sent": "bad", "unverified": "doubt"}
+"""Where one unit's part in a change has an end of its own, told by its message: taken back, or still held."""
+
+
 @dataclass(frozen=True, slots=True)
 class Fate:
     """``good`` it is so; ``bad`` it is not, and nothing is half done; ``doubt`` nobody knows."""
@@ -27,6 +31,8 @@ class Fate:
 def fate_of(result: Result | UnitOutcome, shown: Shown, voice: Voice) -> Fate:
     """The fate of a command, or of one unit's part in it."""
     read = "" if result.read_back is None else shown(result.read_back)
+    if isinstance(result, UnitOutcome) and result.message and not read and result.outcome in _OF_A_PART:
+        return Fate(_OF_A_PART[result.outcome], voice.t(result.message))
     match result.outcome:
         case "verified":
             said = voice.t("verified: reads {value}", value=read) if read else voice.t("verified")

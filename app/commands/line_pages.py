@@ -17,6 +17,7 @@ from app.commands.ramp import Change, change_of, present_setpoint
 from app.commands.speed_pages import refuse_outside
 from app.commands.typed import Typed
 from app.commands.words import shown_setpoint
+from app.commands.zero import why_not_told
 from app.errors import Problem
 from app.live.state import BusLive, follower
 from app.live.view import DECIMALS
@@ -78,10 +79,18 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
         "setpoints/_review.html",
         bus=bus,
         changes=changes,
+        obstacles=_obstacles(desk, live, changes),
         command_id=new_id(),
         reviewed_at=time.time(),
         longest_s=2 * timeout_s(len(changes)),
     )
+
+
+def _obstacles(desk: Desktop, live: BusLive, changes: list[Change]) -> list[tuple[str, str]]:
+    """(name, reason) of each unit that will not take its part, so that nothing will be executed."""
+    now = time.time()
+    reasons = ((change, why_not_told(live, live.units[change.unit], False, now)) for change in changes)
+    return [(change.name, desk.voice.t(reason)) for change, reason in reasons if reason]
 
 
 async def _changes(person: Person, desk: Desktop, bus: str, live: BusLive, form: FormData) -> list[Change]:
@@ -120,11 +129,12 @@ async def set_setpoints(
         result = await desk.ask(person, bus, SetLine(setpoints=setpoints), id, timeout_s(len(setpoints)))
     except Problem as problem:
         return desk.refused(problem, title)
+    proofs = _proofs(desk, live, setpoints, result)
     return desk.render(
         "setpoints/_done.html",
         title=title,
-        fate=desk.fate(result),
-        proofs=_proofs(desk, live, setpoints, result),
+        fate=_fate_of_all(desk, result, proofs),
+        proofs=proofs,
         skew=None if result.skew_s is None else desk.voice.formats.number(result.skew_s * 1000),
     )
 
@@ -143,6 +153,18 @@ def _reviewed(live: BusLive, form: FormData) -> dict[int, int]:
             raise Problem(409, "moved", moved)
         setpoints[number] = int(text)
     return setpoints
+
+
+def _fate_of_all(desk: Desktop, result: Result, proofs: list[tuple[str, str, Fate]]) -> Fate:
+    """The whole change in one sentence: how many of its units are proven."""
+    fate = desk.fate(result)
+    if result.outcome == "verified":
+        return Fate("good", desk.voice.t("verified at each of {n} units", n=len(proofs)))
+    if result.outcome != "unverified":
+        return fate
+    proven = sum(unit.outcome == "verified" for unit in result.units)
+    counted = desk.voice.t("{n} of {units} units verified", n=proven, units=len(proofs))
+    return Fate(fate.tone, f"{counted}; {fate.text}")
 
 
 def _proofs(

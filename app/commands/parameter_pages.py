@@ -141,8 +141,13 @@ async def _write(
 def _not_so(desk: Desktop, live: UnitLive, parameter: Parameter, error: CallerError | Problem) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     text = "" if nearest is None or parameter.secret else text_of(parameter, nearest, live)
-    response = desk.render(
-        "unit/_not_so.html", reason=str(error), nearest=desk.voice.formats.point(text), status=422
-    )
+    shown = desk.voice.formats.point(text)
+    reason = desk.voice.t(str(error))
+    if text:
+        # The rule speaks of raw values; what was typed here is what the unit shows.
+        reason = desk.voice.t(
+            "out of range: the nearest that it takes is {value}; nothing was sent", value=shown
+        )
+    response = desk.render("unit/_not_so.html", reason=reason, nearest=shown, status=422)
     response.headers["HX-Retarget"] = f"#parameter-{parameter.number}-error"
     return response

@@ -13,7 +13,7 @@ from typing import Any
 import structlog
 
 from app.audit.log import EventLog
-from app.commands import asked
+from app.commands import idempotency
 from app.commands.wish import Wish, writes_secret
 from app.commands.words import Wording, wording, wordings_by_unit
 from app.database import Database
@@ -40,16 +40,16 @@ class Record:
         self._database = database
         self._now = now
 
-    async def earlier(self, id: str) -> asked.Earlier | None:
+    async def earlier(self, id: str) -> idempotency.Earlier | None:
         """What became of a command asked with this id, before a restart too."""
-        return await self._database.read(lambda connection: asked.find(connection, id))
+        return await self._database.read(lambda connection: idempotency.find(connection, id))
 
     async def intend(self, wish: Wish, live: BusLive) -> Intent:
         """On disk when this returns. Raises StoreError, and then nothing may be sent."""
         by_unit = wordings_by_unit(wish.action, live)
         whole = _entry(wish, wish.unit, wording(wish.action, live))
         parts = [_entry(wish, unit, words) for unit, words in by_unit.items()]
-        remember = partial(asked.begin, wish=wish, now=self._now())
+        remember = partial(idempotency.begin, wish=wish, now=self._now())
         event, *others = await self._events.intend_together([whole, *parts], remember)
         return Intent(event, dict(zip(by_unit, others, strict=True)))
 
@@ -59,7 +59,7 @@ class Record:
         try:
             if intent.parts:
                 await self._events.conclude_together(_fates(intent, result))
-            remember = partial(asked.end, wish=wish, result=result)
+            remember = partial(idempotency.end, wish=wish, result=result)
             await self._events.conclude(intent.event, result.outcome, result.message, frames, remember)
         except StoreError as error:
             log.error("fate not stored", command=wish.id, outcome=result.outcome, error=str(error))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 
 from app.audit.log import EventLog
 from app.commands.blocks import Block, BlockStore
@@ -18,6 +18,10 @@ Changed = Callable[[str, int], None]
 """Told of the bus and the unit that was blocked or freed."""
 
 
+RoleOf = Callable[[str], Awaitable[Role | None]]
+"""What a user or program of some name may do; None when there is none of that name."""
+
+
 class Safeguards:
     """Of every line. Call :meth:`load` once before the first command."""
 
@@ -27,12 +31,14 @@ class Safeguards:
         events: EventLog,
         *,
         control_required: bool,
+        role_of: RoleOf,
         now: Callable[[], float] = time.time,
     ) -> None:
         self.limits = LimitsStore(database)
         self.blocks = BlockStore(database)
         self.control = Control(required=control_required)
         self._block_subscribers: list[Changed] = []
+        self._role_of = role_of
         self._events = events
         self._now = now
 
@@ -94,7 +100,9 @@ class Safeguards:
         return holding
 
     async def hand_over(self, person: Person, bus: str, to: str) -> Holding:
-        """Give control to somebody else; an admin may without holding it. Raises Problem 409."""
+        """Give control to somebody else; an admin may without holding it. Raises Problem 409, and 422
+        for a name that nobody has who could use it: the line would be held by nobody until it lapses."""
+        await self._check_may_hold(person, to)
         before = self.holding(bus)
         by_force = person.role.includes(Role.ADMIN)
         try:
@@ -104,6 +112,15 @@ class Safeguards:
         old = before.holder if before is not None else None
         await self._record("control", person, bus, None, "control handed over", old, to)
         return holding
+
+    async def _check_may_hold(self, person: Person, to: str) -> None:
+        role = person.role if to == person.name else await self._role_of(to)
+        if role is None:
+            raise Problem(422, "invalid", f"there is no user {to} who may log in; control stays where it is")
+        if not role.includes(Role.OPERATOR):
+            raise Problem(
+                422, "invalid", f"{to} is {role} and may set nothing; control goes to an operator or above"
+            )
 
     async def release(self, person: Person, bus: str) -> None:
         """Give control back. Raises Problem 409."""

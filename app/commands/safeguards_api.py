@@ -126,7 +126,7 @@ async def take_control(person: Operator, live: Live, guards: Guards, bus: str) -
 async def hand_over_control(
     person: Operator, live: Live, guards: Guards, bus: str, body: HandOverBody
 ) -> dict[str, Any]:
-    """Give control to somebody else. An admin may do so without holding it."""
+    """Give control to somebody else who may set the line. An admin may do so without holding it."""
     bus_or_404(live, bus)
     return _control_json(guards, await guards.hand_over(person, bus, body.to))
 

@@ -13,7 +13,13 @@ from starlette.responses import Response
 
 from app.commands.bodies import Quantity
 from app.commands.forms import TIMEOUT_S, Desks, Desktop, new_id
-from app.commands.ramp import change_of, nudges, present_setpoint, ramp_parameters_missing
+from app.commands.ramp import (
+    change_of,
+    nudges,
+    present_setpoint,
+    ramp_parameters_missing,
+    sensible_bounds,
+)
 from app.commands.setpoints import bounds
 from app.commands.typed import Typed
 from app.commands.words import shown_setpoint
@@ -52,15 +58,17 @@ async def review_speed(
 
 def refuse_outside(desk: Desktop, bus: str, live: UnitLive, raw: int) -> None:
     """Raises Problem 422 in the unit's own decimals for a setpoint outside its limits; 0 is never outside."""
-    lowest, highest, _ = bounds(live, desk.guards.limits.of(bus, live.settings.id))
+    limits = desk.guards.limits.of(bus, live.settings.id)
+    lowest, highest, _ = bounds(live, limits)
     if lowest <= raw <= highest or raw == 0:
         return
+    low, high = sensible_bounds(live, limits)
     shown = {
         name: desk.voice.formats.point(shown_setpoint(value, live))
-        for name, value in (("value", raw), ("low", lowest), ("high", highest))
+        for name, value in (("value", raw), ("low", low), ("high", high))
     }
     reason = desk.voice.t("{value} is outside {low} to {high}; nothing was sent", **shown)
-    raise Problem(422, "invalid", reason, nearest=min(max(raw, lowest), highest))
+    raise Problem(422, "invalid", reason, nearest=min(max(raw, low), high))
 
 
 async def _know_ramp(person: Person, desk: Desktop, bus: str, live: UnitLive) -> None:
@@ -123,10 +131,17 @@ async def set_speed(
         "unit/_done.html",
         title=live.settings.name,
         fate=desk.fate(result, live),
+        asked=shown_setpoint(raw, live),
+        reads=_reads_of(bus, live),
         undo=undo if result.outcome == "verified" else None,
         bus=bus,
         unit=desk.shown(bus, unit),
     )
+
+
+def _reads_of(bus: str, live: UnitLive) -> str:
+    """The field of the screen that says what the unit reads now; a follower's is a speed and no ratio."""
+    return "" if follower(live) else f"{bus}/{live.settings.id}.commanded"
 
 
 def _refuse_moved(desk: Desktop, bus: str, live: UnitLive, was: str) -> None:
@@ -211,5 +226,11 @@ async def execute(
         result = await desk.ask(person, bus, ExecuteSpeed(unit=unit), id)
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
-    fate = desk.fate(result, live)
-    return desk.render("unit/_done.html", title=live.settings.name, fate=fate, undo=None)
+    return desk.render(
+        "unit/_done.html",
+        title=live.settings.name,
+        fate=desk.fate(result, live),
+        asked=shown_setpoint(raw, live),
+        reads=_reads_of(bus, live),
+        undo=None,
+    )

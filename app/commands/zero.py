@@ -31,7 +31,7 @@ def plan_zero(bus: BusLive, blocked: Callable[[int], bool], now: float) -> ZeroP
     """Everyone who can be told, masters only; the others each with a reason."""
     plan = ZeroPlan(bus.settings.name)
     for number, unit in bus.units.items():
-        reason = _why_not(bus, unit, blocked(number), now)
+        reason = why_not_told(bus, unit, blocked(number), now)
         if follower(unit):
             plan.followers += 1
         elif reason:
@@ -42,7 +42,8 @@ def plan_zero(bus: BusLive, blocked: Callable[[int], bool], now: float) -> ZeroP
     return plan
 
 
-def _why_not(bus: BusLive, unit: UnitLive, blocked: bool, now: float) -> str:
+def why_not_told(bus: BusLive, unit: UnitLive, blocked: bool, now: float) -> str:
+    """Why a unit would not take a speed now; empty where nothing is known against it."""
     if blocked:
         return "blocked"
     if bus.link.link == "closed" or unit.reading is None or unit_link_now(bus, unit, now) == "offline":

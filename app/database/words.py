@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from app.errors import StoreError
+from app.errors import DamagedStoreError, StoreError
 from bus.errors import CallerError
 
 __all__ = ["StoreError", "in_words"]
@@ -42,6 +42,8 @@ def in_words(path: Path) -> Iterator[None]:
     except sqlite3.Error as error:
         code = getattr(error, "sqlite_errorcode", None)
         meaning = _MEANINGS.get(code & _PRIMARY) if isinstance(code, int) else None
-        raise StoreError(f"the store {path}: {meaning or error}") from error
+        damaged = isinstance(code, int) and code & _PRIMARY == sqlite3.SQLITE_CORRUPT
+        kind = DamagedStoreError if damaged else StoreError
+        raise kind(f"the store {path}: {meaning or error}") from error
     except OSError as error:
         raise StoreError(f"the store {path}: {error.strerror or error}; check its folder") from error

@@ -2,6 +2,9 @@
 
 The worker carries out an id once and repeats its fate when asked again; so what was under way
 when the connection broke is asked again of the *same* worker, and is unverified with any other.
+
+A worker tells its figures every second, so one that is silent past a command's deadline is stuck, and
+whoever waits is told so at once: it drops what comes to it late by its own look at the deadline.
 """
 
 from __future__ import annotations
@@ -18,7 +21,13 @@ from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, Result,
 REASK_WITHIN_S = 10.0
 """How long a command under way waits for its worker to come back."""
 PATIENCE_S = 15.0
-"""How long after its deadline, or its last sign of progress, a command is still waited for."""
+"""How long after its deadline, or its last sign of progress, a worker that lives is still waited for."""
+LOOK_S = 0.25
+SILENT_LOOKS = 8
+"""After so many looks without a word from a connected worker it is stuck: two seconds, twice its figures'.
+Looks are counted, not seconds, so that a stall of the app itself makes nobody look silent."""
+AWAY_LOOKS = 20
+"""The same for one whose connection broke, which may need a moment to come back."""
 
 ProgressListener = Callable[[Progress], None]
 
@@ -35,8 +44,9 @@ class _Asked:
     command: Command
     worker: str
     fate: asyncio.Future[Result]
+    due_at: float
+    """Its deadline, on the monotonic clock like ``give_up_at``."""
     give_up_at: float
-    """On the monotonic clock."""
     listener: ProgressListener | None
 
 
@@ -49,6 +59,7 @@ class Channel:
         self._reask_s = reask_s
         self._connection: Connection | None = None
         self._worker = ""
+        self._words = 0
         self._asked: dict[str, _Asked] = {}
         self._watch = Watch(units=[])
 
@@ -77,12 +88,16 @@ class Channel:
         for asked in self._asked.values():
             asked.give_up_at = min(asked.give_up_at, time.monotonic() + self._reask_s)
 
+    def spoken(self) -> None:
+        """The worker said something, whatever it was: it lives."""
+        self._words += 1
+
     async def ask(self, command: Command, listener: ProgressListener | None = None) -> Result:
         """Send ``command`` and wait for its fate. Never raises for what happens on the way."""
         if self._connection is None:
             return Result(id=command.id, at=time.time(), outcome="bus_closed", message=NO_WORKER)
         fate: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
-        asked = _Asked(command, self._worker, fate, self._last_moment(command), listener)
+        asked = _Asked(command, self._worker, fate, _due_at(command), self._last_moment(command), listener)
         self._asked[command.id] = asked
         try:
             await self._send(command)
@@ -115,8 +130,7 @@ class Channel:
             asked.listener(update)
 
     def _last_moment(self, command: Command) -> float:
-        to_send = max(0.0, command.deadline - time.time())
-        return time.monotonic() + to_send + self._patience_s
+        return _due_at(command) + self._patience_s
 
     async def _send(self, message: AppMessage) -> None:
         if self._connection is None:
@@ -127,16 +141,30 @@ class Channel:
             self.closed(self._connection)
 
     async def _fate_of(self, asked: _Asked) -> Result:
-        while (left := asked.give_up_at - time.monotonic()) > 0 and not asked.fate.done():
-            await asyncio.wait({asked.fate}, timeout=min(left, 0.25))
+        words, silent_looks = self._words, 0
+        while (left := self._time_left(asked, silent_looks)) > 0 and not asked.fate.done():
+            await asyncio.wait({asked.fate}, timeout=min(left, LOOK_S))
+            silent_looks = silent_looks + 1 if self._words == words else 0
+            words = self._words
         if not asked.fate.done():
-            _end(asked, "unverified", self._why_no_fate())
+            _end(asked, "unverified", self._why_no_fate(silent_looks))
         return asked.fate.result()
 
-    def _why_no_fate(self) -> str:
-        if self._connection is None:
+    def _time_left(self, asked: _Asked, silent_looks: int) -> float:
+        """Seconds for which its fate is still waited for, as things are now."""
+        stuck = silent_looks >= (SILENT_LOOKS if self.connected else AWAY_LOOKS)
+        return (min(asked.due_at, asked.give_up_at) if stuck else asked.give_up_at) - time.monotonic()
+
+    def _why_no_fate(self, silent_looks: int) -> str:
+        if not self.connected:
             return f"{NO_WORKER}: whether the unit acted is not known"
+        if silent_looks >= SILENT_LOOKS:
+            return "the bus worker does not answer: whether the unit acted is not known"
         return "the bus worker did not say what became of it: whether the unit acted is not known"
+
+
+def _due_at(command: Command) -> float:
+    return time.monotonic() + max(0.0, command.deadline - time.time())
 
 
 def _end(asked: _Asked, outcome: Outcome, message: str) -> None:

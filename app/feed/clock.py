@@ -2,6 +2,9 @@
 
 A message arrives later than it was sent, never earlier, so the least difference seen is the
 nearest to the truth. It is taken over the last windows only, so that a stepped clock is noticed.
+
+A message that was on its way while this machine's own clock was set back seems to have arrived long
+before it was sent. So after a step of the app's clock nothing is judged until such messages are in.
 """
 
 from __future__ import annotations
@@ -11,12 +14,15 @@ from typing import TypeVar
 
 import msgspec
 
+from app.history.clock import ClockWatch
 from bus.contract import Message
 
 SAME_CLOCK_S = 0.05
 """Clocks this near are one clock: most workers run on the app's own machine."""
 STEP_S = 0.5
 WINDOW_S = 10.0
+SETTLED_S = 1.0
+"""How long after a step of the app's own clock a message may still have been on its way."""
 
 M = TypeVar("M", bound=Message)
 
@@ -31,15 +37,32 @@ class WorkerClock:
         self._window_began = -inf
         self._least = inf
         self._least_before = inf
+        self._own: ClockWatch | None = None
+        self._settled_at = -inf
 
-    def hear(self, sent_at: float, received_at: float) -> float:
-        """Take in one message; gives by how much a *known* clock has stepped, 0.0 mostly."""
+    def hear(self, sent_at: float, received_at: float, running: float) -> float:
+        """Take in one message; gives by how much a *known* clock has stepped, mostly 0.0. ``running``: when
+        it was received by a clock that cannot be set."""
+        if self._own_stepped(received_at, running):
+            return 0.0
         first = self._least == inf and self._least_before == inf
         if not 0 <= received_at - self._window_began <= WINDOW_S:
             self._window_began = received_at
             self._least_before, self._least = self._least, inf
         self._least = min(self._least, received_at - sent_at)
         return self._settle(min(self._least, self._least_before), first)
+
+    def _own_stepped(self, received_at: float, running: float) -> bool:
+        """Whether this is too soon after a step of the app's clock. A worker of another machine is off by
+        that step now; one of this machine has made it too."""
+        self._own = self._own or ClockWatch(received_at, running)
+        step = self._own.step(received_at, running)
+        if step:
+            self._least = self._least_before = inf
+            self._settled_at = running + SETTLED_S
+            if self.offset_s:
+                self.offset_s += step
+        return running < self._settled_at
 
     def _settle(self, difference: float, first: bool) -> float:
         wanted = difference if abs(difference) >= SAME_CLOCK_S else 0.0

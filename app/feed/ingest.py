@@ -67,11 +67,12 @@ class Ingest:
         self._settled = self._delivered = heard.seq
         self.silent_ticks = 0
         """How many ticks in a row nothing was heard."""
-        self._clock.hear(hello.sent_at, now())
+        self._clock.hear(hello.sent_at, now(), time.monotonic())
 
     async def receive(self, data: bytes) -> None:
         """One message. Raises MalformedSpeechError; nothing of such a message was applied."""
         self.silent_ticks = 0
+        self._channel.spoken()
         match decode(data):
             case Snapshot() as snapshot:
                 await self._take_snapshot(snapshot)
@@ -124,7 +125,7 @@ class Ingest:
 
     def _hear(self, sent_at: float) -> None:
         now = self._now()
-        step = self._clock.hear(sent_at, now)
+        step = self._clock.hear(sent_at, now, time.monotonic())
         if step:
             self._pipeline.clock_stepped(self.hello.bus, step, now)
 

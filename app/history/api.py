@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 from fastapi import APIRouter, Depends, Query, Response
+from starlette.requests import Request
 from starlette.responses import StreamingResponse
 
 from app.audit.api import events_of
@@ -31,6 +32,7 @@ from app.history.spans import (
     questions,
 )
 from app.web.access import Viewer
+from app.web.templating import templates_of
 
 router = APIRouter(prefix="/api/v1/history", tags=["history"])
 SPARK_POINTS = 120
@@ -128,14 +130,21 @@ def _small(found: Answer) -> dict[str, Any]:
 
 @router.get("/marks", response_class=Response)
 async def get_marks(
+    request: Request,
     _: Viewer,
     events: Events,
     span: SpanOf,
     unit: Annotated[list[str] | None, Query()] = None,
 ) -> Response:
     """What happened over a span, oldest first: events (setpoint changes too) of the site and of each
-    ``bus/unit`` named. At most 500, the newest; ``more`` says that there were more."""
+    ``bus/unit`` named. At most 500, the newest; ``more`` says that there were more. ``shown``: ``what``,
+    ``old`` and ``new`` in the reader's language."""
     marks, more = await collect_marks(events, span, unit or [])
+    templates = templates_of(request)
+    language = templates.language_of(request)
+    say = templates.formats(language.tag).sentence
+    for mark in marks:
+        mark["shown"] = {name: say(language.t(mark[name])) for name in ("what", "old", "new") if mark[name]}
     return await json_response(lambda: {"marks": marks, "more": more})
 
 

@@ -18,7 +18,8 @@ from operator import sub
 _HEAD = struct.Struct("<IB")
 """Rows, then columns; one type code per column follows, then the planes."""
 _CODES = "bhiq"
-_LIMITS = {code: 1 << (8 * array(code).itemsize - 1) for code in _CODES}
+_SIZES = {code: array(code).itemsize for code in _CODES}
+_LIMITS = {code: 1 << (8 * size - 1) for code, size in _SIZES.items()}
 LEVEL = 6
 """zlib's level: 9 wins under 2 % and costs three times as much."""
 
@@ -41,9 +42,10 @@ def unpack(blob: bytes, wanted: Iterable[int] | None = None) -> list[list[int]]:
         data = zlib.decompress(blob)
         rows, count = _HEAD.unpack_from(data)
         codes = data[_HEAD.size : _HEAD.size + count].decode("ascii")
-        starts = list(accumulate((rows * array(code).itemsize for code in codes), initial=_HEAD.size + count))
-    except (zlib.error, struct.error, ValueError) as error:
+        sizes = [rows * _SIZES[code] for code in codes]
+    except (zlib.error, struct.error, ValueError, KeyError) as error:
         raise ValueError(f"a block of history is damaged: {error}") from error
+    starts = list(accumulate(sizes, initial=_HEAD.size + count))
     if starts[-1] != len(data):
         raise ValueError("a block of history is damaged: its length is wrong")
     positions = range(count) if wanted is None else wanted

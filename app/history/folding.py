@@ -27,7 +27,9 @@ def fold(connection: store.Connection, unit: int, buses: Sequence[int], minute: 
 
 def compact(connection: store.Connection, unit: int, hour: int) -> None:
     """The minutes of one unit and hour as one block: fewer rows, and better packed."""
-    store.write_raw(connection, unit, hour, HOUR, merge((), store.raw_minutes(connection, unit, hour)))
+    runs = merge((), store.raw_minutes(connection, unit, hour))
+    if runs:
+        store.write_raw(connection, unit, hour, HOUR, runs)
 
 
 def _roll_up(connection: store.Connection, unit: int, minute: int, runs: Sequence[Run]) -> None:

@@ -10,7 +10,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.history import display
-from app.history.first import first_address
+from app.history.preload import preload_address
 from app.history.runs import micros
 from app.history.service import History
 from app.history.spans import HistoryOf
@@ -33,7 +33,7 @@ async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
         catalogue=_catalogue(history),
         values=VALUES,
         memory=sentence(history.status, language.t, templates.formats(language.tag), time.time()),
-        first=first_address(history, request.query_params, micros(time.time())),
+        preload=preload_address(history, request.query_params, micros(time.time())),
     )
 
 

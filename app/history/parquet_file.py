@@ -16,7 +16,7 @@ from app.web.formats import zone
 if TYPE_CHECKING:
     import pyarrow
 
-GROUP_ROWS = 50_000
+GROUP_ROWS = 20_000
 """Rows in memory before they are written as one row group."""
 
 

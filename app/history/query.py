@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from app.history import reading, store
+from app.history.damage import Block
 from app.history.gaps import Marks
 from app.history.intake import BUS
 from app.history.intervals import intervals
@@ -44,19 +46,18 @@ class Answer:
     resolution: Resolution = "readings"
     bucket: int = 0
     decimals: int | None = None
+    damaged: Sequence[Block] = ()
+    """Blocks that could not be read: what they held is missing."""
 
 
 def answer(connection: store.Connection, tail: Tail, question: Question) -> Answer:
-    """Read from the store and the tail. Raises ValueError where a block is damaged."""
+    """Read from the store and the tail."""
     key = store.find_unit(connection, question.bus.name, question.unit)
     if key is None:
         return Answer(Series())
     recent = tail.runs(key, question.start, question.end)
-    connection.execute("BEGIN")
-    try:
+    with store.standing_still(connection):
         return _answer(reading.Source(connection, key, recent), question)
-    finally:
-        connection.execute("ROLLBACK")
 
 
 def _answer(source: reading.Source, question: Question) -> Answer:
@@ -66,7 +67,7 @@ def _answer(source: reading.Source, question: Question) -> Answer:
     resolution, points = _points(source, question, marks)
     scales = scale_of(source, question)
     decimals = scales.at(question.end).decimals
-    return Answer(series(points, marks, scales), resolution, points.width, decimals)
+    return Answer(series(points, marks, scales), resolution, points.width, decimals, source.damaged)
 
 
 def scale_of(source: reading.Source, question: Question) -> Scaling:

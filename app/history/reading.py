@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import sqlite3
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain, pairwise
 from statistics import median_low
+from typing import TypeVar
 
 from app.history import columns, store
+from app.history.damage import Block, Tier, torn
 from app.history.gaps import usual_interval
 from app.history.intervals import Interval
 from app.history.rollup import FIELDS, Rollup, rollup
@@ -16,6 +20,7 @@ from app.history.runs import HOUR, MINUTE, Run, merge, unpack_columns, unpack_ru
 from app.history.thinning import Points, in_order
 from app.history.values import Value
 
+T = TypeVar("T")
 RawRow = tuple[int, int, int, int]
 """at, until, count and one raw value of a run."""
 
@@ -30,6 +35,37 @@ class Source:
     connection: store.Connection
     unit: int
     tail: Sequence[Run]
+    damaged: list[Block] = field(default_factory=list)
+    """What could not be read, and was left out."""
+
+    def blocks(self, tier: Tier, start: int, end: int) -> Iterator[tuple[int, bytes]]:
+        """Start and content of each that may touch a span (µs), in order of time. Each is fetched by itself,
+        so that a page which SQLite cannot follow costs what lies in it."""
+        span = "span" if tier == "raw" else store.ROW_SPAN[tier]
+        starts = f"SELECT start FROM {tier} WHERE unit = ? AND start > ? AND start < ? AND start + {span} > ?"
+        longest = HOUR if tier == "raw" else store.ROW_SPAN[tier]
+        asked = (self.unit, start - longest, end, start)
+        found = self.connection.execute(f"{starts} ORDER BY start", asked).fetchall()
+        query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
+        for (begin,) in found:
+            try:
+                row = self.connection.execute(query, (self.unit, begin)).fetchone()
+            except sqlite3.DatabaseError as error:
+                if not torn(error):
+                    raise
+                row = None
+            if row is None:
+                self.damaged.append(Block(tier, self.unit, begin))
+            else:
+                yield begin, row[0]
+
+    def unpacked(self, tier: Tier, begin: int, unpack: Callable[[], list[T]]) -> list[T]:
+        """What a block holds; nothing where it is damaged, which is noted."""
+        try:
+            return unpack()
+        except ValueError:
+            self.damaged.append(Block(tier, self.unit, begin))
+            return []
 
 
 def estimate(source: Source, start: int, end: int) -> int:
@@ -59,13 +95,13 @@ def readings(source: Source, value: Value, start: int, end: int) -> Points:
 
 
 def _stored(source: Source, column: str, start: int, end: int) -> Iterator[list[RawRow]]:
-    query = (
-        "SELECT start, span, data FROM raw WHERE unit = ? AND start > ? AND start < ? ORDER BY start, span"
-    )
-    for begin, span, data in source.connection.execute(query, (source.unit, start - HOUR, end)):
-        if begin + span <= start:
+    wanted = ("at", "until", "heard", column)
+    for begin, data in source.blocks("raw", start, end):
+        unpack = partial(unpack_columns, data, begin, wanted)
+        unpacked = source.unpacked("raw", begin, unpack)
+        if not unpacked:
             continue
-        at, until, count, values = unpack_columns(data, begin, ("at", "until", "heard", column))
+        at, until, count, values = unpacked
         rows = list(zip(at, until, count, values, strict=True))
         first = max(0, bisect_left(at, start - MINUTE))
         yield rows[first : bisect_left(at, end)]
@@ -108,10 +144,12 @@ def rollups(source: Source, tier: store.Tier, value: Value, start: int, end: int
     """Minutes or hours that touch a span, each with what is in the tail of it."""
     wanted = _wanted(value)
     found = Points(width=store.STEP[tier])
-    query = f"SELECT start, data FROM {tier} WHERE unit = ? AND start > ? AND start < ? ORDER BY start"
     since = start - start % store.STEP[tier]
-    for begin, data in source.connection.execute(query, (source.unit, since - store.ROW_SPAN[tier], end)):
-        starts, count, *rest = columns.unpack(data, wanted)
+    for begin, data in source.blocks(tier, since, end):
+        unpacked = source.unpacked(tier, begin, partial(columns.unpack, data, wanted))
+        if not unpacked:
+            continue
+        starts, count, *rest = unpacked
         _extend(found, [begin + at for at in starts], count, rest, value.bit, (since, end))
     for row in _tail_rollups(source, store.STEP[tier]):
         flat = [*row[:-1], *row.on]
@@ -171,10 +209,14 @@ def usual_of(source: Source, end: int) -> int:
     latest = "SELECT start, data FROM {} WHERE unit = ? AND start < ? ORDER BY start DESC LIMIT 1"
     row = source.connection.execute(latest.format("raw"), (source.unit, end)).fetchone()
     if row is not None:
-        runs = unpack_columns(row[1], row[0], ("at", "until", "heard"))
+        unpack = partial(unpack_columns, row[1], row[0], ("at", "until", "heard"))
+        runs = source.unpacked("raw", row[0], unpack)
         return usual_interval(list(zip(*runs, strict=True)))
     row = source.connection.execute(latest.format("minutes"), (source.unit, end)).fetchone()
-    return 0 if row is None else MINUTE // max(columns.unpack(row[1], [FIELDS["heard"]])[0])
+    if row is None:
+        return 0
+    counts = source.unpacked("minutes", row[0], partial(columns.unpack, row[1], [FIELDS["heard"]]))
+    return MINUTE // max(counts[0]) if counts else 0
 
 
 def interval_points(parts: Iterable[Interval], start: int, end: int, usual: int) -> Points:
@@ -185,7 +227,9 @@ def interval_points(parts: Iterable[Interval], start: int, end: int, usual: int)
 
 def runs_between(source: Source, start: int, end: int) -> list[Run]:
     """Whole runs, for an export: those that begin within a span, in order of time."""
-    query = "SELECT start, data FROM raw WHERE unit = ? AND start > ? AND start < ? ORDER BY start"
-    stored = source.connection.execute(query, (source.unit, start - HOUR, end))
-    found = [run for begin, data in stored for run in unpack_runs(data, begin)]
+    found = [
+        run
+        for begin, data in source.blocks("raw", start, end)
+        for run in source.unpacked("raw", begin, partial(unpack_runs, data, begin))
+    ]
     return [run for run in merge(found, source.tail) if start <= run.at < end]

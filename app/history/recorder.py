@@ -12,8 +12,10 @@ from collections.abc import Sequence
 
 from app.database.connection import Database
 from app.history import store
+from app.history.damage import DamagedBlock
 from app.history.folding import fold
 from app.history.intake import Delivery, Intake, Taken
+from app.history.repair import FoundDamage, Repair
 from app.history.runs import MINUTE, SECOND, Run
 from app.history.tail import Tail
 
@@ -28,11 +30,17 @@ MOST_KEYS = 64
 _LOOK_EVERY = 64
 
 
+def _nobody(_words: str) -> None:
+    """Nobody wants to hear of damage."""
+
+
 class Recorder:
     """Puts deliveries into the journal and the tail, and what is over into blocks."""
 
-    def __init__(self, database: Database, tail: Tail) -> None:
+    def __init__(self, database: Database, tail: Tail, on_damage: FoundDamage = _nobody) -> None:
         self._database = database
+        self._on_damage = on_damage
+        self._repair = Repair(database, on_damage)
         self._tail = tail
         self._intake = Intake(tail)
         self._folding: deque[tuple[int, int]] = deque()
@@ -42,9 +50,14 @@ class Recorder:
         """Readings that came after everything of their time had been given up."""
 
     def replay(self) -> None:
-        """What the journal holds, into the tail. Raises ValueError where it is damaged."""
+        """What the journal holds, into the tail; what of it is damaged is left out and said."""
         self._tail.clear()
-        journal = self._database.read_now(lambda c: list(store.read_journal(c)))
+        read = self._database.read_now(lambda c: list(store.read_journal(c)))
+        journal = [rows for rows in read if rows is not None]
+        if len(journal) < len(read):
+            self._on_damage(
+                "the last minutes of the history were damaged before this start, some are missing"
+            )
         oldest = min((run.at for rows in journal for _, run in rows), default=0)
         if journal:
             self._tail.silence(self._database.read_now(lambda c: store.marks_since(c, oldest)))
@@ -116,7 +129,12 @@ class Recorder:
                     store.write_journal(connection, kept)
 
         done = set(keys)
-        self._database.write_now(write)
+        try:
+            self._database.write_now(write)
+        except DamagedBlock as found:
+            # It costs itself: these minutes are folded in the next turn, without it.
+            self._repair.set_aside(found.block)
+            return
         for key in keys:
             self._tail.drop(*key)
             self._folding.popleft()

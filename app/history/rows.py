@@ -10,10 +10,12 @@ from __future__ import annotations
 import time
 from collections.abc import AsyncIterator, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 from typing import Literal, NamedTuple
 
 from app.history import display, reading, store
+from app.history.damage import Block
 from app.history.gaps import holes, usual_interval
 from app.history.intake import BUS
 from app.history.query import Question, scale_of
@@ -75,7 +77,10 @@ async def pieces(history: History, table: Table) -> AsyncIterator[list[Row]]:
     while since < end:
         until = min(end, since - since % step + step)
         part = [replace(q, start=since, end=until) for q in table.questions]
-        yield await history.read(lambda c, tail, part=part: _piece(c, tail, table, part, heard))  # type: ignore[misc]
+        damaged: list[Block] = []
+        read = partial(_piece, table=table, part=part, heard=heard, damaged=damaged)
+        yield await history.read(read)
+        history.report(damaged)
         since = until
 
 
@@ -92,6 +97,19 @@ def _piece(
     table: Table,
     part: Sequence[Question],
     heard: dict[tuple[str, int], int],
+    damaged: list[Block],
+) -> list[Row]:
+    with store.standing_still(connection):
+        return _rows(connection, tail, table, part, heard, damaged)
+
+
+def _rows(
+    connection: store.Connection,
+    tail: Tail,
+    table: Table,
+    part: Sequence[Question],
+    heard: dict[tuple[str, int], int],
+    damaged: list[Block],
 ) -> list[Row]:
     rows: list[Row] = []
     width = 1 if table.fineness == "readings" else 3
@@ -102,7 +120,7 @@ def _piece(
         key = store.find_unit(connection, *unit)
         if key is None:
             continue
-        source = reading.Source(connection, key, tail.runs(key, part[0].start, part[0].end))
+        source = reading.Source(connection, key, tail.runs(key, part[0].start, part[0].end), damaged)
         if table.fineness == "readings":
             rows += _reading_rows(source, wanted, len(part), heard)
         else:

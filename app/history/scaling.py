@@ -7,8 +7,8 @@ reading is shown with what was last read before it. Before the first, that first
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -43,6 +43,11 @@ class Scale:
         """A raw value, or an average of raw values, in display units."""
         return self.offset + raw * self.rise / self.per
 
+    def apply_all(self, raws: Iterable[float]) -> list[float]:
+        """The same for many."""
+        offset, rise, per = self.offset, self.rise, self.per
+        return [offset + raw * rise / per for raw in raws]
+
     @property
     def falling(self) -> bool:
         """Whether the greatest raw value is the least shown."""
@@ -59,6 +64,15 @@ class Scaling:
     def at(self, time: int) -> Scale:
         """The scale in force at a time in µs."""
         return self.scales[max(0, bisect_right(self.since, time) - 1)]
+
+    def stretches(self, times: Sequence[int]) -> Iterator[tuple[int, int, Scale]]:
+        """From where to where one scale is in force, for times in order."""
+        i = 0
+        while i < len(times):
+            place = max(1, bisect_right(self.since, times[i]))
+            j = bisect_left(times, self.since[place], i) if place < len(self.since) else len(times)
+            yield i, j, self.scales[place - 1]
+            i = j
 
 
 def scaling(value: Value, steps: Sequence[ParameterStep], *, ratio: bool, estop_healthy: int) -> Scaling:

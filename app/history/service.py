@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import asyncio
+from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
-from app.errors import StoreError
+import structlog
+
+from app.errors import DamagedStoreError, StoreError
 from app.history import store
+from app.history.damage import Block
+from app.history.inspection import damaged_blocks, pages_are_whole
 from app.history.query import Answer, Question, answer
+from app.history.repair import FoundDamage
 from app.history.runs import SECOND
 from app.history.status import Status
 from app.history.tail import Tail
@@ -17,22 +23,30 @@ from app.settings import Settings
 from bus.contract import Update
 
 FILE = "history.db"
+FIRST_INSPECTION_S = 600.0
+DAY_S = 86_400.0
 T = TypeVar("T")
+log = structlog.get_logger()
 
 
-def _nobody(_step_s: float, _at: float) -> None:
-    """Nobody wants to hear of clock steps."""
+def _nobody(*_: object) -> None:
+    """Nobody wants to hear of clock steps or of damage."""
 
 
 class History:
     """One for the app. Opening never fails: a store that cannot be used is said by :attr:`status`."""
 
-    def __init__(self, settings: Settings, on_clock_step: ClockStepped = _nobody) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        on_clock_step: ClockStepped = _nobody,
+        on_damage: FoundDamage = _nobody,
+    ) -> None:
         self.path = settings.server.data / FILE
         self.buses = {bus.name: bus for bus in settings.bus}
         self.time_zone = settings.site.time_zone
         keep = Keep(settings.history.raw_days, settings.history.years)
-        self._writer = Writer(self.path, keep, on_clock_step)
+        self._writer = Writer(self.path, keep, on_clock_step, on_damage)
 
     def start(self) -> None:
         """Open the store and begin to write."""
@@ -53,13 +67,43 @@ class History:
 
     async def ask(self, questions: Sequence[Question]) -> list[Answer]:
         """What each value was. Raises StoreError when the store cannot be read."""
-        return await self.read(lambda c, tail: [answer(c, tail, question) for question in questions])
+        found = await self.read(lambda c, tail: [answer(c, tail, question) for question in questions])
+        for each in found:
+            self.report(each.damaged)
+        return found
+
+    def report(self, damaged: Iterable[Block]) -> None:
+        """Blocks that could not be read: the writer sets them aside and says it."""
+        self._writer.report(damaged)
+
+    async def inspect_daily(self) -> None:
+        """Look for damage, soon after the start and then once a day."""
+        await asyncio.sleep(FIRST_INSPECTION_S)
+        while True:
+            await self.inspect()
+            await asyncio.sleep(DAY_S)
+
+    async def inspect(self) -> None:
+        """Look at everything that is kept; what is found is reported."""
+        try:
+            database = self._writer.database
+            if not await pages_are_whole(database):
+                self._writer.report_torn()
+            async for block in damaged_blocks(database):
+                self.report([block])
+        except DamagedStoreError:
+            self._writer.report_torn()
+        except StoreError as error:
+            log.warning("history could not be inspected", why=str(error))
 
     async def read(self, work: Callable[[store.Connection, Tail], T]) -> T:
         """``work`` on a read-only connection and the tail, in a thread. Raises StoreError."""
         tail = self._writer.tail
         try:
             return await self._writer.database.read(lambda connection: work(connection, tail))
+        except DamagedStoreError:
+            self._writer.report_torn()
+            raise
         except ValueError as error:
             raise StoreError(f"the store {self.path}: {error}; restore a backup of it") from error
 

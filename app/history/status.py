@@ -28,6 +28,8 @@ class Status:
     """Updates that are not on disk yet."""
     lost: int = 0
     """Updates given up because they could not be stored."""
+    damaged: int = 0
+    """How often something that was kept turned out to be damaged, in the last seven days."""
 
 
 WORDS: dict[State, str] = {
@@ -39,10 +41,21 @@ WORDS: dict[State, str] = {
 }
 
 
+DAMAGED = (
+    "History: something that was kept was damaged; the events say what is missing, the rest is whole. "
+    "Check the disk."
+)
+
+
 def sentence(status: Status, t: Callable[..., str], formats: Formats, now: float) -> str:
     """What people are told on the pages, in their language; empty while history is well."""
     since = formats.since(status.since, now)
     match status.state:
+        case "ok" if status.damaged:
+            text = (
+                "History: something that was kept was damaged; the events say what is missing, the rest is "
+            )
+            return t(text + "whole. Check the disk.")
         case "ok":
             return ""
         case "failed":

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Literal
 
 from app.history import columns
+from app.history.damage import Block, intact, sound
 from app.history.gaps import Marks
 from app.history.intervals import Interval
 from app.history.rollup import Rollup, pack_rollups, unpack_rollups
@@ -21,6 +23,16 @@ LOST_STATES = ("stale", "offline", "unknown", "closed")
 _JOURNAL_LEVEL = 1
 
 Connection = sqlite3.Connection
+
+
+@contextmanager
+def standing_still(connection: Connection) -> Iterator[None]:
+    """One moment of the store for all that is read within."""
+    connection.execute("BEGIN")
+    try:
+        yield
+    finally:
+        connection.execute("ROLLBACK")
 
 
 # --- units -------------------------------------------------------------------------------------
@@ -45,6 +57,11 @@ def units_of(connection: Connection, bus: str) -> list[int]:
     return [row[0] for row in connection.execute("SELECT id FROM unit WHERE bus = ?", (bus,))]
 
 
+def every_unit(connection: Connection) -> list[int]:
+    """Every key."""
+    return [row[0] for row in connection.execute("SELECT id FROM unit")]
+
+
 # --- the journal -------------------------------------------------------------------------------
 
 
@@ -58,10 +75,14 @@ def write_journal(connection: Connection, rows: Sequence[tuple[int, Run]]) -> No
     connection.execute("INSERT INTO journal (data) VALUES (?)", (data,))
 
 
-def read_journal(connection: Connection) -> Iterable[list[tuple[int, Run]]]:
-    """What every row holds, oldest first. Raises ValueError at a damaged one."""
+def read_journal(connection: Connection) -> Iterable[list[tuple[int, Run]] | None]:
+    """What every row holds, oldest first; None for a damaged one."""
     for (data,) in connection.execute("SELECT data FROM journal ORDER BY seq"):
-        units, at, lengths, *rest = columns.unpack(data)
+        try:
+            units, at, lengths, *rest = columns.unpack(data)
+        except ValueError:
+            yield None
+            continue
         until = [a + n for a, n in zip(at, lengths, strict=True)]
         yield list(zip(units, map(Run, at, until, *rest), strict=True))
 
@@ -88,7 +109,7 @@ def raw_block(connection: Connection, unit: int, at: int) -> tuple[int, int, lis
     ).fetchone()
     if row is None or row[0] + row[1] <= at:
         return None
-    return row[0], row[1], unpack_runs(row[2], row[0])
+    return row[0], row[1], _runs_of(unit, row[0], row[2])
 
 
 def write_raw(connection: Connection, unit: int, start: int, span: int, runs: Sequence[Run]) -> None:
@@ -105,11 +126,20 @@ def write_raw(connection: Connection, unit: int, start: int, span: int, runs: Se
 
 def raw_minutes(connection: Connection, unit: int, hour: int) -> list[Run]:
     """All runs of one hour, from its minutes."""
+    return raw_between(connection, unit, hour, hour + HOUR)
+
+
+def raw_between(connection: Connection, unit: int, start: int, end: int) -> list[Run]:
+    """All runs of the blocks that begin within a span, µs. Raises DamagedBlock."""
     rows = connection.execute(
         "SELECT start, data FROM raw WHERE unit = ? AND start >= ? AND start < ? ORDER BY start",
-        (unit, hour, hour + HOUR),
+        (unit, start, end),
     )
-    return [run for start, data in rows for run in unpack_runs(data, start)]
+    return [run for begin, data in rows for run in _runs_of(unit, begin, data)]
+
+
+def _runs_of(unit: int, start: int, data: bytes) -> list[Run]:
+    return intact(Block("raw", unit, start), lambda: unpack_runs(data, start))
 
 
 def next_to_compact(connection: Connection, before: int) -> tuple[int, int] | None:
@@ -142,7 +172,9 @@ def rollup_row(connection: Connection, tier: Tier, unit: int, start: int) -> lis
     """The rollups that one row holds."""
     query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
     row = connection.execute(query, (unit, start)).fetchone()
-    return [] if row is None else unpack_rollups(row[0], start)
+    if row is None:
+        return []
+    return intact(Block(tier, unit, start), lambda: unpack_rollups(row[0], start))
 
 
 def write_rollups(connection: Connection, tier: Tier, unit: int, start: int, rows: Sequence[Rollup]) -> None:
@@ -163,6 +195,38 @@ def drop_rollups(connection: Connection, before: int) -> None:
     connection.execute("DELETE FROM hours WHERE start < ?", (before,))
     connection.execute("DELETE FROM bits WHERE until < ?", (before,))
     connection.execute("DELETE FROM link WHERE at < ?", (before,))
+    connection.execute("DELETE FROM damaged WHERE found < ?", (before,))
+
+
+# --- damage ------------------------------------------------------------------------------------
+
+
+def is_damaged(connection: Connection, block: Block) -> bool:
+    """Whether a block is there and not what was written."""
+    query = f"SELECT data FROM {block.tier} WHERE unit = ? AND start = ?"
+    rows = connection.execute(query, (block.unit, block.start)).fetchall()
+    return not all(sound(data) for (data,) in rows)
+
+
+def move_damaged(connection: Connection, block: Block, now: int) -> None:
+    """Out of the way of the rest, as it is; ``now`` in µs."""
+    where = f"FROM {block.tier} WHERE unit = ? AND start = ?"
+    key = (block.unit, block.start)
+    connection.execute(
+        f"INSERT OR IGNORE INTO damaged SELECT ?, unit, start, ?, data {where}", (block.tier, now, *key)
+    )
+    connection.execute(f"DELETE {where}", key)
+
+
+def damaged_since(connection: Connection, since: int) -> int:
+    """How often damage was found from a time on, µs."""
+    return int(connection.execute("SELECT count(*) FROM damaged WHERE found >= ?", (since,)).fetchone()[0])
+
+
+def name_of(connection: Connection, unit: int) -> str:
+    """A unit's key in words: ``bus/number``."""
+    row = connection.execute("SELECT bus, number FROM unit WHERE id = ?", (unit,)).fetchone()
+    return "" if row is None else f"{row[0]}/{row[1]}"
 
 
 # --- bits --------------------------------------------------------------------------------------

@@ -7,12 +7,17 @@ drawn again a second later does not dance.
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
+from operator import le, truediv
+from typing import TypeVar
 
 from app.history.gaps import Marks, holes
 from app.history.runs import DAY, HOUR, MINUTE, SECOND
 from app.history.scaling import Scaling
 
+T = TypeVar("T")
 _MS = 1000
 WIDTHS = tuple(
     unit * factor
@@ -58,19 +63,28 @@ class Series:
 def thin(points: Points, start: int, end: int, most: int) -> Points:
     """The same in at most ``most`` buckets between ``start`` and ``end``, µs."""
     width, origin = grid(start, end, most, points.width or _MS)
-    result = Points(width=width, usual=points.usual)
-    i, n = 0, len(points.at)
+    parts = _parts(points.at, origin, width)
+    return Points(
+        at=[max(points.at[i] - (points.at[i] - origin) % width, start) for i, _ in parts],
+        least=[min(points.least[i:j]) for i, j in parts],
+        greatest=[max(points.greatest[i:j]) for i, j in parts],
+        total=[sum(points.total[i:j]) for i, j in parts],
+        weight=[sum(points.weight[i:j]) for i, j in parts],
+        solid=[points.solid[j - 1] for _, j in parts],
+        width=width,
+        usual=points.usual,
+    )
+
+
+def _parts(at: Sequence[int], origin: int, width: int) -> list[tuple[int, int]]:
+    """From where to where the times of each bucket are, without the empty ones."""
+    parts = []
+    i, n = 0, len(at)
     while i < n:
-        bucket = (points.at[i] - origin) // width
-        j = bisect_left(points.at, origin + (bucket + 1) * width, i)
-        result.at.append(max(origin + bucket * width, start))
-        result.least.append(min(points.least[i:j]))
-        result.greatest.append(max(points.greatest[i:j]))
-        result.total.append(sum(points.total[i:j]))
-        result.weight.append(sum(points.weight[i:j]))
-        result.solid.append(points.solid[j - 1])
+        j = bisect_left(at, at[i] - (at[i] - origin) % width + width, i)
+        parts.append((i, j))
         i = j
-    return result
+    return parts
 
 
 def grid(start: int, end: int, most: int, least_width: int = _MS) -> tuple[int, int]:
@@ -83,25 +97,38 @@ def grid(start: int, end: int, most: int, least_width: int = _MS) -> tuple[int, 
 
 def series(points: Points, marks: Marks, scaling: Scaling) -> Series:
     """In display units, with the holes."""
-    result = Series()
-    open_after = set(holes_in(points, marks))
-    rows = zip(points.at, points.least, points.greatest, points.total, points.weight, strict=True)
-    for i, (at, least, greatest, total, weight) in enumerate(rows):
-        scale = scaling.at(at)
-        low, high = scale.apply(least), scale.apply(greatest)
-        result.at.append(at)
-        result.least.append(high if scale.falling else low)
-        result.greatest.append(low if scale.falling else high)
-        result.average.append(low if least == greatest else round(scale.apply(total / weight), 6))
-        if i in open_after:
-            _open(result, at + max(points.width, (points.at[i + 1] - at) // 2))
+    result = Series(points.at)
+    for i, j, scale in scaling.stretches(points.at):
+        low, high = scale.apply_all(points.least[i:j]), scale.apply_all(points.greatest[i:j])
+        middle = scale.apply_all(map(truediv, points.total[i:j], points.weight[i:j]))
+        result.least += high if scale.falling else low
+        result.greatest += low if scale.falling else high
+        # Where nothing moved, exactly what was said and not its sum divided.
+        result.average += [a if a == b else round(m, 6) for a, b, m in zip(low, high, middle, strict=True)]
+    return _opened(result, holes_in(points, marks), points.width)
+
+
+def _opened(whole: Series, after: Sequence[int], width: int) -> Series:
+    """With a null between the points of each hole."""
+    if not after:
+        return whole
+    times = [whole.at[i] + max(width, (whole.at[i + 1] - whole.at[i]) // 2) for i in after]
+    nothing = [None] * len(after)
+    return Series(
+        _inserted(whole.at, after, times),
+        _inserted(whole.least, after, nothing),
+        _inserted(whole.greatest, after, nothing),
+        _inserted(whole.average, after, nothing),
+    )
+
+
+def _inserted(column: list[T], after: Sequence[int], new: Sequence[T]) -> list[T]:
+    cuts = [0, *(i + 1 for i in after), len(column)]
+    result = column[: cuts[1]]
+    for entry, (i, j) in zip(new, pairwise(cuts[1:]), strict=True):
+        result.append(entry)
+        result += column[i:j]
     return result
-
-
-def _open(result: Series, at: int) -> None:
-    result.at.append(at)
-    for column in (result.least, result.greatest, result.average):
-        column.append(None)
 
 
 def holes_in(points: Points, marks: Marks) -> list[int]:
@@ -112,7 +139,7 @@ def holes_in(points: Points, marks: Marks) -> list[int]:
 
 def in_order(points: Points) -> Points:
     """By time: where a clock was set back or a minute came late, two stretches lie over each other."""
-    if all(a <= b for a, b in zip(points.at, points.at[1:], strict=False)):
+    if all(map(le, points.at, points.at[1:])):
         return points
     order = sorted(range(len(points.at)), key=points.at.__getitem__)
     columns = (points.at, points.least, points.greatest, points.total, points.weight)

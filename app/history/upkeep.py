@@ -10,8 +10,10 @@ from pathlib import Path
 
 from app.database.connection import Database
 from app.history import store
+from app.history.damage import DamagedBlock
 from app.history.disk import Reserve, Space, space
 from app.history.folding import compact
+from app.history.repair import Repair
 from app.history.runs import DAY, HOUR, MINUTE
 
 SETTLED_S = 3600.0
@@ -35,8 +37,9 @@ class Keep:
 class Upkeep:
     """Called by the writer's thread between commits, for a short while each time."""
 
-    def __init__(self, database: Database, keep: Keep) -> None:
+    def __init__(self, database: Database, keep: Keep, repair: Repair) -> None:
         self._database = database
+        self._repair = repair
         self._keep = keep
         self._settled_at = time.monotonic() + SETTLED_S
         self._to_sweep = True
@@ -59,8 +62,10 @@ class Upkeep:
             found = self._database.read_now(lambda c: store.next_to_compact(c, before))
             if found is None:
                 return
-            unit, hour = found
-            self._database.write_now(lambda c, unit=unit, hour=hour: compact(c, unit, hour))  # type: ignore[misc]
+            try:
+                self._database.write_now(lambda c, found=found: compact(c, *found))  # type: ignore[misc]
+            except DamagedBlock as damaged:
+                self._repair.set_aside(damaged.block)
 
     def give_up_old(self, now: int) -> None:
         """Decide what is older than it need be kept; :meth:`sweep` then takes it away."""

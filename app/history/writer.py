@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterable
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import structlog
 
 from app.database.connection import Database
-from app.errors import StoreError
+from app.errors import DamagedStoreError, StoreError
 from app.history import store
 from app.history.clock import ClockWatch
+from app.history.damage import Block
 from app.history.disk import Space
 from app.history.intake import Delivery
 from app.history.recorder import Recorder
-from app.history.runs import SECOND, micros
-from app.history.status import WORDS, State, Status
+from app.history.repair import FoundDamage, Repair
+from app.history.runs import DAY, SECOND, micros
+from app.history.salvage import copies, put_aside
+from app.history.status import DAMAGED, WORDS, State, Status
 from app.history.tail import Tail
 from app.history.upkeep import Keep, Upkeep, prepare
 
@@ -38,6 +42,11 @@ GIVE_UP_EVERY_S = 600.0
 MOST_WAITING = 500_000
 """Updates kept in memory while the store cannot be written; then the oldest are lost."""
 
+MOST_REPORTED = 1000
+ANEW_EVERY_S = 3600.0
+SAID_FOR = 7 * DAY
+"""How long damage is said on the pages; in the events it stays."""
+
 log = structlog.get_logger()
 ClockStepped = Callable[[float, float], None]
 """Called from the writer's thread: by how many seconds, and at what time."""
@@ -48,15 +57,20 @@ class _Open:
     database: Database
     recorder: Recorder
     upkeep: Upkeep
+    repair: Repair
 
 
 class Writer:
     """Owns the store while it runs. ``tail`` is what readers see beside the store."""
 
-    def __init__(self, path: Path, keep: Keep, on_clock_step: ClockStepped) -> None:
+    def __init__(self, path: Path, keep: Keep, on_clock_step: ClockStepped, on_damage: FoundDamage) -> None:
         self._path = path
         self._keep = keep
         self._on_clock_step = on_clock_step
+        self._on_damage = on_damage
+        self._reported: deque[Block] = deque(maxlen=MOST_REPORTED)
+        self._torn = False
+        self._rebuilt_at = -math.inf
         self.tail = Tail()
         self._queue: deque[Delivery] = deque()
         self._waiting = 0
@@ -95,10 +109,20 @@ class Writer:
             self._lost += lost
             self._waiting -= lost
 
+    def report(self, damaged: Iterable[Block]) -> None:
+        """Blocks that a reader could not read; any thread calls it."""
+        self._reported.extend(damaged)
+
+    def report_torn(self) -> None:
+        """A reader met pages that SQLite cannot follow; any thread calls it."""
+        self._torn = True
+
     @property
     def status(self) -> Status:
         """How it is now."""
-        return replace(self._status, waiting=self._waiting - self._taken, lost=self._lost)
+        said = self._status
+        message = said.message or (DAMAGED if said.damaged else "")
+        return replace(said, message=message, waiting=self._waiting - self._taken, lost=self._lost)
 
     @property
     def database(self) -> Database:
@@ -121,6 +145,10 @@ class Writer:
         """Run, and on any failure of the store go on without it for a while."""
         try:
             work()
+        except DamagedStoreError as error:
+            log.error("history", damaged=str(error))
+            self._torn = True
+            self._fail(str(error))
         except (StoreError, ValueError, OSError) as error:
             self._fail(str(error))
         except Exception as error:
@@ -129,6 +157,8 @@ class Writer:
 
     def _tick(self) -> None:
         self._watch_clock()
+        if self._torn and self._open is not None and not self._ending.is_set():
+            self._write_anew()
         if not self._writable:
             if time.monotonic() < self._retry_at:
                 return
@@ -141,6 +171,8 @@ class Writer:
         opened = self._open
         assert opened is not None
         self._commit(opened.recorder)
+        with suppress(IndexError):
+            opened.repair.set_aside(self._reported.popleft())
         now = micros(time.time())
         opened.recorder.fold(now, time.monotonic() + BUSY_S)
         deadline = time.monotonic() + BUSY_S
@@ -190,12 +222,32 @@ class Writer:
     def _begin(self, database: Database) -> _Open:
         """Raises StoreError when it cannot be written: the first row shows it."""
         database.write_now(lambda c: store.write_raw_from(c, store.raw_from(c)))
-        recorder = Recorder(database, self.tail)
-        try:
-            recorder.replay()
-        except ValueError as error:
-            log.error("history journal", error=str(error))
-        return _Open(database, recorder, Upkeep(database, self._keep))
+        recorder = Recorder(database, self.tail, self._on_damage)
+        recorder.replay()
+        repair = Repair(database, self._on_damage)
+        return _Open(database, recorder, Upkeep(database, self._keep, repair), repair)
+
+    def _write_anew(self) -> None:
+        """Pages are damaged: what can be read goes into a new store, and history goes on there. A second
+        time within the hour it is the machine that is at fault, and nothing more is tried."""
+        self._torn = False
+        opened = self._open
+        if opened is None or time.monotonic() - self._rebuilt_at < ANEW_EVERY_S:
+            return
+        self._rebuilt_at = time.monotonic()
+        self._writable, self._open = False, None
+        opened.database.close()
+        aside = put_aside(self._path)
+        prepare(self._path)
+        missing = 0
+        with closing(Database(self._path, MIGRATIONS, synchronous="NORMAL")) as database:
+            for copy in copies(aside, database):
+                missing += database.write_now(copy)
+        self._open_store()
+        self._on_damage(
+            f"the store of the history was damaged and is written anew, {missing} stretches of it are "
+            f"missing: the damaged one is kept as {aside.name}"
+        )
 
     def _fail(self, why: str) -> None:
         """What is there can still be read, until the store is opened anew."""
@@ -223,6 +275,8 @@ class Writer:
         if self._space in ("scarce", "none"):
             opened.upkeep.shed(micros(time.time()))
         oldest = opened.database.read_now(store.oldest_raw)
+        lately = micros(time.time()) - SAID_FOR
+        damaged = opened.database.read_now(lambda c: store.damaged_since(c, lately))
         state: dict[Space, State] = {"enough": "ok", "low": "low", "scarce": "scarce", "none": "paused"}
         self._set_state(state[self._space])
         self._status = replace(
@@ -230,6 +284,7 @@ class Writer:
             free_bytes=free,
             size_bytes=self._path.stat().st_size,
             oldest_reading=None if oldest is None else oldest / SECOND,
+            damaged=damaged,
         )
 
     def _set_state(self, state: State, cause: str = "") -> None:

@@ -6,7 +6,7 @@ said once: while a port is closed its units are not listed one by one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -40,8 +40,8 @@ class Sight:
     blocked: str = ""
     overdue: bool = True
     """A stale unit whose last answer is really old; one poll missed is shown, but is no trouble yet."""
-    drifted: int = 0
-    """Parameters in which it departs from what it ought to be."""
+    drifted: str = ""
+    """In what it departs from what it ought to be, and who did that."""
     since: Mapping[str, float] = field(default_factory=dict)
     """When a condition of :func:`conditions_of` began."""
 
@@ -94,25 +94,36 @@ def unit_trouble(bus: BusLive, sight: Sight, voice: Voice) -> Trouble | None:
     """The worst that is wrong with one unit, as far as it is heard."""
     reading = sight.unit.reading
     if sight.link == "unknown" or reading is None:
-        return Trouble("low", voice.t("not heard yet"), "unknown")
+        return Trouble("low", voice.t("no answer yet"), "unknown")
     if sight.link == "offline":
         return Trouble("high", voice.t("no answer"), "offline", reading.at)
     bits = bits_of(bus, reading)
     holding = conditions_of(bits, reading, sight.state)
-    findings: list[tuple[bool, Callable[[], tuple[Level, str, str]]]] = [
-        ("estop" in holding, lambda: ("urgent", voice.t("e-stop input active"), "estop")),
-        ("off_speed" in holding, lambda: ("high", voice.t(STATE_WORDS["off_speed"]), "off_speed")),
-        (sight.link == "stale" and sight.overdue, lambda: ("low", voice.t("answer overdue"), "stale")),
-        (bool(sight.blocked), lambda: ("low", f"{voice.t('blocked')}: {sight.blocked}", "blocked")),
-        ("mode" in holding, lambda: _not_remote(mode_of(sight.unit, bits), voice)),
-        ("run" in holding, lambda: ("low", voice.t("run input off"), "run")),
-        (sight.drifted > 0, lambda: _drifted(sight.drifted, voice)),
-    ]
-    for found, build in findings:
-        if found:
-            level, text, code = build()
-            return Trouble(level, text, code, sight.since.get(code))
-    return None
+    found = next(_findings(sight, holding, bits, voice), None)
+    if found is None:
+        return None
+    level, text, code = found
+    return Trouble(level, text, code, sight.since.get(code))
+
+
+def _findings(
+    sight: Sight, holding: frozenset[str], bits: StatusBits, voice: Voice
+) -> Iterator[tuple[Level, str, str]]:
+    """Level, words and code, the worst first; said only as far as somebody asks."""
+    if "estop" in holding:
+        yield "urgent", voice.t("e-stop input active"), "estop"
+    if "off_speed" in holding:
+        yield "high", voice.t(STATE_WORDS["off_speed"]), "off_speed"
+    if sight.link == "stale" and sight.overdue:
+        yield "low", voice.t("answer overdue"), "stale"
+    if sight.blocked:
+        yield "low", f"{voice.t('blocked')}: {sight.blocked}", "blocked"
+    if "mode" in holding:
+        yield _not_remote(mode_of(sight.unit, bits), voice)
+    if "run" in holding:
+        yield "low", voice.t("run input off"), "run"
+    if sight.drifted:
+        yield "low", sight.drifted, "drift"
 
 
 def worst(troubles: list[Trouble]) -> Level | None:
@@ -125,7 +136,7 @@ def verdict(tally: Tally, abnormal: int, voice: Voice) -> str:
     if tally.units == 0:
         return voice.t("No unit is configured")
     if abnormal and not tally.heard:
-        return voice.t("No unit is heard")
+        return voice.t("No unit answers")
     if abnormal:
         text = "{n} needs a look" if abnormal == 1 else "{n} need a look"
         return voice.t(text, n=abnormal)
@@ -141,12 +152,3 @@ def verdict(tally: Tally, abnormal: int, voice: Voice) -> str:
 def _not_remote(mode: str, voice: Voice) -> tuple[Level, str, str]:
     word = "KEYLOCK" if mode == "keylock" else "LOCAL"
     return "low", voice.t("{mode}: refuses", mode=word), "mode"
-
-
-def _drifted(rows: int, voice: Voice) -> tuple[Level, str, str]:
-    text = (
-        "{n} parameter differs from the golden set"
-        if rows == 1
-        else "{n} parameters differ from the golden set"
-    )
-    return "low", voice.t(text, n=rows), "drift"

@@ -1,5 +1,6 @@
-"""One browser's socket: it gets the newest values, never a queue.
+"""One open page: it gets the newest values, never a queue.
 
+While its socket takes what it is given, a change goes there in the very turn of the loop in which it came.
 What changed while the socket was busy goes together as one update, so a slow browser is always shown the
 present and costs no more than a few references: all who missed the same share what it is made of.
 """
@@ -7,29 +8,18 @@ present and costs no more than a few references: all who missed the same share w
 from __future__ import annotations
 
 import asyncio
-import math
-import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import msgspec
 
 from app.live.screen import Groups
+from app.web.frames import NoOutlet, Outlet, text_frame
 
 MOST_FRAMES = 300
 """Frames of the trace kept for a browser that cannot keep up; older ones are dropped and counted."""
-
-FLOOD = 60
-WINDOW_S = 0.25
-"""More changed units than this within a window, which is more than six full wires bring, and the page is
-told once in a window until it is quieter: it could not draw them all, its device has other things to do."""
-
-FEW_PAGES = 40
-MOST_TOLD_S = 1000
-"""With more pages than a few, none is told again before its share of so many messages a second: the server
-has other things to do. 200 pages are told five times a second, 40 and fewer of every single answer."""
 
 MOST_WAITING = 64
 """Changes that wait for a slow browser before they are made one."""
@@ -45,13 +35,15 @@ class Diff:
     after: int
     at: float
     groups: Groups
+    _payload: bytes = b""
     _text: str = ""
+    _frame: bytes = b""
     _since: dict[int, Diff] = field(default_factory=dict)
 
     @property
-    def text(self) -> str:
+    def payload(self) -> bytes:
         """Encoded once, whoever it goes to."""
-        if not self._text:
+        if not self._payload:
             message = {
                 "is": "diff",
                 "p": self.before,
@@ -59,7 +51,21 @@ class Diff:
                 "t": round(self.at, 3),
                 "f": self.groups,
             }
-            self._text = encode(message).decode()
+            self._payload = encode(message)
+        return self._payload
+
+    @property
+    def frame(self) -> bytes:
+        """As it goes over the wire."""
+        if not self._frame:
+            self._frame = text_frame(self.payload)
+        return self._frame
+
+    @property
+    def text(self) -> str:
+        """For a socket that frames for itself."""
+        if not self._text:
+            self._text = self.payload.decode()
         return self._text
 
     def after_all(self, earlier: Sequence[Diff]) -> Diff:
@@ -73,36 +79,6 @@ class Diff:
         return self._since[before]
 
 
-@dataclass(slots=True)
-class Flow:
-    """How much there was to tell a page lately, by a monotonic clock in seconds."""
-
-    clock: Callable[[], float] = time.monotonic
-    gap_s: float = 0.0
-    _began: float = 0.0
-    _count: int = 0
-    _flooded: bool = False
-    _told_at: float = -math.inf
-
-    def came(self, units: int = 1) -> None:
-        """There is something new of so many units for the page."""
-        now = self.clock()
-        if now - self._began >= WINDOW_S:
-            self._flooded = self._count > FLOOD and now - self._began < 2 * WINDOW_S
-            self._began, self._count = now, 0
-        self._count += units
-
-    def pause_s(self) -> float:
-        """How long to wait before telling it again: nothing unless there is a flood, or very many pages."""
-        flooded = self._flooded or self._count > FLOOD
-        gap_s = max(self.gap_s, WINDOW_S) if flooded else self.gap_s
-        return max(0.0, self._told_at + gap_s - self.clock())
-
-    def told(self) -> None:
-        """It was told everything."""
-        self._told_at = self.clock()
-
-
 @dataclass(eq=False, slots=True)
 class Browser:
     """What one open page wants and has not had yet. ``units``: the pages' own, for the worker's schedule."""
@@ -110,46 +86,43 @@ class Browser:
     name: str
     role: str
     language: str
+    outlet: Outlet = field(default_factory=NoOutlet)
     units: frozenset[tuple[str, int]] = frozenset()
     trace: str = ""
+    _idle: bool = False
+    """Everything has been handed over: whoever asks for the next waits for it."""
     _waiting: list[Diff] = field(default_factory=list)
     _messages: deque[str] = field(default_factory=deque)
     _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
     _wake: asyncio.Event = field(default_factory=asyncio.Event)
-    _flow: Flow = field(default_factory=Flow)
-
-    def share(self, pages: int) -> None:
-        """So many pages are open in all."""
-        self._flow.gap_s = pages / MOST_TOLD_S if pages > FEW_PAGES else 0.0
 
     def tell(self, diff: Diff) -> None:
-        """Newest wins: it goes together with what has not been sent."""
-        self._flow.came(len(diff.groups) or 1)
+        """Now where that can be; else newest wins: it goes together with what has not been sent."""
+        if self._idle and self.outlet.write(diff.frame):
+            return
         if len(self._waiting) >= MOST_WAITING:
             self._waiting = [diff.after_all(self._waiting)]
         else:
             self._waiting.append(diff)
-        self._wake.set()
+        self._has_something()
 
     def say(self, message: dict[str, Any]) -> None:
         """A message of its own, before any diff: snapshot. It makes what was pending worthless."""
         self._waiting.clear()
         self._messages.append(encode(message).decode())
-        self._wake.set()
+        self._has_something()
 
     def show_frames(self, frames: list[dict[str, Any]]) -> None:
         """Frames for whoever follows the trace."""
         self._frames.extend(frames)
-        self._wake.set()
+        self._has_something()
 
     async def next(self) -> list[str]:
-        """Wait until there is something; all of it, in order."""
+        """Wait until there is something that could not go at once; all of it, in order. Whoever asks again
+        has sent what it was given."""
+        self._idle = not self._wake.is_set()
         await self._wake.wait()
-        pause_s = self._flow.pause_s()
-        if pause_s:
-            await asyncio.sleep(pause_s)
         self._wake.clear()
-        self._flow.told()
         texts = list(self._messages)
         self._messages.clear()
         if self._waiting:
@@ -160,6 +133,10 @@ class Browser:
             texts.append(encode({"is": "frames", "frames": list(self._frames)}).decode())
             self._frames.clear()
         return texts
+
+    def _has_something(self) -> None:
+        self._idle = False
+        self._wake.set()
 
 
 def _merged(diffs: Sequence[Diff]) -> Groups:

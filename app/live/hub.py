@@ -1,8 +1,8 @@
 """All browsers: told of a change in the same turn of the loop in which the worker reported it.
 
 Nothing here batches or waits for a timer. A change is rendered once for each language that someone
-reads, encoded once, and handed to every browser of that language. Only what nobody reports, age,
-is looked at once a second; the same tick is the heartbeat that every page draws.
+reads; :mod:`app.live.readers` brings it to the pages. Only what nobody reports, age, is looked at once a
+second; the same tick is the heartbeat that every page draws.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from app.live.age import scan_s_of
-from app.live.browser import Browser, Diff
+from app.live.browser import Browser
 from app.live.fields import Voice, health_fields, unit_key
-from app.live.screen import WHOLE_LINE, Block, Drift, Groups, Recipe, Screen, motions_for, watch_motions
+from app.live.motions import motions_for, watch_motions
+from app.live.readers import Readers
+from app.live.screen import WHOLE_LINE, Block, Drift, Groups, Recipe, Screen
 from app.live.state import LiveState
 from app.web.templating import Templates
 from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
@@ -26,6 +28,10 @@ STAGE_WORDS = {
     "acknowledged": "acknowledged",
     "proving": "reading back",
 }
+_OF_A_BUS = {BusFigures, BusLink}
+"""What changes more than the units that it names."""
+_PASSED_ON = {Progress, Frames, BusFigures}
+"""What says something that is not part of the state."""
 Watcher = Callable[[str, list[int], bool], None]
 """Told of a bus, the units that someone has open there, and whether someone follows its trace."""
 
@@ -38,9 +44,8 @@ class Hub:
         self._templates = templates
         self._clock = clock
         self._motions = motions_for(live)
-        self._screens: dict[str, Screen] = {}
-        self._numbers: dict[str, int] = {}
-        self._browsers: list[Browser] = []
+        self._readers: dict[str, Readers] = {}
+        """Of every language that was asked for once; most have nobody now."""
         self._watched: dict[str, tuple[list[int], bool]] = {}
         self.block: Block = _unblocked
         self.drift: Drift = _undrifted
@@ -55,58 +60,53 @@ class Hub:
     @property
     def connected(self) -> int:
         """How many pages are open now."""
-        return len(self._browsers)
+        return sum(len(readers.browsers) for readers in self._readers.values())
 
     def people(self) -> dict[str, str]:
         """Whoever has a page open now, by name, with the role."""
-        roles = {browser.name: browser.role for browser in self._browsers}
+        roles = {browser.name: browser.role for browser in self._browsers()}
         return {name: roles[name] for name in sorted(roles)}
 
     def screen(self, language: str) -> Screen:
         """What is shown in a language, brought up to date."""
-        screen = self._screens.get(language)
-        if screen is None:
-            voice = Voice(self._templates.languages[language], self._templates.formats(language))
-            screen = Screen(
-                self.live,
-                voice,
-                self._motions,
-                lambda bus, unit: self.block(bus, unit),
-                lambda bus, unit: self.drift(bus, unit),
-                lambda bus: self.recipe(bus),
-            )
-            self._screens[language] = screen
-            self._numbers[language] = 0
-        self._publish(language, screen.refresh(self._clock()))
-        self._publish(language, screen.put(WHOLE_LINE, {"memory": self.memory(screen.voice, self._clock())}))
+        readers = self._readers.get(language)
+        if readers is None:
+            readers = self._readers[language] = Readers(self._new_screen(language), self._clock)
+        screen, now = readers.screen, self._clock()
+        readers.tell(screen.refresh(now))
+        readers.tell(screen.put(WHOLE_LINE, {"memory": self.memory(screen.voice, now)}))
         return screen
+
+    def _new_screen(self, language: str) -> Screen:
+        return Screen(
+            self.live,
+            Voice(self._templates.languages[language], self._templates.formats(language)),
+            self._motions,
+            lambda bus, unit: self.block(bus, unit),
+            lambda bus, unit, voice, now: self.drift(bus, unit, voice, now),
+            lambda bus: self.recipe(bus),
+        )
 
     def join(self, browser: Browser) -> None:
         """A page opened: the whole snapshot first, then diffs."""
         self.screen(browser.language)
-        self._browsers.append(browser)
-        self.send_snapshot(browser)
-        self._tell_watched()
-        self._share()
-        self._publish_people()
+        self._readers[browser.language].join(browser)
+        self._has_changed()
 
     def leave(self, browser: Browser) -> None:
         """A page closed."""
-        self._browsers.remove(browser)
-        self._share()
+        self._readers[browser.language].leave(browser)
+        self._has_changed()
+
+    def _has_changed(self) -> None:
+        for readers in self._readers.values():
+            readers.flow.share(self.connected)
         self._tell_watched()
         self._publish_people()
 
     def send_snapshot(self, browser: Browser) -> None:
         """Everything, to a page that opened or missed a number."""
-        browser.say(
-            {
-                "is": "snapshot",
-                "n": self._numbers[browser.language],
-                "t": round(self._clock(), 3),
-                "f": self._screens[browser.language].shown,
-            }
-        )
+        self._readers[browser.language].tell_everything(browser)
 
     def follow(self, browser: Browser, units: frozenset[tuple[str, int]], trace: str) -> None:
         """A page says which units it shows and whose frames it follows."""
@@ -126,14 +126,14 @@ class Hub:
     def tick(self) -> None:
         """One heartbeat: what has aged, and the server's time."""
         now = self._clock()
-        for language in self._languages():
-            screen = self._screens[language]
+        for readers in self._read():
+            screen = readers.screen
             groups = screen.settle(now)
             said = {"holder": self._holders(), "memory": self.memory(screen.voice, now)}
             for held in (screen.put(WHOLE_LINE, said), *self._held(screen)):
                 for group, fields in held.items():
                     groups.setdefault(group, {}).update(fields)
-            self._publish(language, groups, always=True)
+            readers.tell(groups, always=True)
 
     def _holders(self) -> str:
         return ", ".join(sorted({holder for bus in self.live.buses if (holder := self.holder(bus))}))
@@ -146,18 +146,18 @@ class Hub:
     def _on_updates(self, bus_name: str, updates: Sequence[Update]) -> None:
         bus = self.live.buses[bus_name]
         units = {unit for update in updates if (unit := getattr(update, "unit", None)) in bus.units}
+        kinds = {type(update) for update in updates}
         watch_motions(self._motions, bus_name, bus, sorted(units), scan_s_of(bus))
-        whole_bus = any(isinstance(update, BusFigures | BusLink) for update in updates)
-        if any(isinstance(update, BusLink) for update in updates):
-            units = set(bus.units)
-        self._render(bus_name, sorted(units), whole_bus=whole_bus)
-        for update in updates:
-            self._pass_on(bus_name, update)
+        touched = bus.units if BusLink in kinds else units
+        self._render(bus_name, sorted(touched), whole_bus=not kinds.isdisjoint(_OF_A_BUS))
+        if not kinds.isdisjoint(_PASSED_ON):
+            for update in updates:
+                self._pass_on(bus_name, update)
 
     def _render(self, bus: str, units: list[int], *, whole_bus: bool) -> None:
         now = self._clock()
-        for language in self._languages():
-            self._publish(language, self._screens[language].see(bus, units, now, whole_bus=whole_bus))
+        for readers in self._read():
+            readers.tell(readers.screen.see(bus, units, now, whole_bus=whole_bus))
 
     def _pass_on(self, bus: str, update: Update) -> None:
         match update:
@@ -169,26 +169,25 @@ class Hub:
                 self._show_health(bus, update)
 
     def _show_progress(self, progress: Progress) -> None:
-        for language in self._languages():
-            voice = self._screens[language].voice
-            text = voice.t(STAGE_WORDS[progress.stage])
+        for readers in self._read():
+            text = readers.screen.voice.t(STAGE_WORDS[progress.stage])
             if progress.of > 1:
                 text += f" {progress.done}/{progress.of}"
-            self._publish(language, {f"command/{progress.id}": {"stage": text}})
+            readers.tell({f"command/{progress.id}": {"stage": text}})
 
     def _show_health(self, bus: str, figures: BusFigures) -> None:
         watched = self._opened_units(bus)
-        for language in self._languages():
-            screen, groups = self._screens[language], Groups()
+        for readers in self._read():
+            screen, groups = readers.screen, Groups()
             for unit in figures.units:
                 if unit.unit in watched:
                     groups |= screen.put(
                         f"health/{unit_key(bus, unit.unit)}", health_fields(unit, screen.voice)
                     )
-            self._publish(language, groups)
+            readers.tell(groups)
 
     def _show_frames(self, bus: str, frames: Sequence[Frame]) -> None:
-        followers = [browser for browser in self._browsers if browser.trace == bus]
+        followers = [browser for browser in self._browsers() if browser.trace == bus]
         if followers:
             shown = [_frame(frame) for frame in frames]
             for browser in followers:
@@ -196,42 +195,32 @@ class Hub:
 
     # --- to the browsers ----------------------------------------------------------------------------
 
-    def _languages(self) -> list[str]:
-        return sorted({browser.language for browser in self._browsers})
+    def _read(self) -> list[Readers]:
+        """Of the languages that somebody has open."""
+        return [readers for readers in self._readers.values() if readers.browsers]
 
-    def _publish(self, language: str, groups: Groups, *, always: bool = False) -> None:
-        if not groups and not always:
-            return
-        before = self._numbers[language]
-        self._numbers[language] = before + 1
-        readers = [browser for browser in self._browsers if browser.language == language]
-        if readers:
-            diff = Diff(before, before + 1, self._clock(), groups)
-            for browser in readers:
-                browser.tell(diff)
-
-    def _share(self) -> None:
-        for browser in self._browsers:
-            browser.share(len(self._browsers))
+    def _browsers(self) -> list[Browser]:
+        return [browser for readers in self._readers.values() for browser in readers.browsers]
 
     def _publish_people(self) -> None:
         people = self.people()
-        for language in self._languages():
-            screen = self._screens[language]
+        for readers in self._read():
+            screen = readers.screen
             here = "\n".join(f"{name}\t{screen.voice.t(role)}" for name, role in people.items())
-            self._publish(language, screen.put("people", {"here": here, "count": str(len(people))}))
+            readers.tell(screen.put("people", {"here": here, "count": str(len(people))}))
 
     def _tell_watched(self) -> None:
+        browsers = self._browsers()
         for bus, live in self.live.buses.items():
-            units = self._opened_units(bus) or (sorted(live.units) if self._browsers else [])
-            wish = (units, any(browser.trace == bus for browser in self._browsers))
+            units = self._opened_units(bus) or (sorted(live.units) if browsers else [])
+            wish = (units, any(browser.trace == bus for browser in browsers))
             if self._watched.get(bus, ([], False)) != wish:
                 self._watched[bus] = wish
                 self.watch(bus, *wish)
 
     def _opened_units(self, bus: str) -> list[int]:
         """The units that have a page of their own open. A page of the whole line watches all alike."""
-        opened = {number for browser in self._browsers for name, number in browser.units if name == bus}
+        opened = {number for browser in self._browsers() for name, number in browser.units if name == bus}
         return sorted(opened)
 
 
@@ -239,8 +228,8 @@ def _unblocked(_bus: str, _unit: int) -> str:
     return ""
 
 
-def _undrifted(_bus: str, _unit: int) -> int:
-    return 0
+def _undrifted(_bus: str, _unit: int, _voice: Voice, _now: float) -> str:
+    return ""
 
 
 def _unloaded(_bus: str) -> None:

@@ -17,6 +17,7 @@ from starlette.websockets import WebSocketDisconnect
 from app.live.browser import Browser
 from app.live.hub import Hub
 from app.web.access import Role, Viewer
+from app.web.frames import outlet_of
 from app.web.templating import templates_of
 
 router = APIRouter()
@@ -50,7 +51,7 @@ async def live(websocket: WebSocket, person: Viewer, language: str = "") -> None
     templates = templates_of(websocket)
     if language not in templates.languages:
         language = templates.language_of(websocket).tag
-    browser = Browser(person.name, person.role.value, language)
+    browser = Browser(person.name, person.role.value, language, outlet_of(websocket.scope))
     hub = hub_of(websocket)
     hub.join(browser)
     writing = asyncio.create_task(_write(websocket, browser))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Request, Response
+from fastapi import APIRouter, Header, Request, Response
 from pydantic import Field
 
 from app.commands.answers import answer
@@ -15,6 +15,7 @@ from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, setpoints_now
 from app.recipes.view import dry_run_json, loaded_json, recipe_json
 from app.web.access import Engineer, Operator, Viewer
+from app.web.services import service
 from app.web.shape import Strict
 
 router = APIRouter(prefix="/api/v1", tags=["recipes"])
@@ -36,13 +37,7 @@ class LoadRecipe(Strict):
     confirm: bool = False
 
 
-def book_of(request: Request) -> RecipeBook:
-    """The app's one book of recipes."""
-    book: RecipeBook = request.app.state.services.recipes
-    return book
-
-
-Book = Annotated[RecipeBook, Depends(book_of)]
+Book = Annotated[RecipeBook, service("recipes")]
 
 
 @router.get("/recipes")

@@ -38,10 +38,10 @@ class RecipeBook:
         loaded = self._loaded.get(bus)
         return departures(loaded.recipe, self._state.buses[bus], loaded.at) if loaded is not None else []
 
-    def loaded_words(self, bus: str) -> tuple[str, int] | None:
-        """Name of the loaded recipe and how many units have departed from it; None without one."""
+    def loaded_words(self, bus: str) -> tuple[str, list[str]] | None:
+        """Name of the loaded recipe and of the units that have departed from it; None without one."""
         loaded = self._loaded.get(bus)
-        return None if loaded is None else (loaded.recipe.name, len(self.departed(bus)))
+        return None if loaded is None else (loaded.recipe.name, [one.name for one in self.departed(bus)])
 
     async def save(
         self, person: Person, bus: str, name: str, comment: str, setpoints: Mapping[int, int]

@@ -18,6 +18,7 @@ _MAX_DISPLAY, _DECIMALS, _ACCELERATION, _DECELERATION, _MODE, _RATIO = 2, 3, 6, 
 _STAGE_BYTES = 11 + 7
 """82h with four data bytes and its ACK."""
 _EXECUTE_BYTES = 7
+NOT_CONFIGURED = "not in the configuration"
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +84,7 @@ class DryRun:
 
 @dataclass(frozen=True, slots=True)
 class Departure:
-    """A unit whose commanded value is no longer what the loaded recipe says."""
+    """A unit whose commanded value is no longer what the loaded recipe says, or that is gone."""
 
     unit: int
     name: str
@@ -137,7 +138,7 @@ def _step(setpoint: Setpoint, bus: BusLive, refusal: Callable[[int, int], str]) 
             "unknown",
             text,
             None,
-            "not in the configuration",
+            NOT_CONFIGURED,
         )
     ramp_s = ramp_seconds(unit, setpoint)
     return Step(
@@ -212,7 +213,9 @@ def present_raw(unit: UnitLive, kind: Kind) -> int | None:
 
 
 def _departure(setpoint: Setpoint, unit: UnitLive | None, since: float) -> Departure | None:
-    if unit is None or not _told_since(unit, setpoint.kind, since):
+    if unit is None:
+        return Departure(setpoint.unit, f"unit {setpoint.unit}", str(setpoint.raw), NOT_CONFIGURED)
+    if not _told_since(unit, setpoint.kind, since):
         return None
     now = present_raw(unit, setpoint.kind)
     if now is None or now == setpoint.raw:

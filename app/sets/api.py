@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Response
 from pydantic import Field
 
 from app.audit.api import Events
@@ -23,10 +23,11 @@ from app.sets.lookup import (
     wanted_rows,
 )
 from app.sets.model import ParameterSet
-from app.sets.reading import ParameterReader
 from app.sets.restore import RestoreDesk
-from app.sets.view import compared_json, restore_json, set_json, summary_json
+from app.sets.schedule import SetSchedule
+from app.sets.view import compared_json, departure_json, restore_json, set_json, summary_json
 from app.web.access import Engineer, Person, Role, Viewer
+from app.web.services import service
 from app.web.shape import Strict
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"])
@@ -61,27 +62,9 @@ class PlanRestore(Strict):
     ticked: Annotated[list[int], Field(default_factory=list)]
 
 
-def keeper_of(request: Request) -> SetKeeper:
-    """The app's one keeper of sets."""
-    keeper: SetKeeper = request.app.state.services.sets
-    return keeper
-
-
-def restores_of(request: Request) -> RestoreDesk:
-    """The app's one desk of restores."""
-    restores: RestoreDesk = request.app.state.services.restores
-    return restores
-
-
-def reader_of(request: Request) -> ParameterReader:
-    """The app's one reader of whole parameter lists."""
-    reader: ParameterReader = request.app.state.services.parameter_reader
-    return reader
-
-
-Keeper = Annotated[SetKeeper, Depends(keeper_of)]
-Restores = Annotated[RestoreDesk, Depends(restores_of)]
-Reader = Annotated[ParameterReader, Depends(reader_of)]
+Keeper = Annotated[SetKeeper, service("sets")]
+Schedules = Annotated[SetSchedule, service("set_schedule")]
+Restores = Annotated[RestoreDesk, service("restores")]
 
 
 @router.get("/sets")
@@ -147,28 +130,34 @@ async def compare_sets(
 
 @router.get("/buses/{bus}/units/{unit}/drift")
 async def unit_drift(_: Viewer, keeper: Keeper, live: Live, bus: str, unit: int) -> dict[str, Any]:
-    """Where the unit as last read departs from its golden set."""
+    """Where the unit as last read departs from its golden set, and who changed it: ``changed_by`` null is
+    somebody at the panel. ``unread``: parameters that could not be compared yet."""
     unit_or_404(live, bus, unit)
-    golden = keeper.golden(bus, unit)
-    rows = [compared_json(row) for row in keeper.drift(bus, unit)]
-    return {"golden": golden is not None, "rows": rows}
+    return {
+        "golden": keeper.drifts.golden(bus, unit) is not None,
+        "unread": keeper.drifts.unread(bus, unit),
+        "rows": [departure_json(one) for one in await keeper.drifts.traced(bus, unit)],
+    }
 
 
 @router.get("/buses/{bus}/set-schedule")
-async def read_schedule(_: Viewer, keeper: Keeper, live: Live, bus: str) -> dict[str, Any]:
-    """At which minute of the day the units of the bus are read."""
+async def read_schedule(
+    _: Viewer, keeper: Keeper, schedules: Schedules, live: Live, bus: str
+) -> dict[str, Any]:
+    """At which minute of the day the units of the bus are read, and which are owed since, with why."""
     bus_or_404(live, bus)
-    return {"minute_of_day": (await keeper.store.schedule()).get(bus)}
+    owed = [{"unit": unit, "why": owed.why} for unit, owed in schedules.owed(bus).items()]
+    return {"minute_of_day": (await keeper.store.schedule()).get(bus), "owed": owed}
 
 
 @router.put("/buses/{bus}/set-schedule")
 async def write_schedule(
-    person: Engineer, keeper: Keeper, live: Live, bus: str, schedule: Schedule
+    person: Engineer, schedules: Schedules, live: Live, bus: str, wanted: Schedule
 ) -> dict[str, Any]:
     """Read all units of the bus daily, or no longer."""
     bus_or_404(live, bus)
-    await keeper.set_schedule(person, bus, schedule.minute_of_day)
-    return {"minute_of_day": schedule.minute_of_day}
+    await schedules.set(person, bus, wanted.minute_of_day)
+    return {"minute_of_day": wanted.minute_of_day, "owed": []}
 
 
 @router.post("/buses/{bus}/units/{unit}/restores", status_code=201)

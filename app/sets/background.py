@@ -19,6 +19,11 @@ class Background:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
+    async def settled(self) -> None:
+        """Until nothing runs."""
+        while self._tasks:
+            await asyncio.gather(*tuple(self._tasks))
+
     async def close(self) -> None:
         """End whatever still runs."""
         for task in tuple(self._tasks):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 from app.commands.desk import Desk
@@ -14,10 +16,12 @@ from app.web.access import Person
 from bus.catalogue.parameter import check_writable_value
 from bus.catalogue.parameters import PARAMETERS, Parameter
 from bus.catalogue.values import parameter_raw
-from bus.contract import WriteParameter
+from bus.contract import ReadParameters, WriteParameter
 from bus.errors import CallerError
 
 _DECIMALS, _MODE = 3, 8
+_LEARN_WITHIN_S = 10.0
+"""255 units at 9600 baud take 5 s for one parameter each, and twice that beside the scan."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +51,21 @@ class BatchResult:
 def rows_of_batch(bus: BusLive, number: int, typed: Mapping[int, str]) -> list[BatchRow]:
     """Every unit of the bus with its present value, and what was typed for it."""
     return [_row(unit, PARAMETERS[number], typed.get(key, "").strip()) for key, unit in bus.units.items()]
+
+
+async def learn(desk: Desk, person: Person, bus: BusLive, number: int) -> None:
+    """Ask the units that answer for a parameter that was never read from them; who stays silent stays
+    unknown."""
+
+    async def ask(unit: int) -> None:
+        action = ReadParameters(unit=unit, numbers=[number], urgent=True)
+        with suppress(Problem):
+            await desk.ask(person, bus.settings.name, action, timeout_s=_LEARN_WITHIN_S)
+
+    unknown = [
+        key for key, unit in bus.units.items() if number not in unit.parameters and unit.link.link == "online"
+    ]
+    await asyncio.gather(*(ask(unit) for unit in unknown))
 
 
 async def write_batch(

@@ -4,28 +4,31 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Request, Response
 
-from app.commands.api import desk_of
 from app.commands.desk import Desk
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404
-from app.sets.batch import rows_of_batch, write_batch
+from app.sets.batch import learn, rows_of_batch, write_batch
 from app.web.access import Engineer
+from app.web.services import service
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS, Parameter
 
 router = APIRouter(include_in_schema=False)
 
-AskDesk = Annotated[Desk, Depends(desk_of)]
+AskDesk = Annotated[Desk, service("desk")]
 
 
 @router.get("/batch/{bus}")
-async def batch_page(request: Request, _: Engineer, live: Live, bus: str, number: int = 6) -> Response:
-    """The present values of one parameter over all units."""
+async def batch_page(
+    request: Request, person: Engineer, live: Live, desk: AskDesk, bus: str, number: int = 6
+) -> Response:
+    """The present values of one parameter over all units; one that was never read is asked for now."""
     parameter = _writable_or_404(number)
-    rows = rows_of_batch(bus_or_404(live, bus), number, {})
+    await learn(desk, person, bus_or_404(live, bus), number)
+    rows = rows_of_batch(live.buses[bus], number, {})
     return render(
         request, "sets/batch.html", bus=bus, parameter=parameter, rows=rows, parameters=_choices(), results=[]
     )

@@ -4,13 +4,27 @@ from __future__ import annotations
 
 from app.audit.log import Event, EventLog
 from app.audit.store import Filter
-from app.sets.model import Row
+from app.sets.compare import Compared
+from bus.catalogue.parameters import PARAMETERS
+
+_ACTED = ("verified", "acknowledged", "unverified", None)
+"""Fates after which the unit may have taken the value; None: it was read before its fate was written down."""
+_LOOK_BACK = 20
+"""Wishes that were refused stand between: so many newest events of a parameter are looked at."""
 
 
-async def who_changed(events: EventLog, bus: str, unit: int, number: int, row: Row | None) -> Event | None:
-    """The event of our write that left ``row`` as it is; None when it was changed at the panel."""
-    wanted = Filter(kind="command", bus=bus, unit=unit, search=f"#{number} ")
-    found, _ = await events.page(wanted, 1)
-    if not found or row is None or found[0]["new_raw"] != row.raw:
+async def who_changed(events: EventLog, bus: str, unit: int, row: Compared) -> Event | None:
+    """The event of our write, later than the reading of the left side (the golden set), that left the
+    right side as it is; None when it was changed at the panel."""
+    since = None if row.left is None else row.left.read_at
+    wanted = Filter(kind="command", bus=bus, unit=unit, since=since, search=f"#{row.number} ")
+    found, _ = await events.page(wanted, _LOOK_BACK)
+    ours = (
+        event for event in found if f"write #{row.number} " in event["what"] and event["outcome"] in _ACTED
+    )
+    last = next(ours, None)
+    if last is None or row.right is None:
         return None
-    return found[0] if found[0]["outcome"] in ("verified", "unverified") else None
+    # A secret stands in no event, so that the last write of it is all that can be said.
+    known = PARAMETERS[row.number].secret or last["new_raw"] == row.right.raw
+    return last if known else None

@@ -16,11 +16,11 @@ OPERATING_VALUES = frozenset({20, 37})
 
 _DECIMALS, _MODE = 3, 8
 _MEANINGS: dict[int, str] = {
-    1: "full scale is {new} rpm instead of {old} rpm",
+    1: "full scale is {new} instead of {old}",
     2: "shows {new} at full scale instead of {old}",
     3: "shows {new} decimals instead of {old}",
     4: "base ratio {new} instead of {old}",
-    5: "counts {new} encoder pulses a revolution instead of {old}",
+    5: "its encoder gives {new} instead of {old}",
     6: "accelerates in {new} instead of {old}",
     7: "decelerates in {new} instead of {old}",
     8: "runs as {new} instead of {old}",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from datetime import UTC, datetime
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
@@ -17,6 +17,10 @@ from bus.errors import CallerError
 
 DOCUMENT_FORMAT = "lineside parameter set"
 DOCUMENT_VERSION = 1
+LONGEST_DOCUMENT = 2_000_000
+"""Characters of a file; all 255 units of a bus take half of it."""
+_KEYS = frozenset(str(number) for number in PARAMETERS)
+"""As they are written: 06 beside 6 would be one parameter twice."""
 
 
 class DocumentError(CallerError):
@@ -40,7 +44,7 @@ class _Unit(Strict):
 
 class _Document(Strict):
     format: Literal["lineside parameter set"]
-    version: int
+    version: Annotated[int, Field(ge=1)]
     bus: str = ""
     name: str = ""
     comment: str = ""
@@ -98,7 +102,7 @@ def read_document(text: str, source: str = "the file") -> ParameterSet:
         raise DocumentError(f"{source}: a unit is given twice; keep one [[unit]] for each address")
     return ParameterSet(
         bus=document.bus,
-        taken_at=document.taken_at.timestamp(),
+        taken_at=_seconds(document.taken_at, source),
         who=document.by,
         origin="from a file",
         units=units,
@@ -108,10 +112,7 @@ def read_document(text: str, source: str = "the file") -> ParameterSet:
 
 
 def _parse(text: str, source: str) -> _Document:
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise DocumentError(f"{source}: not readable as TOML, perhaps cut off: {error}") from error
+    content = _content(text, source)
     if content.get("format") != DOCUMENT_FORMAT:
         raise DocumentError(f"{source}: not a parameter set: it lacks format = {_quoted(DOCUMENT_FORMAT)}")
     version = content.get("version")
@@ -125,11 +126,31 @@ def _parse(text: str, source: str) -> _Document:
         raise DocumentError(f"{source}: {where}: {first['msg']}") from error
 
 
+def _content(text: str, source: str) -> dict[str, Any]:
+    if len(text) > LONGEST_DOCUMENT:
+        raise DocumentError(f"{source} is too long for a parameter set")
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        if "end of document" in str(error):
+            raise DocumentError(f"{source}: not readable as TOML, perhaps cut off: {error}") from error
+        why = "it is nested too deeply" if isinstance(error, RecursionError) else error
+        raise DocumentError(f"{source}: not readable as TOML: {why}") from error
+
+
+def _seconds(moment: datetime, source: str) -> float:
+    """Seconds since the epoch. Raises DocumentError for a year that this machine cannot count."""
+    try:
+        return moment.timestamp()
+    except (ValueError, OverflowError, OSError) as error:
+        raise DocumentError(f"{source}: {moment.isoformat()} is no time that a unit was read at") from error
+
+
 def _unit_rows(unit: _Unit, source: str) -> UnitRows:
-    read_at = None if unit.read_at is None else unit.read_at.timestamp()
+    read_at = None if unit.read_at is None else _seconds(unit.read_at, source)
     rows: dict[int, Row] = {}
     for key, given in unit.parameters.items():
-        if not (key.isascii() and key.isdecimal()) or int(key) not in PARAMETERS:
+        if key not in _KEYS:
             raise DocumentError(
                 f"{source}: unit {unit.id}: there is no parameter {key!r}; a DIGIMAX IV has 1 to 40"
             )

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from fastapi import UploadFile
+
 from app.errors import Problem
 from app.live.state import BusLive
-from app.sets.document import DocumentError, read_document
+from app.sets.document import LONGEST_DOCUMENT, DocumentError, read_document
 from app.sets.keeper import SetKeeper
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreDesk
@@ -40,6 +42,19 @@ def document_rows(text: str, source: str, unit: int, from_unit: int | None = Non
     if rows is None:
         raise Problem(422, "invalid", f"{source} does not hold unit {from_unit or unit}")
     return rows
+
+
+async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
+    """The rows of an uploaded TOML file. Raises Problem 422 in words."""
+    name = file.filename or "the file"
+    content = await file.read(LONGEST_DOCUMENT + 1)
+    if len(content) > LONGEST_DOCUMENT:
+        raise Problem(422, "invalid", f"{name} is too long for a parameter set")
+    try:
+        return document_rows(content.decode("utf-8-sig"), name, unit)
+    except UnicodeDecodeError as error:
+        why = f"{name} is no text in UTF-8: {error.reason} at byte {error.start}; save it as UTF-8"
+        raise Problem(422, "invalid", why) from error
 
 
 async def plan(

@@ -7,7 +7,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 Origin = Literal[
-    "by hand", "on schedule", "before the first write of the day", "from a file", "after a restore"
+    "by hand",
+    "on schedule",
+    "before the first write of the day",
+    "after the first write of the day",
+    "from a file",
 ]
 
 

@@ -4,50 +4,54 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Form, Request, Response, UploadFile
+from fastapi import APIRouter, Form, Request, Response, UploadFile
 
-from app.audit.api import Events
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
-from app.sets.api import Keeper, Restores
-from app.sets.changers import who_changed
+from app.sets.api import Keeper, Restores, Schedules
 from app.sets.compare import compare
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import document_rows, plan, restore_or_404, set_or_404, unit_rows_or_404
+from app.sets.lookup import plan, restore_or_404, set_or_404, unit_rows_or_404, uploaded_rows
 from app.sets.model import UnitRows
 from app.sets.sides import choices, side
 from app.sets.taking import Taking, Takings
 from app.sets.view import compared_json, restore_json, set_json
 from app.web.access import Engineer, Viewer
+from app.web.services import service
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
 
 router = APIRouter(include_in_schema=False)
 
-_LONGEST_DOCUMENT = 2_000_000
 
+Readings = Annotated[Takings, service("takings")]
 
-def takings_of(request: Request) -> Takings:
-    """The app's one desk of readings."""
-    takings: Takings = request.app.state.services.takings
-    return takings
-
-
-Readings = Annotated[Takings, Depends(takings_of)]
+MOST_LISTED = 100
+"""Sets on one page of the list; each day of a line with a schedule adds some."""
 
 
 @router.get("/sets")
 async def list_page(
-    request: Request, _: Viewer, keeper: Keeper, live: Live, bus: str = "", unit: int | None = None
+    request: Request,
+    _: Viewer,
+    keeper: Keeper,
+    schedules: Schedules,
+    live: Live,
+    bus: str = "",
+    unit: int | None = None,
+    before: int | None = None,
 ) -> Response:
-    """All sets, of one bus or unit where asked, and the form to take one."""
+    """The newest sets, or those before one, of one bus or unit where asked, and the form to take one."""
+    sets = await keeper.store.summaries(bus or None, unit, before=before, most=MOST_LISTED + 1)
     return render(
         request,
         "sets/page.html",
         buses=live.buses,
-        sets=await keeper.store.summaries(bus or None, unit),
+        sets=sets[:MOST_LISTED],
+        older=sets[MOST_LISTED - 1].id if len(sets) > MOST_LISTED else None,
         schedule=await keeper.store.schedule(),
+        owed={name: schedules.owed(name) for name in live.buses},
         bus=bus,
         unit=unit,
     )
@@ -82,7 +86,7 @@ async def taking_page(request: Request, _: Viewer, readings: Readings, taking_id
 @router.post("/sets/schedule")
 async def schedule(
     person: Engineer,
-    keeper: Keeper,
+    schedules: Schedules,
     live: Live,
     bus: Annotated[str, Form()],
     at: Annotated[str, Form(pattern=r"^([01]\d|2[0-3]):[0-5]\d$|^$")] = "",
@@ -90,7 +94,7 @@ async def schedule(
     """Read a bus daily at a time of the day, or no longer (empty)."""
     bus_or_404(live, bus)
     hour, _, minute = at.partition(":")
-    await keeper.set_schedule(person, bus, int(hour) * 60 + int(minute) if at else None)
+    await schedules.set(person, bus, int(hour) * 60 + int(minute) if at else None)
     return _go_to("/sets")
 
 
@@ -150,20 +154,18 @@ async def golden(person: Engineer, keeper: Keeper, set_id: int, unit: Annotated[
 
 @router.get("/units/{bus}/{unit}/drift")
 async def drift_fragment(
-    request: Request, _: Viewer, keeper: Keeper, events: Events, live: Live, bus: str, unit: int
+    request: Request, _: Viewer, keeper: Keeper, live: Live, bus: str, unit: int
 ) -> Response:
     """Where the unit departs from its golden set, and who changed it."""
     unit_or_404(live, bus, unit)
-    rows = keeper.drift(bus, unit)
-    changed = {row.number: await who_changed(events, bus, unit, row.number, row.right) for row in rows}
     return render(
         request,
         "sets/_drift.html",
         bus=bus,
         unit=unit,
-        golden=keeper.golden(bus, unit) is not None,
-        rows=rows,
-        changed=changed,
+        golden=keeper.drifts.golden(bus, unit) is not None,
+        departures=await keeper.drifts.traced(bus, unit),
+        unread=keeper.drifts.unread(bus, unit),
         PARAMETERS=PARAMETERS,
     )
 
@@ -211,7 +213,7 @@ async def restore_progress(request: Request, _: Engineer, restores: Restores, re
     restore = await restore_or_404(restores, restore_id)
     template = "sets/_restore.html" if request.headers.get("hx-request") else "sets/restoring.html"
     dangerous = {left.number for left in restore.left_out if PARAMETERS[left.number].dangerous}
-    return render(
+    response = render(
         request,
         template,
         restore=restore_json(restore),
@@ -221,6 +223,10 @@ async def restore_progress(request: Request, _: Engineer, restores: Restores, re
         swap=request.app.state.services.swaps.of(restore.bus, restore.unit),
         proven=_proof(restore.wanted, restore.proven),
     )
+    if restore.state != "running":
+        # The state has changed: so do the buttons, and the whole is drawn anew.
+        response.headers["HX-Retarget"] = response.headers["HX-Reselect"] = "#restore"
+    return response
 
 
 @router.post("/restores/{restore_id}/tick")
@@ -276,18 +282,11 @@ def _taking_or_404(readings: Takings, taking_id: str) -> Taking:
 
 async def _wanted(keeper: SetKeeper, unit: int, source: str, file: UploadFile | None) -> UnitRows:
     if file is not None and file.filename:
-        return await _uploaded(unit, file)
+        return await uploaded_rows(unit, file)
     number, _, of_unit = source.partition(":")
     if not number.isdecimal() or not of_unit.isdecimal():
         raise Problem(422, "invalid", "choose a stored set or a file")
     return unit_rows_or_404(await set_or_404(keeper, int(number)), int(of_unit))
-
-
-async def _uploaded(unit: int, file: UploadFile) -> UnitRows:
-    content = await file.read(_LONGEST_DOCUMENT + 1)
-    if len(content) > _LONGEST_DOCUMENT:
-        raise Problem(422, "invalid", f"{file.filename} is too long for a parameter set")
-    return document_rows(content.decode("utf-8", "replace"), file.filename or "the file", unit)
 
 
 def _proof(wanted: UnitRows, proven: UnitRows | None) -> list[dict[str, Any]]:

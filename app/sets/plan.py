@@ -85,6 +85,25 @@ def plan_restore(
     return RestorePlan(tuple(_in_order(writes)), tuple(left_out), equal)
 
 
+def remarks(wanted: UnitRows, present: UnitRows) -> list[str]:
+    """What a person ought to know of the set before any row of it: whose it is, and of what kind."""
+    found: list[str] = []
+    if wanted.unit != present.unit:
+        found.append(f"the set is of unit {wanted.unit}, this is unit {present.unit}: read every row")
+    kinds = [rows.raw(_MODE) for rows in (wanted, present)]
+    if None not in kinds and (kinds[0] == 0) != (kinds[1] == 0):
+        found.append(
+            "the set is of a master, this unit follows by ratio (#8): another type of section"
+            if kinds[0] == 0
+            else "the set is of a follower by ratio, this unit is a master (#8): another type of section"
+        )
+    for rows, text in ((wanted, "the unit of the set"), (present, "this unit")):
+        lacks = sum(not row.available for row in rows.rows.values())
+        if lacks:
+            found.append(f"{text} has {len(rows.rows) - lacks} of {len(PARAMETERS)} parameters only")
+    return found
+
+
 def _why_not(
     number: int, wanted: UnitRows, present: UnitRows, *, running: bool, ticked: frozenset[int]
 ) -> str:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from app.sets.compare import Compared, differences
 from app.sets.model import UnitRows
-from app.sets.plan import LeftOut, RestorePlan, Write
+from app.sets.plan import LeftOut, RestorePlan, Write, remarks
 from bus.contract import Outcome
 
 State = Literal["planned", "running", "proving", "equal", "different", "stopped"]
@@ -49,6 +49,11 @@ class Restore:
     def left_out(self) -> tuple[LeftOut, ...]:
         """Rows named beforehand as not written."""
         return self.plan.left_out
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is to be known of the set before it is written."""
+        return remarks(self.wanted, self.before)
 
     @property
     def done(self) -> int:

@@ -32,7 +32,7 @@ class Side:
 @dataclass(frozen=True, slots=True)
 class Choice:
     """A side that can be chosen: ``text`` as an address names it, ``unit`` and ``name`` of its section,
-    ``taken_at`` and ``title`` of a stored set (None: the live unit)."""
+    ``taken_at``, ``title`` and ``origin`` of a stored set (None: the live unit)."""
 
     text: str
     bus: str
@@ -41,6 +41,7 @@ class Choice:
     taken_at: float | None = None
     title: str = ""
     golden: bool = False
+    origin: str = ""
 
 
 def choices(live: LiveState, sets: Sequence[SetSummary]) -> list[Choice]:
@@ -56,7 +57,16 @@ def choices(live: LiveState, sets: Sequence[SetSummary]) -> list[Choice]:
 def _stored(live: LiveState, one: SetSummary, unit: int) -> Choice:
     known = live.buses[one.bus].units.get(unit) if one.bus in live.buses else None
     name = "" if known is None else known.settings.name
-    return Choice(f"set:{one.id}:{unit}", one.bus, unit, name, one.taken_at, one.name, unit in one.golden_for)
+    return Choice(
+        f"set:{one.id}:{unit}",
+        one.bus,
+        unit,
+        name,
+        one.taken_at,
+        one.name,
+        unit in one.golden_for,
+        one.origin,
+    )
 
 
 async def side(text: str, keeper: SetKeeper, live: LiveState) -> Side:
@@ -75,7 +85,7 @@ async def _rows(kind: str, of: str, unit: int, keeper: SetKeeper, live: LiveStat
         return unit_rows_or_404(await set_or_404(keeper, int(of)), unit)
     if kind == "live":
         return known_rows(unit_or_404(live, of, unit))
-    golden = keeper.golden(of, unit)
+    golden = keeper.drifts.golden(of, unit)
     if golden is None:
         raise Problem(404, "unknown_set", f"no set of unit {unit} on {of} is marked golden")
     return golden

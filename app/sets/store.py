@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from app.database import Database
-from app.sets.model import ParameterSet, Row, UnitRows
+from app.sets.model import Origin, ParameterSet, Row, UnitRows
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +40,11 @@ class SetStore:
         """A whole set, None when there is no such."""
         return await self._database.read(lambda connection: _load(connection, set_id))
 
-    async def summaries(self, bus: str | None = None, unit: int | None = None) -> list[SetSummary]:
-        """Newest first, of one bus or one unit where asked."""
-        return await self._database.read(lambda connection: _summaries(connection, bus, unit))
+    async def summaries(
+        self, bus: str | None = None, unit: int | None = None, *, before: int | None = None, most: int = -1
+    ) -> list[SetSummary]:
+        """Newest first, of one bus or one unit where asked; at most so many, of those stored before one."""
+        return await self._database.read(lambda connection: _summaries(connection, bus, unit, before, most))
 
     async def mark_golden(self, bus: str, unit: int, set_id: int, who: str, now: float) -> None:
         """From now on this set is what the unit ought to be. ``now``: seconds since the epoch."""
@@ -58,14 +60,16 @@ class SetStore:
         """The golden rows of every unit that has some, by bus and address."""
         return await self._database.read(_golden)
 
-    async def has_set_since(self, bus: str, unit: int, since: float) -> bool:
-        """Whether a set of this unit was stored at or after ``since`` (seconds since the epoch)."""
+    async def has_set_since(self, bus: str, unit: int, since: float, origin: Origin | None = None) -> bool:
+        """Whether a set of this unit, of this origin if given, was stored at or after ``since`` (seconds
+        since the epoch)."""
         return await self._database.read(
             lambda connection: (
                 connection.execute(
                     "SELECT 1 FROM parameter_set JOIN parameter_set_unit ON id = set_id"
-                    " WHERE bus = ? AND unit = ? AND taken_at >= ? LIMIT 1",
-                    (bus, unit, since),
+                    " WHERE bus = ?1 AND unit = ?2 AND taken_at >= ?3 AND origin = ifnull(?4, origin)"
+                    " LIMIT 1",
+                    (bus, unit, since, origin),
                 ).fetchone()
                 is not None
             )
@@ -147,15 +151,17 @@ def _rows(connection: sqlite3.Connection, set_id: int, unit: int) -> dict[int, R
     }
 
 
-def _summaries(connection: sqlite3.Connection, bus: str | None, unit: int | None) -> list[SetSummary]:
+def _summaries(
+    connection: sqlite3.Connection, bus: str | None, unit: int | None, before: int | None, most: int
+) -> list[SetSummary]:
     found = connection.execute(
         "SELECT id, bus, name, comment, taken_at, who, origin,"
         " (SELECT group_concat(unit) FROM parameter_set_unit WHERE set_id = id),"
         " (SELECT group_concat(unit) FROM golden_set WHERE set_id = id)"
         " FROM parameter_set WHERE (:bus IS NULL OR bus = :bus) AND (:unit IS NULL OR EXISTS"
         " (SELECT 1 FROM parameter_set_unit WHERE set_id = id AND unit = :unit))"
-        " ORDER BY taken_at DESC, id DESC",
-        {"bus": bus, "unit": unit},
+        " AND (:before IS NULL OR id < :before) ORDER BY id DESC LIMIT :most",
+        {"bus": bus, "unit": unit, "before": before, "most": most},
     )
     return [
         SetSummary(

@@ -65,21 +65,37 @@ class Takings:
         await self._background.close()
 
     async def _run(self, person: Person, taking: Taking) -> None:
-        at_once = asyncio.Semaphore(AT_ONCE)
-
-        async def read(unit: int) -> None:
-            async with at_once:
-                try:
-                    taking.read.append(await self._keeper.read(person, taking.bus, unit))
-                except Problem as problem:
-                    taking.silent[unit] = problem.detail
-
-        await asyncio.gather(*(read(unit) for unit in taking.units))
+        await read_together(self._keeper, person, taking.bus, taking.units, taking.read, taking.silent)
         if not taking.read:
             taking.state = "failed"
             return
-        taking.read.sort(key=lambda rows: taking.units.index(rows.unit))
         kept = await self._keeper.keep(
             person, taking.bus, taking.read, taking.name, taking.comment, "by hand"
         )
         taking.set_id, taking.state = kept.id, "kept"
+
+
+async def read_together(
+    keeper: SetKeeper,
+    person: Person,
+    bus: str,
+    units: Sequence[int],
+    read: list[UnitRows] | None = None,
+    silent: dict[int, str] | None = None,
+) -> tuple[list[UnitRows], dict[int, str]]:
+    """Read units whole, a few at once. Gives those that answered, and why the others did not; ``read`` and
+    ``silent`` are filled on the way where somebody watches."""
+    at_once = asyncio.Semaphore(AT_ONCE)
+    read = [] if read is None else read
+    silent = {} if silent is None else silent
+
+    async def read_one(unit: int) -> None:
+        async with at_once:
+            try:
+                read.append(await keeper.read(person, bus, unit))
+            except Problem as problem:
+                silent[unit] = problem.detail
+
+    await asyncio.gather(*(read_one(unit) for unit in units))
+    read.sort(key=lambda rows: units.index(rows.unit))
+    return read, silent

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from app.sets.compare import Compared, meaning, with_unit
+from app.sets.drift import Departure
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore_record import Restore, RowResult
 from app.sets.store import SetSummary
@@ -87,6 +88,7 @@ def restore_json(restore: Restore) -> dict[str, Any]:
         "cause": restore.cause,
         "done": restore.done,
         "equal": restore.plan.equal,
+        "remarks": restore.remarks,
         "rows": [_row_json(restore, row) for row in restore.rows],
         "left_out": [
             {
@@ -98,6 +100,17 @@ def restore_json(restore: Restore) -> dict[str, Any]:
             for left in restore.left_out
         ],
         "remaining": None if restore.remaining is None else [compared_json(row) for row in restore.remaining],
+    }
+
+
+def departure_json(departure: Departure) -> dict[str, Any]:
+    """A row of a comparison with the golden set, and whose change it is."""
+    change = departure.change
+    return {
+        **compared_json(departure.row),
+        "changed_by": None if change is None else change["who"],
+        "changed_at": None if change is None else iso(change["time"]),
+        "changed": "at the panel" if change is None else f"by {change['who']}",
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from app.commands.desk import Desk
 from app.live.state import LiveState
-from app.swap.desk import Swap
+from app.swap.record import Swap
 from app.swap.rules import FACTORY_ADDRESS, Kind, Sight
 from app.web.access import Person
 from bus.catalogue.status import status_bits

@@ -4,32 +4,28 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Form, Request, Response
+from fastapi import APIRouter, Form, Request, Response, UploadFile
 
-from app.commands.api import desk_of
 from app.commands.desk import Desk
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import unit_or_404
 from app.sets.api import Keeper, Restores
 from app.sets.lookup import plan, set_or_404, unit_rows_or_404
-from app.swap.desk import SwapDesk, latest, step_text
+from app.swap.desk import SwapDesk, step_text
 from app.swap.looking import look
-from app.swap.rules import FACTORY_ADDRESS, STEPS, Advice, advice, done_steps
-from app.web.access import Engineer
+from app.swap.record import Swap
+from app.swap.rules import FACTORY_ADDRESS, PROVEN, STEPS, Advice, advice, done_steps
+from app.swap.sources import offers, source_of
+from app.web.access import Engineer, Person
+from app.web.services import service
 from app.web.templating import render
 
 router = APIRouter(include_in_schema=False)
 
 
-def swaps_of(request: Request) -> SwapDesk:
-    """The app's one desk of swaps."""
-    swaps: SwapDesk = request.app.state.services.swaps
-    return swaps
-
-
-AskDesk = Annotated[Desk, Depends(desk_of)]
-Swaps = Annotated[SwapDesk, Depends(swaps_of)]
+AskDesk = Annotated[Desk, service("desk")]
+Swaps = Annotated[SwapDesk, service("swaps")]
 
 
 @router.get("/swap/{bus}/{unit}")
@@ -38,17 +34,9 @@ async def swap_page(
 ) -> Response:
     """What the spare shall become, then the path."""
     found = unit_or_404(live, bus, unit)
-    sets = await keeper.store.summaries(bus, unit)
-    golden = next((one.id for one in sets if unit in one.golden_for), None)
-    swap = swaps.of(bus, unit)
+    found_offers = offers(live, await keeper.store.summaries(), bus, unit)
     return render(
-        request,
-        "swap/page.html",
-        bus=bus,
-        unit=found,
-        sets=sets,
-        swap=swap,
-        chosen=golden or (sets[0].id if sets else None),
+        request, "swap/page.html", bus=bus, unit=found, offers=found_offers, swap=swaps.of(bus, unit)
     )
 
 
@@ -60,12 +48,13 @@ async def begin(
     swaps: Swaps,
     bus: str,
     unit: int,
-    source: Annotated[int, Form()],
+    source: Annotated[str, Form()] = "",
+    file: UploadFile | None = None,
 ) -> Response:
     """Begin it; nothing is sent to any unit but questions."""
     unit_or_404(live, bus, unit)
-    unit_rows_or_404(await set_or_404(keeper, source), unit)
-    await swaps.begin(person, bus, unit, source)
+    chosen = await source_of(person, keeper, live, bus, unit, source, file)
+    await swaps.begin(person, bus, unit, chosen)
     return _to_swap(bus, unit)
 
 
@@ -76,11 +65,7 @@ async def look_again(
     """Read the wire, and say where the swap stands and what to do."""
     unit_or_404(live, bus, unit)
     swap = swaps.of_or_404(bus, unit)
-    try:
-        sight = await latest(swap, lambda: look(desk, live, person, swap))
-        now = Advice("find", "reading the wire", at_panel=False) if sight is None else advice(sight)
-    except Problem as problem:
-        now = Advice("find", problem.detail, at_panel=False)
+    now = PROVEN if swap.proven else await _advice(person, live, swaps, desk, swap)
     baud = live.buses[bus].baud
     return render(
         request,
@@ -96,12 +81,18 @@ async def look_again(
     )
 
 
+async def _advice(person: Person, live: Live, swaps: SwapDesk, desk: Desk, swap: Swap) -> Advice:
+    try:
+        sight = await swaps.look(swap, lambda: look(desk, live, person, swap))
+    except Problem as problem:
+        return Advice("find", problem.detail, at_panel=False)
+    return Advice("find", "reading the wire", at_panel=False) if sight is None else advice(sight)
+
+
 @router.post("/swap/{bus}/{unit}/spare")
 async def it_is_the_spare(_: Engineer, swaps: Swaps, bus: str, unit: int) -> Response:
     """What answers at the section's address is the spare: a person has looked."""
-    swap = swaps.of_or_404(bus, unit)
-    swap.is_new = True
-    swap.seen.append("a person said that it is the spare")
+    await swaps.said_new(swaps.of_or_404(bus, unit))
     return _to_swap(bus, unit)
 
 
@@ -112,9 +103,24 @@ async def begin_restore(
     """Plan the restore of the spare; the review of it comes next."""
     unit_or_404(live, bus, unit)
     swap = swaps.of_or_404(bus, unit)
-    rows = unit_rows_or_404(await set_or_404(keeper, swap.source), unit)
-    swap.restore = await plan(restores, person, live.buses[bus], unit, rows)
-    return Response(status_code=303, headers={"Location": f"/restores/{swap.restore.id}"})
+    if swap.source is None:
+        raise Problem(409, "no_set", "this swap has no set to restore from; enter the sheet, or leave it")
+    rows = unit_rows_or_404(await set_or_404(keeper, swap.source.set), swap.source.unit)
+    restore = await plan(restores, person, live.buses[bus], unit, rows)
+    await swaps.restoring(swap, restore)
+    return Response(status_code=303, headers={"Location": f"/restores/{restore.id}"})
+
+
+@router.post("/swap/{bus}/{unit}/entered")
+async def entered(
+    person: Engineer, keeper: Keeper, live: Live, swaps: Swaps, bus: str, unit: int
+) -> Response:
+    """All is entered from the sheet: read the unit whole and keep it as a set."""
+    unit_or_404(live, bus, unit)
+    swap = swaps.of_or_404(bus, unit)
+    kept = await keeper.take(person, bus, [unit], "entered from the sheet", "")
+    await swaps.entered(person, swap, kept)
+    return Response(status_code=303, headers={"Location": f"/sets/{kept.id}"})
 
 
 @router.post("/swap/{bus}/{unit}/give-up")

@@ -50,6 +50,9 @@ class Advice:
     asks: bool = False
 
 
+PROVEN = Advice("proven", "The new unit is what the old one was, proven by a full read.", at_panel=False)
+
+
 def advice(sight: Sight) -> Advice:
     """What to do now."""
     if sight.at_target in ("garbled", "foreign"):
@@ -70,7 +73,7 @@ def advice(sight: Sight) -> Advice:
         return Advice("remote", text, at_panel=True)
     if sight.equal is not True:
         return Advice("restore", "The unit answers in REMOTE. Restore its parameters now.", at_panel=False)
-    return Advice("proven", "The new unit is what the old one was, proven by a full read.", at_panel=False)
+    return PROVEN
 
 
 def _at_target_wrong(sight: Sight) -> Advice:

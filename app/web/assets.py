@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import mimetypes
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -85,6 +86,14 @@ class Assets:
             media_type = mimetypes.guess_type(name)[0] or "application/octet-stream"
             self._loaded[name] = Asset(self._files[name].read_bytes(), media_type)
         return self._loaded[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Every name."""
+        return iter(self._files)
+
+    def pack(self, name: str) -> None:
+        """What the first request of a file would wait for. Raises Problem 404."""
+        _ = self.get(name).packed
 
     def response(self, request: Request, name: str, *, forever: bool) -> Response:
         """The file, gzipped for a browser that takes it. ``forever``: its address names its version."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime, tzinfo
 from decimal import Decimal
 from zoneinfo import ZoneInfo
@@ -12,6 +13,7 @@ from babel.numbers import get_decimal_symbol
 
 UNKNOWN = "\N{EN DASH}"
 """What stands where a value was never read."""
+_NUMBER = re.compile(r"(?<![\w.,:/-])-?(?:\d+|\d{1,3}(?:,\d{3})+)\.\d+(?![\w:/-]|[.,]\d)")
 
 
 def zone(name: str) -> tzinfo:
@@ -32,6 +34,16 @@ class Formats:
     def point(self, text: str) -> str:
         """A number written with a point, with this locale's sign instead."""
         return text.replace(".", self.decimal_sign)
+
+    def sentence(self, text: str) -> str:
+        """A finished sentence, such as an event's, with the numbers in it in this locale's writing. What only
+        looks like one (an address, a version, a time) stays."""
+        return _NUMBER.sub(lambda found: self.point(found[0].replace(",", "")), text)
+
+    def typed_number(self, text: str) -> str:
+        """What somebody typed, with a point where it is a number in this locale's writing."""
+        number = re.fullmatch(rf"\s*(-?\d+){re.escape(self.decimal_sign)}(\d+)\s*", text)
+        return f"{number[1]}.{number[2]}" if number else text
 
     def fixed(self, raw: int | None, decimals: int | None) -> str:
         """An integer of display units with implied decimals: (12345, 1) → ``1234.5``; no grouping."""

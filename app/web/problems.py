@@ -104,6 +104,8 @@ async def _on_http(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     if error.status_code in (204, 304):
         return Response(status_code=error.status_code)
+    if isinstance(error.__cause__, Problem):
+        return respond(request, error.__cause__)
     if error.status_code == 400:
         return respond(request, Problem(422, "invalid", "the body cannot be read; nothing was sent"))
     detail = str(error.detail)

@@ -10,12 +10,12 @@ from __future__ import annotations
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import HTTPConnection
+from starlette.requests import HTTPConnection, Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from app.errors import Problem
-from app.web.problems import problem_json, refuse_socket
+from app.web.problems import problem_json, refuse_socket, respond
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 CONTENT_POLICY = (
@@ -71,7 +71,7 @@ async def refuse(scope: Scope, receive: Receive, send: Send, problem: Problem) -
 
 
 class SecurityHeaders:
-    """Adds the headers above to every answer."""
+    """Adds the headers above to every answer. What does not say how long it holds is kept by nobody."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -86,6 +86,7 @@ class SecurityHeaders:
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     headers.setdefault(name, value)
+                headers.setdefault("Cache-Control", "no-store")
             await send(message)
 
         await self._app(scope, receive, with_headers)
@@ -123,7 +124,7 @@ class BoundedRequest:
             return
         said = Headers(scope=scope).get("content-length", "0")
         if said.isdecimal() and int(said) > MOST_BODY_BYTES:
-            await refuse(scope, receive, send, _too_large())
+            await respond(Request(scope), _too_large())(scope, receive, send)
             return
         await self._app(scope, _counting(receive), send)
 

@@ -71,9 +71,11 @@ class Shelf:
         self.database.close()
 
 
-def opened(folder: Path, keep: Keep | None = None) -> Writer:
+def opened(
+    folder: Path, keep: Keep | None = None, on_damage: Callable[[str], None] = lambda _words: None
+) -> Writer:
     """A writer with its thread."""
-    writer = Writer(folder / "history.db", keep or Keep(), lambda _step, _at: None)
+    writer = Writer(folder / "history.db", keep or Keep(), lambda _step, _at: None, on_damage)
     writer.start()
     return writer
 

@@ -177,6 +177,14 @@ class PlayedWorker:
                 await self.update(*await self.play(message))
 
 
+PEOPLE = {"anna": Role.OPERATOR, "ben": Role.OPERATOR, "vera": Role.VIEWER}
+
+
+async def role_of(name: str) -> Role | None:
+    """What the people of the stage may do."""
+    return PEOPLE.get(name)
+
+
 class Stage:
     """Everything between the browser and the worker. ``http`` asks as a role."""
 
@@ -189,7 +197,7 @@ class Stage:
         self.history = History()
         self.pipeline = Pipeline(self.live, self.history, self.events)
         self.workers = Workers([settings.name], self.pipeline, silent_ticks=silent_ticks)
-        self.guards = Safeguards(self.database, self.events, control_required=control)
+        self.guards = Safeguards(self.database, self.events, control_required=control, role_of=role_of)
         self.desk = Desk(self.live, self.workers.channels, self.events, self.database, self.guards)
         self.app = FastAPI()
         self.app.state.services = SimpleNamespace(

@@ -73,7 +73,7 @@ def test_a_bus_says_worker_or_port() -> None:
         (Tally(units=8, heard=8, at_zero=8), 0, "All 8 units at zero"),
         (Tally(units=8, heard=8, at_speed=5, ramping=3), 0, "3 of 8 ramping"),
         (Tally(units=8, heard=8, at_speed=5, at_zero=3), 0, "5 of 8 at speed, the others at zero"),
-        (Tally(units=8), 1, "No unit is heard"),
+        (Tally(units=8), 1, "No unit answers"),
         (Tally(units=8, heard=8, at_speed=7), 1, "1 needs a look"),
         (Tally(units=8, heard=8, at_speed=6), 2, "2 need a look"),
     ],

@@ -155,6 +155,9 @@ async def test_a_session_that_is_over(house: House, monkeypatch: pytest.MonkeyPa
     )
     posted = await client.post("/account/language", data={"language": "de"}, headers={"accept": "text/html"})
     assert (posted.status_code, posted.headers["location"]) == (303, "/login")
+    own_page = {"accept": "text/html", "referer": f"http://{HOST}/account"}
+    posted = await client.post("/account/language", data={"language": "de"}, headers=own_page)
+    assert posted.headers["location"] == "/login?next=/account"
 
 
 @pytest.mark.parametrize(

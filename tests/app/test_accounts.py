@@ -66,6 +66,18 @@ async def test_an_admin_remains(accounts: Accounts, ending: str) -> None:
     await changes[ending]()
 
 
+async def test_what_a_name_may_do(accounts: Accounts) -> None:
+    await accounts.add_user("ann", Role.OPERATOR, "password1", **BY)
+    await accounts.create_token("recipes", Role.ENGINEER, **BY)
+    assert [await accounts.role_of(name) for name in ("ann", "recipes", "nobody")] == [
+        Role.OPERATOR,
+        Role.ENGINEER,
+        None,
+    ]
+    await accounts.set_disabled("ann", True, **BY)
+    assert await accounts.role_of("ann") is None
+
+
 async def test_every_change_is_an_event_with_its_author(accounts: Accounts) -> None:
     await accounts.add_user("ann", Role.VIEWER, "password1", **BY)
     await accounts.set_role("ann", Role.OPERATOR, **BY)

@@ -162,3 +162,15 @@ async def test_the_page_goes_on_to_older_ones(house: House) -> None:
 async def test_the_page_passes_over_what_it_cannot_read(house: House, query: str) -> None:
     client = await house.signed_in(Role.VIEWER)
     assert (await client.get(f"/events?{query}")).status_code == 200
+
+
+async def test_a_german_reads_and_searches_numbers_in_german_writing(house: House) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    said: dict[str, Any] = {"who": "ann", "origin": "page", "bus": "dry-end", "unit": 2, "what": "set speed"}
+    number = await house.services.events.intend(**said, old="48.0", new="1250.5")
+    await house.services.events.conclude(number, "unverified", "it reads 48.0")
+    for query in ("kind=command", "search=1250,5"):
+        page = (await viewer.get(f"/events?{query}", headers={"Accept-Language": "de"})).text
+        row = page.split(f'id="event-{number}"')[1].split("</tr>")[0]
+        assert ("48,0" in row, "1250,5" in row, "48.0" in row) == (True, True, False)
+    assert "48.0" in (await viewer.get("/events", headers={"Accept-Language": "en"})).text

@@ -1,11 +1,10 @@
 from __future__ import annotations
 
+import asyncio
 import json
 from typing import Any
 
-import pytest
-
-from app.live.browser import FEW_PAGES, FLOOD, MOST_FRAMES, MOST_TOLD_S, WINDOW_S, Browser, Diff, Flow
+from app.live.browser import MOST_FRAMES, Browser, Diff
 
 
 def diff(n: int, **fields: str) -> Diff:
@@ -69,53 +68,61 @@ async def test_frames_are_bounded() -> None:
     assert message["frames"][0] == {"hex": "50"}
 
 
-def flow() -> tuple[Flow, list[float]]:
-    now = [100.0]
-    return Flow(lambda: now[0]), now
+class Socket:
+    """Takes frames as long as it is ``free``."""
+
+    def __init__(self) -> None:
+        self.free = True
+        self.taken: list[bytes] = []
+
+    def write(self, frame: bytes, /) -> bool:
+        if self.free:
+            self.taken.append(frame)
+        return self.free
 
 
-def test_what_one_wire_brings_is_never_held_up() -> None:
-    made, now = flow()
-    for _ in range(200):
-        now[0] += 1 / 38.4
-        made.came()
-        assert made.pause_s() == 0.0
+async def waiting(socket: Socket) -> tuple[Browser, asyncio.Task[list[str]]]:
+    """A browser with everything handed over, and whoever waits for what comes next."""
+    browser = Browser("anna", "operator", "en", socket)
+    task = asyncio.create_task(browser.next())
+    await asyncio.sleep(0)
+    return browser, task
 
 
-def test_a_flood_is_told_once_in_a_window_until_it_is_over() -> None:
-    made, now = flow()
-    made.came(FLOOD + 1)
-    assert made.pause_s() == 0.0, "a burst is told at once"
-    made.told()
-    assert made.pause_s() == WINDOW_S, "and what follows it later"
-    now[0] += WINDOW_S
-    made.came()
-    made.told()
-    assert made.pause_s() == WINDOW_S, "the next window begins flooded"
-    now[0] += WINDOW_S
-    made.came()
-    made.told()
-    assert made.pause_s() == 0.0, "that window was quiet"
+async def test_a_free_socket_is_told_in_the_same_turn() -> None:
+    socket = Socket()
+    browser, task = await waiting(socket)
+    one = diff(1, actual="1")
+    browser.tell(one)
+    assert socket.taken == [one.frame]
+    assert not task.done()
+    task.cancel()
 
 
-def test_very_many_pages_share_what_the_server_can_send() -> None:
-    made, now = flow()
-    browser = Browser("anna", "operator", "en", _flow=made)
-    browser.share(200)
-    made.came()
-    assert made.pause_s() == 0.0, "the first is told at once"
-    made.told()
-    made.came()
-    assert made.pause_s() == pytest.approx(200 / MOST_TOLD_S)
-    now[0] += 1.01 * 200 / MOST_TOLD_S
-    assert made.pause_s() == 0.0
+async def test_what_a_busy_socket_missed_goes_before_anything_new() -> None:
+    socket = Socket()
+    browser, task = await waiting(socket)
+    socket.free = False
+    browser.tell(diff(1, actual="1"))
+    socket.free = True
+    browser.tell(diff(2, actual="2"))
+    (first,) = await task
+    assert (json.loads(first)["p"], json.loads(first)["n"]) == (0, 2)
+    browser.tell(diff(3, actual="3"))
+    assert socket.taken == [], "the first may not have left yet"
+    task = asyncio.create_task(browser.next())
+    assert json.loads((await task)[0])["n"] == 3
+    task = asyncio.create_task(browser.next())
+    await asyncio.sleep(0)
+    browser.tell(diff(4, actual="4"))
+    assert socket.taken == [diff(4, actual="4").frame]
+    task.cancel()
 
 
-def test_a_few_pages_are_told_of_every_answer() -> None:
-    made, _now = flow()
-    browser = Browser("anna", "operator", "en", _flow=made)
-    browser.share(200)
-    browser.share(FEW_PAGES)
-    made.told()
-    made.came()
-    assert made.pause_s() == 0.0
+async def test_a_snapshot_is_never_overtaken() -> None:
+    socket = Socket()
+    browser, task = await waiting(socket)
+    browser.say({"is": "snapshot", "n": 0})
+    browser.tell(diff(1, actual="1"))
+    assert socket.taken == []
+    assert [json.loads(text)["is"] for text in await task] == ["snapshot", "diff"]

@@ -6,7 +6,8 @@ import asyncio
 
 import pytest
 
-from app.feed.channel import Channel
+from app.feed import channel as channels
+from app.feed.channel import SILENT_LOOKS, Channel
 from bus.contract import AppMessage, Command, Progress, Result, SetSpeed
 
 COMMAND = Command(id="a", deadline=0.0, action=SetSpeed(unit=1, raw=5))
@@ -41,6 +42,33 @@ async def test_a_worker_that_never_says_leaves_it_unverified() -> None:
     result = await channel.ask(COMMAND)
     assert (result.id, result.outcome) == ("a", "unverified")
     assert connection.sent == [COMMAND]
+
+
+@pytest.fixture
+def quick_looks(monkeypatch: pytest.MonkeyPatch) -> float:
+    """Seconds from look to look."""
+    monkeypatch.setattr(channels, "LOOK_S", 0.01)
+    return 0.01
+
+
+@pytest.mark.usefixtures("quick_looks")
+async def test_a_silent_worker_is_not_waited_for_past_the_deadline() -> None:
+    channel = Channel("bus")
+    await channel.opened(Connection(), "w")
+    result = await channel.ask(COMMAND)
+    assert result.outcome == "unverified"
+    assert "does not answer" in result.message
+
+
+async def test_a_worker_that_speaks_of_other_things_is_waited_for(quick_looks: float) -> None:
+    channel = Channel("bus")
+    await channel.opened(Connection(), "w")
+    asked = asyncio.create_task(channel.ask(COMMAND))
+    for _ in range(3 * SILENT_LOOKS):
+        channel.spoken()
+        assert not (await asyncio.wait({asked}, timeout=quick_looks))[0]
+    channel.heard(verified())
+    assert (await asked).outcome == "verified"
 
 
 async def test_a_worker_that_does_not_come_back_leaves_it_unverified() -> None:

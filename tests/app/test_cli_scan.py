@@ -16,8 +16,8 @@ from typer.testing import CliRunner, Result
 from app.cli import scan
 from app.cli.scan import announcement, bauds_to_try
 from bus.errors import WireError
-from bus.line import scanner
-from bus.line.scan import Found
+from bus.line.found import Found
+from bus.line.scan_port import ScanPort
 from bus.settings import Dialect
 from bus.simulator.faults import Faults, Kind
 from bus.simulator.line import SimulatedLine
@@ -139,13 +139,13 @@ def test_nothing_there() -> None:
 
 
 def test_nobody_is_called_absent_after_one_question(monkeypatch: pytest.MonkeyPatch) -> None:
-    examine, asked = scanner._Line.examine, list[int]()
+    examine, asked = ScanPort.examine, list[int]()
 
     async def deaf_at_first(line: Any, address: int) -> Found | None:
         asked.append(address)
         return await examine(line, address) if asked.count(address) > 1 else None
 
-    monkeypatch.setattr(scanner._Line, "examine", deaf_at_first)
+    monkeypatch.setattr(ScanPort, "examine", deaf_at_first)
     with line(unit(3), unit(2)) as port:
         answer = scanned(port, "--baud", "9600")
     assert [one["id"] for one in answer["units"]] == [2, 3]
@@ -159,14 +159,14 @@ def test_nobody_is_called_absent_after_one_question(monkeypatch: pytest.MonkeyPa
 def test_what_was_found_before_the_end_is_told(
     monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int, words: str
 ) -> None:
-    examine = scanner._Line.examine
+    examine = ScanPort.examine
 
     async def ended(line: Any, address: int) -> Found | None:
         if address == 4:
             raise error
         return await examine(line, address)
 
-    monkeypatch.setattr(scanner._Line, "examine", ended)
+    monkeypatch.setattr(ScanPort, "examine", ended)
     with line(unit(2), unit(5)) as port:
         result = run(port, "--json", "--baud", "9600", "--last", "6", "--turnaround-ms", PATIENCE_MS)
     assert result.exit_code == code

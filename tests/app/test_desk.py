@@ -13,7 +13,7 @@ from app.audit.store import Filter
 from app.commands.wish import DEFAULT_TIMEOUT_S, time_for
 from app.errors import Problem, StoreError
 from app.web.access import Person, Role
-from bus.contract import Cancel, Command, Progress, SetLine, SetSpeed, Update, WriteParameter
+from bus.contract import Cancel, Command, Progress, ReadParameters, SetLine, SetSpeed, Update, WriteParameter
 from tests.app.stage import PlayedWorker, Stage, bus_settings, fate, staged
 
 ANNA = Person("anna", Role.OPERATOR, "token")
@@ -111,23 +111,23 @@ async def test_checking_alone_sends_and_writes_nothing(stage: Stage, worker: Pla
     assert await commands(stage) == []
 
 
-async def test_what_is_wanted_before_a_parameter_write_comes_first(
-    stage: Stage, worker: PlayedWorker
-) -> None:
+async def test_what_is_wanted_before_a_write_comes_first(stage: Stage, worker: PlayedWorker) -> None:
     order: list[str] = []
 
-    async def keep(person: Person, bus: str, unit: int) -> None:
-        order.append(f"kept {person.name} {bus} {unit}")
+    async def keep(person: Person, bus: str, units: Sequence[int], *, parameters: bool) -> None:
+        order.append(f"kept {person.name} {bus} {[*units]}{' for parameters' if parameters else ''}")
 
     async def play(command: Command) -> Sequence[Update]:
         order.append("sent")
         return [fate(command, "verified")]
 
     worker.play = play
-    stage.desk.before_parameter_write = keep
+    stage.desk.before_write = keep
     await stage.desk.ask(ANNA, "dry-end", WriteParameter(unit=1, number=6, raw=50))
     await stage.desk.ask(ANNA, "dry-end", WISH)
-    assert order == ["kept anna dry-end 1", "sent", "sent"]
+    await stage.desk.ask(ANNA, "dry-end", ReadParameters(unit=1, numbers=[6]))
+    kept = "kept anna dry-end [1]"
+    assert order == [f"{kept} for parameters", "sent", kept, "sent", "sent"]
 
 
 def test_a_change_of_several_is_given_the_time_of_its_staging() -> None:

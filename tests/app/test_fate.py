@@ -4,7 +4,7 @@ import pytest
 
 from app.commands.fate import fate_of, fate_of_problem
 from app.errors import Problem
-from bus.contract import Result
+from bus.contract import Result, UnitOutcome
 from tests.app.screens import voice
 
 
@@ -29,6 +29,13 @@ from tests.app.screens import voice
 def test_every_outcome_has_its_words(result: Result, tone: str, text: str) -> None:
     fate = fate_of(result, str, voice())
     assert (fate.tone, fate.text) == (tone, text)
+
+
+def test_a_part_of_a_change_that_was_taken_back_says_so_in_the_reader_s_language() -> None:
+    taken_back = "staged and put back to its present speed (1200); not executed"
+    part = UnitOutcome(unit=3, outcome="not_sent", message=taken_back)
+    assert fate_of(part, str, voice()).text == taken_back
+    assert "zurückgenommen; nicht ausgeführt" in fate_of(part, str, voice("de")).text
 
 
 def test_a_refusal_before_sending_is_said_in_the_reader_s_language() -> None:

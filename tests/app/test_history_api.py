@@ -24,7 +24,9 @@ from app.history.api import router
 from app.history.service import History
 from app.settings import Server, Settings, Site
 from app.web.access import Person, Role
+from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
+from app.web.templating import Templates
 from bus.contract import UnitLink
 from tests.app.history_line import BUS, NOON, parameter, polls, until
 
@@ -58,7 +60,8 @@ async def client(history: History, tmp_path: Path) -> AsyncIterator[httpx.AsyncC
     await events.record(kind="mode", what="mode", bus="dry-end", unit=2, old="LOCAL", new="REMOTE")
     await events.record(kind="login", what="signed in", who="anna")
     app = FastAPI()
-    app.state.services = SimpleNamespace(history=history, events=events)
+    templates = Templates(templates_dir(), Assets(static_dir()), Site())
+    app.state.services = SimpleNamespace(history=history, events=events, templates=templates)
     app.include_router(router)
     app.add_middleware(AsViewer)
     install(app)
@@ -193,6 +196,7 @@ async def test_marks_are_what_happened_to_the_units_shown(client: httpx.AsyncCli
     params = {"from": at(0), "to": at(20), "unit": ["dry-end/1"]}
     found = (await client.get("/history/marks", params=params)).json()
     assert [(mark["kind"], mark["unit"], mark["t"]) for mark in found["marks"]] == [("mode", 1, NOON + 5)]
+    assert found["marks"][0]["shown"] == {"what": "mode", "old": "LOCAL", "new": "REMOTE"}
     assert found["more"] is False
     later = (await client.get("/history/marks", params={"from": at(10), "to": at(20)})).json()
     assert later["marks"] == []

@@ -104,6 +104,24 @@ async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None
     assert [(one.unit, one.recipe, one.now) for one in scene.book.departed("dry-end")] == [
         (2, "121.0", "120.0")
     ]
+    assert scene.book.loaded_words("dry-end") == ("Kraft 80", ["Nip"])
+
+
+async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_departed(scene: Scene) -> None:
+    answering(scene.live)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
+    await scene.book.load(ANNA, recipe, confirm=True, command_id="one")
+    live = a_bus()
+    again = RecipeBook(live, scene.desk, scene.book.store, scene.events)  # type: ignore[arg-type]
+    await again.load_marks()
+    assert again.loaded_words("dry-end") == ("Kraft 80", [])
+    answering(live, commanded=1200)
+    assert again.loaded_words("dry-end") == ("Kraft 80", ["Nip"])
+    del live.buses["dry-end"].units[2]
+    assert [(one.name, one.now) for one in again.departed("dry-end")] == [
+        ("unit 2", "not in the configuration")
+    ]
+    assert not again.try_out(ANNA, recipe).loadable
 
 
 async def test_the_dry_run_says_in_words_what_will_happen(scene: Scene) -> None:

@@ -180,6 +180,13 @@ async def test_control_is_handed_over_released_and_taken_by_an_admin(controlled:
     assert by_ben.status_code == 409
     await controlled.ask("POST", "/control/hand-over", {"to": "ben"}, role="operator", name="anna")
     assert await speed(controlled, 5, name="ben") == (200, "verified")
+    for nobody, word in (("nobody", "there is no user nobody"), ("vera", "vera is viewer")):
+        refused = await controlled.ask(
+            "POST", "/control/hand-over", {"to": nobody}, role="operator", name="ben"
+        )
+        assert (refused.status_code, refused.json()["code"]) == (422, "invalid")
+        assert word in refused.json()["detail"]
+    assert await speed(controlled, 5, name="ben") == (200, "verified")
     forced = await controlled.ask("POST", "/control/hand-over", {"to": "chef"}, role="admin", name="chef")
     assert forced.json()["holder"] == "chef"
     assert (await controlled.ask("DELETE", "/control", role="operator", name="ben")).status_code == 409

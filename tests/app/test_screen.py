@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from app.live.screen import watch_motions
+from app.live.motions import watch_motions
 from bus.contract import BusFigures, BusLink
 from tests.app.screens import line, reading, screen, voice
 

@@ -107,8 +107,18 @@ async def test_every_answer_forbids_the_browser_what_we_do_not_need(house: House
 
 async def test_no_page_is_kept_by_a_cache(house: House) -> None:
     client = await house.signed_in(Role.ADMIN)
-    for path in ("/events", "/users", "/account"):
+    for path in ("/events", "/users", "/account", "/api/v1/line", "/metrics"):
         assert (await client.get(path)).headers["cache-control"] == "no-store"
+
+
+async def test_head_of_whatever_can_be_read(house: House) -> None:
+    client = await house.signed_in(Role.VIEWER)
+    for path in ("/healthz", "/", "/api/v1/line", "/metrics"):
+        head, got = await client.head(path), await client.get(path)
+        assert (head.status_code, head.headers["content-type"]) == (200, got.headers["content-type"])
+    assert (await client.head("/api/v1/nothing")).status_code == 404
+    assert (await house.client().head("/api/v1/line")).status_code == 401
+    assert (await client.head("/logout")).status_code == 405
 
 
 @pytest.mark.parametrize("path", ["/", "/login", "/users", "/account", "/events", "/nowhere"])
@@ -123,7 +133,8 @@ async def test_no_page_has_inline_script_or_style(house: House, path: str) -> No
 
 async def test_nobody_fills_the_memory(house: House) -> None:
     client, much = house.client(), MOST_BODY_BYTES + 1
-    answer = await client.post("/login", content=b"x" * much)
+    program = {"accept": "application/json"}
+    answer = await client.post("/login", content=b"x" * much, headers=program)
     assert (answer.status_code, answer.json()["code"]) == (413, "too_large")
 
     async def pieces() -> AsyncIterator[bytes]:
@@ -131,8 +142,14 @@ async def test_nobody_fills_the_memory(house: House) -> None:
             yield b"x" * 1024
 
     form = {"content-type": "application/x-www-form-urlencoded"}
-    unsaid = await client.post("/login", content=pieces(), headers=form)
+    unsaid = await client.post("/login", content=pieces(), headers=form | program)
     assert unsaid.status_code in (413, 422)
+    asked = await house.program(Role.OPERATOR)
+    unsaid = await asked.post("/api/v1/buses/dry-end/units/1/speed", content=pieces())
+    assert (unsaid.status_code, unsaid.json()["code"]) == (413, "too_large")
+    page = await client.post("/login", content=b"x" * much, headers={"accept": "text/html"})
+    assert (page.status_code, "more than 4 MB were sent" in page.text) == (413, True)
+    assert page.headers["content-type"].startswith("text/html")
     long_name = await client.post("/login", content=b"name=" + b"x" * 500_000, headers=form)
     assert long_name.status_code == 401
     assert "x" * 100 not in long_name.text

@@ -76,6 +76,14 @@ GOOD = write_document(a_set({6: 50}))
         (GOOD.replace("[[unit]]", "[[drive]]").replace("[unit.", "[drive."), "unit"),
         (GOOD + GOOD[GOOD.index("[[unit]]") :], "given twice"),
         ('format = "something else"\n', "not a parameter set"),
+        (GOOD.replace("\n6 = ", "\n06 = "), "no parameter '06'"),
+        (GOOD.replace("version = 1", "version = 0"), "version"),
+        (GOOD + "6 = { raw = 51 }\n", "not readable as TOML: .*overwrite"),
+        (GOOD + "x = " + "[" * 100_000, "nested too deeply"),
+        (GOOD.replace("raw = 50", "raw = " + "9" * 5000), "not readable as TOML"),
+        (GOOD.replace("taken_at = ", "taken_at = 0001-01-01T00:00:00 # "), "no time"),
+        (GOOD + "#" * 2_000_000, "too long"),
+        (GOOD.replace("raw = 50", "raw = \0 50"), "not readable as TOML"),
     ],
 )
 def test_nonsense_is_refused_in_words(text: str, says: str) -> None:

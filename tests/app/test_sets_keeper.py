@@ -1,8 +1,7 @@
-"""Sets at rest: immutable, golden, by schedule, and what drifts."""
+"""Sets at rest: immutable, golden, and what drifts."""
 
 from __future__ import annotations
 
-import sqlite3
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -10,11 +9,12 @@ import pytest
 
 from app.database import Database
 from app.errors import Problem
-from app.sets.keeper import SetKeeper, due_between
+from app.sets.keeper import SetKeeper
 from app.sets.reading import ParameterReader
 from app.sets.store import SetStore
 from bus.contract import ParameterValue
 from tests.app.played_desk import ANNA, Noted, PlayedDesk, a_bus, factory
+from tests.app.screens import voice
 
 NOON = datetime(2026, 11, 20, 12, 0, tzinfo=UTC)
 
@@ -27,7 +27,10 @@ class Scene:
         self.database = Database(folder / "store.db")
         self.store = SetStore(self.database)
         reader = ParameterReader(self.live, self.desk)  # type: ignore[arg-type]
-        self.keeper = SetKeeper(self.live, reader, self.store, self.events, lambda: NOON)  # type: ignore[arg-type]
+        self.keeper = SetKeeper(self.live, reader, self.store, self.events)  # type: ignore[arg-type]
+
+    def line_says(self, unit: int) -> str:
+        return self.keeper.drifts.words("dry-end", unit, voice(), NOON.timestamp())
 
     def tells(self, unit: int, number: int, raw: int) -> None:
         self.live.apply("dry-end", [ParameterValue(unit=unit, number=number, at=1.0, raw=raw)])
@@ -49,6 +52,14 @@ async def test_a_set_keeps_every_value_with_its_evidence(scene: Scene) -> None:
     assert (summary.id, summary.units, summary.who, summary.origin) == (kept.id, (1, 2), "anna", "by hand")
 
 
+async def test_the_list_goes_on_before_the_oldest_that_was_shown(scene: Scene) -> None:
+    ids = [(await scene.keeper.take(ANNA, "dry-end", [1], "", "")).id for _ in range(3)]
+    newest = await scene.store.summaries(most=2)
+    assert [summary.id for summary in newest] == ids[:0:-1]
+    older = await scene.store.summaries(before=newest[-1].id, most=2)
+    assert [summary.id for summary in older] == ids[:1]
+
+
 async def test_nothing_is_kept_when_a_unit_does_not_answer(scene: Scene) -> None:
     scene.desk.silent_after = 0
     with pytest.raises(Problem):
@@ -65,48 +76,18 @@ async def test_a_stored_set_does_not_change(scene: Scene, change: str) -> None:
 
 async def test_drift_is_what_departs_from_the_golden_set(scene: Scene) -> None:
     kept = await scene.keeper.take(ANNA, "dry-end", [1], "", "")
-    assert scene.keeper.golden("dry-end", 1) is None
+    drifts = scene.keeper.drifts
+    assert drifts.golden("dry-end", 1) is None
     await scene.keeper.mark_golden(ANNA, kept.id, 1)
     scene.tells(1, 6, 0)
-    assert scene.keeper.drift("dry-end", 1) == []
+    assert drifts.of("dry-end", 1) == []
+    assert drifts.unread("dry-end", 1) == 39
     scene.tells(1, 6, 30)
     scene.tells(1, 20, 500)
-    assert [row.number for row in scene.keeper.drift("dry-end", 1)] == [6]
-    assert (scene.keeper.drifted("dry-end", 1), scene.keeper.drifted("dry-end", 2)) == (1, 0)
+    assert [one.row.number for one in drifts.of("dry-end", 1)] == [6]
+    assert drifts.of("dry-end", 2) == []
+    assert scene.line_says(1) == "#6 differs from golden"
     scene.tells(1, 6, 0)
-    assert scene.keeper.drifted("dry-end", 1) == 0
+    assert (drifts.of("dry-end", 1), scene.line_says(1)) == ([], "")
     with pytest.raises(Problem):
         await scene.keeper.mark_golden(ANNA, kept.id, 2)
-
-
-async def test_before_the_first_write_of_a_day_what_is_known_is_kept_once(scene: Scene) -> None:
-    await scene.keeper.keep_known(ANNA, "dry-end", 1)
-    assert await scene.store.summaries() == []
-    scene.tells(1, 6, 30)
-    await scene.keeper.keep_known(ANNA, "dry-end", 1)
-    await scene.keeper.keep_known(ANNA, "dry-end", 1)
-    (summary,) = await scene.store.summaries("dry-end", 1)
-    assert summary.origin == "before the first write of the day"
-    assert scene.desk.asked == []
-
-
-def test_a_daily_minute_is_due_once_also_over_midnight_and_for_two_buses() -> None:
-    schedule = {"wet-end": 60, "dry-end": 60, "late": 1439}
-
-    def at(day: int, hour: int, minute: int) -> datetime:
-        return datetime(2026, 11, day, hour, minute, tzinfo=UTC)
-
-    assert due_between(schedule, at(20, 0, 59), at(20, 1, 0)) == ["dry-end", "wet-end"]
-    assert due_between(schedule, at(20, 1, 0), at(20, 1, 1)) == []
-    assert due_between(schedule, at(20, 23, 58), at(21, 0, 1)) == ["late"]
-    assert due_between(schedule, at(20, 23, 58), at(21, 1, 0)) == ["late", "dry-end", "wet-end"]
-
-
-async def test_the_schedule_is_kept_and_ended(scene: Scene) -> None:
-    await scene.keeper.set_schedule(ANNA, "dry-end", 125)
-    assert await scene.store.schedule() == {"dry-end": 125}
-    assert "02:05" in scene.events.events[-1]["what"]
-    await scene.keeper.set_schedule(ANNA, "dry-end", None)
-    assert await scene.store.schedule() == {}
-    with pytest.raises(sqlite3.IntegrityError):
-        await scene.store.set_schedule("dry-end", 1440)

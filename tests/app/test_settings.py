@@ -79,6 +79,9 @@ def test_everything_may_be_left_out(tmp_path: Path) -> None:
         ('[site]\nlanguage = "xx"\n', ":2: site.language = 'xx': write one of de, en"),
         ('[site]\ntime_zone = "Mars"\n', ":2: site.time_zone = 'Mars': write a time zone like Europe/Berlin"),
         ("bus = 3\n", ":1: bus = 3: it must be a list"),
+        ('[bus]\nname = "a"\n', ":1: write [[bus]] instead of [bus], as there may be several"),
+        ('[server]\nhost = ""\n', ":2: server.host = '': it must have at least 1 character"),
+        (BUSES + "estop_healthy = true\n", ":7: bus.estop_healthy = True: write a whole number"),
     ],
 )
 def test_faults(tmp_path: Path, text: str, said: str) -> None:
@@ -86,6 +89,10 @@ def test_faults(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
         load(path)
     assert str(caught.value).startswith(f"{path}{said}")
+
+
+def test_a_mark_of_the_byte_order_is_no_fault(tmp_path: Path) -> None:
+    assert load(write(tmp_path, "\ufeff" + BUSES)).bus[0].name == "a"
 
 
 def test_two_names_of_one_device_are_one_port(tmp_path: Path) -> None:

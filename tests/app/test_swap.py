@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-from app.sets.model import UnitRows
+from app.database import Database
+from app.errors import Problem
+from app.live.state import LiveState
+from app.sets.model import ParameterSet, UnitRows
 from app.sets.plan import LeftOut, RestorePlan, Write
 from app.sets.restore_record import Restore, RowResult, State
-from app.swap.desk import SwapDesk, latest
+from app.sets.store import SetStore, SetSummary
+from app.swap.desk import SwapDesk, step_text
+from app.swap.record import Source, Swap
 from app.swap.rules import STEPS, Kind, Sight, advice, done_steps
+from app.swap.sources import offers
+from app.swap.store import SwapStore
+from bus.settings import BusSettings
 from tests.app.played_desk import ANNA, Noted
 
 
@@ -52,10 +62,35 @@ def test_another_baud_than_that_of_the_box_is_named() -> None:
     assert "Out of its box it speaks at 9600 baud" in advice(sight("silent", baud=4800)).text
 
 
-async def test_a_swap_ends_with_one_event_that_tells_all_of_it() -> None:
-    events = Noted()
-    desk = SwapDesk(events, lambda: 100.0)  # type: ignore[arg-type]
-    swap = await desk.begin(ANNA, "dry-end", 2, source=7)
+class Scene:
+    """A desk of swaps on a store that holds one set of unit 2."""
+
+    def __init__(self, folder: Path) -> None:
+        self.events = Noted()
+        self.database = Database(folder / "store.db")
+        self.store = SwapStore(self.database)
+        self.desk = self.another()
+
+    def another(self) -> SwapDesk:
+        """The desk of a server that was started again."""
+        return SwapDesk(self.events, self.store, lambda: 100.0)  # type: ignore[arg-type]
+
+    async def begin(self, unit: int = 2) -> Swap:
+        kept = await SetStore(self.database).save(
+            ParameterSet("dry-end", 1.0, "anna", "by hand", (UnitRows(2, "Nip", {}),))
+        )
+        return await self.desk.begin(ANNA, "dry-end", unit, Source(kept.id, 2))
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Iterator[Scene]:
+    made = Scene(tmp_path)
+    yield made
+    made.database.close()
+
+
+async def test_a_swap_ends_with_one_event_that_tells_all_of_it(scene: Scene) -> None:
+    swap, events = await scene.begin(), scene.events
     for seen in (
         sight("digimax"),
         sight("silent", "garbled"),
@@ -65,18 +100,18 @@ async def test_a_swap_ends_with_one_event_that_tells_all_of_it() -> None:
         swap.saw(seen)
     assert swap.is_new
     restore = a_restore(state="different")
-    await desk.ended(restore)
+    await scene.desk.ended(restore)
     assert swap.equal is False
     assert len(events.events) == 1
     restore.state = "equal"
-    await desk.ended(restore)
-    await desk.ended(restore)
+    await scene.desk.ended(restore)
+    await scene.desk.ended(restore)
     assert swap.proven
     [_, end] = events.events
     assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and proven", "verified", 2)
     for part in (
         "two units answer at 1",
-        "from set 7",
+        "from set 1:",
         "done: #6",
         "#17: at the keypad",
         "proven by a full read",
@@ -84,11 +119,71 @@ async def test_a_swap_ends_with_one_event_that_tells_all_of_it() -> None:
         assert part in end["message"]
 
 
-async def test_a_restore_from_before_the_swap_proves_nothing_about_it() -> None:
-    desk = SwapDesk(Noted(), lambda: 100.0)  # type: ignore[arg-type]
-    swap = await desk.begin(ANNA, "dry-end", 2, source=7)
-    await desk.ended(a_restore(state="equal", planned_at=99.0))
+async def test_a_restore_from_before_the_swap_proves_nothing_about_it(scene: Scene) -> None:
+    swap = await scene.begin()
+    await scene.desk.ended(a_restore(state="equal", planned_at=99.0))
     assert (swap.restore, swap.proven) == (None, False)
+
+
+async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
+    swap, restore = await scene.begin(), a_restore(state="different")
+    await scene.desk.look(swap, lambda: shown(sight("silent")))
+    await scene.desk.look(swap, lambda: shown(sight("digimax", remote=True)))
+    await scene.desk.ended(restore)
+
+    async def find(restore_id: str) -> Restore | None:
+        return restore if restore_id == restore.id else None
+
+    again = scene.another()
+    await again.load(find)
+    known = again.of_or_404("dry-end", 2)
+    assert (known.who, known.began_at, known.source) == ("anna", 100.0, Source(1, 2))
+    assert (known.is_new, known.seen, known.equal, known.proven) == (True, swap.seen, False, False)
+    with pytest.raises(Problem, match="anna has begun a swap of unit 2 already"):
+        await again.begin(ANNA, "dry-end", 2, None)
+    await again.give_up(ANNA, known)
+    later = scene.another()
+    await later.load(find)
+    assert later.of("dry-end", 2) is None
+
+
+async def test_without_a_set_the_sheet_is_entered_and_the_unit_kept(scene: Scene) -> None:
+    swap = await scene.desk.begin(ANNA, "dry-end", 2, None)
+    assert scene.events.events[-1]["what"] == "unit swap begun, from the sheet"
+    ready = advice(sight("digimax", remote=True))
+    assert "from the sheet" in step_text(ready, swap)
+    await scene.desk.entered(ANNA, swap, ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9))
+    assert swap.equal
+    assert "compare that with the sheet" in step_text(advice(sight("digimax", remote=True, equal=True)), swap)
+    assert "kept as set 9" in scene.events.events[-1]["message"]
+
+
+def test_a_unit_without_a_set_is_offered_those_of_its_group_first() -> None:
+    settings = BusSettings.model_validate(
+        {
+            "name": "dry-end",
+            "port": "/dev/null",
+            "unit": [
+                {"id": 1, "name": "Unwind", "group": "winder"},
+                {"id": 2, "name": "Nip", "group": "press"},
+                {"id": 3, "name": "Coater", "group": "press"},
+            ],
+        }
+    )
+    live = LiveState([settings], started_at=0.0)
+    sets = [
+        SetSummary(number, "dry-end", "", "", float(number), "anna", "by hand", units, golden)
+        for number, units, golden in ((4, (1, 2), ()), (3, (2,), ()), (2, (2,), (2,)))
+    ]
+    helps = offers(live, sets, "dry-end", 3)
+    assert (helps.own, helps.best) == ([], "")
+    assert [one.text for one in helps.sisters] == ["set:4:2", "set:2:2", "set:4:1"]
+    assert [one.text for one in helps.neighbours] == ["live:dry-end:2", "live:dry-end:1"]
+    assert offers(live, sets, "dry-end", 2).best == "set:2:2"
+
+
+async def shown(seen: Sight) -> Sight:
+    return seen
 
 
 def a_restore(state: State, planned_at: float = 101.0) -> Restore:
@@ -104,9 +199,11 @@ def test_all_steps_lie_behind_only_when_it_is_proven() -> None:
     assert list(done_steps("remote")) == ["find", "address"]
 
 
-async def test_a_page_that_asks_again_does_not_pile_up_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_page_that_asks_again_does_not_pile_up_looks(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("app.swap.desk.LOOK_WAIT_S", 0.01)
-    swap = await SwapDesk(Noted(), lambda: 100.0).begin(ANNA, "dry-end", 5, source=7)  # type: ignore[arg-type]
+    swap = await scene.begin(5)
     begun, seen = [], asyncio.Event()
 
     async def look() -> Sight:
@@ -114,8 +211,8 @@ async def test_a_page_that_asks_again_does_not_pile_up_looks(monkeypatch: pytest
         await seen.wait()
         return sight("silent")
 
-    assert [await latest(swap, look) for _ in range(3)] == [None] * 3
+    assert [await scene.desk.look(swap, look) for _ in range(3)] == [None] * 3
     assert len(begun) == 1
     seen.set()
-    assert (await latest(swap, look)) == sight("silent", equal=None)
+    assert (await scene.desk.look(swap, look)) == sight("silent", equal=None)
     assert swap.is_new

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from app.audit.log import ENDED_BEFORE
-from app.commands import asked
+from app.commands import idempotency
 from app.commands.desk import Desk
 from app.commands.wish import Wish
 from app.errors import Problem
@@ -92,25 +92,41 @@ async def test_what_was_refused_before_it_was_sent_may_be_asked_again(
     assert len(worker.commands) == 1
 
 
+async def test_an_id_is_its_givers_own(stage: Stage, worker: PlayedWorker) -> None:
+    async def play(command: Command) -> Sequence[Update]:
+        return [fate(command, "verified", read_back=5)]
+
+    worker.play = play
+    await stage.desk.ask(ANNA, "dry-end", WISH, id="1")
+    for desk in (stage.desk, restarted(stage)):
+        with pytest.raises(Problem, match="was used for another command"):
+            await desk.ask(Person("ben", Role.ENGINEER, "token"), "dry-end", WISH, id="1")
+    assert len(worker.commands) == 1
+
+
 async def test_ids_are_forgotten_in_the_end(stage: Stage) -> None:
     def wish(id: str) -> Wish:
         return Wish(id, ANNA, "dry-end", WISH, deadline=0.0, origin="api")
 
-    await stage.database.write(lambda connection: asked.begin(connection, wish("old"), 0.0))
-    await stage.database.write(lambda connection: asked.begin(connection, wish("new"), asked.KEPT_S + 1))
-    assert await stage.database.read(lambda connection: asked.find(connection, "old")) is None
-    assert await stage.database.read(lambda connection: asked.find(connection, "new")) is not None
+    await stage.database.write(lambda connection: idempotency.begin(connection, wish("old"), 0.0))
+    await stage.database.write(
+        lambda connection: idempotency.begin(connection, wish("new"), idempotency.KEPT_S + 1)
+    )
+    assert await stage.database.read(lambda connection: idempotency.find(connection, "old")) is None
+    assert await stage.database.read(lambda connection: idempotency.find(connection, "new")) is not None
 
 
 async def test_nothing_of_a_secret_is_stored(stage: Stage) -> None:
     def secret(raw: int) -> Action:
         return WriteParameter(unit=1, number=21, raw=raw)
 
-    assert asked.command_of("dry-end", secret(17)) == asked.command_of("dry-end", secret(42))
+    assert idempotency.command_of("anna", "dry-end", secret(17)) == idempotency.command_of(
+        "anna", "dry-end", secret(42)
+    )
     wish = Wish("mine", ANNA, "dry-end", secret(17), deadline=0.0, origin="api")
     result = Result("mine", 1.0, "verified", read_back=17)
-    await stage.database.write(lambda connection: asked.begin(connection, wish, 1.0))
-    await stage.database.write(lambda connection: asked.end(connection, wish, result))
-    found = await stage.database.read(lambda connection: asked.find(connection, "mine"))
+    await stage.database.write(lambda connection: idempotency.begin(connection, wish, 1.0))
+    await stage.database.write(lambda connection: idempotency.end(connection, wish, result))
+    found = await stage.database.read(lambda connection: idempotency.find(connection, "mine"))
     assert found is not None
     assert found.fate.read_back is None

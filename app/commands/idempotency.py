@@ -28,17 +28,20 @@ class Earlier:
     fate: Result
 
 
-def command_of(bus: str, action: Action) -> str:
-    """What is asked, so that two can be told apart; of a secret (#21) only that it is one."""
+def command_of(who: str, bus: str, action: Action) -> str:
+    """Who asks what, so that two can be told apart: an id is its giver's own.
+
+    Of a secret (#21) only that it is one.
+    """
     if isinstance(action, WriteParameter) and writes_secret(action):
         action = msgspec.structs.replace(action, raw=0)
-    return hashlib.sha256(bus.encode() + b"\0" + msgspec.json.encode(action)).hexdigest()
+    return hashlib.sha256(f"{who}\0{bus}\0".encode() + msgspec.json.encode(action)).hexdigest()
 
 
 def begin(connection: sqlite3.Connection, wish: Wish, now: float) -> None:
     """Its fate is open from here on; what is older than :data:`KEPT_S` is forgotten."""
     connection.execute("DELETE FROM asked WHERE asked_at < ?", (now - KEPT_S,))
-    row = (wish.id, now, command_of(wish.bus, wish.action))
+    row = (wish.id, now, command_of(wish.person.name, wish.bus, wish.action))
     connection.execute("INSERT INTO asked (id, asked_at, command) VALUES (?, ?, ?)", row)
 
 

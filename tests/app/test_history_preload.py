@@ -8,7 +8,7 @@ from urllib.parse import parse_qs
 import pytest
 from starlette.datastructures import QueryParams
 
-from app.history.first import first_address
+from app.history.preload import preload_address
 from app.history.runs import micros
 from app.history.service import History
 from app.settings import Server, Settings
@@ -25,7 +25,7 @@ def history(tmp_path: Path) -> History:
 
 
 def asked(history: History, query: str) -> dict[str, list[str]]:
-    path, _, found = first_address(history, QueryParams(query), micros(NOON)).partition("?")
+    path, _, found = preload_address(history, QueryParams(query), micros(NOON)).partition("?")
     assert path in ("", "/api/v1/history/series")
     return parse_qs(found)
 

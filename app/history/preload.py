@@ -1,10 +1,11 @@
-"""What the trends page will ask first, so that the answer is on its way before the page's scripts are there.
+"""The data that the trends page fetches first, asked for by the page itself while its scripts are on the way.
 
 The rules for an address are those of ``static/js/trends-view.js``; where they disagree, the page asks again.
 """
 
 from __future__ import annotations
 
+from itertools import islice
 from urllib.parse import urlencode
 
 from starlette.datastructures import QueryParams
@@ -20,7 +21,7 @@ DEFAULT_SPAN_S = 3600.0
 DEFAULT_VALUES = 8
 
 
-def first_address(history: History, asked: QueryParams, now: int) -> str:
+def preload_address(history: History, asked: QueryParams, now: int) -> str:
     """The series that a page with this query draws at ``now`` (µs); empty where none can be named."""
     try:
         span = _span(asked, now)
@@ -39,9 +40,15 @@ def _span(asked: QueryParams, now: int) -> Span:
     return Span(moment(asked["from"], "from") if "from" in asked else end - length, end)
 
 
+def usual_series(history: History) -> list[str]:
+    """What the page shows while its address names nothing."""
+    units = (f"{bus.name}/{unit.id}" for bus in history.buses.values() for unit in bus.unit)
+    return [f"{unit}/actual" for unit in islice(units, DEFAULT_VALUES)]
+
+
 def _names(history: History, asked: QueryParams) -> list[str]:
-    units = [f"{bus.name}/{unit.id}" for bus in history.buses.values() for unit in bus.unit]
     if "s" not in asked:
-        return [f"{unit}/actual" for unit in units[:DEFAULT_VALUES]]
+        return usual_series(history)
+    units = [f"{bus.name}/{unit.id}" for bus in history.buses.values() for unit in bus.unit]
     known = {f"{unit}/{value}" for unit in units for value in VALUES}
     return [name for name in asked.getlist("s") if name in known]

@@ -1,0 +1,10 @@
+-- Blocks that could not be read, out of the way of the rest and kept for whoever may still read something of
+-- them. A row with tier 'store' and unit 0 says that the whole store was written anew from what was readable.
+CREATE TABLE damaged (
+    tier TEXT NOT NULL,
+    unit INTEGER NOT NULL,
+    start INTEGER NOT NULL,
+    found INTEGER NOT NULL,
+    data BLOB,
+    PRIMARY KEY (tier, unit, start, found)
+) STRICT;

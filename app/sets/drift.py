@@ -1,0 +1,163 @@
+"""Where units depart from their golden sets, and who did that: one of us, or somebody at the panel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from app.audit.log import Event, EventLog
+from app.live.fields import Voice
+from app.live.state import LiveState
+from app.sets.background import Background
+from app.sets.changers import who_changed
+from app.sets.compare import Compared, drift
+from app.sets.model import UnitRows
+from app.sets.reading import known_rows
+from app.sets.store import SetStore
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import ParameterValue, Update
+
+Key = tuple[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Departure:
+    """One row that is not as in the golden set. ``change``: our command that made it so; None: none of us
+    did, so somebody at the panel. ``traced`` False: the events have not been asked yet."""
+
+    row: Compared
+    change: Event | None = None
+    traced: bool = False
+
+    @property
+    def _told(self) -> tuple[int, int | None]:
+        return self.row.number, None if self.row.right is None else self.row.right.raw
+
+    def same(self, other: Departure) -> bool:
+        """Whether both say the same of the unit, whoever changed it."""
+        return self._told == other._told
+
+
+class Drifts:
+    """One for the app. ``on_change`` is told of a unit whose departures are other than they were."""
+
+    def __init__(self, state: LiveState, store: SetStore, events: EventLog) -> None:
+        self._state = state
+        self._store = store
+        self._events = events
+        self._golden: dict[Key, UnitRows] = {}
+        self._found: dict[Key, dict[int, Departure]] = {}
+        self._background = Background()
+        self.on_change: Callable[[str, int], None] | None = None
+        state.subscribe(self._see)
+
+    async def load(self) -> None:
+        """Read which sets are golden; once at start, and after a mark has moved."""
+        self._golden = await self._store.golden()
+        self._found = {}
+        for bus, unit in self.marked():
+            self._look(bus, unit, PARAMETERS)
+
+    async def close(self) -> None:
+        """Ask the events no more."""
+        await self._background.close()
+
+    def marked(self) -> list[Key]:
+        """Bus and address of every configured unit that has a golden set."""
+        return [(bus, unit) for bus, unit in self._golden if self._is_known(bus, unit)]
+
+    def golden(self, bus: str, unit: int) -> UnitRows | None:
+        """What a unit ought to be, where somebody has said so."""
+        return self._golden.get((bus, unit))
+
+    def of(self, bus: str, unit: int) -> list[Departure]:
+        """Rows in which a unit, as last read, departs from its golden set."""
+        return list(self._found.get((bus, unit), {}).values())
+
+    async def traced(self, bus: str, unit: int) -> list[Departure]:
+        """The same, after the events have been asked of every one now."""
+        await self._trace(bus, unit, self.of(bus, unit))
+        return self.of(bus, unit)
+
+    def unread(self, bus: str, unit: int) -> int:
+        """How many parameters have not been read from the unit since the server started."""
+        return len(PARAMETERS) - len(self._state.buses[bus].units[unit].parameters)
+
+    def words(self, bus: str, unit: int, voice: Voice, now: float) -> str:
+        """The same as one sentence for the line; empty while it is what it ought to be."""
+        found = self._found.get((bus, unit))
+        return _sentence(list(found.values()), voice, now) if found else ""
+
+    def _is_known(self, bus: str, unit: int) -> bool:
+        return bus in self._state.buses and unit in self._state.buses[bus].units
+
+    def _see(self, bus: str, updates: Sequence[Update]) -> None:
+        """Parameters were read: look now, so that nobody has to compare forty rows at every reading."""
+        read: dict[int, set[int]] = {}
+        for update in updates:
+            if isinstance(update, ParameterValue) and (bus, update.unit) in self._golden:
+                read.setdefault(update.unit, set()).add(update.number)
+        for unit, numbers in read.items():
+            self._look(bus, unit, numbers)
+
+    def _look(self, bus: str, unit: int, numbers: Iterable[int]) -> None:
+        """Compare anew; ``numbers`` were read, so who changed them is asked again."""
+        before, asked = self._found.get((bus, unit), {}), frozenset(numbers)
+        rows = drift(self._golden[bus, unit], known_rows(self._state.buses[bus].units[unit]))
+        found = {row.number: _known_before(Departure(row), before) for row in rows}
+        self._found[bus, unit] = found
+        ask = [one for one in found.values() if not one.traced or one.row.number in asked]
+        if ask:
+            self._background.begin(self._trace(bus, unit, ask), f"who changed unit {unit} of {bus}")
+
+    async def _trace(self, bus: str, unit: int, departures: list[Departure]) -> None:
+        before = self.of(bus, unit)
+        for one in departures:
+            change = await who_changed(self._events, bus, unit, one.row)
+            present = self._found.get((bus, unit), {})
+            if one.row.number in present and one.same(present[one.row.number]):
+                present[one.row.number] = Departure(one.row, change, traced=True)
+        if self.on_change is not None and self.of(bus, unit) != before:
+            self.on_change(bus, unit)
+
+
+def _known_before(departure: Departure, before: dict[int, Departure]) -> Departure:
+    """What the events said of the very same value stays said until they have been asked again."""
+    earlier = before.get(departure.row.number)
+    if earlier is None or not departure.same(earlier):
+        return departure
+    return Departure(departure.row, earlier.change, earlier.traced)
+
+
+def _sentence(found: list[Departure], voice: Voice, now: float) -> str:
+    head = {"number": found[0].row.number, "n": len(found)}
+    text = "#{number} differs from golden" if len(found) == 1 else "{n} values differ from golden"
+    if not all(one.traced for one in found):
+        return voice.t(text, **head)
+    people = _latest_of_each(found)
+    at_panel = sum(one.change is None for one in found)
+    if not people:
+        return voice.t(f"{text}, at the panel", **head)
+    if len(people) == 1 and not at_panel:
+        ((change, _),) = people
+        return voice.t(f"{text}: by {{who}} {{when}}", **head, **_by(change, voice, now))
+    parts = [voice.t("{m} by {who} {when}", m=rows, **_by(change, voice, now)) for change, rows in people]
+    if at_panel:
+        parts.append(voice.t("{m} at the panel", m=at_panel))
+    return voice.t("{n} values differ from golden: {parts}", n=len(found), parts=", ".join(parts))
+
+
+def _latest_of_each(found: list[Departure]) -> list[tuple[Event, int]]:
+    """The last change of every person, newest first, and how many rows are theirs."""
+    by_person: dict[str, list[Event]] = {}
+    for one in found:
+        if one.change is not None:
+            by_person.setdefault(one.change["who"], []).append(one.change)
+    latest = [
+        (max(events, key=lambda event: float(event["time"])), len(events)) for events in by_person.values()
+    ]
+    return sorted(latest, key=lambda each: -float(each[0]["time"]))
+
+
+def _by(change: Event, voice: Voice, now: float) -> dict[str, str]:
+    return {"who": change["who"], "when": voice.formats.since(change["time"], now)}

@@ -1,0 +1,104 @@
+"""Before the first write to a unit on a day, what it was is kept, and no write waits for the wire because of
+it: what is kept is what the unit had said by then."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from datetime import date, datetime
+
+import structlog
+
+from app.errors import Problem, StoreError
+from app.live.state import LiveState
+from app.sets.background import Background
+from app.sets.keeper import SetKeeper
+from app.sets.model import UnitRows
+from app.sets.reading import known_rows
+from app.web.access import Person
+from bus.catalogue.parameters import PARAMETERS
+
+_log = structlog.get_logger(__name__)
+
+
+class FirstWrites:
+    """One for the app. ``clock`` gives the local time with its zone: a day begins at its midnight."""
+
+    def __init__(self, state: LiveState, keeper: SetKeeper, clock: Callable[[], datetime]) -> None:
+        self._state = state
+        self._keeper = keeper
+        self._clock = clock
+        self._kept: dict[tuple[str, int], date] = {}
+        self._background = Background()
+
+    async def settled(self) -> None:
+        """Until all is stored."""
+        await self._background.settled()
+
+    async def close(self) -> None:
+        """End what is still being kept."""
+        await self._background.close()
+
+    async def before(self, person: Person, bus: str, units: Sequence[int], *, parameters: bool) -> None:
+        """``units`` are about to be written to. A write of ``parameters`` waits until they are stored (a few
+        milliseconds of disk; raises StoreError); a setpoint or an output changes no parameter and waits for
+        nothing, and is kept only when all forty are known."""
+        today = self._clock().date()
+        due = [unit for unit in units if self._kept.get((bus, unit)) != today]
+        live = self._state.buses[bus].units
+        needed = 1 if parameters else len(PARAMETERS)
+        known = [known_rows(live[unit]) for unit in due if len(live[unit].parameters) >= needed]
+        if known and parameters:
+            await self._keep(person, bus, known)
+        elif known:
+            self._background.begin(self._keep_behind(person, bus, known), f"first write of the day, {bus}")
+
+    async def _keep_behind(self, person: Person, bus: str, known: list[UnitRows]) -> None:
+        try:
+            await self._keep(person, bus, known)
+        except StoreError as error:
+            _log.error("the set before the first write of the day was not stored", error=str(error))
+
+    async def _keep(self, person: Person, bus: str, known: list[UnitRows]) -> None:
+        now = self._clock()
+        midnight = now.replace(hour=0, minute=0, second=0, microsecond=0).timestamp()
+        fresh = [rows for rows in known if not await self._has_set(bus, rows.unit, midnight)]
+        if not fresh:
+            return
+        for rows in fresh:
+            self._kept[bus, rows.unit] = now.date()
+        try:
+            await self._keeper.keep(person, bus, fresh, "", _gaps(fresh), "before the first write of the day")
+        except StoreError:
+            for rows in fresh:
+                del self._kept[bus, rows.unit]
+            raise
+        for rows in fresh:
+            if len(rows.rows) < len(PARAMETERS):
+                self._background.begin(self._complete(person, bus, rows.unit), f"rest of unit {rows.unit}")
+
+    async def _has_set(self, bus: str, unit: int, midnight: float) -> bool:
+        """Whether a set of today is there; then nobody asks again today."""
+        today = self._clock().date()
+        if self._kept.get((bus, unit)) == today:
+            return True
+        if not await self._keeper.store.has_set_since(bus, unit, midnight):
+            return False
+        self._kept[bus, unit] = today
+        return True
+
+    async def _complete(self, person: Person, bus: str, unit: int) -> None:
+        """What was not known before the write follows in a set of its own, in the gaps of the scan."""
+        try:
+            await self._keeper.take(person, bus, [unit], "", "", "after the first write of the day")
+        except (Problem, StoreError) as error:
+            _log.info("the rest of a unit was not read", bus=bus, unit=unit, why=str(error))
+
+
+def _gaps(known: Sequence[UnitRows]) -> str:
+    """Which units had not told all, in words; empty where every one had."""
+    parts = [
+        f"unit {rows.unit}: {len(rows.rows)} of {len(PARAMETERS)} parameters were known"
+        for rows in known
+        if len(rows.rows) < len(PARAMETERS)
+    ]
+    return "; ".join(parts)

@@ -1,0 +1,66 @@
+"""One swap: who began it, what the spare shall become, what was seen since, the restore it led to."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+
+from app.sets.restore_record import Restore
+from app.swap.rules import Sight, seen_words
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The unit of a stored set that the spare shall become: mostly the section's own, or a sister's."""
+
+    set: int
+    unit: int
+
+    def words(self, unit: int) -> str:
+        """``set 7``, and of which unit where that is another than ``unit``."""
+        return f"set {self.set}" if self.unit == unit else f"set {self.set} of unit {self.unit}"
+
+
+@dataclass(slots=True)
+class Swap:
+    """``source`` None: nothing is stored, the spare is entered from the sheet. ``is_new``: what answers at
+    the section's address is the spare, for the address was silent since the beginning or a person said so.
+    ``seen``: what the wire showed, each once, in order."""
+
+    bus: str
+    unit: int
+    who: str
+    source: Source | None
+    began_at: float
+    is_new: bool = False
+    seen: list[str] = field(default_factory=list)
+    restore: Restore | None = None
+    proven: bool = False
+    sight: Sight | None = None
+    """What the last look showed."""
+    look: asyncio.Task[Sight] | None = None
+
+    def saw(self, sight: Sight) -> bool:
+        """The wire was looked at; whether it showed anything new."""
+        self.sight = sight
+        before = self.is_new, len(self.seen)
+        if sight.at_target == "silent":
+            self.is_new = True
+        words = seen_words(sight)
+        if not self.seen or self.seen[-1] != words:
+            self.seen.append(words)
+        return before != (self.is_new, len(self.seen))
+
+    @property
+    def equal(self) -> bool | None:
+        """Whether the spare is what was asked, as the full read after the last restore says."""
+        if self.proven:
+            return True
+        if self.restore is None or self.restore.state == "planned":
+            return None
+        return self.restore.state == "equal"
+
+    @property
+    def source_words(self) -> str:
+        """Where its parameters come from."""
+        return "the sheet" if self.source is None else self.source.words(self.unit)

@@ -1,0 +1,79 @@
+"""Swaps at rest, one for each section: a server that ends goes on with them where they were."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Awaitable, Callable
+
+from app.database import Database
+from app.sets.restore_record import Restore
+from app.swap.record import Source, Swap
+
+FindRestore = Callable[[str], Awaitable[Restore | None]]
+
+
+class SwapStore:
+    """All access to the table of swaps."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    async def save(self, swap: Swap) -> None:
+        """As it stands now, in the place of what was known of its section."""
+        row = _row(swap)
+        marks = ", ".join("?" * len(row))
+        await self._database.write(
+            lambda connection: connection.execute(f"INSERT OR REPLACE INTO swap VALUES ({marks})", row)
+        )
+
+    async def remove(self, swap: Swap) -> None:
+        """It is over."""
+        await self._database.write(
+            lambda connection: connection.execute(
+                "DELETE FROM swap WHERE bus = ? AND unit = ?", (swap.bus, swap.unit)
+            )
+        )
+
+    async def load(self, find_restore: FindRestore) -> list[Swap]:
+        """Every swap that was not left, with the restore that it led to."""
+        rows = await self._database.read(_select)
+        for swap, restore_id in rows:
+            swap.restore = await find_restore(restore_id) if restore_id else None
+        return [swap for swap, _ in rows]
+
+
+def _row(swap: Swap) -> tuple[object, ...]:
+    return (
+        swap.bus,
+        swap.unit,
+        swap.who,
+        swap.began_at,
+        swap.source.set if swap.source else None,
+        swap.source.unit if swap.source else None,
+        swap.is_new,
+        swap.proven,
+        swap.restore.id if swap.restore else None,
+        "\n".join(swap.seen),
+    )
+
+
+def _select(connection: sqlite3.Connection) -> list[tuple[Swap, str | None]]:
+    found = connection.execute(
+        "SELECT bus, unit, who, began_at, set_id, set_unit, is_new, proven, seen, restore_id FROM swap"
+    )
+    return [
+        (
+            Swap(
+                bus,
+                unit,
+                who,
+                None if set_id is None else Source(set_id, set_unit),
+                began_at,
+                is_new=bool(is_new),
+                proven=bool(proven),
+                seen=seen.split("\n") if seen else [],
+            ),
+            restore_id,
+        )
+        for bus, unit, who, began_at, set_id, set_unit, is_new, proven, seen, restore_id in found
+    ]

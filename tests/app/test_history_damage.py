@@ -1,0 +1,208 @@
+"""Damage on the disk: it is noticed while running, costs what it hit, and is said."""
+
+from __future__ import annotations
+
+import random
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from app.history import writer as writing
+from app.history.damage import Block
+from app.history.folding import compact
+from app.history.query import Question, answer
+from app.history.repair import Repair
+from app.history.runs import DAY, HOUR, MINUTE, micros
+from app.history.service import FILE, History
+from app.history.upkeep import Keep, Upkeep
+from app.history.values import VALUES
+from app.history.writer import Writer
+from app.settings import Server, Settings
+from tests.app.history_line import BUS, NOON, Shelf, opened, polls, until
+
+START = micros(NOON)
+NOISE = [chance.randrange(99_999) for chance in [random.Random(3)] for _ in range(9_000)]
+"""What cannot be packed small: many pages."""
+
+
+@pytest.fixture
+def shelf(tmp_path: Path) -> Iterator[Shelf]:
+    shelf = Shelf(tmp_path / FILE)
+    yield shelf
+    shelf.close()
+
+
+def spoil(path: Path, table: str, start: int) -> None:
+    """One byte of a block, as a failing disk leaves it."""
+    with closing(sqlite3.connect(path, timeout=30)) as connection, connection:
+        (blob,) = connection.execute(f"SELECT data FROM {table} WHERE start = ?", (start,)).fetchone()
+        spoiled = blob[:-3] + bytes([blob[-3] ^ 0xFF]) + blob[-2:]
+        assert (
+            connection.execute(f"UPDATE {table} SET data = ? WHERE start = ?", (spoiled, start)).rowcount == 1
+        )
+
+
+def test_a_damaged_block_costs_itself_and_the_rest_is_read(shelf: Shelf) -> None:
+    shelf.keep(polls(NOON, NOON + 180))
+    shelf.fold()
+    spoil(shelf.database.path, "raw", START + MINUTE)
+    found = shelf.ask("actual", NOON, NOON + 180)
+    assert [block.start for block in found.damaged] == [START + MINUTE]
+    assert found.series.average.count(None) == 1
+    kept = [t for t, v in zip(found.series.at, found.series.average, strict=True) if v is not None]
+    assert len(kept) == 600
+    assert not [t for t in kept if START + MINUTE <= t < START + 2 * MINUTE]
+
+
+@pytest.mark.parametrize("late", [False, True], ids=["the next minute", "the damaged minute itself"])
+@pytest.mark.parametrize("table", ["raw", "minutes", "hours"])
+def test_folding_goes_on_past_it(shelf: Shelf, table: str, late: bool) -> None:
+    shelf.keep(polls(NOON, NOON + 60))
+    shelf.fold()
+    place = {"raw": START, "minutes": START, "hours": START - START % DAY}[table]
+    spoil(shelf.database.path, table, place)
+    shelf.keep(polls(NOON + 30.1, NOON + 90) if late else polls(NOON + 60, NOON + 90))
+    shelf.fold()
+    assert len(shelf.tail) == 0
+    found = shelf.ask("actual", NOON + 60, NOON + 90)
+    assert len(found.series.at) == 150
+    assert not found.damaged
+
+
+@pytest.mark.parametrize("table", ["minutes", "hours"])
+def test_what_can_be_worked_out_again_is(tmp_path: Path, table: str) -> None:
+    words: list[str] = []
+    writer = opened(tmp_path, on_damage=words.append)
+    writer.take((BUS.name, polls(NOON, NOON + 150)))
+    writer.close()
+    place = {"minutes": START, "hours": START - START % DAY}[table]
+    before = row_of(tmp_path, table, place)
+    spoil(tmp_path / FILE, table, place)
+    writer = opened(tmp_path, on_damage=words.append)
+    writer.report([Block("hours" if table == "hours" else "minutes", unit_key(tmp_path), place)])
+    until(lambda: bool(words))
+    writer.close()
+    assert "worked out again" in words[0]
+    assert row_of(tmp_path, table, place) == before
+
+
+def row_of(folder: Path, table: str, start: int) -> bytes:
+    with closing(sqlite3.connect(folder / FILE)) as connection:
+        blob: bytes = connection.execute(f"SELECT data FROM {table} WHERE start = ?", (start,)).fetchone()[0]
+    return blob
+
+
+def unit_key(folder: Path) -> int:
+    with closing(sqlite3.connect(folder / FILE)) as connection:
+        return int(connection.execute("SELECT id FROM unit WHERE number = 1").fetchone()[0])
+
+
+def test_an_hour_with_a_damaged_minute_is_packed_without_it(shelf: Shelf) -> None:
+    shelf.keep(polls(NOON, NOON + 180))
+    shelf.fold()
+    key = unit_key(shelf.database.path.parent)
+    spoil(shelf.database.path, "raw", START + MINUTE)
+    with pytest.raises(ValueError, match="damaged"):
+        shelf.database.write_now(lambda c: compact(c, key, START))
+    upkeep = Upkeep(shelf.database, Keep(), Repair(shelf.database, lambda _: None))
+    upkeep.compact(START + 2 * HOUR, float("inf"))
+    found = shelf.ask("actual", NOON, NOON + 180)
+    assert (len(found.series.at), found.damaged) == (601, [])
+
+
+async def test_the_daily_look_finds_it_and_it_is_said_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writing, "LOOK_EVERY_S", 0.0)
+    words: list[str] = []
+    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)), on_damage=words.append)
+    history.start()
+    history.append(BUS.name, polls(NOON, NOON + 180))
+    history.close()
+    spoil(tmp_path / FILE, "raw", START)
+    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)), on_damage=words.append)
+    history.start()
+    try:
+        await history.inspect()
+        until(lambda: history.status.damaged == 1)
+        assert "something that was kept was damaged" in history.status.message
+        await history.inspect()
+        until(lambda: history.status.state == "ok")
+    finally:
+        history.close()
+    assert len(words) == 1
+    assert "it is missing: every reading of dry-end/1 from 2026-11-21T12:00+00:00" in words[0]
+
+
+@pytest.mark.parametrize("seed", range(6))
+async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: Path, seed: int) -> None:
+    """Half of the store is rubbish from one moment to the next; it goes on in a new one."""
+    words: list[str] = []
+    writer = opened(tmp_path, on_damage=words.append)
+    writer.take((BUS.name, polls(NOON, NOON + 900, NOISE.__getitem__)))
+    writer.close()
+    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)), on_damage=words.append)
+    history.start()
+    try:
+        overwrite_pages(tmp_path / FILE, random.Random(seed))
+        await history.inspect()
+        until(lambda: bool(words))
+        history.append(BUS.name, polls(NOON + 1200, NOON + 1260))
+        until(lambda: history.status.state == "ok" and history.status.waiting == 0)
+        question = Question(BUS, 1, VALUES["actual"], micros(NOON + 1200), micros(NOON + 1260), 1000)
+        assert len((await history.ask([question]))[0].series.at) == 300
+    finally:
+        history.close()
+    with closing(sqlite3.connect(tmp_path / FILE)) as connection:
+        assert connection.execute("PRAGMA quick_check").fetchone() == ("ok",)
+
+
+def overwrite_pages(path: Path, chance: random.Random) -> None:
+    """Every other page but those that say what tables there are."""
+    with closing(sqlite3.connect(path)) as connection:
+        size = connection.execute("PRAGMA page_size").fetchone()[0]
+        roots = {row[0] for row in connection.execute("SELECT rootpage FROM sqlite_master")}
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    pages = path.stat().st_size // size
+    with path.open("r+b") as file:
+        for page in range(3, pages + 1):
+            if page not in roots and chance.random() < 0.5:
+                file.seek((page - 1) * size)
+                file.write(chance.randbytes(size))
+
+
+def readings_of(writer: Writer) -> int:
+    question = Question(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 3600), 20_000)
+    found = writer.database.read_now(lambda connection: answer(connection, writer.tail, question))
+    return sum(value is not None for value in found.series.average)
+
+
+def test_what_is_readable_of_a_torn_store_goes_over_into_the_new_one(tmp_path: Path) -> None:
+    words: list[str] = []
+    writer = opened(tmp_path)
+    writer.take((BUS.name, polls(NOON, NOON + 1800, NOISE.__getitem__)))
+    writer.close()
+    tear(tmp_path / FILE)
+    writer = opened(tmp_path, on_damage=words.append)
+    writer.report_torn()
+    until(lambda: bool(words) and writer.status.state == "ok")
+    kept = readings_of(writer)
+    writer.close()
+    assert "is written anew" in words[0]
+    assert 4_000 < kept < 9_000
+    assert len(list(tmp_path.glob(f"{FILE}.damaged-*"))) >= 1
+
+
+def tear(path: Path) -> None:
+    """One page in the middle of the table of readings."""
+    with closing(sqlite3.connect(path)) as connection:
+        size = connection.execute("PRAGMA page_size").fetchone()[0]
+        blob = connection.execute("SELECT data FROM raw ORDER BY start LIMIT 1 OFFSET 15").fetchone()[0]
+    whole = path.read_bytes()
+    page = whole.index(blob[20:60]) // size
+    with path.open("r+b") as file:
+        file.seek(page * size)
+        file.write(b"\xa5" * size)

@@ -1,0 +1,35 @@
+"""What is ready before the first page is asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app.history import warming
+from app.history.service import History
+from app.settings import Server, Settings, Site
+from app.web.assets import Assets, static_dir, templates_dir
+from app.web.templating import Templates
+from bus.settings import BusSettings, UnitSettings
+
+
+@pytest.mark.parametrize("open_store", [True, False], ids=["a store", "none that opens"])
+async def test_files_are_packed_templates_read_and_the_store_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, open_store: bool
+) -> None:
+    monkeypatch.setattr(warming, "AFTER_S", 0.0)
+    bus = BusSettings(name="line", port="/dev/null", unit=(UnitSettings(id=1, name="Nip"),))
+    history = History(Settings(server=Server(data=tmp_path), bus=(bus,)))
+    if open_store:
+        history.start()
+    assets = Assets(static_dir())
+    templates = Templates(templates_dir(), assets, Site(), kept_in=tmp_path / "compiled")
+    await warming.warm(history, templates, assets, "de")
+    if open_store:
+        history.close()
+    assert all("packed" in vars(assets.get(name)) for name in assets)
+    cache = templates.environment("de").cache
+    assert cache is not None
+    read = {name for _, name in cache}
+    assert {"base.html", "trends/page.html", "components/frame.html"} <= read

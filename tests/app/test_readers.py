@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import Any
+
+import pytest
+
+from app.live.browser import Browser
+from app.live.flow import FEW_PAGES
+from app.live.readers import Readers
+from tests.app.screens import line, screen
+
+GROUP = "dry/1"
+
+
+def readers() -> Readers:
+    return Readers(screen(line()), lambda: 100.0)
+
+
+async def told(browser: Browser) -> list[dict[str, Any]]:
+    return [json.loads(text) for text in await browser.next()]
+
+
+def joined(made: Readers) -> Browser:
+    browser = Browser("anna", "operator", "en")
+    made.join(browser)
+    return browser
+
+
+async def test_few_are_told_at_once() -> None:
+    made = readers()
+    browser = joined(made)
+    made.tell({GROUP: {"actual": "1"}})
+    made.tell({GROUP: {"actual": "2"}})
+    assert made.number == 2
+    snapshot, diff = await told(browser)
+    assert (snapshot["n"], diff["p"], diff["n"], diff["f"]) == (0, 0, 2, {GROUP: {"actual": "2"}})
+
+
+async def test_among_very_many_what_is_held_back_goes_as_one() -> None:
+    made = readers()
+    made.flow.share(FEW_PAGES + 1)
+    browser = joined(made)
+    made.tell({GROUP: {"actual": "1"}})
+    await told(browser)
+    made.tell({GROUP: {"actual": "2", "mode": "local"}})
+    made.tell({GROUP: {"actual": "3"}})
+    assert made.number == 1
+    async with asyncio.timeout(30):
+        (diff,) = await told(browser)
+    assert (diff["p"], diff["n"], diff["f"]) == (1, 2, {GROUP: {"actual": "3", "mode": "local"}})
+
+
+async def test_a_page_that_opens_meanwhile_misses_no_number() -> None:
+    made = readers()
+    made.flow.share(FEW_PAGES + 1)
+    joined(made)
+    made.tell({GROUP: {"actual": "1"}})
+    made.tell({GROUP: {"actual": "2"}})
+    late = joined(made)
+    ((snapshot,), (diff,)) = (await told(late), await told(late))
+    assert (snapshot["n"], diff["p"]) == (1, 1)
+
+
+async def test_nothing_is_kept_for_nobody() -> None:
+    made = readers()
+    made.flow.share(FEW_PAGES + 1)
+    browser = joined(made)
+    made.tell({GROUP: {"actual": "1"}})
+    made.tell({GROUP: {"actual": "2"}})
+    made.leave(browser)
+    made.tell({GROUP: {"actual": "3"}}, always=True)
+    assert made.number == 1
+    await told(joined(made))
+    made.flow.share(1)
+    made.tell({}, always=True)
+    assert made.number == 2
+
+
+@pytest.mark.parametrize(("always", "number"), [(False, 0), (True, 1)])
+async def test_nothing_new_is_told_only_as_a_heartbeat(always: bool, number: int) -> None:
+    made = readers()
+    joined(made)
+    made.tell({}, always=always)
+    assert made.number == number
+
+
+async def test_nobody_is_always_the_last() -> None:
+    made, order = readers(), list[str]()
+
+    class Noting:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def write(self, _frame: bytes, /) -> bool:
+            order.append(self.name)
+            return True
+
+    waiting = []
+    for name in "abc":
+        browser = Browser(name, "operator", "en", Noting(name))
+        made.join(browser)
+        await browser.next()
+        waiting.append(asyncio.create_task(browser.next()))
+    await asyncio.sleep(0)
+    for n in range(3):
+        made.tell({GROUP: {"actual": str(n)}})
+    assert {order[n : n + 3][-1] for n in (0, 3, 6)} == {"a", "b", "c"}
+    for task in waiting:
+        task.cancel()

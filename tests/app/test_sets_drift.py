@@ -1,0 +1,127 @@
+"""Who made a unit depart from its golden set: one of us by a command, or somebody at the panel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.audit.log import EventLog
+from app.database import Database
+from app.sets.drift import Drifts
+from app.sets.model import ParameterSet, Row, UnitRows
+from app.sets.store import SetStore
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import ParameterValue
+from tests.app.played_desk import a_bus
+from tests.app.screens import voice
+
+GOLDEN_READ, NOW = 1000.0, 51_600.0
+"""1970-01-01 14:20 UTC is ``NOW``."""
+
+
+class Scene:
+    def __init__(self, folder: Path) -> None:
+        self.live = a_bus()
+        self.database = Database(folder / "store.db")
+        self.now = NOW
+        self.events = EventLog(self.database, lambda: self.now)
+        self.store = SetStore(self.database)
+        self.drifts = Drifts(self.live, self.store, self.events)
+        self.told: list[tuple[str, int]] = []
+        self.drifts.on_change = lambda bus, unit: self.told.append((bus, unit))
+
+    async def golden(self) -> None:
+        rows = {number: Row(number, 0, read_at=GOLDEN_READ) for number in PARAMETERS}
+        unit = UnitRows(1, "Unwind", rows)
+        kept = await self.store.save(ParameterSet("dry-end", GOLDEN_READ, "anna", "by hand", (unit,)))
+        await self.store.mark_golden("dry-end", 1, kept.id, "anna", GOLDEN_READ)
+        await self.drifts.load()
+
+    def reads(self, number: int, raw: int) -> None:
+        self.live.apply("dry-end", [ParameterValue(unit=1, number=number, at=self.now, raw=raw)])
+
+    async def asked(self, who: str, number: int, raw: int | None, outcome: str | None = "verified") -> None:
+        said: dict[str, Any] = {"who": who, "origin": "api", "bus": "dry-end", "unit": 1, "new_raw": raw}
+        what = f"write #{number} {PARAMETERS[number].name} (86h)"
+        await self.events.record(kind="command", what=what, outcome=outcome, **said)
+
+    async def says(self, tag: str = "en") -> str:
+        await self.drifts.traced("dry-end", 1)
+        return self.drifts.words("dry-end", 1, voice(tag), NOW)
+
+
+@pytest.fixture
+async def scene(tmp_path: Path) -> Scene:
+    made = Scene(tmp_path)
+    await made.golden()
+    return made
+
+
+async def test_a_command_is_named_with_its_hour_and_a_hand_at_the_panel_too(scene: Scene) -> None:
+    assert await scene.says() == ""
+    await scene.asked("anna", 12, 21)
+    scene.reads(12, 21)
+    assert await scene.says() == "#12 differs from golden: by anna 14:20"
+    assert await scene.says("de") == "#12 weicht vom goldenen Satz ab: von anna 14:20"
+    scene.reads(6, 33)
+    scene.reads(7, 34)
+    assert await scene.says() == "3 values differ from golden: 1 by anna 14:20, 2 at the panel"
+    scene.reads(12, 0)
+    assert await scene.says() == "2 values differ from golden, at the panel"
+    assert ("dry-end", 1) in scene.told
+
+
+async def test_the_hand_that_came_after_the_command_is_the_one(scene: Scene) -> None:
+    await scene.asked("anna", 12, 21)
+    scene.reads(12, 21)
+    scene.reads(12, 22)
+    assert await scene.says() == "#12 differs from golden, at the panel"
+    await scene.asked("berta", 12, 22)
+    scene.reads(12, 22)
+    assert await scene.says() == "#12 differs from golden: by berta 14:20"
+
+
+@pytest.mark.parametrize("outcome", ["refused", "invalid", "not_sent"])
+async def test_a_wish_that_came_to_nothing_changed_nothing(scene: Scene, outcome: str) -> None:
+    await scene.asked("anna", 12, 21)
+    await scene.asked("berta", 12, 99, outcome)
+    scene.reads(12, 21)
+    assert "by anna" in await scene.says()
+    scene.reads(12, 99)
+    assert await scene.says() == "#12 differs from golden, at the panel"
+
+
+async def test_number_1_is_not_number_12_and_a_command_older_than_the_set_is_none(scene: Scene) -> None:
+    await scene.asked("anna", 12, 21)
+    scene.now = GOLDEN_READ - 1
+    await scene.asked("anna", 1, 21)
+    scene.reads(1, 21)
+    assert await scene.says() == "#1 differs from golden, at the panel"
+
+
+async def test_the_last_write_of_the_operator_password_is_named_unseen(
+    scene: Scene,
+) -> None:
+    scene.reads(21, 4711)
+    assert await scene.says() == "#21 differs from golden, at the panel"
+    said: dict[str, Any] = {"who": "anna", "origin": "api", "bus": "dry-end", "unit": 1}
+    await scene.events.record(
+        kind="command", what="write #21 Operator Password (86h)", outcome="verified", **said
+    )
+    scene.reads(21, 4712)
+    assert "by anna" in await scene.says()
+
+
+async def test_after_a_restart_the_events_still_tell(scene: Scene) -> None:
+    await scene.asked("anna", 12, 21)
+    live = a_bus()
+    again = Drifts(live, scene.store, scene.events)
+    await again.load()
+    assert again.unread("dry-end", 1) == 40
+    live.apply("dry-end", [ParameterValue(unit=1, number=12, at=NOW + 5, raw=21)])
+    [one] = await again.traced("dry-end", 1)
+    assert one.change is not None
+    assert (one.change["who"], one.traced) == ("anna", True)
+    await again.close()

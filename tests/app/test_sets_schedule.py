@@ -1,0 +1,164 @@
+"""Sets that nobody asks for: every day at a minute, and before the first write of a day."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from app.database import Database
+from app.sets.first_write import FirstWrites
+from app.sets.keeper import SetKeeper
+from app.sets.reading import ParameterReader
+from app.sets.schedule import SAID_AFTER, SetSchedule, due_between
+from app.sets.store import SetStore
+from bus.contract import ParameterValue, UnitLink, UnitLinkState
+from tests.app.played_desk import ANNA, Noted, PlayedDesk, a_bus, factory
+
+NOON = datetime.now(UTC).replace(hour=12, minute=0, second=0, microsecond=0)
+"""Of today: sets are stored with the time of the machine."""
+MIDNIGHT = NOON - timedelta(hours=12)
+
+
+class Scene:
+    def __init__(self, folder: Path) -> None:
+        self.live = a_bus()
+        self.desk = PlayedDesk(self.live, {1: factory(), 2: factory()})
+        self.events = Noted()
+        self.database = Database(folder / "store.db")
+        self.store = SetStore(self.database)
+        self.now = NOON
+        reader = ParameterReader(self.live, self.desk)  # type: ignore[arg-type]
+        self.keeper = SetKeeper(self.live, reader, self.store, self.events)  # type: ignore[arg-type]
+        self.schedule = SetSchedule(self.live, self.keeper, self.events, lambda: self.now)  # type: ignore[arg-type]
+        self.first = FirstWrites(self.live, self.keeper, lambda: self.now)
+
+    def tells(self, unit: int, *numbers: int) -> None:
+        values = [ParameterValue(unit=unit, number=number, at=1.0, raw=30) for number in numbers]
+        self.live.apply("dry-end", values)
+
+    def link(self, unit: int, state: UnitLinkState) -> None:
+        self.live.apply("dry-end", [UnitLink(unit=unit, at=1.0, link=state)])
+
+    async def kept(self, unit: int) -> list[str]:
+        return [summary.origin for summary in await self.store.summaries("dry-end", unit)]
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Iterator[Scene]:
+    made = Scene(tmp_path)
+    yield made
+    made.database.close()
+
+
+BEFORE, AFTER = "before the first write of the day", "after the first write of the day"
+
+
+async def test_before_the_first_parameter_write_what_is_known_is_stored_once_and_the_rest_follows(
+    scene: Scene,
+) -> None:
+    await scene.first.before(ANNA, "dry-end", [1], parameters=True)
+    assert await scene.kept(1) == []
+    scene.tells(1, 6)
+    await scene.first.before(ANNA, "dry-end", [1], parameters=True)
+    assert scene.desk.asked == []
+    summary = (await scene.store.summaries("dry-end", 1))[-1]
+    assert summary.origin == BEFORE
+    assert summary.comment == "unit 1: 1 of 40 parameters were known"
+    await scene.first.settled()
+    await scene.first.before(ANNA, "dry-end", [1], parameters=True)
+    assert await scene.kept(1) == [AFTER, BEFORE]
+
+
+async def test_a_setpoint_waits_for_nothing_and_keeps_every_unit_that_is_known_whole(scene: Scene) -> None:
+    scene.tells(1, *range(1, 41))
+    scene.tells(2, 6)
+    await scene.first.before(ANNA, "dry-end", [1, 2], parameters=False)
+    scene.tells(1, 6)
+    await scene.first.settled()
+    assert (await scene.kept(1), await scene.kept(2)) == ([BEFORE], [])
+    assert scene.desk.asked == []
+    await scene.first.before(ANNA, "dry-end", [1, 2], parameters=False)
+    await scene.first.settled()
+    assert await scene.kept(1) == [BEFORE]
+
+
+async def test_a_new_day_keeps_anew_and_a_set_of_the_day_is_enough(scene: Scene) -> None:
+    await scene.keeper.take(ANNA, "dry-end", [1], "", "")
+    scene.tells(1, *range(1, 41))
+    await scene.first.before(ANNA, "dry-end", [1], parameters=True)
+    assert await scene.kept(1) == ["by hand"]
+    scene.now += timedelta(days=1)
+    await scene.first.before(ANNA, "dry-end", [1], parameters=True)
+    assert await scene.kept(1) == [BEFORE, "by hand"]
+
+
+async def test_what_is_due_is_taken_as_one_set_and_once(scene: Scene) -> None:
+    await scene.schedule.set(ANNA, "dry-end", 0)
+    for unit in (1, 2):
+        scene.link(unit, "online")
+    await scene.schedule.look(ANNA, MIDNIGHT, NOON)
+    assert await scene.kept(1) == []
+    before = MIDNIGHT - timedelta(minutes=1)
+    await scene.schedule.look(ANNA, before, NOON)
+    await scene.schedule.look(ANNA, NOON, NOON)
+    (summary,) = await scene.store.summaries("dry-end")
+    assert (summary.origin, summary.units) == ("on schedule", (1, 2))
+    await scene.schedule.look(ANNA, before, NOON)
+    assert await scene.kept(1) == ["on schedule"]
+
+
+async def test_a_unit_silent_at_its_minute_is_said_once_and_taken_when_it_answers(scene: Scene) -> None:
+    await scene.schedule.set(ANNA, "dry-end", 0)
+    scene.link(1, "online")
+    scene.link(2, "offline")
+    await scene.schedule.look(ANNA, MIDNIGHT - timedelta(minutes=1), NOON)
+    assert (await scene.kept(1), await scene.kept(2)) == (["on schedule"], [])
+    assert scene.schedule.owed("dry-end") == {}
+    for _ in range(2):
+        await scene.schedule.look(ANNA, NOON, NOON + SAID_AFTER)
+    said = [event for event in scene.events.events if "not taken on schedule" in event["what"]]
+    assert [(event["unit"], event["message"]) for event in said] == [(2, "the unit does not answer")]
+    assert list(scene.schedule.owed("dry-end")) == [2]
+    scene.link(2, "online")
+    await scene.schedule.look(ANNA, NOON, NOON + SAID_AFTER)
+    assert (await scene.kept(2), scene.schedule.owed("dry-end")) == (["on schedule"], {})
+
+
+async def test_a_unit_that_falls_silent_while_it_is_read_stays_owed(scene: Scene) -> None:
+    await scene.schedule.set(ANNA, "dry-end", 0)
+    scene.link(1, "online")
+    scene.desk.silent_after = 0
+    await scene.schedule.look(ANNA, MIDNIGHT - timedelta(minutes=1), NOON)
+    assert scene.schedule.owed("dry-end")[1].why == "no answer"
+    scene.desk.silent_after = None
+    await scene.schedule.look(ANNA, NOON, NOON)
+    assert await scene.kept(1) == ["on schedule"]
+
+
+def test_a_daily_minute_is_due_once_also_over_midnight_and_for_two_buses() -> None:
+    schedule = {"wet-end": 60, "dry-end": 60, "late": 1439}
+
+    def at(day: int, hour: int, minute: int) -> datetime:
+        return datetime(2026, 11, day, hour, minute, tzinfo=UTC)
+
+    def due(since: datetime, until: datetime) -> list[str]:
+        return [bus for _, bus in due_between(schedule, since, until)]
+
+    assert due(at(20, 0, 59), at(20, 1, 0)) == ["dry-end", "wet-end"]
+    assert due(at(20, 1, 0), at(20, 1, 1)) == []
+    assert due(at(20, 23, 58), at(21, 0, 1)) == ["late"]
+    assert due(at(20, 23, 58), at(21, 1, 0)) == ["late", "dry-end", "wet-end"]
+
+
+async def test_the_schedule_is_kept_and_ended(scene: Scene) -> None:
+    await scene.schedule.set(ANNA, "dry-end", 125)
+    assert await scene.store.schedule() == {"dry-end": 125}
+    assert "02:05" in scene.events.events[-1]["what"]
+    await scene.schedule.set(ANNA, "dry-end", None)
+    assert await scene.store.schedule() == {}
+    with pytest.raises(sqlite3.IntegrityError):
+        await scene.store.set_schedule("dry-end", 1440)
