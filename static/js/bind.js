@@ -1,15 +1,23 @@
-// What the server says, put where the page shows it: a Map from field to bound nodes, and nothing is ever
-// measured, so a change costs one write. Attributes, each naming a field as GROUP.FIELD:
+// What the server says, put where the page shows it: a Map from field to bound nodes, and no element is ever
+// measured, so a change costs one write. When it is written: see pace.js, and for what is out of sight, sight.js.
+// Attributes, each naming a field as GROUP.FIELD:
 //   data-live="dry-end/1.actual"          the text
 //   data-live-is="dry-end/1.state"        data-is, for CSS; "dry-end/1.inputs@2" takes one place of the text
 //   data-live-var="off=dry-end/1.off …"   custom properties of its style, here --off; for bars
 //   data-live-step="dry-end/1.off"        data-step, the nearest of 48 steps from 0 to 1; for bars in great number
+import { soon } from "./pace.js";
+import { mayWait } from "./sight.js";
+
 const values = new Map();
+/** What changed of each group and is not written yet. */
+let waiting = new Map();
+let timer = 0;
 const listeners = new Map();
 let bound = new Map();
 
 const UNKNOWN = "–";
 const STEPS = 48;
+const LATE_MS = 250;
 const FIGURE_SPACE = "\u2007";
 
 function textOf(element) {
@@ -18,7 +26,8 @@ function textOf(element) {
   const empty = element.dataset.empty ?? UNKNOWN;
   const width = Number(element.dataset.width ?? 0);
   return (value) => {
-    text.data = (value === "" ? empty : value).padStart(width, FIGURE_SPACE);
+    const next = (value === "" ? empty : value).padStart(width, FIGURE_SPACE);
+    if (text.data !== next) text.data = next;
   };
 }
 
@@ -85,29 +94,64 @@ export function rebind() {
   }
 }
 
-/** Take in groups of changed fields and show them at once. */
-export function show(groups) {
+function write(group, changed) {
+  const fields = bound.get(group);
+  for (const field in changed) {
+    const writes = fields?.get(field);
+    if (writes) for (const each of writes) each(changed[field]);
+  }
+}
+
+/** Write what waits, but for what nobody can see. */
+export function draw() {
+  for (const [group, changed] of waiting) {
+    if (mayWait(group)) continue;
+    waiting.delete(group);
+    write(group, changed);
+  }
+  if (waiting.size && !timer) timer = setTimeout(drawLate, LATE_MS);
+}
+
+function drawLate() {
+  timer = 0;
+  soon(draw);
+}
+
+/** Write everything that waits. */
+export function drawAll() {
+  const all = waiting;
+  waiting = new Map();
+  for (const [group, changed] of all) write(group, changed);
+}
+
+function take(groups) {
   for (const group in groups) {
     const changed = groups[group];
     const known = values.get(group);
     if (known) Object.assign(known, changed);
     else values.set(group, { ...changed });
-    const fields = bound.get(group);
-    if (fields) {
-      for (const field in changed) {
-        const writes = fields.get(field);
-        if (writes) for (const write of writes) write(changed[field]);
-      }
+    if (bound.has(group)) {
+      const earlier = waiting.get(group);
+      if (earlier) Object.assign(earlier, changed);
+      else waiting.set(group, { ...changed });
     }
     const told = listeners.get(group);
     if (told) for (const listener of told) listener(values.get(group), changed);
   }
 }
 
-/** A whole snapshot: what it does not hold is not known any more. */
+/** Take in groups of changed fields; they are known at once and shown as soon as the device can. */
+export function show(groups) {
+  take(groups);
+  soon(draw);
+}
+
+/** A whole snapshot, shown at once: what it does not hold is not known any more. */
 export function replace(groups) {
   values.clear();
-  show(groups);
+  waiting.clear();
+  take(groups);
+  drawAll();
 }
 
 /** Call `listener(fields, changed)` whenever something in `group` changes. */

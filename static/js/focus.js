@@ -8,6 +8,8 @@ const isNowhere = () => document.activeElement === document.body || document.act
 function remember(event) {
   const element = event.target;
   if (!element.closest?.(PLACES)) return;
+  // A browser takes half an item of the rail or of the tabs for seen.
+  if (element.matches(".rail__item, .tabs__tab")) element.scrollIntoView({ block: "nearest", inline: "nearest" });
   last = { element, home: element.parentElement?.closest("[id]")?.id, twin: twinOf(element) };
 }
 

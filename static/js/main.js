@@ -1,5 +1,5 @@
 // Every page begins here.
-import { rebind } from "./bind.js";
+import { draw, drawAll, rebind } from "./bind.js";
 import * as focus from "./focus.js";
 import * as kiosk from "./kiosk.js";
 import * as live from "./live.js";
@@ -8,10 +8,12 @@ import * as people from "./people.js";
 import * as quality from "./quality.js";
 import * as review from "./review.js";
 import * as setter from "./setter.js";
+import * as sight from "./sight.js";
 import * as strip from "./strip.js";
 import * as trace from "./trace.js";
 
 rebind();
+sight.start(draw, drawAll);
 focus.start();
 quality.findUnits();
 quality.start();

@@ -1,5 +1,6 @@
 // The last ten minutes of one unit on its page: commanded as a thin step, actual as a line, one scale for both.
 // Gaps are gaps. Asked again every five seconds; the present is in the numbers above.
+import { value } from "./bind.js";
 import { isLive } from "./live.js";
 import { language, word } from "./words.js";
 
@@ -60,7 +61,13 @@ function outline({ t, avg }, from, { least, most }, step) {
   return d;
 }
 
-const digits = new Intl.NumberFormat(language, { maximumFractionDigits: 1, useGrouping: false });
+/** A number with as many decimals as the unit itself shows. */
+function inUnitsDecimals(unit, number) {
+  const decimals = (value(`${unit}.commanded`) ?? "").split(/[.,]/)[1]?.length ?? 0;
+  const [minimumFractionDigits, maximumFractionDigits] = [decimals, decimals];
+  const shape = { minimumFractionDigits, maximumFractionDigits, useGrouping: false };
+  return number.toLocaleString(language, shape);
+}
 
 async function draw(unit, { lines, labels }) {
   if (!isLive() || document.visibilityState !== "visible") return;
@@ -79,8 +86,8 @@ async function draw(unit, { lines, labels }) {
   if (!scale) return;
   lines.actual.setAttribute("d", outline(actual, to - SPAN_S, scale, false));
   lines.commanded.setAttribute("d", outline(commanded, to - SPAN_S, scale, true));
-  labels[0].textContent = digits.format(scale.most);
-  labels[1].textContent = digits.format(scale.least);
+  labels[0].textContent = inUnitsDecimals(unit, scale.most);
+  labels[1].textContent = inUnitsDecimals(unit, scale.least);
 }
 
 export function start() {

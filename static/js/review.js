@@ -73,9 +73,10 @@ function close() {
 
 function dismiss() {
   close();
+  const outcome = content.querySelector("[data-review-done]")?.dataset.reviewDone ?? "";
   if (dialog.open) dialog.close();
   content.replaceChildren();
-  document.dispatchEvent(new CustomEvent("lineside:done"));
+  document.dispatchEvent(new CustomEvent("lineside:done", { detail: outcome }));
   giveBack();
 }
 
@@ -149,7 +150,12 @@ export function start() {
     rebind();
     document.dispatchEvent(new CustomEvent("lineside:changed"));
     giveBack();
-    if (event.detail.ctx.target === content) opened();
+    const named = event.detail.ctx.target;
+    const target = typeof named === "string" ? document.querySelector(named) : named;
+    if (target === content) opened();
+    // What is said beside a field may be out of sight: on a phone the button is a pad below it.
+    else if (target?.matches("[role=status]") && target.firstElementChild)
+      target.scrollIntoView({ block: "nearest" });
   });
   document.addEventListener("htmx:error", () => {
     const form = content.querySelector("[data-asked]");

@@ -54,6 +54,9 @@ const TOOLS = {
   value: (_, by) => by,
 };
 
+/** Neither silent nor in LOCAL; see the row in templates/setpoints/page.html. */
+const canBeSet = (element) => !element.closest("[inert]") && element.checkVisibility();
+
 function fillIn(form, tool) {
   const source = form.querySelector(`[data-together="${tool}"]`);
   const by = numberOf(source.value);
@@ -61,7 +64,7 @@ function fillIn(form, tool) {
   if (Number.isNaN(by)) return source.focus();
   for (const row of form.querySelectorAll("tr[data-unit]")) {
     const field = row.querySelector("[data-new]");
-    if (!field?.dataset.new || !row.querySelector("[data-tick]")?.checked) continue;
+    if (!field?.dataset.new || !canBeSet(field) || !row.querySelector("[data-tick]")?.checked) continue;
     const present = numberOf(value(`${field.dataset.new}.commanded`) ?? "");
     if (tool !== "value" && Number.isNaN(present)) continue;
     field.value = textOf(Math.max(0, TOOLS[tool](present, by)), Number(row.dataset.decimals || 0));
@@ -70,11 +73,24 @@ function fillIn(form, tool) {
 
 function together(form, what) {
   if (what in TOOLS) return fillIn(form, what);
-  for (const tick of form.querySelectorAll("[data-tick]")) tick.checked = what === "all";
+  for (const tick of form.querySelectorAll("[data-tick]")) tick.checked = what === "all" && canBeSet(tick);
   if (what === "clear") for (const field of form.querySelectorAll("[data-new]")) field.value = "";
 }
 
+/** What was done is no draft any more: the next change begins with empty fields. */
+function forgetDone() {
+  let reviewed = null;
+  document.addEventListener("submit", ({ target }) => {
+    if (target.matches("[data-setpoints]")) reviewed = target;
+  });
+  document.addEventListener("lineside:done", ({ detail }) => {
+    if (detail === "good" && reviewed) together(reviewed, "clear");
+    reviewed = null;
+  });
+}
+
 export function start() {
+  forgetDone();
   for (const input of document.querySelectorAll("[data-follows]")) followUnit(input);
   document.addEventListener("click", (event) => {
     const button = event.target.closest("[data-pad], [data-use], [data-together-do]");

@@ -21,8 +21,17 @@ const INVISIBLE = "rgb(0 0 0 / 0)";
 const zone = document.body.dataset.zone;
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-/** A colour that light-dark() gives, as the canvas understands it; `percent` of it, the rest shines through. */
+const colours = new Map();
+
+/** A colour that light-dark() gives, as the canvas understands it; `percent` of it, the rest shines through. To
+ * find one out costs a computation of style, and every mark asks for one at every redraw. */
 function colour(name, percent = 100) {
+  const key = `${name} ${percent}`;
+  if (!colours.has(key)) colours.set(key, foundColour(name, percent));
+  return colours.get(key);
+}
+
+function foundColour(name, percent) {
   const probe = document.createElement("i");
   const whole = css(name) ? `var(${name})` : "currentcolor";
   probe.style.color = percent < 100 ? `color-mix(in srgb, ${whole} ${percent}%, transparent)` : whole;
@@ -86,6 +95,7 @@ export class Picture {
 
   /** New colours, since the theme changed. */
   forget() {
+    colours.clear();
     this.shape = "";
   }
 
@@ -211,13 +221,14 @@ export class Picture {
 
   /** The time at a place of the screen, seconds. */
   timeAt(clientX) {
+    if (!this.curves) return (this.range[0] + this.range[1]) / 2;
     const box = this.curves.over.getBoundingClientRect();
     return this.curves.posToVal(clientX - box.left, "x");
   }
 
   /** Put the cursor on a time. */
   point(at) {
-    this.curves.setCursor({ left: this.curves.valToPos(at, "x"), top: 10 });
+    this.curves?.setCursor({ left: this.curves.valToPos(at, "x"), top: 10 });
   }
 
   drawOverlay(plot) {

@@ -57,8 +57,13 @@ export function drawRows(body, answers, names, on) {
       const row = document.createElement("tr");
       const head = document.createElement("th");
       head.scope = "row";
-      head.append(swatch(place), answer.name + (answer.measure ? ` [${answer.measure}]` : ""));
-      head.addEventListener("click", () => on.choose(place));
+      const axis = document.createElement("button");
+      axis.type = "button";
+      axis.className = "trends__axis";
+      axis.dataset.key = `axis ${names[place]}`;
+      axis.append(swatch(place), answer.name + (answer.measure ? ` [${answer.measure}]` : ""));
+      axis.addEventListener("click", () => on.choose(place));
+      head.append(axis);
       row.append(head);
       for (let i = 0; i < 4; i++) cell(row, UNKNOWN);
       const found = summary(answer);
@@ -123,8 +128,9 @@ export function drawMarks(list, marks, more, put) {
       const button = document.createElement("button");
       button.type = "button";
       const where = mark.unit ? `${mark.bus}/${mark.unit} · ` : mark.bus ? `${mark.bus} · ` : "";
-      const change = mark.old || mark.new ? `: ${mark.old || UNKNOWN} → ${mark.new || UNKNOWN}` : "";
-      button.textContent = `${say(mark.t)} · ${where}${mark.what}${change}${mark.who ? ` (${mark.who})` : ""}`;
+      const { what, old, new: changed } = mark.shown;
+      const change = old || changed ? `: ${old || UNKNOWN} → ${changed || UNKNOWN}` : "";
+      button.textContent = `${say(mark.t)} · ${where}${what}${change}${mark.who ? ` (${mark.who})` : ""}`;
       button.addEventListener("click", () => put(mark.t));
       item.append(button);
       return item;

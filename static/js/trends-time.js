@@ -1,22 +1,33 @@
 // Times at the site: its zone, not the browser's; and how a span is said.
 const zone = document.body.dataset.zone || undefined;
 const language = document.documentElement.lang || "en";
-const part = (options) => new Intl.DateTimeFormat(language, { timeZone: zone, hourCycle: "h23", ...options });
-const FORMATS = {
-  clock: part({ hour: "2-digit", minute: "2-digit" }),
-  second: part({ hour: "2-digit", minute: "2-digit", second: "2-digit" }),
-  exact: part({ hour: "2-digit", minute: "2-digit", second: "2-digit", fractionalSecondDigits: 3 }),
-  day: part({ day: "numeric", month: "short" }),
-  month: part({ month: "short", year: "numeric" }),
-  moment: part({
+const PARTS = {
+  clock: { hour: "2-digit", minute: "2-digit" },
+  second: { hour: "2-digit", minute: "2-digit", second: "2-digit" },
+  exact: { hour: "2-digit", minute: "2-digit", second: "2-digit", fractionalSecondDigits: 3 },
+  day: { day: "numeric", month: "short" },
+  month: { month: "short", year: "numeric" },
+  moment: {
     year: "numeric",
     month: "short",
     day: "numeric",
     hour: "2-digit",
     minute: "2-digit",
     second: "2-digit",
-  }),
+  },
 };
+const formats = new Map();
+
+/** Each is made when it is first wanted: one costs a millisecond. */
+function format(kind) {
+  if (!formats.has(kind))
+    formats.set(
+      kind,
+      new Intl.DateTimeFormat(language, { timeZone: zone, hourCycle: "h23", ...PARTS[kind] }),
+    );
+  return formats.get(kind);
+}
+
 const WALL = new Intl.DateTimeFormat("en", {
   timeZone: zone,
   hourCycle: "h23",
@@ -31,8 +42,8 @@ export const DAY = 86400;
 const SHIFT_HOURS = 8;
 const FIRST_SHIFT = 6;
 
-/** Seconds since the epoch as text; `kind` is a key of FORMATS. */
-export const say = (seconds, kind = "moment") => FORMATS[kind].format(seconds * 1000);
+/** Seconds since the epoch as text; `kind` is a key of PARTS. */
+export const say = (seconds, kind = "moment") => format(kind).format(seconds * 1000);
 
 /** The wall clock at the site, as if it were UTC: seconds that can be counted with. */
 function wall(seconds) {

@@ -60,20 +60,48 @@ def test_a_set_is_taken_marked_golden_and_compared_with_the_unit_now(
     expect(page.get_by_text("accelerates in 7.7 s instead of 20.0 s")).to_be_visible()
 
 
-def test_drift_names_who_changed_what_and_stands_on_the_line(site: Site, browser_page: OpensPages) -> None:
+@pytest.mark.provokes("WebSocket", "fetch")
+def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_restart_too(
+    site: Site, browser_page: OpensPages
+) -> None:
+    ramp = site.line.remote.do("parameter", unit=3, number=7)
     page = browser_page("engineer", viewport=OFFICE)
     take_set(page)
     page.locator("section", has_text="Coater").get_by_role("button", name="Mark golden").click()
+    expect(page.get_by_text("Golden: this is what the unit ought to be.")).to_be_visible()
     with site.api("engineer") as client:
         assert client.put("/buses/line/units/3/parameters/12", json={"raw": 21}).status_code == 200
-    page.goto("/units/line/3")
-    expect(page.locator("#drift")).to_contain_text("is at speed within 2.1")
-    expect(page.locator("#drift")).to_contain_text("changed by engineer-program")
-    page.goto("/")
-    expect(page.locator("[data-strip]")).to_contain_text("Coater1 parameter differs from the golden set")
+        page.goto("/")
+        strip = page.locator("[data-strip]")
+        expect(strip).to_contain_text(re.compile(r"#12 differs from golden: by engineer-program \d\d:\d\d"))
+        site.line.remote.do("parameter", unit=3, number=7, raw=61)
+        client.get("/buses/line/units/3/parameters", params={"refresh": "true"})
+        both = re.compile(r"2 values differ from golden: 1 by engineer-program \d\d:\d\d, 1 at the panel")
+        expect(strip).to_contain_text(both)
+    site.stop()
+    site.start()
+    expect(strip).to_contain_text(both, timeout=SLOW)
     with site.api("engineer") as client:
-        assert client.put("/buses/line/units/3/parameters/12", json={"raw": 10}).status_code == 200
-    expect(page.locator("[data-strip]")).not_to_contain_text("Coater")
+        both_rows = lambda: len(client.get("/buses/line/units/3/drift").json()["rows"]) == 2  # noqa: E731
+        eventually(both_rows, "both rows were read after the restart")
+    page.goto("/units/line/3")
+    expect(page.locator("#drift")).to_contain_text("changed by engineer-program")
+    expect(page.locator("#drift")).to_contain_text("changed at the panel")
+    with site.api("engineer") as client:
+        told = client.get("/buses/line/units/3/drift").json()
+        assert {row["number"]: row["changed_by"] for row in told["rows"]} == {
+            7: None,
+            12: "engineer-program",
+        }
+        eventually(
+            lambda: client.get("/buses/line/units/3/drift").json()["unread"] == 0, "the whole unit was read"
+        )
+        for number, raw in ((12, 10), (7, ramp)):
+            assert (
+                client.put(f"/buses/line/units/3/parameters/{number}", json={"raw": raw}).status_code == 200
+            )
+    page.goto("/")
+    expect(strip).not_to_contain_text("Coater")
 
 
 def test_a_change_of_baud_is_typed_and_every_unit_proven(site: Site, browser_page: OpensPages) -> None:
@@ -127,7 +155,7 @@ def test_a_restore_is_reviewed_first_and_proven_afterwards(site: Site, browser_p
     before = len(writes(site, 0x86))
     page.goto(address)
     page.get_by_role("button", name="Review a restore").nth(1).click()
-    expect(page.get_by_role("status").first).to_contain_text("Nothing has been written")
+    expect(page.locator("#restore [role=status]")).to_contain_text("Nothing has been written")
     assert len(writes(site, 0x86)) == before
     page.get_by_role("button", name=re.compile("Write 2 rows to unit 2")).click()
     expect(page.get_by_text("The unit is now what was asked, proven by a full read.")).to_be_visible(
@@ -169,6 +197,46 @@ def test_a_recipe_is_saved_tried_out_and_loaded_as_one_change(site: Site, browse
     assert [site.unit(number)["commanded_raw"] for number in (1, 2, 3)] == [1000, 1005, 1010]
     page.goto("/recipes")
     expect(page.get_by_text("Every unit still commands what the recipe says.")).to_be_visible()
+
+
+def kept_of(served: Site, unit: int, origin: str) -> list[dict[str, Any]]:
+    with served.api() as client:
+        found = client.get("/sets", params={"bus": "line", "unit": unit}).json()
+        return [client.get(f"/sets/{one['id']}").json() for one in found if one["origin"] == origin]
+
+
+def test_sets_that_nobody_asked_for_with_a_unit_that_is_silent_when_they_are_due(
+    line_server: Callable[..., Site], browser_page: OpensPages
+) -> None:
+    site = line_server(3, line_options=("--no-script", "--speedup", "10"))
+    with site.api("engineer") as client:
+        client.get("/buses/line/units/1/parameters", params={"refresh": "true"})
+        mark = len(asked(site, 0x85, 1))
+        assert client.post("/buses/line/units/1/speed", json={"raw": 10, "execute": True}).status_code == 200
+        before = "before the first write of the day"
+        [kept] = eventually(lambda: kept_of(site, 1, before), "the set before the first setpoint")
+        assert all(row["frame"] or row["number"] == 21 for row in kept["units"][0]["parameters"])
+        assert len(asked(site, 0x85, 1)) - mark < 40
+        site.line.remote.do("fault", kind="dead", rate=1, unit=2)
+        answer = client.put("/buses/line/units/2/parameters/6", json={"raw": 50})
+        assert answer.status_code == 504
+        assert len(kept_of(site, 2, before)) == 1
+        client.put("/buses/line/set-schedule", json={"minute_of_day": 0})
+    site.stop()
+    site.start()
+    [set_of_1] = eventually(lambda: kept_of(site, 1, "on schedule"), "the set that was due at midnight")
+    assert set_of_1["units"][0]["id"] == 1
+    assert len(set_of_1["units"][0]["parameters"]) == 40
+    eventually(lambda: kept_of(site, 3, "on schedule"), "the set of unit 3")
+    assert kept_of(site, 2, "on schedule") == []
+    page = browser_page("engineer", site=site, viewport=OFFICE)
+    owed = page.get_by_text("Infeed nip is still owed: the unit does not answer")
+    eventually(lambda: page.goto("/sets") and owed.count(), "the silent unit is named", within=90)
+
+
+def asked(served: Site, command: int, unit: int) -> list[dict[str, Any]]:
+    entries = served.line.remote.do("record", kinds=["heard"])
+    return [entry for entry in entries if entry["unit"] == unit and bytes.fromhex(entry["hex"])[1] == command]
 
 
 def test_one_parameter_over_many_units(site: Site, browser_page: OpensPages) -> None:

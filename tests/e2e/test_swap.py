@@ -54,7 +54,7 @@ def removed(site: Site) -> bool:
 
 def begin(page: Page) -> None:
     page.goto("/swap/line/3")
-    leave = page.get_by_role("button", name="Leave this swap")
+    leave = page.get_by_role("button", name=re.compile("(Leave|Put) this swap"))
     if leave.count():
         leave.click()
         page.goto("/swap/line/3")
@@ -77,6 +77,7 @@ def events(site: Site, kind: str) -> list[dict[str, Any]]:
         return found
 
 
+@pytest.mark.provokes("WebSocket", "fetch")
 def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensPages) -> None:
     hands = site.line.remote
     page = browser_page("engineer", viewport=OFFICE)
@@ -90,13 +91,17 @@ def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensP
     says(page, "set parameter 18 to 96 (9600 baud)")
     hands.do("power_cycle", place=spare)
     says(page, "Two units answer at address 1: the spare still has its factory address")
+    site.stop(signal.SIGKILL)
+    site.start()
+    expect(page.get_by_text(re.compile("begun .* by engineer, from set 1"))).to_be_visible(timeout=SLOW)
+    says(page, "Two units answer at address 1: the spare still has its factory address")
     keypad(site, spare, 17, 3)
     says(page, "At the keypad of the new unit set parameter 19 to 1 (REMOTE)")
     hands.do("mode", place=spare, to="remote")
     says(page, "The unit answers in REMOTE")
 
     page.get_by_role("button", name="Review the restore").click()
-    expect(page.get_by_role("status").first).to_contain_text("Nothing has been written")
+    expect(page.locator("#restore [role=status]")).to_contain_text("Nothing has been written")
     expect(page.get_by_text("accelerates in 3.3 s instead of 10.0 s")).to_be_visible()
     page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
     expect(page.get_by_role("heading", name=re.compile("^Proof"))).to_be_visible(timeout=SLOW)
@@ -139,6 +144,31 @@ def test_two_units_at_the_address_of_the_section(site: Site, browser_page: Opens
     page.get_by_role("button", name="Leave this swap").click()
     expect(page).to_have_url(re.compile("/units/line/3$"))
     removed(site)
+
+
+def test_a_section_without_a_set_becomes_what_its_neighbour_is_or_the_sheet(
+    site: Site, browser_page: OpensPages
+) -> None:
+    page = browser_page("engineer", viewport=OFFICE)
+    page.goto("/swap/line/2")
+    expect(page.get_by_text("No parameter set of this unit is stored. What helps")).to_be_visible()
+    begin_it = page.get_by_role("button", name="Begin the swap of Infeed nip")
+    begin_it.click()
+    expect(page.get_by_text("choose what the spare shall become; nothing was begun")).to_be_visible()
+    page.goto("/swap/line/2")
+    page.get_by_label("What the spare shall become").select_option("live:line:1")
+    begin_it.click()
+    expect(page.get_by_text("The set is of unit 1, another section.")).to_be_visible(timeout=SLOW)
+    page.get_by_role("button", name="Leave this swap").click()
+    page.goto("/swap/line/2")
+    page.get_by_label("What the spare shall become").select_option("sheet")
+    begin_it.click()
+    says(page, "If it is the spare already, say so")
+    page.get_by_role("button", name="It is the spare").click()
+    says(page, "Enter its parameters from the sheet")
+    page.get_by_role("button", name="All is entered: read the unit and keep it").click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("entered from the sheet", timeout=SLOW)
+    assert events(site, "swap")[0]["what"] == "unit swapped and kept"
 
 
 @pytest.mark.provokes("WebSocket", "fetch", "Failed to fetch")

@@ -29,6 +29,19 @@ PINCH = """([left, right]) => {
   finger("pointerdown", 2, right);
   finger("pointermove", 2, right + (right - left));
 }"""
+COLUMNS = """canvas => {
+  const box = canvas.getBoundingClientRect();
+  const over = document.querySelector("#trend-plot .u-over").getBoundingClientRect();
+  const scale = canvas.width / box.width;
+  const context = canvas.getContext("2d");
+  const column = (part) => {
+    const x = Math.round((over.left - box.left + (over.width * part) / 100) * scale) + 2;
+    const [top, height] = [Math.round((over.top - box.top) * scale), Math.round(over.height * scale)];
+    const { data } = context.getImageData(x, top, 1, height);
+    return data.filter((value, i) => i % 4 === 3 && value > 0).length;
+  };
+  return Object.fromEntries([10, 50, 90].map((part) => [part, column(part)]));
+}"""
 NOTHING = "\N{EN DASH}"
 PHONE = {"width": 360, "height": 740}
 
@@ -143,6 +156,39 @@ def test_wheel_drag_and_keys_move_the_picture(browser_page: OpensPages) -> None:
     expect(page.locator("#time-difference")).not_to_have_text(NOTHING)
     page.keyboard.press("Escape")
     expect(page.locator("#time-difference")).to_have_text(NOTHING)
+
+
+def test_the_axis_of_a_value_is_chosen_by_keyboard_and_keeps_the_focus(browser_page: OpensPages) -> None:
+    page = opened(
+        browser_page("viewer", viewport=OFFICE), "?s=line/1/actual&s=line/1/analog&span=60&scale=own"
+    )
+    axis = page.locator("#trend-values th button").nth(1)
+    axis.focus()
+    before = page.locator("#trend-plot canvas").evaluate("canvas => canvas.toDataURL()")
+    page.keyboard.press("Enter")
+    page.wait_for_function(
+        "before => document.querySelector('#trend-plot canvas').toDataURL() !== before", arg=before
+    )
+    expect(page.locator("#trend-values th button").nth(1)).to_be_focused()
+
+
+def test_gaps_are_gaps_and_a_band_is_drawn_between_least_and_greatest(browser_page: OpensPages) -> None:
+    """What uPlot is given is what the history answered; the colours are read from its canvas."""
+    page = browser_page("viewer", viewport=OFFICE)
+    t = [1_700_000_000 + i for i in range(100)]
+    flat = [None if 40 <= i < 60 else 50.0 for i in range(100)]
+    spread = {
+        "min": [None if v is None else 10.0 for v in flat],
+        "max": [None if v is None else 90.0 for v in flat],
+    }
+    answer = {"bus": "line", "unit": 1, "value": "actual", "measure": "", "decimals": 1, "bucket_s": 1}
+    body = [{**answer, "t": t, "avg": flat, **spread}]
+    page.route("**/api/v1/history/series*", lambda route: route.fulfill(json=body))
+    moments = [datetime.fromtimestamp(at, UTC).isoformat().replace("+00:00", "Z") for at in (t[0], t[-1])]
+    opened(page, f"?s=line/1/actual&from={moments[0]}&to={moments[1]}&marks=0")
+    painted = page.locator("#trend-plot canvas").evaluate(COLUMNS)
+    assert painted["10"] > painted["50"] * 3, painted
+    assert painted["90"] > painted["50"] * 3, painted
 
 
 def test_two_presses_set_two_cursors_and_two_fingers_zoom(browser_page: OpensPages) -> None:

@@ -127,3 +127,51 @@ def test_a_worker_that_dies_is_started_again(own_site: Site) -> None:
     server = own_site.server.pid
     eventually(lambda: children(server) not in ([], [worker]), "another worker")
     own_site.wait_for_units()
+
+
+SEEN_BY_NO_OTHER_TEST = ["/users", "/account", "/nothing"]
+FOR_A_PHONE = [*SEEN_BY_NO_OTHER_TEST, "/events", "/sets", "/sets/compare", "/recipes", "/batch/line"]
+SMALL_TARGETS = """() => [...document.querySelectorAll("main :is(button, .button, select, input, .check)")]
+  .filter((each) => each.checkVisibility() && each.getBoundingClientRect().height < 48)
+  .filter((each) => !each.closest(".check") || each.matches(".check"))
+  .map((each) => each.outerHTML.slice(0, 120))"""
+HIDDEN_TO_THE_SIDE = """() => [...document.querySelectorAll("main .table-wrap")]
+  .filter((each) => each.scrollWidth > each.clientWidth + 1).map((each) => each.ariaLabel)"""
+
+
+def test_the_pages_around_the_line_fit_a_phone_in_a_glove(
+    browser_page: OpensPages, axe: Callable[..., list[str]]
+) -> None:
+    page = browser_page("admin", viewport={"width": 360, "height": 740}, has_touch=True, is_mobile=True)
+    for path in FOR_A_PHONE:
+        page.goto(path)
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), path
+        assert page.evaluate(SMALL_TARGETS) == [], path
+        assert page.evaluate(HIDDEN_TO_THE_SIDE) == [], path
+        for scheme in ("light", "dark") if path in SEEN_BY_NO_OTHER_TEST else ():
+            page.emulate_media(color_scheme=scheme)
+            assert axe(page) == [], (path, scheme)
+
+
+def test_a_user_is_added_given_a_role_disabled_and_removed(
+    browser_page: OpensPages, axe: Callable[..., list[str]]
+) -> None:
+    page = browser_page("admin", viewport={"width": 1920, "height": 1080})
+    page.goto("/users")
+    card = page.locator("section", has=page.get_by_role("heading", name="Add a user"))
+    card.get_by_label("Name").fill("with space")
+    card.get_by_label("Password").fill("long enough")
+    card.get_by_role("button", name="Add the user").click()
+    expect(page.get_by_role("alert")).to_contain_text("write 1 to 40 letters, digits")
+    assert axe(page) == []
+    card.get_by_label("Name").fill("karin")
+    card.get_by_label("Password").fill("long enough")
+    card.get_by_role("button", name="Add the user").click()
+    row = page.locator("[data-user=karin]")
+    row.get_by_role("combobox").select_option("engineer")
+    row.get_by_role("button", name="Change the role").click()
+    expect(row.get_by_role("combobox")).to_have_value("engineer")
+    row.get_by_role("button", name="Disable the user").click()
+    assert axe(page) == []
+    row.get_by_role("button", name="Remove the user").click()
+    expect(row).to_have_count(0)

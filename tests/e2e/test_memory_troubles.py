@@ -1,0 +1,222 @@
+"""What a machine can do to the memory of a running server: its clock set, its disk full, broken or locked.
+
+The server and its workers are the processes that a plant runs. The line goes on in every case, and says so.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import sqlite3
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.e2e.site import Site, eventually
+from tests.e2e.site import site as one_site
+
+CLOCK = """\
+import os, time
+from pathlib import Path
+real, said = time.time, Path(os.environ["TEST_CLOCK_SET_BY"])
+time.time = lambda: real() + float(said.read_text() or 0)
+"""
+"""sitecustomize.py: Python runs it before the server and before each worker. A file sets their clock."""
+HOUR = 3600.0
+NOTHING_WRITTEN = (0, resource.RLIM_INFINITY)
+
+
+@pytest.fixture(scope="module")
+def clock(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Sets the clock of every site that is started afterwards, by so many seconds."""
+    folder = tmp_path_factory.mktemp("clock")
+    (folder / "sitecustomize.py").write_text(CLOCK)
+    said = folder / "seconds"
+    said.write_text("0")
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("PYTHONPATH", str(folder))
+        environment.setenv("TEST_CLOCK_SET_BY", str(said))
+        yield said
+
+
+@pytest.fixture(scope="module")
+def site(clock: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    clock.write_text("0")
+    with one_site(tmp_path_factory.mktemp("troubled"), 2, line_options=("--no-script",)) as made:
+        yield made
+
+
+def asked(site: Site, path: str, **query: Any) -> Any:
+    with site.api("viewer") as client:
+        answer = client.get(path, params=query)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def heard(site: Site, since: float, until: float) -> list[float]:
+    """When unit 1 was heard within a span."""
+    span = {name: datetime.fromtimestamp(t, UTC).isoformat() for name, t in (("from", since), ("to", until))}
+    found = asked(site, "/history", bus="line", unit=1, value="actual", points=20_000, **span)
+    return [datetime.fromisoformat(t).timestamp() for t in found["t"]]
+
+
+def set_speed(site: Site, by: int) -> int:
+    """The status of a command."""
+    raw = site.unit(1)["commanded_raw"] + by
+    with site.api("operator") as client:
+        return client.post("/buses/line/units/1/speed", json={"raw": raw, "execute": True}).status_code
+
+
+def goes_on(site: Site) -> None:
+    """The line is read as ever."""
+    before = site.unit(1)["read_at"]
+    eventually(lambda: site.unit(1)["read_at"] != before, "a new reading")
+    eventually(lambda: site.unit(1)["link"] == "online", "a reading by the clock as it is now")
+
+
+def state(site: Site) -> str:
+    return str(asked(site, "/history/status")["state"])
+
+
+def notice(site: Site) -> str:
+    """What the pages say of the history."""
+    return str(asked(site, "/line")["history"])
+
+
+def test_a_clock_that_is_set_back_and_forward_is_noticed_and_everything_goes_on(
+    site: Site, clock: Path
+) -> None:
+    for step, said in ((-HOUR, "-"), (0.0, "+")):
+        set_clock(site, clock, step)
+        newest = next(event["what"] for event in clock_events(site) if "app" in event["what"])
+        assert said in newest
+
+
+def set_clock(site: Site, clock: Path, step: float) -> None:
+    """Step it and see everything go on by the new time."""
+    before = time.time() + float(clock.read_text())
+    eventually(lambda: heard(site, before - 10, before + 60), "readings before")
+    steps = len(clock_events(site))
+    clock.write_text(str(step))
+    now = time.time() + step
+    eventually(lambda: len(clock_events(site)) > steps, "the step in the events")
+    goes_on(site)
+    # What the worker takes for late while it learns the new clock is refused, not sent.
+    eventually(lambda: set_speed(site, 10) == 200, "a command")
+    assert site.unit(1)["age_ms"] < 10_000
+    eventually(lambda: heard(site, now, now + 60), "readings by the new clock")
+    assert heard(site, before - 10, before + 1), "what was heard before the step is still there"
+    assert state(site) == "ok"
+
+
+def clock_events(site: Site) -> list[dict[str, Any]]:
+    return list(asked(site, "/events", kind="clock")["events"])
+
+
+def test_a_disk_on_which_nothing_can_be_written_stops_commands_and_nothing_else(site: Site) -> None:
+    """No file may grow, from one moment to the next: as a full disk or one that was mounted read-only."""
+    assert site.server is not None
+    before = site.unit(1)["commanded_raw"]
+    resource.prlimit(site.server.pid, resource.RLIMIT_FSIZE, NOTHING_WRITTEN)
+    try:
+        eventually(lambda: state(site) == "failed", "history says that it cannot be kept")
+        assert "no history is kept, everything else works" in notice(site)
+        goes_on(site)
+        assert set_speed(site, 20) >= 500
+        assert site.unit(1)["commanded_raw"] == before
+        assert heard(site, time.time() - 600, time.time()), "what was kept can still be read"
+    finally:
+        resource.prlimit(site.server.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
+    eventually(lambda: set_speed(site, 20) == 200, "commands again")
+    eventually(lambda: state(site) == "ok", "history again")
+    assert notice(site) == ""
+    assert "whole" in site.command("audit", "verify")
+
+
+def test_pages_that_are_overwritten_while_it_runs_are_noticed_and_said(site: Site) -> None:
+    """Those of the readings: at the next look at them."""
+    store = site.folder / "data" / "history.db"
+    begun = time.time()
+    eventually(lambda: blocks(store), "a minute that is folded", within=150)
+    with closing(sqlite3.connect(store, timeout=30)) as connection, connection:
+        connection.execute("UPDATE raw SET data = zeroblob(length(data))")
+    asked_at = time.time()
+    heard(site, begun - 7200, asked_at + 60)
+    eventually(lambda: "was damaged" in notice(site), "the notice")
+    said = [event["what"] for event in asked(site, "/events", kind="server")["events"]]
+    assert any(
+        "a block of the history is damaged, it is missing: every reading of line/" in text for text in said
+    )
+    goes_on(site)
+    eventually(lambda: heard(site, asked_at, time.time() + 60), "history goes on")
+
+
+def blocks(store: Path) -> int:
+    with closing(sqlite3.connect(store, timeout=30)) as connection:
+        return int(connection.execute("SELECT count(*) FROM raw").fetchone()[0])
+
+
+@contextmanager
+def mounted(*mount: str, at: Path) -> Iterator[None]:
+    """Something mounted; the test is left out where this user may not do that."""
+    done = subprocess.run(["mount", *mount, str(at)], capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip(f"only root may mount: {done.stderr.strip()}")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "--lazy", str(at)], check=True)
+
+
+def test_a_history_that_is_read_only_at_the_start_is_said(site: Site) -> None:
+    store = site.folder / "data" / "history.db"
+    site.stop()
+    with mounted("--bind", str(store), at=store):
+        subprocess.run(["mount", "-o", "remount,ro,bind", str(store)], check=True)
+        site.start()
+        site.wait_for_units()
+        assert state(site) == "failed"
+        assert "read-only" in notice(site) or "cannot be" in notice(site)
+        assert set_speed(site, 10) == 200
+        site.stop()
+    site.start()
+    site.wait_for_units()
+    eventually(lambda: state(site) == "ok", "history again")
+
+
+def test_on_a_disk_that_fills_the_events_are_the_last_to_suffer(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    data.mkdir()
+    with (
+        mounted("-t", "tmpfs", "-o", "size=180m", "tmpfs", at=data),
+        one_site(tmp_path, 2, line_options=("--no-script",)) as site,
+    ):
+        eventually(lambda: state(site) == "scarce", "it is said that the disk is nearly full")
+        assert "nearly full" in notice(site)
+        fill(data, leave=60_000_000)
+        eventually(lambda: state(site) == "paused", "history pauses")
+        assert "the disk is full" in notice(site)
+        goes_on(site)
+        assert set_speed(site, 10) == 200
+        fill(data, leave=0)
+        goes_on(site)
+        eventually(lambda: set_speed(site, 10) >= 500, "what cannot be written down is not sent")
+        goes_on(site)
+        for ballast in data.glob("ballast*"):
+            ballast.unlink()
+        eventually(lambda: set_speed(site, 10) == 200, "commands again")
+        eventually(lambda: state(site) == "scarce", "history again")
+        assert "whole" in site.command("audit", "verify")
+
+
+def fill(folder: Path, leave: int) -> None:
+    """Until so many bytes are free."""
+    left = os.statvfs(folder)
+    with suppress(OSError), (folder / f"ballast{leave}").open("wb") as ballast:
+        os.posix_fallocate(ballast.fileno(), 0, left.f_bavail * left.f_frsize - leave)

@@ -1,0 +1,289 @@
+"""A restore stopped half way says which rows are done, and again finishes the rest; bad files write none."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from playwright.sync_api import Locator, Page, expect
+from typer.testing import CliRunner
+
+from app.cli import cli
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import LINESIDE, Site, eventually
+from tests.e2e.site import site as one_site
+
+OFFICE = {"width": 1280, "height": 900}
+PHONE = {"width": 360, "height": 740}
+HALL = {"width": 1920, "height": 1080}
+SLOW = 120_000
+NUMBERS = (5, 6, 7, 9, 10, 11, 12, 15, 22, 23, 25, 39)
+"""What somebody at the panel changed: each by one."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """Two units at rest, and a set of the second."""
+    folder = tmp_path_factory.mktemp("restore")
+    with one_site(folder, 2, line_options=("--no-script", "--speedup", "10")) as made:
+        with made.api("engineer") as client:
+            taken = client.post("/buses/line/sets", json={"units": [2], "name": "as it was"})
+            assert taken.status_code == 201, taken.text
+        yield made
+
+
+def parameter(site: Site, number: int, **raw: int) -> int:
+    return int(site.line.remote.do("parameter", unit=2, number=number, **raw))
+
+
+def changed_at_the_panel(site: Site) -> dict[int, int]:
+    """The rows of the set, after each of them has been changed in the unit."""
+    wanted = {number: parameter(site, number) for number in NUMBERS}
+    for number, raw in wanted.items():
+        parameter(site, number, raw=raw + 1)
+    return wanted
+
+
+def review(page: Page) -> None:
+    page.goto("/units/line/2/restore")
+    newest = page.locator("#source option", has_text="as it was").first.get_attribute("value")
+    page.get_by_label("From a stored set").select_option(newest)
+    page.get_by_role("button", name="Read the unit and show the difference").click()
+
+
+def fates(page: Page) -> dict[int, str]:
+    """Number → what the table of rows says of it."""
+    rows = page.get_by_role("table", name="Rows to write").locator("tbody tr")
+    said = rows.evaluate_all(
+        "rows => rows.map(row => [row.cells[0].innerText, row.cells[row.cells.length - 1].innerText])"
+    )
+    return {int(number): fate.strip() for number, fate in said}
+
+
+def cancel(site: Site, page: Page) -> None:
+    assert site.units == 2
+    page.get_by_role("button", name="Leave off after this row").click()
+
+
+def pull_the_cable(site: Site, page: Page) -> None:
+    expect(page.locator("#restore [role=status]")).to_be_visible()
+    site.line.remote.do("unplug")
+
+
+def cut_the_drop(site: Site, page: Page) -> None:
+    expect(page.locator("#restore [role=status]")).to_be_visible()
+    site.line.remote.do("fault", kind="dead", rate=1, unit=2)
+
+
+@pytest.mark.parametrize(
+    ("trouble", "cause"),
+    [(cancel, "left off by engineer after"), (pull_the_cable, "It ended early"), (cut_the_drop, "#")],
+)
+def test_stopped_half_way_it_says_what_is_done_and_again_finishes_the_rest(
+    site: Site, browser_page: OpensPages, trouble: Callable[[Site, Page], None], cause: str
+) -> None:
+    hands, wanted = site.line.remote, changed_at_the_panel(site)
+    page = browser_page("engineer", viewport=OFFICE)
+    review(page)
+    hands.do("fault", kind="slow", rate=1, unit=2)
+    page.get_by_role("button", name=f"Write {len(wanted)} rows to unit 2").click()
+    expect(page.get_by_text(re.compile(r"writing: [1-9]\d* of"))).to_be_visible(timeout=SLOW)
+    trouble(site, page)
+    early = page.get_by_role("status").filter(has_text="It ended early")
+    expect(early).to_contain_text(cause, timeout=SLOW)
+    told = fates(page)
+    hands.do("clear")
+    assert set(told) == set(wanted)
+    done = {number for number, fate in told.items() if fate == "verified"}
+    untouched = {number for number, fate in told.items() if fate == "not written"}
+    assert 1 <= len(done) < len(wanted)
+    assert len(done | untouched) >= len(wanted) - 1, told
+    assert {number for number in wanted if parameter(site, number) == wanted[number]} - done <= set(
+        told
+    ) - done - untouched
+    assert all(parameter(site, number) == wanted[number] for number in done)
+    if trouble is pull_the_cable:
+        hands.do("plug")
+    left = page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 2"))
+    eventually(lambda: asked_again(page, left), "the unit answers again")
+    assert set(fates(page)) == {number for number in wanted if parameter(site, number) != wanted[number]}
+    left.click()
+    expect(page.get_by_text("proven by a full read")).to_be_visible(timeout=SLOW)
+    assert {number: parameter(site, number) for number in wanted} == wanted
+
+
+def asked_again(page: Page, left: Locator) -> bool:
+    """Ask for what is left; where the unit does not answer yet, the page says so, and one goes back."""
+    page.get_by_role("button", name="Review what is left").click()
+    refused = page.get_by_role("heading", name="That cannot be done")
+    expect(left.or_(refused)).to_be_visible(timeout=SLOW)
+    if left.count():
+        return True
+    page.go_back()
+    return False
+
+
+def test_by_keyboard_alone_to_the_proof_which_prints(
+    site: Site, browser_page: OpensPages, axe: Callable[..., list[str]]
+) -> None:
+    changed_at_the_panel(site)
+    page = browser_page("engineer", viewport=PHONE)
+    page.goto("/units/line/2/restore")
+    tab_to(page, "From a stored set")
+    page.keyboard.type(page.locator("#source option", has_text="as it was").first.inner_text()[:24])
+    expect(page.locator("#source option:checked")).to_contain_text("as it was")
+    tab_to(page, "Read the unit and show the difference")
+    page.keyboard.press("Enter")
+    expect(page.locator("#restore [role=status]")).to_contain_text("Nothing has been written")
+    assert as_it_should_be(page, axe) == []
+    tab_to(page, f"Write {len(NUMBERS)} rows to unit 2")
+    page.keyboard.press("Enter")
+    expect(page.get_by_text("proven by a full read")).to_be_visible(timeout=SLOW)
+    assert as_it_should_be(page, axe) == []
+    page.emulate_media(media="print")
+    proof = page.get_by_role("table", name="Proof")
+    expect(proof.locator("tbody tr")).to_have_count(40)
+    expect(proof.locator("tbody tr").last).to_be_visible()
+    expect(page.get_by_role("link", name="To the unit")).not_to_be_visible()
+    assert page.pdf(format="A4").startswith(b"%PDF")
+
+
+def good_file(site: Site) -> str:
+    with site.api("engineer") as client:
+        newest = client.get("/sets", params={"unit": 2}).json()[-1]["id"]
+        return client.get(f"/sets/{newest}/document").text
+
+
+def bad_files(good: str) -> dict[str, tuple[bytes, str]]:
+    """What people bring, and what has to be said of it."""
+    row = next(line for line in good.splitlines() if line.startswith("6 = "))
+    texts = {
+        "another-program": ("[server]\nport = 8000\n", "not a parameter set"),
+        "unknown-number": (good.replace("\n6 = ", "\n41 = "), "no parameter '41'"),
+        "out-of-range": (good.replace("\n6 = { ", "\n6 = { raw = 99999, x"), "6"),
+        "nonsense": (good.replace("\n6 = ", "\n6 = fast"), "not readable as TOML"),
+        "truncated": (good[: len(good) // 2], "not readable as TOML"),
+        "newer": (good.replace("version = 1", "version = 2"), "newer Lineside"),
+        "twice": (good + row + "\n", "not readable as TOML"),
+    }
+    files = {name: (text.encode(), says) for name, (text, says) in texts.items()}
+    files["latin"] = (good.replace("Infeed", "Einführ").encode("latin-1"), "no text in UTF-8")
+    files["utf16"] = (good.encode("utf-16"), "no text in UTF-8")
+    return files
+
+
+def test_a_bad_file_is_refused_in_words_and_nothing_is_written(site: Site, tmp_path: Path) -> None:
+    files = bad_files(good_file(site))
+    mark = len(writes(site))
+    runner = CliRunner()
+    for name, (content, says) in files.items():
+        file = tmp_path / f"{name}.toml"
+        file.write_bytes(content)
+        page = httpx.post(
+            f"{site.url}/units/line/2/restore",
+            files={"file": (file.name, content)},
+            headers={"Authorization": f"Bearer {site.tokens['engineer']}", "Accept": "text/html"},
+            timeout=60,
+        )
+        assert (page.status_code, says in html.unescape(page.text)) == (422, True), (name, page.text[:2000])
+        told = runner.invoke(cli, ["restore", *to(site, 2), "--yes", "--json", str(file)])
+        assert (told.exit_code, told.stdout, says in told.stderr) == (2, "", True), (name, told.stderr)
+        if not name.startswith(("latin", "utf16")):
+            with site.api("engineer") as client:
+                answer = client.post("/buses/line/units/2/restores", json={"document": content.decode()})
+            assert (answer.status_code, says in answer.json()["detail"]) == (422, True), name
+    assert len(writes(site)) == mark
+
+
+def test_fifty_megabytes_and_a_unit_that_is_not_there(site: Site, tmp_path: Path) -> None:
+    good, runner = good_file(site), CliRunner()
+    huge = tmp_path / "huge.toml"
+    huge.write_bytes(good.encode() + b"#" * 50_000_000)
+    told = runner.invoke(cli, ["restore", *to(site, 2), str(huge)])
+    assert (told.exit_code, "too long for a parameter set" in told.stderr) == (2, True)
+    with site.api("engineer") as client:
+        answer = client.post("/buses/line/units/2/restores", content=huge.read_bytes())
+        assert (answer.status_code, answer.json()["code"]) == (413, "too_large")
+        answer = client.post("/buses/line/units/9/restores", json={"document": good})
+        assert (answer.status_code, "9" in answer.json()["detail"]) == (404, True)
+        planned = client.post("/buses/line/units/1/restores", json={"document": good}).json()
+        assert "the set is of unit 2, this is unit 1: read every row" in planned["remarks"]
+    file = tmp_path / "good.toml"
+    file.write_text("\ufeff" + good, encoding="utf-8")
+    told = runner.invoke(cli, ["restore", *to(site, 9), str(file)])
+    assert (told.exit_code, "bus 'line' has no unit 9; it has 1, 2" in told.stderr) == (2, True)
+    assert runner.invoke(cli, ["diff", *to(site, 2), str(tmp_path / "none.toml")]).exit_code == 2
+
+
+def test_the_commands_in_a_cron_job_tell_all_by_their_exit_codes(site: Site, tmp_path: Path) -> None:
+    """Without a terminal nobody can be asked: nothing is written unless --yes was given."""
+    file = tmp_path / "unit2.toml"
+
+    def lineside(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [LINESIDE, *arguments], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120
+        )
+
+    done = lineside("backup", *to(site, 2), "--out", str(file), "--json")
+    assert (done.returncode, json.loads(done.stdout)["units"]) == (0, [2]), done.stderr
+    done = lineside("diff", *to(site, 2), str(file), "--json")
+    assert (done.returncode, json.loads(done.stdout)) == (0, [])
+    parameter(site, 6, raw=parameter(site, 6) + 1)
+    done = lineside("diff", *to(site, 2), str(file), "--json")
+    assert (done.returncode, [row["number"] for row in json.loads(done.stdout)]) == (1, [6])
+    mark = len(writes(site))
+    done = lineside("restore", *to(site, 2), str(file), "--json")
+    assert (done.returncode, "nothing was written" in done.stderr) == (1, True)
+    assert len(writes(site)) == mark
+    site.line.remote.do("mode", unit=2, to="local")
+    eventually(lambda: site.unit(2)["mode"] == "LOCAL", "LOCAL is seen")
+    done = lineside("restore", *to(site, 2), str(file), "--json", "--yes")
+    assert done.returncode == 1
+    assert {row["number"]: row["outcome"] for row in json.loads(done.stdout)}[6] == "left_out"
+    site.line.remote.do("mode", unit=2, to="remote")
+    eventually(lambda: site.unit(2)["mode"] == "REMOTE", "REMOTE is seen")
+    done = lineside("restore", *to(site, 2), str(file), "--json", "--yes")
+    assert (done.returncode, [row["outcome"] for row in json.loads(done.stdout)]) == (0, ["verified"])
+    assert len(writes(site)) == mark + 1
+    assert lineside("restore", *to(site, 2)).returncode == 2
+
+
+def writes(site: Site) -> list[dict[str, Any]]:
+    entries = site.line.remote.do("record", kinds=["acted"])
+    return [entry for entry in entries if bytes.fromhex(entry["hex"])[1] == 0x86]
+
+
+def to(site: Site, unit: int) -> list[str]:
+    return ["--url", site.url, "--token", site.tokens["engineer"], "--bus", "line", "--unit", str(unit)]
+
+
+def as_it_should_be(page: Page, axe: Callable[..., list[str]]) -> list[Any]:
+    """What axe objects to, on the phone and in the hall, and whether the page is wider than its screen."""
+    faults: list[Any] = []
+    for size in (HALL, PHONE):
+        page.set_viewport_size(size)  # type: ignore[arg-type]
+        faults += axe(page)
+        if page.evaluate("document.documentElement.scrollWidth > window.innerWidth"):
+            faults.append(f"wider than {size['width']}")
+    return faults
+
+
+def tab_to(page: Page, name: str) -> None:
+    """Press Tab until the focus is on what bears this name."""
+    bears = """name => {
+      const focus = document.activeElement;
+      const texts = focus.matches("a, button, input, select") ? [focus, ...(focus.labels ?? [])] : [];
+      return texts.some(one => one.innerText.includes(name));
+    }"""
+    for _ in range(80):
+        page.keyboard.press("Tab")
+        if page.evaluate(bears, name):
+            return
+    raise AssertionError(f"the keyboard does not reach {name!r}")

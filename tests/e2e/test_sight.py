@@ -1,0 +1,62 @@
+"""What is scrolled away may be a second old; what is seen never is."""
+
+from __future__ import annotations
+
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import OpensPages
+
+PHONE = {"width": 360, "height": 600}
+LAST = "line/8"
+SHOW = """async (texts) => {
+  const { show, draw } = await import(document.querySelector('link[href$="/bind.js"]').href);
+  for (const text of texts) {
+    show({ "line/1": { actual: text }, "line/8": { actual: text } });
+    draw();
+  }
+  const read = (unit) => document.querySelector(`[data-live="${unit}.actual"]`).textContent.trim();
+  return [read("line/1"), read("line/8")];
+}"""
+KNOWN_TO_BE_OUT_OF_SIGHT = """async () =>
+  (await import(document.querySelector('link[href$="/sight.js"]').href)).mayWait("line/8")"""
+LAST_TEXT_IN_THE_FRAME = """(act) => new Promise((resolve) => {
+  act();
+  requestAnimationFrame(
+    () => resolve(document.querySelector('[data-live="line/8.actual"]').textContent.trim()),
+  );
+})"""
+SCROLLED = f"({LAST_TEXT_IN_THE_FRAME})(() => scrollTo(0, document.documentElement.scrollHeight))"
+PRINTED = f"({LAST_TEXT_IN_THE_FRAME})(() => dispatchEvent(new Event('beforeprint')))"
+
+
+def opened(page: Page) -> Page:
+    """Eight tiles on a phone, of which the last is far below the window and known to be."""
+    page.goto("/?view=tiles")
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+    page.wait_for_function(KNOWN_TO_BE_OUT_OF_SIGHT)
+    return page
+
+
+def show_two(page: Page) -> None:
+    """Two changes of the first and the last unit; the second of the last, out of sight, is not drawn yet."""
+    first, last = page.evaluate(SHOW, ["11.1", "22.2"])
+    assert first == "22.2"
+    assert last != "22.2"
+
+
+def test_out_of_sight_waits_and_is_there_a_second_later(browser_page: OpensPages) -> None:
+    page = opened(browser_page("viewer", viewport=PHONE))
+    show_two(page)
+    expect(page.locator(f'[data-live="{LAST}.actual"]')).to_contain_text("22.2")
+
+
+def test_scrolled_into_sight_it_is_the_present_in_that_frame(browser_page: OpensPages) -> None:
+    page = opened(browser_page("viewer", viewport=PHONE))
+    show_two(page)
+    assert page.evaluate(SCROLLED) == "22.2"
+
+
+def test_paper_shows_the_present(browser_page: OpensPages) -> None:
+    page = opened(browser_page("viewer", viewport=PHONE))
+    show_two(page)
+    assert page.evaluate(PRINTED) == "22.2"

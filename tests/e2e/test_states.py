@@ -1,0 +1,167 @@
+"""Each state that a page of the line can be in: accessible by day on a wall and by night on a phone,
+large enough for a glove, and in reach of the Tab key with its focus in sight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import Site, eventually
+
+PHONE = {"width": 360, "height": 740}
+PANEL = {"width": 1280, "height": 800}
+WALL = {"width": 1920, "height": 1080}
+TARGET = 48
+
+TOO_SMALL = """target => [...document.querySelectorAll(
+    "button, select, summary, .tabs__tab, .rail__item, .views__item, .strip__item, input:not([type=hidden])")]
+  .filter(one => one.checkVisibility() && !one.closest("[inert]"))
+  .map(one => one.closest("label.check") ?? one)
+  .map(one => [one, one.getBoundingClientRect()])
+  .filter(([, box]) => Math.min(box.width, box.height) < target - 0.5)
+  .map(([one]) => one.outerHTML.slice(0, 160))"""
+"""What a finger has to hit and is smaller than ``target`` pixels."""
+
+BEHIND = """() => {
+  const one = document.activeElement;
+  if (one === document.body) return null;
+  const {x, y, width, height} = one.getBoundingClientRect();
+  const seen = document.elementFromPoint(x + width / 2, y + Math.min(height / 2, 20));
+  const said = `${one.outerHTML.slice(0, 120)} behind ${seen?.outerHTML.slice(0, 80)}`;
+  return one.matches(".skip") || one.contains(seen) || seen?.contains(one) ? "" : said;
+}"""
+"""What hides the middle of the element with the focus; null where nothing has it."""
+
+Axe = Callable[[Page], list[str]]
+
+
+@pytest.fixture(scope="module")
+def site(line_server: Callable[..., Site]) -> Site:
+    """Four units: the second in e-stop, the third in LOCAL and the fourth blocked."""
+    made = line_server(4, line_options=("--no-script", "--speedup", "10"))
+    made.line.remote.do("input", unit=2, input="estop", on=True)
+    made.line.remote.do("mode", unit=3, to="local")
+    with made.api("operator") as client:
+        client.post("/buses/line/units/4/block", json={"reason": "belt off, do not run"}).raise_for_status()
+    eventually(lambda: made.unit(2)["inputs"]["estop"] and not made.unit(3)["remote"], "the states are seen")
+    return made
+
+
+def opened(page: Page, path: str) -> Page:
+    page.goto(path)
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+    return page
+
+
+def judged(page: Page, axe: Axe) -> list[str]:
+    """What axe finds by day on a wall and by night on a phone, in the state that the page is in."""
+    found = []
+    for size, scheme in ((WALL, "light"), (PHONE, "dark")):
+        page.set_viewport_size(size)  # type: ignore[arg-type]
+        page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+        found += axe(page)
+    return found
+
+
+@pytest.mark.parametrize("path", ["/", "/units/line/2", "/units/line/3", "/units/line/4", "/setpoints"])
+def test_what_is_not_well_is_accessible(browser_page: OpensPages, axe: Axe, path: str) -> None:
+    assert judged(opened(browser_page(), path), axe) == []
+
+
+def test_each_end_of_a_wish_is_accessible_and_says_what_was_asked(
+    site: Site, browser_page: OpensPages, axe: Axe
+) -> None:
+    page = opened(browser_page("engineer", viewport=WALL), "/units/line/1")
+    before = site.unit(1)["commanded"]
+    page.locator("#setpoint").fill("999")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("#review")).to_contain_text("highest displayed speed (#2)")
+    assert judged(page, axe) == []
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=bad]")).to_contain_text("refused: illegal speed value")
+    expect(page.locator(".done__asked")).to_have_text(f"asked 999.0 · reads {before}")
+    assert judged(page, axe) == []
+    page.keyboard.press("Escape")
+    page.locator("#setpoint").fill("999999")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("#setpoint-error")).to_contain_text("outside 0.0 to 200.0")
+    expect(page.locator("#setpoint-error .button")).to_be_in_viewport(ratio=1)
+    assert judged(page, axe) == []
+
+
+def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is_done(
+    browser_page: OpensPages, axe: Axe
+) -> None:
+    page = opened(browser_page(viewport=PANEL), "/setpoints")
+    for unit in (3, 4):
+        expect(page.locator(f"[name=new-{unit}]:visible")).to_have_count(0)
+    page.locator("[data-together-do=all]").click()
+    expect(page.locator("[data-tick]:checked")).to_have_count(2)
+    page.locator("[name=new-1]").fill("50")
+    page.evaluate("document.querySelector('[name=new-3]').value = '51'")
+    page.get_by_role("button", name="Review the change").click()
+    expect(page.locator("#review .notice")).to_contain_text("not in REMOTE")
+    assert judged(page, axe) == []
+    page.locator("[data-review-act]").click()
+    expect(page.locator(".proofs")).to_contain_text("nothing was sent to it")
+    assert judged(page, axe) == []
+    page.get_by_role("button", name="Close").click()
+    expect(page.locator("[name=new-1]")).to_have_value("50")
+    page.evaluate("document.querySelector('[name=new-3]').value = ''")
+    page.locator("[name=new-2]").fill("52")
+    page.get_by_role("button", name="Review the change").click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("verified at each of 2 units")
+    page.get_by_role("button", name="Close").click()
+    expect(page.locator("[name=new-1]")).to_have_value("")
+    expect(page.locator("[data-tick]:checked")).to_have_count(0)
+
+
+@pytest.mark.parametrize("path", ["/?view=tiles", "/units/line/1", "/setpoints", "/units/line/1/parameters"])
+def test_what_a_glove_presses_is_large_enough(browser_page: OpensPages, path: str) -> None:
+    page = opened(browser_page("engineer", viewport=PHONE, is_mobile=True, has_touch=True), path)
+    assert page.evaluate(TOO_SMALL, TARGET) == []
+
+
+@pytest.mark.parametrize(("path", "size"), [("/units/line/1", PHONE), ("/setpoints", PANEL), ("/", PHONE)])
+def test_the_tab_key_reaches_the_end_with_its_focus_in_sight(
+    browser_page: OpensPages, path: str, size: dict[str, int]
+) -> None:
+    page = opened(browser_page("engineer", viewport=size), path)
+    hidden = []
+    for _ in range(120):
+        page.keyboard.press("Tab")
+        behind = page.evaluate(BEHIND)
+        if behind is None:
+            break
+        hidden += [behind] if behind else []
+    else:
+        pytest.fail("the Tab key does not come to the end of the page")
+    assert hidden == []
+
+
+def test_a_silent_unit_says_why_nothing_can_be_set(site: Site, browser_page: OpensPages, axe: Axe) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/1")
+    silent = page.locator(".setting__silent")
+    expect(silent).to_be_hidden()
+    site.line.remote.do("fault", kind="dead", rate=1, unit=1)
+    try:
+        expect(silent).to_contain_text("No answer from this unit")
+        assert judged(page, axe) == []
+    finally:
+        site.line.remote.do("clear")
+    expect(silent).to_be_hidden()
+
+
+@pytest.mark.provokes("ERR_CONNECTION_REFUSED")
+def test_without_its_server_a_page_is_accessible(site: Site, browser_page: OpensPages, axe: Axe) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/1")
+    site.stop()
+    try:
+        expect(page.locator("body[data-link=lost]")).to_be_attached()
+        assert judged(page, axe) == []
+    finally:
+        site.start()
