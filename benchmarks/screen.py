@@ -7,14 +7,14 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page
 
+from benchmarks.first_visit import show_first_visit
 from benchmarks.onlookers import onlookers
+from benchmarks.page import viewer_page
 from benchmarks.processes import cpu_seconds, family, memory_mib
 from benchmarks.tables import median, milliseconds, quantile, show
-from tests.e2e.conftest import CHROMIUM, FLAGS, signed_in
 from tests.e2e.site import Site, site
 
 MEASURED_S = 12.0
@@ -35,34 +35,21 @@ NODE_RED = "Node-RED 4.1 with Dashboard 2, measured before: 1.8 / 6 ms, with 20 
 
 
 def run() -> None:
-    """What a page weighs, then how the way to the screen grows with the browsers and with the units."""
+    """What a first visit costs, then how the way to the screen grows with the browsers and with the units."""
     rows: list[list[str]] = []
     for units in (UNITS, *GROWTH):
         with (
             tempfile.TemporaryDirectory() as folder,
             site(Path(folder), units, line_options=("--no-script",)) as served,
-            sync_playwright() as playwright,
+            viewer_page(served) as page,
         ):
-            chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-            session = signed_in(chromium, served, "viewer")
-            page = chromium.new_context(base_url=served.url, storage_state=session).new_page()
             if units == UNITS:
-                _show_weight(page)
+                assert page.context.browser is not None
+                show_first_visit(served, page.context.browser)
             rows += _crowds(served, page, CROWDS if units == UNITS else GROWTH_CROWDS)
-            chromium.close()
     header = ["units, browsers", "changes", "median", "p99", "server", "worker", "memory", "a browser more"]
     note = "CPU of one core, memory of both. " + NODE_RED
     show("An answer's last byte → changed text in Chromium", header, rows, note)
-
-
-def _show_weight(page: Page) -> None:
-    answers: list[Any] = []
-    page.on("requestfinished", lambda request: answers.append(request))
-    page.goto("/", wait_until="networkidle")
-    sizes = [request.sizes() for request in answers]
-    on_the_way = sum(size["responseBodySize"] + size["responseHeadersSize"] for size in sizes)
-    rows = [["the line page, first visit", len(sizes), f"{on_the_way / 1024:.0f} KiB"]]
-    show("What a page weighs", ["", "requests", "on the way"], rows)
 
 
 def _crowds(served: Site, page: Page, crowds: Iterable[int]) -> Iterator[list[str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from tests.e2e.site import free_port, unit_tables
@@ -14,7 +15,16 @@ LINESIDE = Path(sys.executable).with_name("lineside")
 
 def served_line(folder: Path, port: str, units: int) -> list[str]:
     """Write lineside.toml for a port; the command to run."""
+    return served_lines(folder, [port], units)
+
+
+def served_lines(folder: Path, ports: Sequence[str], units: int) -> list[str]:
+    """The same for several, each with so many units."""
     config = folder / CONFIG
-    bus = f'[server]\nport = {free_port()}\n\n[[bus]]\nname = "line"\nport = {json.dumps(port)}\n'
-    config.write_text(bus + unit_tables(units), encoding="utf-8")
+    buses = "".join(_bus(place, port) + unit_tables(units) for place, port in enumerate(ports))
+    config.write_text(f"[server]\nport = {free_port()}\n{buses}", encoding="utf-8")
     return [str(LINESIDE), "serve", "--config", str(config)]
+
+
+def _bus(place: int, port: str) -> str:
+    return f'\n[[bus]]\nname = "line{place or ""}"\nport = {json.dumps(port)}\n'

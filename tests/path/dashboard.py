@@ -55,6 +55,14 @@ class Dashboard:
         shown: dict[str, Any] = self.call("GET", "/line", role="viewer").json()["buses"][0]
         return shown
 
+    def workers(self) -> list[int]:
+        """The processes that hold the port."""
+        found = subprocess.run(
+            ["pgrep", "-f", str(self.folder / "lineside.toml")], capture_output=True, text=True
+        )
+        said = [int(line) for line in found.stdout.split()]
+        return [pid for pid in said if b"--bus" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
     def see(self, number: int, what: str, holds: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """Wait until a unit is shown so; the unit."""
 

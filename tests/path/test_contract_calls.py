@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
@@ -9,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from tests.e2e.site import LINESIDE
 from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import FACTORY, Unit
 
@@ -361,6 +364,14 @@ def test_the_trace_shows_what_was_sent(plant: Dashboard) -> None:
     frames = plant.bus("GET", "/trace?limit=500").json()["frames"]
     assert "10 02 01 84 00 00 0A 8C 10 03 E5" in [frame["hex"] for frame in frames]
     text = plant.bus("GET", "/trace?seconds=60").text
+    assert "10 02 01 84 00 00 0A 8C 10 03 E5" in text
     path = Path(plant.folder / "trace.txt")
     path.write_text(text)
-    assert "10 02 01 84 00 00 0A 8C 10 03 E5" in text
+    read = subprocess.run(
+        [str(LINESIDE), "decode", "--json", "--file", str(path)], capture_output=True, text=True, check=True
+    )
+    decoded = json.loads(read.stdout)
+    kept = [line for line in text.splitlines() if line.split("\t")[2]]
+    assert len(decoded) >= len(kept), "every frame of it that is no secret, whole"
+    assert all(frame["checksum_ok"] for frame in decoded)
+    assert {frame["uid"] for frame in decoded if frame["fields"].get("raw") == 2700} == {1}

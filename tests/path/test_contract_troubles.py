@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import threading
-import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +28,15 @@ def speed(plant: Dashboard, unit: int, raw: int, **body: Any) -> Any:
     return plant.bus("POST", f"/units/{unit}/speed", {"raw": raw, "execute": True, **body})
 
 
-def workers(plant: Dashboard) -> list[int]:
-    """The processes that hold the port."""
-    found = subprocess.run(
-        ["pgrep", "-f", str(plant.folder / "lineside.toml")], capture_output=True, text=True
-    )
-    said = [int(line) for line in found.stdout.split()]
-    return [pid for pid in said if b"--bus" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+@contextmanager
+def stopped(plant: Dashboard) -> Iterator[None]:
+    """The worker's process stands still (SIGSTOP) and goes on at the end."""
+    (worker,) = plant.workers()
+    os.kill(worker, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(worker, signal.SIGCONT)
 
 
 def test_a_pulled_cable_closes_the_bus_and_nothing_is_sent_when_it_is_back(plant: Dashboard) -> None:
@@ -87,30 +88,40 @@ def test_mode_estop_and_run_are_events(plant: Dashboard) -> None:
 
 
 def test_a_killed_worker_is_seen_and_replaced(plant: Dashboard) -> None:
-    (worker,) = workers(plant)
+    (worker,) = plant.workers()
     os.kill(worker, signal.SIGKILL)
-    eventually(lambda: workers(plant) not in ([], [worker]), "another worker", within=20)
+    eventually(lambda: plant.workers() not in ([], [worker]), "another worker", within=20)
     plant.see(1, "online again", lambda shown: shown["link"] == "online")
     assert speed(plant, 1, 1200).status_code == 200
     assert len([event for event in _events(plant, "kind=worker") if "started" in event["what"]]) == 2
 
 
 def test_a_stopped_worker_makes_everything_stale_and_sends_nothing_late(plant: Dashboard) -> None:
-    (worker,) = workers(plant)
-    os.kill(worker, signal.SIGSTOP)
-    try:
+    """The word comes before the worker counts as gone; what it finds on waking is late."""
+    with stopped(plant):
+        said = speed(plant, 1, 4321).json()
         plant.see(1, "stale", lambda shown: shown["link"] in ("stale", "offline"))
-        asked: list[Any] = []
-        wish = threading.Thread(target=lambda: asked.append(speed(plant, 1, 4321, timeout_s=0.5)))
-        wish.start()
-        sent_at = time.monotonic()
-        eventually(lambda: time.monotonic() > sent_at + 1, "the time of the wish over", within=5)
-    finally:
-        os.kill(worker, signal.SIGCONT)
-    wish.join(40)
-    assert asked[0].status_code in (503, 504)
+    assert said["outcome"] == "unverified"
+    assert "does not answer" in said["detail"]
+    _hears_from(plant, 1)
     assert plant.cable.units[1].commanded == 1000
     assert plant.cable.units[1].writes == []
+    (event,) = _events(plant, "kind=command")
+    assert event["outcome"] == "unverified"
+
+
+def test_a_worker_stopped_between_two_tries_tries_no_more(plant: Dashboard) -> None:
+    unit = plant.cable.units[1]
+    unit.mute_on = {0x84}
+    with ThreadPoolExecutor(1) as other:
+        wish = other.submit(speed, plant, 1, 1100)
+        eventually(lambda: unit.writes, "the first try", within=10)
+        with stopped(plant):
+            tries = len(unit.writes)
+            said = wish.result(60).json()
+    assert said["outcome"] == "unverified"
+    _hears_from(plant, 1)
+    assert len(unit.writes) == tries
 
 
 def test_limits_blocks_and_their_events(plant: Dashboard) -> None:
@@ -132,7 +143,7 @@ def test_limits_blocks_and_their_events(plant: Dashboard) -> None:
 
 def test_a_killed_server_leaves_no_worker_behind(tmp_path: Path) -> None:
     with dashboard(tmp_path, [Unit(1)]) as plant:
-        (worker,) = workers(plant)
+        (worker,) = plant.workers()
         parent = int(Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()[1])
         os.kill(parent, signal.SIGKILL)
         eventually(
@@ -154,18 +165,25 @@ def _events(plant: Dashboard, query: str) -> list[dict[str, Any]]:
     return found
 
 
+def _hears_from(plant: Dashboard, unit: int) -> None:
+    """Until the unit was read three times more, so that what was to be sent before has been."""
+    for _ in range(3):
+        _reads_again(plant, unit)
+
+
+def _reads_again(plant: Dashboard, unit: int) -> None:
+    before = plant.unit(unit)["read_at"]
+    plant.see(unit, "read again", lambda shown: shown["read_at"] != before)
+
+
 def _dead(pid: int) -> bool:
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
 
 
 def test_a_worker_that_stays_stuck_closes_the_bus(plant: Dashboard) -> None:
-    (worker,) = workers(plant)
-    os.kill(worker, signal.SIGSTOP)
-    try:
+    with stopped(plant):
         bus = eventually(lambda: (shown := plant.line())["link"] == "closed" and shown, "closed", within=20)
         assert "says nothing" in bus["link_cause"]
         assert speed(plant, 1, 4321).json()["code"] == "bus_closed"
-    finally:
-        os.kill(worker, signal.SIGCONT)
     plant.see(1, "online again", lambda shown: shown["link"] == "online")
     assert plant.cable.units[1].writes == []

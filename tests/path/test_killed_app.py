@@ -1,0 +1,70 @@
+"""The app is killed (kill -9) in the middle of a change of the line: the old line or the whole new one."""
+
+from __future__ import annotations
+
+import os
+import signal
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.e2e.site import eventually
+from tests.path.dashboard import Dashboard, dashboard
+from tests.path.independent_unit import Unit
+
+OLD, NEW = [1000, 1000, 1000], [1010, 1020, 1030]
+STAGE, EXECUTE = 0x82, 0x83
+
+
+@dataclass
+class Killer(Unit):
+    """Kills ``victim`` as it hears a command for the first time, before it answers."""
+
+    command: int = 0
+    victim: list[int] = field(default_factory=list)
+
+    def answer(self, body: bytes) -> bytes | None:
+        """As any unit does."""
+        said = super().answer(body)
+        if body[0] in (0, self.address) and body[1] == self.command and self.victim:
+            os.kill(self.victim.pop(), signal.SIGKILL)
+        return said
+
+
+@pytest.mark.parametrize(("command", "line"), [(STAGE, OLD), (EXECUTE, NEW)], ids=["staged", "executed"])
+def test_a_killed_app_leaves_a_whole_line(tmp_path: Path, command: int, line: list[int]) -> None:
+    killer = Killer(2, commanded=1000, actual=1000, command=command)
+    units = [Unit(1, commanded=1000, actual=1000), killer, Unit(3, commanded=1000, actual=1000)]
+    with dashboard(tmp_path, units) as plant, ThreadPoolExecutor(1) as other:
+        worker, server = _worker_and_server(plant)
+        killer.victim.append(server)
+        other.submit(_ask, plant)
+        eventually(lambda: _ended(worker), "the worker gone with its app", within=20)
+        assert [unit.commanded for unit in units] == line
+        assert all(unit.staged in (None, unit.commanded) for unit in units), "and nothing waits to surprise"
+
+
+def _ask(plant: Dashboard) -> None:
+    with suppress(httpx.HTTPError):
+        plant.bus("POST", "/speeds", {"setpoints": {str(n): {"raw": raw} for n, raw in enumerate(NEW, 1)}})
+
+
+def _worker_and_server(plant: Dashboard) -> tuple[int, int]:
+    (worker,) = plant.workers()
+    return worker, int(_status(worker)[1])
+
+
+def _ended(process: int) -> bool:
+    try:
+        return _status(process)[0] == "Z"
+    except OSError:
+        return True
+
+
+def _status(process: int) -> list[str]:
+    """From the state on: of a process, its parent second (proc(5))."""
+    return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
