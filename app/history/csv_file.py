@@ -8,7 +8,7 @@ import io
 from collections.abc import AsyncIterator, Sequence
 from datetime import datetime, tzinfo
 
-from app.history.rows import Cell, Row, Table
+from app.history.export_rows import Cell, Row, Table
 from app.history.runs import SECOND
 from app.web.formats import zone
 

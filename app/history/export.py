@@ -9,8 +9,8 @@ from typing import Literal
 from starlette.responses import StreamingResponse
 
 from app.history import csv_file, parquet_file, store
+from app.history.export_rows import Fineness, Table, pieces
 from app.history.query import Question, has_raw
-from app.history.rows import Fineness, Table, pieces
 from app.history.runs import SECOND
 from app.history.service import History
 from app.history.tail import Tail

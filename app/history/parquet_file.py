@@ -10,7 +10,7 @@ import io
 from collections.abc import AsyncIterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from app.history.rows import Row, Table
+from app.history.export_rows import Row, Table
 from app.web.formats import zone
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from app.history import reading, store
+from app.history import store, unit_history
 from app.history.damage import Block
 from app.history.gaps import Marks
 from app.history.intake import BUS
@@ -57,10 +57,10 @@ def answer(connection: store.Connection, tail: Tail, question: Question) -> Answ
         return Answer(Series())
     recent = tail.runs(key, question.start, question.end)
     with store.standing_still(connection):
-        return _answer(reading.Source(connection, key, recent), question)
+        return _answer(unit_history.Source(connection, key, recent), question)
 
 
-def _answer(source: reading.Source, question: Question) -> Answer:
+def _answer(source: unit_history.Source, question: Question) -> Answer:
     bus = store.find_unit(source.connection, question.bus.name, BUS)
     keys = [source.unit] if bus is None else [source.unit, bus]
     marks = store.link_marks(source.connection, keys, question.start - MARGIN, question.end)
@@ -70,14 +70,14 @@ def _answer(source: reading.Source, question: Question) -> Answer:
     return Answer(series(points, marks, scales), resolution, points.width, decimals, source.damaged)
 
 
-def scale_of(source: reading.Source, question: Question) -> Scaling:
+def scale_of(source: unit_history.Source, question: Question) -> Scaling:
     """The scales of a value over all time."""
     steps = store.parameter_steps(source.connection, source.unit)
     ratio = question.bus.follower_speed == "ratio"
     return scaling(question.value, steps, ratio=ratio, estop_healthy=question.bus.estop_healthy)
 
 
-def _points(source: reading.Source, question: Question, marks: Marks) -> tuple[Resolution, Points]:
+def _points(source: unit_history.Source, question: Question, marks: Marks) -> tuple[Resolution, Points]:
     value, start, end, most = question.value, question.start, question.end, question.most
     exact: Points | None = None
     if value.kind == "bit":
@@ -86,9 +86,9 @@ def _points(source: reading.Source, question: Question, marks: Marks) -> tuple[R
             return "readings", exact
     if (
         has_raw(source.connection, source.unit, start)
-        and reading.estimate(source, start, end) <= MOST_READINGS
+        and unit_history.estimate(source, start, end) <= MOST_READINGS
     ):
-        raw = reading.readings(source, value, start, end)
+        raw = unit_history.readings(source, value, start, end)
         if _fits(raw, marks, most):
             return "readings", raw
         if grid(start, end, most)[0] < MINUTE or not store.rolled_up(
@@ -96,22 +96,22 @@ def _points(source: reading.Source, question: Question, marks: Marks) -> tuple[R
         ):
             return "readings", thin(raw, start, end, most)
     if grid(start, end, most)[0] >= HOUR:
-        return "hours", thin(reading.rollups(source, "hours", value, start, end), start, end, most)
+        return "hours", thin(unit_history.rollups(source, "hours", value, start, end), start, end, most)
     if exact is not None and grid(start, end, most)[0] < MINUTE:
         return "readings", thin(exact, start, end, most)
-    return "minutes", thin(reading.rollups(source, "minutes", value, start, end), start, end, most)
+    return "minutes", thin(unit_history.rollups(source, "minutes", value, start, end), start, end, most)
 
 
 def _fits(points: Points, marks: Marks, most: int) -> bool:
     return len(points.at) + len(holes_in(points, marks)) <= most
 
 
-def _exact_bits(source: reading.Source, question: Question, marks: Marks) -> Points | None:
+def _exact_bits(source: unit_history.Source, question: Question, marks: Marks) -> Points | None:
     if store.count_bits(source.connection, source.unit, question.start, question.end) > MOST_INTERVALS:
         return None
-    usual = reading.usual_of(source, question.end)
-    parts = reading.bit_intervals(source, question.value.bit, question.start, question.end)
-    return reading.interval_points(intervals(parts, marks, usual), question.start, question.end, usual)
+    usual = unit_history.usual_of(source, question.end)
+    parts = unit_history.bit_intervals(source, question.value.bit, question.start, question.end)
+    return unit_history.interval_points(intervals(parts, marks, usual), question.start, question.end, usual)
 
 
 def has_raw(connection: store.Connection, unit: int, start: int) -> bool:

@@ -1,4 +1,4 @@
-"""The columns that a picture needs, from the store and the tail, at one of three finenesses."""
+"""The history of one unit out of the store and the tail: its readings, minutes, hours, bits or whole runs."""
 
 from __future__ import annotations
 

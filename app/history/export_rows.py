@@ -1,4 +1,4 @@
-"""Any span as rows, an hour or a day at a time, so that a year takes no more memory than a day.
+"""The rows of an export: any span, a piece at a time, so that a year takes no more memory than a day.
 
 One row for each instant at which a unit was heard; a value of another unit stays empty there.
 Equal readings one after the other are two rows, the first and the last. A hole is a row of its
@@ -14,7 +14,7 @@ from functools import partial
 from itertools import groupby
 from typing import Literal, NamedTuple
 
-from app.history import display, reading, store
+from app.history import display, store, unit_history
 from app.history.damage import Block
 from app.history.gaps import holes, usual_interval
 from app.history.intake import BUS
@@ -120,7 +120,7 @@ def _rows(
         key = store.find_unit(connection, *unit)
         if key is None:
             continue
-        source = reading.Source(connection, key, tail.runs(key, part[0].start, part[0].end), damaged)
+        source = unit_history.Source(connection, key, tail.runs(key, part[0].start, part[0].end), damaged)
         if table.fineness == "readings":
             rows += _reading_rows(source, wanted, len(part), heard)
         else:
@@ -130,14 +130,14 @@ def _rows(
 
 
 def _reading_rows(
-    source: reading.Source,
+    source: unit_history.Source,
     wanted: Sequence[tuple[int, Question]],
     width: int,
     heard: dict[tuple[str, int], int],
 ) -> Iterator[Row]:
     first = wanted[0][1]
     unit = (first.bus.name, first.unit)
-    runs = reading.runs_between(source, first.start, first.end)
+    runs = unit_history.runs_between(source, first.start, first.end)
     if not runs:
         return
     silent = _silences(source, first, heard.get(unit), runs)
@@ -155,7 +155,7 @@ def _reading_rows(
 
 
 def _silences(
-    source: reading.Source, question: Question, before: int | None, runs: Sequence[Run]
+    source: unit_history.Source, question: Question, before: int | None, runs: Sequence[Run]
 ) -> dict[int, int]:
     """Before which runs there is a hole, and from when."""
     ends = ([] if before is None else [before, before]) + [t for run in runs for t in (run.at, run.until)]
@@ -175,13 +175,13 @@ def _cell(question: Question, run: Run, scale: Scale) -> Cell:
 
 
 def _rollup_rows(
-    source: reading.Source,
+    source: unit_history.Source,
     wanted: Sequence[tuple[int, Question]],
     width: int,
     fineness: Literal["minutes", "hours"],
 ) -> Iterator[Row]:
     for place, question in wanted:
-        points = reading.rollups(source, fineness, question.value, question.start, question.end)
+        points = unit_history.rollups(source, fineness, question.value, question.start, question.end)
         scales = scale_of(source, question)
         columns = (points.at, points.least, points.greatest, points.total, points.weight)
         for at, least, greatest, total, weight in zip(*columns, strict=True):
