@@ -17,6 +17,7 @@ from starlette.responses import StreamingResponse
 from app.audit.log import Event, EventLog
 from app.audit.store import Filter
 from app.web.access import Admin, Viewer
+from app.web.services import looked_up
 from app.web.shape import iso
 
 router = APIRouter(prefix="/api/v1", tags=["events"])
@@ -71,7 +72,7 @@ def events_of(connection: HTTPConnection) -> EventLog:
     return cast(EventLog, connection.app.state.services.events)
 
 
-Events = Annotated[EventLog, Depends(events_of)]
+Events = Annotated[EventLog, looked_up(events_of)]
 Number = Annotated[int | None, Query(ge=1, le=2**62)]
 
 

@@ -14,6 +14,7 @@ from app.auth.accounts import Accounts
 from app.auth.signin import SignIn
 from app.errors import Problem
 from app.web.access import Viewer, person_of, public
+from app.web.services import looked_up
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
 
@@ -30,8 +31,8 @@ def accounts_of(connection: HTTPConnection) -> Accounts:
     return cast(Accounts, connection.app.state.services.accounts)
 
 
-SigningIn = Annotated[SignIn, Depends(sign_in_of)]
-Keeping = Annotated[Accounts, Depends(accounts_of)]
+SigningIn = Annotated[SignIn, looked_up(sign_in_of)]
+Keeping = Annotated[Accounts, looked_up(accounts_of)]
 Text = Annotated[str, Form()]
 LONGEST_NAME = 64
 """What is kept of a name that somebody typed; no user has one so long."""

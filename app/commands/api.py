@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Annotated, Any, cast
 
 from fastapi import APIRouter, Depends, Header, Query
@@ -31,6 +32,7 @@ from app.live.shown import ParameterShown
 from app.live.state import LiveState
 from app.live.view import parameter_json
 from app.web.access import Engineer, Operator, Person, Viewer
+from app.web.services import looked_up
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS
 from bus.contract import (
@@ -60,36 +62,28 @@ def desk_of(connection: HTTPConnection) -> Desk:
     return cast(Desk, connection.app.state.services.desk)
 
 
+@dataclass(frozen=True, slots=True)
 class Asking:
     """What every command's request carries beside its body: the key and the time."""
 
-    def __init__(
-        self,
-        request: Request,
-        live: Live,
-        desk: Annotated[Desk, Depends(desk_of)],
-        bus: str,
-        timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
-        key: Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)] = None,
-    ) -> None:
-        self.request = request
-        self.live: LiveState = live
-        self.desk = desk
-        self.bus = bus
-        self.key = key
-        self._began = time.monotonic()
-        self._timeout_s = timeout_s
+    request: Request
+    live: LiveState
+    desk: Desk
+    bus: str
+    key: str | None
+    began: float
+    query_timeout_s: float | None
 
     def timeout_s(self, body: Body) -> float | None:
         """The body's word, else the query's."""
-        return body.timeout_s if body.timeout_s is not None else self._timeout_s
+        return body.timeout_s if body.timeout_s is not None else self.query_timeout_s
 
     def typed(self, person: Person, unit: int, body: Body) -> Typed:
         """Conversion of typed values for a unit. Raises Problem 404."""
         found = unit_or_404(self.live, self.bus, unit)
         given = self.timeout_s(body)
         time_s = DEFAULT_TIMEOUT_S if given is None else given
-        return Typed(self.desk, person, self.bus, found, self._began + time_s)
+        return Typed(self.desk, person, self.bus, found, self.began + time_s)
 
     async def ask(
         self, person: Person, action: Action, body: Body, unit: int | None = None, left_s: float | None = None
@@ -103,7 +97,19 @@ class Asking:
         return answer(self.request, bus_or_404(self.live, self.bus), result, unit, secret=secret)
 
 
-Ask = Annotated[Asking, Depends(Asking)]
+async def asking(
+    request: Request,
+    live: Live,
+    desk: Annotated[Desk, looked_up(desk_of)],
+    bus: str,
+    timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
+    key: Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)] = None,
+) -> Asking:
+    """This request's."""
+    return Asking(request, live, desk, bus, key, time.monotonic(), timeout_s)
+
+
+Ask = Annotated[Asking, Depends(asking)]
 
 
 @router.post("/units/{unit:int}/speed", responses=FATE)

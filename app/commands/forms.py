@@ -98,4 +98,9 @@ def new_id() -> str:
     return uuid.uuid4().hex
 
 
-Desks = Annotated[Desktop, Depends(Desktop)]
+async def desktop_of(request: Request) -> Desktop:
+    """This request's."""
+    return Desktop(request)
+
+
+Desks = Annotated[Desktop, Depends(desktop_of)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, cast
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter
 from pydantic import ConfigDict, Field, model_validator
 from starlette.requests import HTTPConnection
 
@@ -14,6 +14,7 @@ from app.commands.safeguards import Safeguards
 from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.web.access import Engineer, Operator, Viewer
+from app.web.services import looked_up
 from app.web.shape import Strict, iso
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"])
@@ -57,7 +58,7 @@ def safeguards_of(connection: HTTPConnection) -> Safeguards:
     return cast(Safeguards, connection.app.state.services.safeguards)
 
 
-Guards = Annotated[Safeguards, Depends(safeguards_of)]
+Guards = Annotated[Safeguards, looked_up(safeguards_of)]
 
 
 @router.get("/units/{unit:int}/limits")

@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator
 from datetime import UTC, datetime
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query
+from fastapi import APIRouter, Query
 from starlette.responses import JSONResponse, Response, StreamingResponse
 
 from app.commands.answers import frame_json
@@ -19,6 +19,7 @@ from app.commands.desk import Desk
 from app.commands.trace_file import trace_line
 from app.errors import Problem
 from app.web.access import Engineer, Person
+from app.web.services import looked_up
 from bus.contract import Frame, ReadTrace
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["trace"])
@@ -30,7 +31,7 @@ PIECE = 2000
 @router.get("/trace")
 async def get_trace(
     person: Engineer,
-    desk: Annotated[Desk, Depends(desk_of)],
+    desk: Annotated[Desk, looked_up(desk_of)],
     bus: str,
     seconds: Annotated[float | None, Query(gt=0, le=HOUR_S)] = None,
     limit: Annotated[int, Query(ge=1, le=PIECE)] = 200,

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
 import msgspec
-from fastapi import APIRouter, Depends, Query, Response
+from fastapi import APIRouter, Query, Response
 from starlette.requests import Request
 from starlette.responses import StreamingResponse
 
@@ -32,13 +32,14 @@ from app.history.spans import (
     questions,
 )
 from app.web.access import Viewer
+from app.web.services import looked_up
 from app.web.templating import templates_of
 
 router = APIRouter(prefix="/api/v1/history", tags=["history"])
 SPARK_POINTS = 120
 MOST_SPARKS = 255
 Times = Annotated[Literal["iso", "epoch"], Query(alias="format")]
-Events = Annotated[EventLog, Depends(events_of)]
+Events = Annotated[EventLog, looked_up(events_of)]
 
 
 def iso(at: int) -> str:

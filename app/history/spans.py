@@ -16,6 +16,7 @@ from app.history.query import Question
 from app.history.runs import HOUR, SECOND
 from app.history.service import History
 from app.history.values import VALUES
+from app.web.services import looked_up
 from bus.settings import BusSettings
 
 MOST_POINTS = 20_000
@@ -40,7 +41,7 @@ def history_of(connection: HTTPConnection) -> History:
     return cast(History, connection.app.state.services.history)
 
 
-HistoryOf = Annotated[History, Depends(history_of)]
+HistoryOf = Annotated[History, looked_up(history_of)]
 
 
 def moment(text: str, name: str) -> int:

@@ -6,7 +6,7 @@ import time
 from typing import Annotated, Any, cast
 
 import msgspec
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter
 from starlette.requests import HTTPConnection
 
 from app.live.lookup import bus_or_404, unit_or_404
@@ -14,6 +14,7 @@ from app.live.shown import BusShown, LineShown, UnitShown
 from app.live.state import LiveState
 from app.live.view import BlockReason, bus_json, line_json, unit_json
 from app.web.access import Viewer
+from app.web.services import looked_up
 from bus.errors import unit_error_name
 
 router = APIRouter(prefix="/api/v1", tags=["line"])
@@ -39,10 +40,10 @@ def memory_of(connection: HTTPConnection) -> str:
     return cast(str, connection.app.state.services.history.status.message)
 
 
-Memory = Annotated[str, Depends(memory_of)]
-Blocked = Annotated[BlockReason, Depends(block_reason_of)]
-Live = Annotated[LiveState, Depends(live_of)]
-SiteName = Annotated[str, Depends(site_name_of)]
+Memory = Annotated[str, looked_up(memory_of)]
+Blocked = Annotated[BlockReason, looked_up(block_reason_of)]
+Live = Annotated[LiveState, looked_up(live_of)]
+SiteName = Annotated[str, looked_up(site_name_of)]
 
 
 @router.get("/line", response_model=LineShown)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
@@ -12,6 +12,7 @@ from app.live.hub import Hub
 from app.live.state import LiveState
 from app.metrics.counts import Counts
 from app.web.access import Viewer
+from app.web.services import looked_up
 
 router = APIRouter(include_in_schema=False)
 
@@ -23,7 +24,7 @@ def _counted(connection: HTTPConnection) -> tuple[LiveState, Hub, Counts]:
 
 @router.get("/metrics")
 async def metrics(
-    _: Viewer, counted: Annotated[tuple[LiveState, Hub, Counts], Depends(_counted)]
+    _: Viewer, counted: Annotated[tuple[LiveState, Hub, Counts], looked_up(_counted)]
 ) -> Response:
     """Prometheus text."""
     from app.metrics.families import CONTENT_TYPE, text
