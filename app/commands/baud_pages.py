@@ -24,6 +24,8 @@ async def review(_: Engineer, desk: Desks, bus: str, baud: int) -> Response:
     live = desk.bus(bus)
     if baud not in BAUDS:
         raise Problem(422, "invalid", f"a unit speaks at {', '.join(map(str, BAUDS))} baud")
+    if baud == live.baud:
+        raise Problem(422, "invalid", f"the line goes at {baud} baud already")
     return desk.render("bus/_review_baud.html", bus=live, baud=baud, command_id=new_id())
 
 

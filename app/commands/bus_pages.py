@@ -13,6 +13,7 @@ from app.errors import Problem
 from app.web.access import Engineer, Operator, Person, Role, Viewer
 from bus.contract import ScanBus, UnitFigures
 from bus.errors import unit_error_name
+from bus.settings import BAUDS
 
 router = APIRouter(prefix="/bus", include_in_schema=False)
 SCAN_S = 180.0
@@ -38,6 +39,7 @@ async def bus_page(person: Viewer, desk: Desks, bus: str) -> Response:
         bus=live,
         buses=list(desk.live.buses),
         rows=_rows(desk, bus),
+        bauds=sorted(BAUDS),
         control_required=desk.guards.control.required,
         **_control(desk, person, bus),
     )

@@ -60,7 +60,6 @@ class BusOnLine:
 
     name: str
     port: str
-    baud: int
     groups: list[Group]
 
     @property
@@ -131,7 +130,7 @@ def _remembered(request: Request) -> Choice:
 def _bus_on_line(name: str, bus: BusLive) -> BusOnLine:
     most = max((unit.parameter_raw(DECIMALS) or 0 for unit in bus.units.values()), default=0)
     units = ((unit.settings.group, unit_on_line(name, unit, most)) for unit in bus.units.values())
-    return BusOnLine(name, bus.settings.port, bus.baud, list(_groups(units)))
+    return BusOnLine(name, bus.settings.port, list(_groups(units)))
 
 
 def _groups(units: Iterable[tuple[str, UnitOnLine]]) -> Iterator[Group]:

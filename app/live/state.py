@@ -63,7 +63,7 @@ class BusLive:
     @property
     def baud(self) -> int:
         """The present rate: what the worker says, as #18 may have moved it; else as configured."""
-        return (self.figures.baud if self.figures is not None else 0) or self.settings.baud
+        return self.link.baud or self.settings.baud
 
 
 class LiveState:

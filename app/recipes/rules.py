@@ -118,7 +118,7 @@ def dry_run(recipe: Recipe, bus: BusLive, refusal: Callable[[int, int], str]) ->
 def wire_seconds(units: int, bus: BusLive) -> float:
     """Stage each, one broadcast, read each: the bytes of it at the baud rate of the bus."""
     total = units * (_STAGE_BYTES + POLL_BYTES) + _EXECUTE_BYTES
-    return total * BITS_PER_BYTE / bus.settings.baud
+    return total * BITS_PER_BYTE / bus.baud
 
 
 def departures(recipe: Recipe, bus: BusLive, since: float = 0.0) -> list[Departure]:

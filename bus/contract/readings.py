@@ -45,11 +45,14 @@ class UnitLink(Message, frozen=True, tag="unit_link"):
 
 
 class BusLink(Message, frozen=True, tag="bus_link"):
-    """The port was opened or closed; ``cause`` says why in words."""
+    """The port was opened or closed ``at``; ``cause`` says why in words. Told again, with the same ``at``,
+    when it goes at another rate."""
 
     at: float
     link: BusLinkState
     cause: str = ""
+    baud: int = 0
+    """The rate that the port goes at now, which a change of #18 may have moved; 0 from an older worker."""
 
 
 class Staged(Message, frozen=True, tag="staged"):
@@ -92,8 +95,6 @@ class BusFigures(Message, frozen=True, tag="bus_figures"):
     units: list[UnitFigures] = field(default_factory=list)
     updates_lost: int = 0
     """Readings and news dropped because the app was away longer than the worker can keep them."""
-    baud: int = 0
-    """The rate that the port goes at now, which a change of #18 may have moved; 0 from an older worker."""
 
 
 class Frame(Message, frozen=True, tag="frame"):

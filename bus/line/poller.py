@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import msgspec
 
-from bus.contract import BusFigures, BusLink, Progress, Result, Update, Watch
+from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Result, Update, Watch
 from bus.errors import CallerError, WireError
 from bus.line.asking import Heard
 from bus.line.clock import Alarm, Clock
@@ -46,7 +46,7 @@ class Poller:
         self.schedule = Schedule(self.roster.configured, self._exchange_s(ReadStatus(1)), seed)
         self.link = Link(bus.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
         self.link.done = self._heard
-        self.state = BusLink(at=clock.epoch(clock.now()), link="closed", cause="not opened yet")
+        self.state = self._port_is("closed", "not opened yet")
         self.lost: Callable[[str], None] = lambda _cause: None
         """Called when the port proved unusable; whoever opened it opens it again."""
         self._emit = emit
@@ -66,7 +66,7 @@ class Poller:
         now = self.clock.now()
         self.link.attach(port, self.baud)
         self.schedule.port_opened(now)
-        self.state = BusLink(at=self.clock.epoch(now), link="open")
+        self.state = self._port_is("open")
         self._emit([self.state])
         self._go(now)
 
@@ -88,8 +88,11 @@ class Poller:
         """The port is closed, and why; tells it when that is news."""
         if self.state.link == "closed" and self.state.cause == cause:
             return []
-        self.state = BusLink(at=self.clock.epoch(self.clock.now()), link="closed", cause=cause)
+        self.state = self._port_is("closed", cause)
         return [self.state]
+
+    def _port_is(self, link: BusLinkState, cause: str = "") -> BusLink:
+        return BusLink(at=self.clock.epoch(self.clock.now()), link=link, cause=cause, baud=self.baud)
 
     def still_closed(self, cause: str) -> None:
         """Another try to open it failed."""
@@ -114,20 +117,27 @@ class Poller:
         if not self.link.open or len(self.errands):
             return
         now = self.clock.now()
-        answers = len(self.schedule.round) > 0
-        if self._other_rate.look(now, self.baud, answers=answers) and not self.link.busy:
+        if self._other_rate.look(now, self.baud, answers=self._answers) and not self.link.busy:
             self._go(now)
+
+    @property
+    def _answers(self) -> bool:
+        """Whether any unit does at the present rate."""
+        return len(self.schedule.round) > 0
 
     def _retune(self, baud: int) -> None:
         """Everything from here on goes at ``baud``."""
         now = self.clock.now()
         self._other_rate.tuned(now)
+        self.baud = baud
         try:
             self.link.retune(baud)
         except WireError as error:
             cause = str(error)
             self.clock.call_at(now, lambda: self.port_lost(cause))
-        self.baud = baud
+        else:
+            self.state = msgspec.structs.replace(self.state, baud=baud)
+            self._tell([self.state])
 
     # --- what people want ----------------------------------------------------------------------
 
@@ -139,6 +149,11 @@ class Poller:
     def watch(self, watch: Watch) -> None:
         """These units are on an open page."""
         self.schedule.watch(watch.units, anybody=bool(watch.units))
+
+    def reserve(self) -> None:
+        """A write is about to be asked for: no poll leaves before it, for a moment."""
+        self._turns.reserve(self.clock.now())
+        self.link.do_not_follow()
 
     def submit(self, errand: Errand) -> None:
         """Carry out ``errand``: its first frame is the next one, if its claim allows."""
@@ -160,8 +175,7 @@ class Poller:
         """The figures of this moment."""
         now = self.clock.now()
         at = self.clock.epoch(now)
-        figures = self._figures.take(now, at, self.link.counts, self.roster, self.schedule)
-        return msgspec.structs.replace(figures, baud=self.baud)
+        return self._figures.take(now, at, self.link.counts, self.roster, self.schedule)
 
     # --- one exchange after the other ----------------------------------------------------------
 
@@ -213,7 +227,7 @@ class Poller:
         """Send what is next; nothing to send: be waked when there is."""
         if not self.link.open:
             return
-        other = self._other_rate.turn(self.baud)
+        other = self._other_rate.turn(self.baud, answers=self._answers)
         if other is not None:
             self._retune(other)
             self.schedule.port_opened(now)
@@ -286,7 +300,7 @@ class Poller:
             case Retune(baud=baud):
                 self._retune(baud)
             case Expect(baud=baud):
-                self._other_rate.expect(baud)
+                self._other_rate.expect(baud, self.baud)
 
     def _tell(self, updates: list[Update]) -> None:
         """In the order of happening, but after the next request has left."""

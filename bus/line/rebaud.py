@@ -107,6 +107,7 @@ class _Change:
         if missing:
             message = f"unit {_names(missing)} answers at {self._new} baud, but its #18 does not read so"
             return _result("unverified", message, self._outcomes(missing))
+        yield Expect(self._new)
         message = (
             f'the bus is at {self._new} baud, every unit proven; set "baud = {self._new}" for it in '
             "lineside.toml before the next start"
@@ -143,6 +144,7 @@ class _Change:
         answering = yield from self._answering(self._units)
         missing = yield from self._not_holding(sorted(answering), self._old)
         lost = sorted({*missing, *(set(self._units) - answering)})
+        yield Expect(self._old)
         if not lost:
             message = f"{why}: every unit is back at {self._old} baud, as before"
         else:

@@ -71,7 +71,7 @@ class Retune(msgspec.Struct, frozen=True):
 
 
 class Expect(msgspec.Struct, frozen=True):
-    """Units may be found at ``baud`` once they have been switched off and on."""
+    """Units come up at ``baud`` once they have been switched off and on; the present rate: where they are."""
 
     baud: int
 

@@ -62,4 +62,5 @@ def test_a_closed_port_is_one_change_and_not_one_for_each_unit() -> None:
     assert seen(opened, link("online"), link("online", 2), closed, link("offline"), link("offline", 2)) == [
         ("bus", None, "open", "closed")
     ]
+    assert seen(opened, BusLink(at=1.0, link="open", baud=4800)) == [], "another rate is no news of the port"
     assert seen(opened, closed, opened) == [("bus", None, "open", "closed"), ("bus", None, "closed", "open")]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from app.live.fields import bus_fields, health_fields, unit_fields
-from bus.contract import BusFigures, ParameterValue, UnitFigures
+from bus.contract import BusFigures, BusLink, ParameterValue, UnitFigures
 from tests.app.screens import AT_SPEED, REMOTE, line, reading, voice
 
 
@@ -80,6 +80,13 @@ def test_a_bus_without_figures_says_that_it_does_not_know() -> None:
     shown = bus_fields(line().buses["dry"], voice())
     assert (shown["scan"], shown["wire"]) == ("–", "–")  # noqa: RUF001
     assert shown["stale_after"] == "2.00"
+
+
+def test_the_rate_of_a_bus_is_said_wherever_it_is_shown() -> None:
+    live = line()
+    live.apply("dry", [BusLink(at=100.0, link="open", baud=4800)])
+    shown = bus_fields(live.buses["dry"], voice("de"))
+    assert (shown["baud"], shown["carries"]) == ("4800", "dessen, was 4800 Baud tragen")
 
 
 def test_a_bus_s_figures_are_texts() -> None:

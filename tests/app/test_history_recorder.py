@@ -63,6 +63,14 @@ def test_a_closed_port_leaves_a_hole_in_every_unit(shelf: Shelf) -> None:
     assert shelf.ask("actual", NOON, NOON + 20).series.average.count(None) == 1
 
 
+def test_another_rate_of_an_open_port_leaves_none(shelf: Shelf) -> None:
+    shelf.keep([BusLink(NOON - 1, "open", baud=9600), *polls(NOON, NOON + 10)])
+    shelf.keep([BusLink(NOON - 1, "open", baud=4800), *polls(NOON + 10, NOON + 20)])
+    assert shelf.ask("actual", NOON, NOON + 20).series.average.count(None) == 0
+    said = shelf.database.read_now(lambda c: c.execute("SELECT count(*) FROM link").fetchone()[0])
+    assert said == 1
+
+
 def test_a_unit_lost_and_back_within_one_commit_leaves_a_hole(shelf: Shelf) -> None:
     before, after = polls(NOON, NOON + 5, lambda _: 1000), polls(NOON + 6, NOON + 10, lambda _: 1000)
     shelf.keep([*before, UnitLink(1, NOON + 5.5, "stale"), UnitLink(1, NOON + 6, "online"), *after])

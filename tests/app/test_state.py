@@ -39,6 +39,14 @@ def test_each_word_changes_what_it_is_about(live: LiveState) -> None:
     assert live.buses["dry-end"].units[1].reading is None
 
 
+def test_the_rate_is_what_the_worker_said_last(live: LiveState) -> None:
+    bus = live.buses["dry-end"]
+    live.apply("dry-end", [BusLink(at=1.0, link="open")])
+    assert bus.baud == 9600, "as configured where an older worker says none"
+    live.apply("dry-end", [BusLink(at=1.0, link="open", baud=4800)])
+    assert bus.baud == 4800
+
+
 def test_a_unit_that_is_not_configured_is_passed_over(live: LiveState) -> None:
     live.apply("dry-end", [reading(99), reading(1, 5)])
     found = live.buses["dry-end"].units[1].reading

@@ -14,6 +14,7 @@ from bus.contract import (
     ChangeBaud,
     ExecuteAll,
     ExecuteSpeed,
+    Reading,
     ReadParameters,
     Result,
     ScanBus,
@@ -42,6 +43,10 @@ def polls(line: VirtualLine, since: float) -> list[int]:
 
 def bus_links(line: VirtualLine) -> list[str]:
     return [update.link for update in line.updates if isinstance(update, BusLink)]
+
+
+def bus_rates(line: VirtualLine) -> list[int]:
+    return [update.baud for update in line.updates if isinstance(update, BusLink)]
 
 
 def unit_links(line: VirtualLine, unit: int) -> list[str]:
@@ -406,6 +411,45 @@ def test_the_whole_line_goes_to_another_baud_rate(at_once: bool) -> None:
     run(scene, 4)
 
 
+def test_the_new_rate_is_told_before_any_reading_at_it() -> None:
+    async def scene(line: VirtualLine) -> None:
+        _decide(line, [True] * 3)
+        await settled(line)
+        assert (await line.ask(ChangeBaud(4800), timeout_s=10)).outcome == "verified"
+        await asyncio.sleep(1)
+        told = [update for update in line.updates if isinstance(update, BusLink)]
+        assert [(each.link, each.baud) for each in told] == [("open", 9600), ("open", 4800)]
+        assert told[0].at == told[1].at, "the port was not opened anew"
+        assert line.worker.snapshot(0).bus == told[-1]
+        last_acted = max(at for at, _, _ in line.acted()) + EPOCH
+        at_new_rate = [u for u in line.updates if isinstance(u, Reading) and u.at > last_acted]
+        assert line.updates.index(told[-1]) < line.updates.index(at_new_rate[0])
+
+    run(scene, 3)
+
+
+def test_a_line_that_has_come_to_its_new_rate_is_asked_there_only() -> None:
+    """From then on a cable pulled for long is a silence like any other, and ends where it began."""
+
+    async def scene(line: VirtualLine) -> None:
+        _decide(line, [False] * 3)
+        await settled(line)
+        assert (await line.ask(ChangeBaud(4800), timeout_s=10)).outcome == "verified"
+        for unit in line.plant.units:
+            unit.power_up()
+        await line.until(lambda: bus_rates(line)[-1] == 4800 and unit_links(line, 1)[-1] == "online")
+        await asyncio.sleep(3)
+        rates = bus_rates(line)
+        for unit in line.units:
+            line.faults.set(Kind.DEAD, 1.0, unit)
+        await asyncio.sleep(4 * LOOK_ELSEWHERE_S)
+        line.faults.clear()
+        await line.until(lambda: unit_links(line, 1)[-1] == "online")
+        assert bus_rates(line) == rates
+
+    run(scene, 3)
+
+
 def test_a_slow_line_with_its_first_unit_off_is_found_at_its_new_rate() -> None:
     """Each look at a silent line costs a long turnaround; both rates must still get theirs in turn."""
 
@@ -418,7 +462,7 @@ def test_a_slow_line_with_its_first_unit_off_is_found_at_its_new_rate() -> None:
             unit.power_up()
         await asyncio.sleep(15 * LOOK_ELSEWHERE_S)
         assert line.worker.poller.baud == 4800
-        assert line.worker.poller.figures().baud == 4800
+        assert bus_rates(line)[-1] == 4800
         assert [unit_links(line, unit)[-1] for unit in (2, 3)] == ["online"] * 2
 
     run(scene, 3, turnaround_ms=300)
@@ -456,13 +500,7 @@ def test_a_nak_on_the_retry_does_not_speak_for_the_try_before() -> None:
     takes no other over the link, and would leave the line at its next power-up."""
 
     async def scene(line: VirtualLine) -> None:
-        _decide(line, [False] * 3)
-        await settled(line)
-        line.faults.set(Kind.LOST, 1.0, 2)
-        command = line.command(ChangeBaud(4800), timeout_s=10)
-        await line.until(lambda: line.acted(2))
-        line.plant.unit(2).memory[Prm.MODE] = 0
-        line.faults.clear()
+        command = await _its_ack_lost_and_then_local(line, 2)
         await line.until(lambda: line.fate_of(command))
         fate = _fate(line, command)
         assert fate.outcome == "unverified"
@@ -480,13 +518,7 @@ def test_a_nak_on_the_retry_does_not_speak_for_the_try_before() -> None:
 
 def test_a_nak_on_the_retry_of_a_unit_that_is_soon_back_leaves_nothing_behind() -> None:
     async def scene(line: VirtualLine) -> None:
-        _decide(line, [False] * 3)
-        await settled(line)
-        line.faults.set(Kind.LOST, 1.0, 2)
-        command = line.command(ChangeBaud(4800), timeout_s=10)
-        await line.until(lambda: line.acted(2))
-        line.plant.unit(2).memory[Prm.MODE] = 0
-        line.faults.clear()
+        command = await _its_ack_lost_and_then_local(line, 2)
         await line.until(lambda: line.worker.poller.baud == 4800)
         line.plant.unit(2).memory[Prm.MODE] = 1
         await line.until(lambda: line.fate_of(command))
@@ -511,6 +543,18 @@ def test_an_impossible_baud_rate_is_not_tried() -> None:
 def _decide(line: VirtualLine, at_once: list[bool]) -> None:
     for unit, now in zip(line.plant.units, at_once, strict=True):
         unit.traits = dataclasses.replace(unit.traits, baud_changes="at once" if now else "at power-up")
+
+
+async def _its_ack_lost_and_then_local(line: VirtualLine, unit: int) -> str:
+    """A change of baud under way: ``unit`` holds its new #18, the ACK got lost, and the retry is refused."""
+    _decide(line, [False] * len(line.plant.units))
+    await settled(line)
+    line.faults.set(Kind.LOST, 1.0, unit)
+    command = line.command(ChangeBaud(4800), timeout_s=10)
+    await line.until(lambda: line.acted(unit))
+    line.plant.unit(unit).memory[Prm.MODE] = 0
+    line.faults.clear()
+    return command
 
 
 def _fate(line: VirtualLine, command: str) -> Result:

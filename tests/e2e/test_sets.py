@@ -117,6 +117,7 @@ def test_a_change_of_baud_is_typed_and_every_unit_proven(site: Site, browser_pag
     with site.api("engineer") as client:
         assert client.post("/buses/line/baud", json={"baud": 2400}).json()["code"] == "dangerous"
     switch_off_and_on(site)
+    expect(page.get_by_text("of what 4800 baud can carry"), "told, and not only when loaded").to_be_attached()
     page.goto("/bus/line")
     expect(page.get_by_text("of what 4800 baud can carry")).to_be_visible()
     page.get_by_label("New baud rate").select_option("9600")
