@@ -11,12 +11,14 @@ from bus.catalogue.status import status_bits
 from bus.contract import ScanBus
 
 LOOK_TIMEOUT_S = 10.0
+LOOKS = 4
+"""How often an address is asked whose unit still answers the scan."""
 
 
 async def look(desk: Desk, live: LiveState, person: Person, swap: Swap) -> Sight:
     """What the wire shows now. Raises Problem 503 while the bus is closed."""
     bus, target = swap.bus, swap.unit
-    at_target = await _answers(desk, person, bus, target)
+    at_target = await _at_section(desk, live, person, bus, target)
     at_factory: Kind = "silent"
     if at_target == "silent" and target != FACTORY_ADDRESS:
         at_factory = await _answers(desk, person, bus, FACTORY_ADDRESS)
@@ -30,6 +32,15 @@ async def look(desk: Desk, live: LiveState, person: Person, swap: Swap) -> Sight
         configured=frozenset(live.buses[bus].units),
         baud=live.buses[bus].baud,
     )
+
+
+async def _at_section(desk: Desk, live: LiveState, person: Person, bus: str, unit: int) -> Kind:
+    """One lost answer is no silence: it would let the old unit, still on the cable, pass for the spare."""
+    for _ in range(LOOKS):
+        kind = await _answers(desk, person, bus, unit)
+        if kind != "silent" or live.buses[bus].units[unit].link.link != "online":
+            return kind
+    return "silent"
 
 
 async def _answers(desk: Desk, person: Person, bus: str, address: int) -> Kind:

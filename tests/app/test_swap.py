@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 import pytest
 
@@ -16,12 +18,16 @@ from app.sets.plan import LeftOut, RestorePlan, Write
 from app.sets.restore_record import Restore, RowResult, State
 from app.sets.store import SetStore, SetSummary
 from app.swap.desk import SwapDesk, step_text
+from app.swap.looking import LOOKS, look
 from app.swap.record import Source, Swap
 from app.swap.rules import STEPS, Kind, Sight, advice, done_steps
 from app.swap.sources import offers
 from app.swap.store import SwapStore
+from app.web.access import Person
+from bus.contract import Action, FoundUnit, Result, ScanBus, UnitLink
 from bus.settings import BusSettings
 from tests.app.played_desk import ANNA, Noted
+from tests.app.screens import line
 
 
 def sight(at_target: Kind, at_factory: Kind = "silent", **more: object) -> Sight:
@@ -184,6 +190,38 @@ def test_a_unit_without_a_set_is_offered_those_of_its_group_first() -> None:
 
 async def shown(seen: Sight) -> Sight:
     return seen
+
+
+@dataclass
+class Wire:
+    """A desk on which each scan of an address sees what is next in ``seen``."""
+
+    seen: list[Kind]
+
+    async def ask(self, _who: Person, _bus: str, action: Action, **_: Any) -> Result:
+        assert isinstance(action, ScanBus)
+        kind = self.seen.pop(0)
+        found = [] if kind == "silent" else [FoundUnit(action.first, 9600, kind)]
+        return Result(id="x", at=1.0, outcome="verified", found=found)
+
+
+@pytest.mark.parametrize(
+    ("link", "seen", "at_target"),
+    [
+        ("online", ["silent", "digimax"], "digimax"),
+        ("online", ["silent", "silent", "garbled"], "garbled"),
+        ("online", ["silent"] * LOOKS + ["silent"], "silent"),
+        ("offline", ["silent", "silent"], "silent"),
+    ],
+)
+async def test_a_lost_answer_of_a_unit_that_is_heard_is_no_silence(
+    scene: Scene, link: Literal["online", "offline"], seen: list[Kind], at_target: Kind
+) -> None:
+    swap, live, wire = await scene.begin(), line(2), Wire(seen)
+    swap.bus = "dry"
+    live.apply("dry", [UnitLink(unit=2, at=101.0, link=link)])
+    shown_now = await look(wire, live, ANNA, swap)  # type: ignore[arg-type]
+    assert (shown_now.at_target, wire.seen) == (at_target, [])
 
 
 def a_restore(state: State, planned_at: float = 101.0) -> Restore:
