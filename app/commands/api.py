@@ -6,10 +6,10 @@ import asyncio
 import time
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header, Query
-from starlette.requests import HTTPConnection, Request
+from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.answers import FateShown, answer
@@ -25,13 +25,14 @@ from app.commands.bodies import (
 from app.commands.desk import Desk
 from app.commands.typed import Typed
 from app.commands.wish import DEFAULT_TIMEOUT_S, writes_secret
+from app.commands.writer import EngineeringWriter, Writer, desk_of
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.shown import ParameterShown
 from app.live.state import LiveState
 from app.live.view import parameter_json
-from app.web.access import Engineer, Operator, Person, Viewer
+from app.web.access import Person, Viewer
 from app.web.services import looked_up
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS
@@ -55,11 +56,6 @@ FIRST_READ_WITHIN_S = 5.0
 FATE: dict[int | str, dict[str, Any]] = {200: {"model": FateShown, "description": "verified or acknowledged"}}
 GAPS_TIMEOUT_S = 600.0
 """Forty reads in a tenth of the wire at 300 baud."""
-
-
-def desk_of(connection: HTTPConnection) -> Desk:
-    """The way to the wire."""
-    return cast(Desk, connection.app.state.services.desk)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +109,7 @@ Ask = Annotated[Asking, Depends(asking)]
 
 
 @router.post("/units/{unit:int}/speed", responses=FATE)
-async def set_speed(person: Operator, ask: Ask, unit: int, body: SpeedBody) -> Response:
+async def set_speed(person: Writer, ask: Ask, unit: int, body: SpeedBody) -> Response:
     """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
     typed = ask.typed(person, unit, body)
     action = SetSpeed(unit=unit, raw=await typed.setpoint(body), execute=body.execute)
@@ -121,19 +117,19 @@ async def set_speed(person: Operator, ask: Ask, unit: int, body: SpeedBody) -> R
 
 
 @router.post("/units/{unit:int}/execute", responses=FATE)
-async def execute(person: Operator, ask: Ask, unit: int, body: Body | None = None) -> Response:
+async def execute(person: Writer, ask: Ask, unit: int, body: Body | None = None) -> Response:
     """83h to one unit: its staged speed becomes its commanded speed."""
     return await ask.ask(person, ExecuteSpeed(unit=unit), body or Body(), unit)
 
 
 @router.post("/execute", responses=FATE)
-async def execute_all(person: Operator, ask: Ask, body: Body | None = None) -> Response:
+async def execute_all(person: Writer, ask: Ask, body: Body | None = None) -> Response:
     """83h to all, then the proof from every unit."""
     return await ask.ask(person, ExecuteAll(), body or Body())
 
 
 @router.post("/speeds", responses=FATE)
-async def set_speeds(person: Operator, ask: Ask, body: SetpointsBody) -> Response:
+async def set_speeds(person: Writer, ask: Ask, body: SetpointsBody) -> Response:
     """Stage all, require every acknowledgement, broadcast, prove: all of them or none."""
     bus_or_404(ask.live, ask.bus)
     setpoints: dict[int, int] = {}
@@ -147,7 +143,7 @@ async def set_speeds(person: Operator, ask: Ask, body: SetpointsBody) -> Respons
 
 
 @router.put("/units/{unit:int}/outputs/{number:int}", responses=FATE)
-async def write_output(person: Operator, ask: Ask, unit: int, number: int, body: OutputBody) -> Response:
+async def write_output(person: Writer, ask: Ask, unit: int, number: int, body: OutputBody) -> Response:
     """87h, proven by the bit in ST2."""
     unit_or_404(ask.live, ask.bus, unit)
     if number not in OUTPUT_NUMBERS:
@@ -156,13 +152,15 @@ async def write_output(person: Operator, ask: Ask, unit: int, number: int, body:
 
 
 @router.put("/units/{unit:int}/analog-output", responses=FATE)
-async def write_analog_output(person: Engineer, ask: Ask, unit: int, body: AnalogOutputBody) -> Response:
+async def write_analog_output(
+    person: EngineeringWriter, ask: Ask, unit: int, body: AnalogOutputBody
+) -> Response:
     """88h: acknowledged at best, for there is nothing to read back."""
     return await ask.ask(person, WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
 
 
 @router.post("/baud", responses=FATE)
-async def change_baud(person: Engineer, ask: Ask, body: BaudBody) -> Response:
+async def change_baud(person: EngineeringWriter, ask: Ask, body: BaudBody) -> Response:
     """#18 of every unit, the host after them, every unit proven; taken back by itself where one is lost."""
     return await ask.ask(person, ChangeBaud(baud=body.baud), body)
 
@@ -205,7 +203,7 @@ async def _read(person: Person, ask: Asking, unit: int, numbers: list[int], *, g
 
 @router.put("/units/{unit:int}/parameters/{number:int}", responses=FATE)
 async def write_parameter(
-    person: Engineer, ask: Ask, unit: int, number: int, body: ParameterBody
+    person: EngineeringWriter, ask: Ask, unit: int, number: int, body: ParameterBody
 ) -> Response:
     """86h, read back by 85h. What can cut the link off needs ``confirm``."""
     typed = ask.typed(person, unit, body)

@@ -109,6 +109,11 @@ class Desk:
         _refuse_other(id, (kept.who, kept.bus, kept.action) == (person.name, bus, action))
         return await asyncio.shield(kept.fate)
 
+    async def reserve(self, bus: str) -> None:
+        """Somebody who may is about to ask for a write: the next turn of the wire is left to it."""
+        if bus in self._channels:
+            await self._channels[bus].reserve()
+
     async def cancel(self, bus: str, id: str) -> None:
         """Give a command up where nothing is half done; its fate still comes to whoever waits."""
         bus_or_404(self._live, bus)

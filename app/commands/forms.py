@@ -10,11 +10,11 @@ from fastapi import Depends
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.commands.api import desk_of
 from app.commands.fate import Fate, fate_of, fate_of_problem
 from app.commands.safeguards import Safeguards
 from app.commands.safeguards_api import safeguards_of
 from app.commands.words import shown_setpoint
+from app.commands.writer import desk_of
 from app.errors import Problem
 from app.live.fields import Voice
 from app.live.lookup import bus_or_404, unit_or_404

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Form, Path
 from starlette.responses import Response
 
 from app.commands.forms import Desks, Desktop, new_id
+from app.commands.writer import EngineeringWriter, Writer
 from app.errors import Problem
 from app.live.state import UnitLive
 from app.web.access import Engineer, Operator
@@ -53,7 +54,7 @@ async def review_output(person: Operator, desk: Desks, bus: str, unit: int, numb
 
 @router.post("/outputs/{number:int}")
 async def set_output(
-    person: Operator,
+    person: Writer,
     desk: Desks,
     bus: str,
     unit: int,
@@ -106,7 +107,7 @@ async def review_analog(
 
 @router.post("/analog-output")
 async def set_analog(
-    person: Engineer,
+    person: EngineeringWriter,
     desk: Desks,
     bus: str,
     unit: int,

@@ -13,6 +13,7 @@ from app.commands.bodies import Quantity
 from app.commands.forms import TIMEOUT_S, Desks, Desktop, new_id
 from app.commands.typed import Typed
 from app.commands.words import known_parameter_text, text_of
+from app.commands.writer import EngineeringWriter
 from app.errors import Problem
 from app.live.state import UnitLive
 from app.live.view import parameter_json
@@ -96,7 +97,7 @@ async def review_parameter(
 
 @router.post("/{number:int}")
 async def write_parameter(
-    person: Engineer,
+    person: EngineeringWriter,
     desk: Desks,
     bus: str,
     unit: int,

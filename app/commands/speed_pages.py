@@ -23,6 +23,7 @@ from app.commands.ramp import (
 from app.commands.setpoints import bounds
 from app.commands.typed import Typed
 from app.commands.words import shown_setpoint
+from app.commands.writer import Writer
 from app.errors import Problem
 from app.live.state import UnitLive, follower
 from app.web.access import Operator, Person
@@ -107,7 +108,7 @@ def _not_so(desk: Desktop, live: UnitLive, error: CallerError | Problem) -> Resp
 
 @router.post("/speed")
 async def set_speed(
-    person: Operator,
+    person: Writer,
     desk: Desks,
     bus: str,
     unit: int,
@@ -153,7 +154,7 @@ def _refuse_moved(desk: Desktop, bus: str, live: UnitLive, was: str) -> None:
 
 @router.post("/nudge")
 async def nudge(
-    person: Operator,
+    person: Writer,
     desk: Desks,
     bus: str,
     unit: int,
@@ -209,7 +210,7 @@ async def review_execute(person: Operator, desk: Desks, bus: str, unit: int) -> 
 
 @router.post("/execute")
 async def execute(
-    person: Operator,
+    person: Writer,
     desk: Desks,
     bus: str,
     unit: int,

@@ -14,9 +14,9 @@ from fastapi import APIRouter, Query
 from starlette.responses import JSONResponse, Response, StreamingResponse
 
 from app.commands.answers import frame_json
-from app.commands.api import desk_of
 from app.commands.desk import Desk
 from app.commands.trace_file import trace_line
+from app.commands.writer import desk_of
 from app.errors import Problem
 from app.web.access import Engineer, Person
 from app.web.services import looked_up

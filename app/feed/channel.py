@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from app.live.state import NO_WORKER
-from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, Result, Watch
+from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, Reserve, Result, Watch
 
 REASK_WITHIN_S = 10.0
 """How long a command under way waits for its worker to come back."""
@@ -104,6 +104,10 @@ class Channel:
             return await self._fate_of(asked)
         finally:
             del self._asked[command.id]
+
+    async def reserve(self) -> None:
+        """Say that a write is about to be asked for: the wire waits a moment for it."""
+        await self._send(Reserve())
 
     async def cancel(self, command_id: str) -> None:
         """Ask the worker to give a command up where nothing is half done; its fate still comes."""

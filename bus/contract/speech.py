@@ -75,6 +75,10 @@ class Command(Message, frozen=True, tag="command"):
     action: Action
 
 
+class Reserve(Message, frozen=True, tag="reserve"):
+    """A write is about to be asked for: the next turn of the wire is left to it, for a moment."""
+
+
 class Cancel(Message, frozen=True, tag="cancel"):
     """Give up a command at the next point where nothing is half done."""
 
@@ -114,7 +118,7 @@ class WantSnapshot(Message, frozen=True, tag="want_snapshot"):
     """A number was missing: say everything again."""
 
 
-AppMessage = Welcome | Delivered | Clock | Watch | WantSnapshot | Command | Cancel
+AppMessage = Welcome | Delivered | Clock | Watch | WantSnapshot | Reserve | Command | Cancel
 
 _encoder = msgspec.msgpack.Encoder()
 _worker_decoder: msgspec.msgpack.Decoder[WorkerMessage] = msgspec.msgpack.Decoder(WorkerMessage)

@@ -18,6 +18,8 @@ from bus.wire.fence import Doubt
 
 ERRANDS_AT_A_STRETCH_S = 0.5
 """Operators' writes without end leave one poll in this time, unless a change of many units is under way."""
+RESERVED_S = 0.015
+"""A turn is left free so long for a write that is announced: its way through the app and onto its disk."""
 PACE = 0.8
 """On a port faster than its baud rate a round still takes this part of the time it would on the wire."""
 _TRIES = {Kind.FIRST: 1, Kind.PROBE: 1}
@@ -42,6 +44,18 @@ class Turns:
         self._foreseen: tuple[Task, Asking] | None = None
         self._routine_at = 0.0
         self._not_before = 0.0
+        self._reserved_at = 0.0
+        self._reserved_until = 0.0
+
+    def reserve(self, now: float) -> None:
+        """No read of the schedule leaves for a moment, because a write is about to be asked for.
+
+        For writes that never come, no more than one such moment between two reads is lost, and none while
+        the schedule has had to wait long.
+        """
+        if self._routine_at >= self._reserved_at and now - self._routine_at < ERRANDS_AT_A_STRETCH_S:
+            self._reserved_at = now
+            self._reserved_until = now + RESERVED_S
 
     def next_request(self, now: float) -> Request | None:
         """What is sent now; None: nothing before one of ``moments``."""
@@ -53,7 +67,7 @@ class Turns:
 
     def foresee(self, under_way: Request, now: float) -> Request | None:
         """What follows ``under_way`` if its answer is an ordinary one; None where that is not known."""
-        if len(self.errands) or self._routine is None or not self._is_an_ordinary_poll(under_way):
+        if len(self.errands) or now < self._reserved_until or not self._is_an_ordinary_poll(under_way):
             return None
         if self._foreseen is None:
             task = self.schedule.next(now)
@@ -90,7 +104,7 @@ class Turns:
     def moments(self) -> list[float]:
         """When something may become due that is not now."""
         probe = self.schedule.wake_at()
-        moments = [self._not_before, *self.errands.moments()]
+        moments = [self._not_before, self._reserved_until, *self.errands.moments()]
         return moments if probe is None else [probe, *moments]
 
     # --- errands -------------------------------------------------------------------------------
@@ -100,6 +114,7 @@ class Turns:
         if chosen is None:
             return None
         self.owner, request = chosen
+        self._reserved_until = now
         return request
 
     def _leave_a_poll(self, now: float) -> bool:
@@ -118,7 +133,7 @@ class Turns:
         return task.kind is Kind.POLL and request == asking.ask.request and task.unit in self.schedule.round
 
     def _routine_request(self, now: float) -> Request | None:
-        if now < self._not_before:
+        if now < max(self._not_before, self._reserved_until):
             return None
         slow_waits = self.errands.slow_waits
         while self._routine is None:

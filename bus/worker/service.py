@@ -118,6 +118,10 @@ class BusWorker:
         self.poller.watch(watch)
         self.poller.trace.follower = self._follow if watch.trace else None
 
+    def reserve(self) -> None:
+        """A write is about to be asked for: the next turn is left to it."""
+        self.poller.reserve()
+
     def cancel(self, command_id: str) -> None:
         """Give it up where nothing is half done."""
         self.poller.cancel(command_id)

@@ -22,6 +22,7 @@ from bus.contract import (
     Command,
     Delivered,
     Hello,
+    Reserve,
     Snapshot,
     WantSnapshot,
     Watch,
@@ -57,6 +58,9 @@ class Duty(Protocol):
 
     def command(self, command: Command) -> None:
         """Carry it out."""
+
+    def reserve(self) -> None:
+        """A write is about to be asked for."""
 
     def cancel(self, command_id: str) -> None:
         """Give it up where nothing is half done."""
@@ -172,6 +176,8 @@ class Uplink:
                 self._app_clock.heard(app_time, self._epoch())
             case Command():
                 self._duty.command(message)
+            case Reserve():
+                self._duty.reserve()
             case Cancel(id=command_id):
                 self._duty.cancel(command_id)
             case Watch():

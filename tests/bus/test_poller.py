@@ -28,6 +28,7 @@ from bus.contract import (
 )
 from bus.line.other_rate import LOOK_ELSEWHERE_S
 from bus.line.port import OpenPort, Receiver
+from bus.line.turns import RESERVED_S
 from bus.simulator.faults import Kind
 from bus.simulator.memory import Prm
 from bus.simulator.record import Happened
@@ -77,6 +78,41 @@ def test_the_wire_is_never_idle() -> None:
         entries = line.line.record.since(number, Happened.CAME, Happened.SENT)
         used = sum(len(entry.data) for entry in entries) * 10 / 9600
         assert used / (line.loop.time() - began) > 0.995
+
+    run(scene, 8)
+
+
+@pytest.mark.parametrize("step", range(13))
+def test_a_write_that_is_announced_leaves_no_later_than_if_it_were_there_already(step: int) -> None:
+    """Wherever in a poll it is announced: the poll under way is the last, the write 5 ms later."""
+
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        await asyncio.sleep(step * POLL_S / 13)
+        announced = line.loop.time()
+        line.worker.reserve()
+        await asyncio.sleep(0.005)
+        line.command(SetSpeed(unit=3, raw=700))
+        await asyncio.sleep(0.1)
+        left = next(at for at, data in line.written if at >= announced and data[3] == 0x84)
+        begun = [at for at, _ in line.written if announced <= at < left]
+        assert begun == []
+        assert left - announced <= max(POLL_S, 0.005) + 0.001
+
+    run(scene, 8)
+
+
+def test_a_turn_kept_for_a_write_that_never_comes_costs_a_moment_and_the_units_no_turn() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        began = line.loop.time()
+        while line.loop.time() < began + 10:
+            line.worker.reserve()
+            await asyncio.sleep(0.001)
+        polled = polls(line, began)
+        assert len(polled) > 10 / (POLL_S + 2 * RESERVED_S)
+        counts = [polled.count(unit) for unit in line.units]
+        assert max(counts) - min(counts) <= 2
 
     run(scene, 8)
 

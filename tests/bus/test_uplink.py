@@ -46,6 +46,9 @@ class Desk:
     def command(self, command: Command) -> None:
         self._keep(command)
 
+    def reserve(self) -> None:
+        self._keep("reserve")
+
     def cancel(self, command_id: str) -> None:
         self._keep(command_id)
 
