@@ -17,9 +17,7 @@ from app.web.templating import render, templates_of
 
 router = APIRouter(dependencies=[Depends(public)], include_in_schema=False)
 KEPT = (
-    "css/tokens.css",
-    "css/base.css",
-    "css/components.css",
+    "css/lineside.css",
     "js/theme.js",
     "js/offline.js",
     "icons/sprite.svg",

@@ -5,6 +5,8 @@ from __future__ import annotations
 import gzip
 import hashlib
 import mimetypes
+import posixpath
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,6 +20,8 @@ from app.errors import Problem
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKED = Path(__file__).resolve().parents[1] / "_assets"
 _FOREVER = "public, max-age=31536000, immutable"
+_STYLES_IMPORT = re.compile(rb'^@import "([\w./-]+)";$', re.MULTILINE)
+_MODULE_IMPORT = re.compile(r'^(?:import|export)\b(?!\()[^;]*?"(\.[\w./-]+)";$', re.MULTILINE)
 _TEXT = ("text/", "application/javascript", "application/json", "application/manifest+json", "image/svg+xml")
 
 mimetypes.add_type("text/javascript", ".js")
@@ -39,6 +43,11 @@ def templates_dir() -> Path:
 def static_dir() -> Path:
     """Where the static files are."""
     return _folder("static")
+
+
+def _beside(name: str, path: str) -> str:
+    """The name of a file that another one names by its own place."""
+    return posixpath.normpath(posixpath.join(posixpath.dirname(name), path))
 
 
 @dataclass
@@ -65,6 +74,7 @@ class Assets:
         self._files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*"))}
         self._files = {name: path for name, path in self._files.items() if path.is_file()}
         self._loaded: dict[str, Asset] = {}
+        self._imports: dict[str, list[str]] = {}
         self.version = self._digest()
 
     def _digest(self) -> str:
@@ -84,8 +94,33 @@ class Assets:
             raise Problem(404, "not_found", f"there is no file {name}")
         if name not in self._loaded:
             media_type = mimetypes.guess_type(name)[0] or "application/octet-stream"
-            self._loaded[name] = Asset(self._files[name].read_bytes(), media_type)
+            self._loaded[name] = Asset(self._read(name), media_type)
         return self._loaded[name]
+
+    def _read(self, name: str) -> bytes:
+        """A stylesheet with what it imports in the place of each import: a request for every part would keep
+        the first page waiting."""
+        body = self._files[name].read_bytes()
+        if not name.endswith(".css"):
+            return body
+        return _STYLES_IMPORT.sub(lambda found: self._read(_beside(name, found[1].decode())), body)
+
+    def imports(self, module: str) -> list[str]:
+        """The addresses of every module that one needs before it runs, so that a page asks for all at once
+        and not for one after the other. What it imports later, by a call, is left out. Raises Problem 404."""
+        if module not in self._imports:
+            needed: dict[str, None] = {}
+            self._add_imports(module, needed)
+            self._imports[module] = [self.url(name) for name in needed if name != module]
+        return self._imports[module]
+
+    def _add_imports(self, module: str, needed: dict[str, None]) -> None:
+        for path in _MODULE_IMPORT.findall(self.get(module).body.decode()):
+            name = _beside(module, path)
+            if name not in needed:
+                needed[name] = None
+                if name in self._files:
+                    self._add_imports(name, needed)
 
     def __iter__(self) -> Iterator[str]:
         """Every name."""

@@ -20,9 +20,9 @@ from app.web.languages import Language, Languages
 
 
 class Templates:
-    """Renders templates. In every template: ``t()``, ``asset()``, ``formats``, ``language``,
-    ``languages``, ``site``, ``Role``, ``demo``; in a page or fragment of a request also ``person``,
-    ``request`` and ``path``. ``kept_in``: where they stay compiled from one start to the next."""
+    """Renders templates. In every template: ``t()``, ``asset()``, ``imports()``, ``formats``,
+    ``language``, ``languages``, ``site``, ``Role``, ``demo``; in a page or fragment of a request also
+    ``person``, ``request`` and ``path``. ``kept_in``: where they stay compiled from one start to the next."""
 
     def __init__(
         self,
@@ -61,6 +61,7 @@ class Templates:
             "languages": self.languages,
             "formats": self.formats(language.tag),
             "asset": self._assets.url,
+            "imports": self._assets.imports,
             "site": self._site,
             "demo": self._demo,
             "Role": Role,

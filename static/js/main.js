@@ -1,4 +1,5 @@
-// Every page begins here.
+// What every page has. Most begin here; one that draws something of its own first imports this afterwards.
+import "../vendor/htmx.min.js";
 import { draw, drawAll, rebind } from "./bind.js";
 import * as focus from "./focus.js";
 import * as kiosk from "./kiosk.js";

@@ -11,6 +11,7 @@ import pytest
 from starlette.requests import Request
 
 from app.errors import Problem
+from app.web.access import Role
 from app.web.assets import Assets, static_dir, templates_dir
 from tests.app.whole_app import House, whole_app
 
@@ -87,17 +88,40 @@ def test_the_folders_are_found() -> None:
     assert (templates_dir() / "base.html").is_file()
 
 
-def test_every_module_that_a_page_begins_with_is_asked_for_at_once() -> None:
-    base = (templates_dir() / "base.html").read_text(encoding="utf-8")
-    asked_for = set(re.findall(r'"(\w+)"', re.findall(r"{% for module in \[(.*?)\] %}", base)[0]))
-    assert asked_for == imported("main") - {"main"}
+def test_a_stylesheet_is_sent_with_what_it_imports_in_its_place(tmp_path: Path) -> None:
+    (tmp_path / "css" / "parts").mkdir(parents=True)
+    (tmp_path / "css" / "all.css").write_text('@import "first.css";\n@import "parts/last.css";\n')
+    (tmp_path / "css" / "first.css").write_text("a {}\n")
+    (tmp_path / "css" / "parts" / "last.css").write_text('@import "../first.css";\nb {}\n')
+    assert Assets(tmp_path).get("css/all.css").body.split() == b"a {} a {} b {}".split()
 
 
-def imported(module: str, known: frozenset[str] = frozenset()) -> frozenset[str]:
-    """A module and all that it imports."""
-    known |= {module}
-    source = (static_dir() / "js" / f"{module}.js").read_text(encoding="utf-8")
-    for name in re.findall(r'from "\./([\w-]+)\.js"', source):
-        if name not in known:
-            known |= imported(name, known)
-    return known
+def test_every_stylesheet_imports_what_is_there() -> None:
+    assets = Assets(static_dir())
+    for name in assets:
+        if name.endswith(".css"):
+            assert b"@import" not in assets.get(name).body, name
+
+
+def test_all_that_a_module_imports_is_known_at_once(tmp_path: Path) -> None:
+    (tmp_path / "js").mkdir()
+    main = 'import "../vendor/far.js";\nimport {\n  a,\n} from "./a.js";\nconst c = () => import("./c.js");\n'
+    (tmp_path / "js" / "main.js").write_text(main)
+    (tmp_path / "js" / "a.js").write_text('import * as b from "./b.js";\nexport { c } from "./d.js";\n')
+    (tmp_path / "js" / "b.js").write_text('import { round } from "./main.js";\n')
+    (tmp_path / "js" / "d.js").write_text('// import "./comment.js";\n')
+    assets = Assets(tmp_path)
+    wanted = {assets.url(name) for name in ("vendor/far.js", "js/a.js", "js/b.js", "js/d.js")}
+    assert set(assets.imports("js/main.js")) == wanted
+
+
+async def test_a_page_asks_for_what_its_first_module_imports_and_for_nothing_else(house: House) -> None:
+    client = await house.program(Role.VIEWER)
+    for path, first in (("/", "main"), ("/trends", "trends")):
+        page = (await client.get(path)).text
+        asked = re.findall(r'<link rel="modulepreload" href="([^"]+)">', page)
+        assert asked == house.services.assets.imports(f"js/{first}.js")
+        assert re.findall(r'<script type="module" src="([^"]+)">', page) == [
+            house.services.assets.url(f"js/{first}.js"),
+            *([house.services.assets.url("js/sparkline.js")] if path == "/" else []),
+        ]
