@@ -11,6 +11,7 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from app.cli.child import ended
 from benchmarks.processes import cpu_seconds, family, memory_mib
 from benchmarks.served import served_lines
 from benchmarks.tables import microseconds, show
@@ -103,15 +104,8 @@ def _lines(count: int) -> Iterator[list[_Line]]:
 def _served(folder: Path, lines: Sequence[_Line]) -> Iterator[subprocess.Popen[bytes]]:
     command = served_lines(folder, [line.port for line in lines], UNITS)
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
+    with ended(process, ENDED_WITHIN_S):
         yield process
-    finally:
-        process.terminate()
-        try:
-            process.wait(ENDED_WITHIN_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 def _measure(server: int, lines: Sequence[_Line]) -> list[str]:

@@ -13,6 +13,7 @@ from typing import Annotated
 
 import typer
 
+from app.cli.child import ended
 from app.cli.ending import ending
 from app.cli.tether import tied_environment
 from app.errors import StoreError
@@ -59,15 +60,8 @@ def _simulator(units: int, link: Path) -> Iterator[Callable[[], None]]:
         if output is None or not output.readline():
             raise StoreError("the simulated line could not begin; what stands above says why")
 
-    try:
+    with ended(process, END_WITHIN_S):
         yield begun
-    finally:
-        process.terminate()
-        try:
-            process.wait(END_WITHIN_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 def configuration(line: Path, port: int, units: Sequence[UnitSettings]) -> str:

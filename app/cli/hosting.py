@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import typer
 import uvloop
@@ -101,17 +102,17 @@ async def _host(settings: Settings, config: Path, listening: socket.socket, *, d
     """The workers begin while the dashboard is still being read, and end before it does."""
     url, token = url_of(listening), new_secret()
     workers = Workers(config, [bus.name for bus in settings.bus], url, token)
-    ending = _ending_asked()
+    asked = _ending_asked()
     workers.start()
     try:
         with loading():
-            server_module = await asyncio.to_thread(import_module, "app.cli.server")
-            server = server_module.Server(settings, demo, token, lambda: typer.echo(f"Lineside: {url}"))
+            if (module := await _server_module(asked)) is None:
+                return
+            server = module.Server(settings, demo, token, lambda: typer.echo(f"Lineside: {url}"))
         serving = asyncio.create_task(server.serve([listening]))
-        asked = asyncio.create_task(ending.wait())
         await asyncio.wait({serving, asked}, return_when=asyncio.FIRST_COMPLETED)
-        asked.cancel()
     finally:
+        asked.cancel()
         await workers.stop()
     server.end()
     await serving
@@ -119,8 +120,17 @@ async def _host(settings: Settings, config: Path, listening: socket.socket, *, d
         raise HostingError("the dashboard could not begin; what stands above says why")
 
 
-def _ending_asked() -> asyncio.Event:
+async def _server_module(asked: asyncio.Task[Any]) -> Any:
+    """The dashboard's code; None where the end was ``asked`` meanwhile. Beside many workers that begin too,
+    reading it takes a minute on a small machine: they must not go on for so long."""
+    reading = asyncio.create_task(asyncio.to_thread(import_module, "app.cli.server"))
+    await asyncio.wait({reading, asked}, return_when=asyncio.FIRST_COMPLETED)
+    return None if asked.done() else await reading
+
+
+def _ending_asked() -> asyncio.Task[Any]:
+    """Done once SIGTERM or SIGINT has come."""
     ending = asyncio.Event()
     for number in _ENDINGS:
         asyncio.get_running_loop().add_signal_handler(number, ending.set)
-    return ending
+    return asyncio.create_task(ending.wait())

@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,7 +20,9 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
+from app.cli import hosting
 from app.cli.hosting import HostingError, only_one
+from app.settings import load
 
 LINESIDE = Path(sys.executable).with_name("lineside")
 PATIENCE_S = 60.0
@@ -109,6 +112,33 @@ def test_it_ends_whole_within_five_seconds(config: Path, number: int) -> None:
         [LINESIDE, "audit", "verify", "--config", str(config)], capture_output=True, text=True
     )
     assert proof.returncode == 0, proof.stderr
+
+
+def test_asked_to_end_while_the_dashboard_is_still_read_it_ends_its_workers_at_once(
+    config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    happened: list[str] = []
+    workers_ended = threading.Event()
+
+    class Workers:
+        def __init__(self, *_: object) -> None: ...
+
+        def start(self) -> None:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+        async def stop(self) -> None:
+            happened.append("workers ended")
+            workers_ended.set()
+
+    def import_module(_: str) -> None:
+        workers_ended.wait(PATIENCE_S)
+        happened.append("dashboard read")
+
+    monkeypatch.setattr(hosting, "Workers", Workers)
+    monkeypatch.setattr(hosting, "import_module", import_module)
+    monkeypatch.setattr(hosting, "configure_log", lambda: None)
+    hosting.host(load(config), config)
+    assert happened == ["workers ended", "dashboard read"]
 
 
 def test_an_open_page_does_not_hold_the_end_up(config: Path) -> None:
