@@ -14,7 +14,6 @@ from app.live.fields import bits_of, mode_of
 from app.live.state import BusLive, LiveState, UnitLive, follower
 from app.web.shape import iso
 from bus.catalogue.parameters import PARAMETERS
-from bus.catalogue.status import StatusBits
 from bus.catalogue.values import (
     analog_input_value,
     parameter_text,
@@ -150,19 +149,7 @@ def _reading_json(bus: BusLive, unit: UnitLive, reading: Reading, now: float) ->
         "remote": bits.remote,
         "mode": mode_of(unit, bits).upper(),
         "outputs": list(bits.outputs),
-        "inputs": _inputs(bits),
-    }
-
-
-def _inputs(bits: StatusBits) -> dict[str, bool]:
-    return {
-        "run": bits.run,
-        "estop": bits.estop_active,
-        "preset": bits.preset,
-        "reverse": bits.reverse,
-        "up": bits.up,
-        "down": bits.down,
-        "slave": bits.follower,
+        "inputs": bits.inputs,
     }
 
 

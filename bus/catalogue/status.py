@@ -26,6 +26,19 @@ class StatusBits:
     down: bool
     follower: bool
 
+    @property
+    def inputs(self) -> dict[str, bool]:
+        """The inputs of ST1 by the names that programs are given."""
+        return {
+            "run": self.run,
+            "estop": self.estop_active,
+            "preset": self.preset,
+            "reverse": self.reverse,
+            "up": self.up,
+            "down": self.down,
+            "slave": self.follower,
+        }
+
 
 @lru_cache(maxsize=4096)
 def status_bits(outputs: int, inputs: int, estop_healthy: int = 1) -> StatusBits:

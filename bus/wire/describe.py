@@ -239,26 +239,14 @@ def _status(reply: StatusReply, wire: bytes, dialect: Dialect) -> Described:
         "at_speed": bits.at_speed,
         "remote": bits.remote,
         "outputs": list(bits.outputs),
-        "inputs": _inputs(bits),
+        "inputs": {**bits.inputs},
     }
     words = f"unit {reply.unit}: commanded {reply.commanded}, actual {reply.actual}, analog {reply.analog}, "
     return Described(reply.unit, "status", fields, words + ", ".join(_bits_in_words(bits)), wire)
-
-
-def _inputs(bits: StatusBits) -> dict[str, Json]:
-    return {
-        "run": bits.run,
-        "estop": bits.estop_active,
-        "preset": bits.preset,
-        "reverse": bits.reverse,
-        "up": bits.up,
-        "down": bits.down,
-        "slave": bits.follower,
-    }
 
 
 def _bits_in_words(bits: StatusBits) -> list[str]:
     words = ["at speed" if bits.at_speed else "off speed", "remote" if bits.remote else "not remote"]
     words += [f"output {number} on" for number, on in enumerate(bits.outputs, start=1) if on]
     names = {"estop": "emergency stop active", "slave": "follower"}
-    return words + [names.get(name, name) for name, on in _inputs(bits).items() if on]
+    return words + [names.get(name, name) for name, on in bits.inputs.items() if on]
