@@ -196,8 +196,9 @@ def _ratio(bus: BusLive, unit: UnitLive, voice: Voice) -> str:
 
 
 def _signed(raw: int, decimals: int | None, voice: Voice) -> str:
-    text = voice.formats.fixed(abs(raw), decimals)
-    return f"+{text}" if raw > 0 else f"−{text}" if raw < 0 else text  # noqa: RUF001 (a true minus sign)
+    """Nothing too has its sign: the three are of one width in a typeface, where a space is not."""
+    sign = "+" if raw > 0 else "−" if raw < 0 else "±"  # noqa: RUF001 (a true minus sign)
+    return sign + voice.formats.fixed(abs(raw), decimals)
 
 
 def _analog(unit: UnitLive, atd: int, voice: Voice) -> str:

@@ -19,7 +19,7 @@ def test_numbers_are_in_the_unit_s_own_decimals_and_the_language_s_sign() -> Non
     assert fields("de", actual=1195)["actual"] == "119,5"
 
 
-@pytest.mark.parametrize(("actual", "said"), [(1200, "0.0"), (1203, "+0.3"), (1150, "−5.0")])  # noqa: RUF001
+@pytest.mark.parametrize(("actual", "said"), [(1200, "±0.0"), (1203, "+0.3"), (1150, "−5.0")])  # noqa: RUF001
 def test_the_error_has_a_sign(actual: int, said: str) -> None:
     assert fields(actual=actual)["deviation"] == said
 
