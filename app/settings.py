@@ -13,6 +13,7 @@ from pydantic_core import PydanticCustomError
 from bus import configuration
 from bus.configuration import ConfigurationError
 from bus.settings import BusSettings, Strict
+from bus.text import OneLine
 
 __all__ = ["ConfigurationError", "Server", "Settings", "Site", "load"]
 
@@ -20,7 +21,7 @@ __all__ = ["ConfigurationError", "Server", "Settings", "Site", "load"]
 class Site(Strict):
     """The plant as people call it."""
 
-    name: Annotated[str, Field(min_length=1, max_length=80)] = "Lineside"
+    name: Annotated[OneLine, Field(min_length=1, max_length=80)] = "Lineside"
     language: str = "en"
     """For whoever has chosen none and whose browser asks for none we have."""
     time_zone: str = ""

@@ -8,6 +8,8 @@ from urllib.parse import urlsplit
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
+from bus.text import OneLine
+
 Baud = Literal[300, 600, 1200, 2400, 4800, 9600]
 BAUDS: tuple[Baud, ...] = (300, 600, 1200, 2400, 4800, 9600)
 BITS_PER_BYTE = 10
@@ -46,11 +48,11 @@ class Dialect(Strict):
 class UnitLabels(Strict):
     """Names of what is wired to a unit."""
 
-    output: dict[Annotated[int, Field(ge=1, le=6)], str] = {}
-    input: dict[Literal["run", "estop", "preset", "reverse", "up", "down", "slave"], str] = {}
-    analog: str = ""
-    analog_unit: str = ""
-    unit: str = ""
+    output: dict[Annotated[int, Field(ge=1, le=6)], OneLine] = {}
+    input: dict[Literal["run", "estop", "preset", "reverse", "up", "down", "slave"], OneLine] = {}
+    analog: OneLine = ""
+    analog_unit: OneLine = ""
+    unit: OneLine = ""
     """What the display shows, for example m/min."""
 
 
@@ -58,8 +60,8 @@ class UnitSettings(Strict):
     """One DIGIMAX IV: its address (#17) and its name on the floor."""
 
     id: Annotated[int, Field(strict=True, ge=1, le=255)]
-    name: Annotated[str, Field(min_length=1, max_length=60)]
-    group: str = ""
+    name: Annotated[OneLine, Field(min_length=1, max_length=60)]
+    group: OneLine = ""
     labels: UnitLabels = UnitLabels()
 
 

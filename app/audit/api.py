@@ -7,20 +7,22 @@ import io
 import json
 import re
 from collections.abc import AsyncIterator
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, Literal, cast
 
 from fastapi import APIRouter, Depends, Query
 from pydantic import AwareDatetime, BaseModel
 from starlette.requests import HTTPConnection
 from starlette.responses import StreamingResponse
 
+from app.audit.kinds import Kind
 from app.audit.log import Event, EventLog
 from app.audit.store import Filter
 from app.web.access import Admin, Viewer
+from app.web.api_route import ApiRoute
 from app.web.services import looked_up
 from app.web.shape import iso
 
-router = APIRouter(prefix="/api/v1", tags=["events"])
+router = APIRouter(prefix="/api/v1", tags=["events"], route_class=ApiRoute)
 MOST = 1000
 """How many events one page may hold."""
 
@@ -78,7 +80,7 @@ Number = Annotated[int | None, Query(ge=1, le=2**62)]
 
 async def wanted_events(
     before: Number = None,
-    kind: str | None = None,
+    kind: Literal[Kind, ""] | None = None,
     bus: str | None = None,
     unit: Annotated[int | None, Query(ge=1, le=255)] = None,
     who: str | None = None,

@@ -12,6 +12,7 @@ import structlog
 
 from app.audit import store
 from app.audit.chain import Verdict
+from app.audit.kinds import Kind
 from app.audit.store import Filter
 from app.database import Database
 from bus.contract import Frame, Outcome
@@ -48,7 +49,7 @@ class EventLog:
     async def intend(
         self,
         *,
-        kind: str = "command",
+        kind: Kind = "command",
         who: str,
         origin: str,
         bus: str,
@@ -95,7 +96,7 @@ class EventLog:
     async def record(
         self,
         *,
-        kind: str,
+        kind: Kind,
         what: str,
         who: str = "",
         origin: str = "",

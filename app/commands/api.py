@@ -33,6 +33,7 @@ from app.live.shown import ParameterShown
 from app.live.state import LiveState
 from app.live.view import parameter_json
 from app.web.access import Person, Viewer
+from app.web.api_route import ApiRoute
 from app.web.services import looked_up
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS
@@ -49,7 +50,7 @@ from bus.contract import (
     WriteParameter,
 )
 
-router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"])
+router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"], route_class=ApiRoute)
 READ_TIMEOUT_S = 30.0
 FIRST_READ_WITHIN_S = 5.0
 """What a plain look at the parameters waits for those that were never read; the reading itself goes on."""

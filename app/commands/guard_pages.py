@@ -15,6 +15,7 @@ from app.live.view import DECIMALS
 from app.web.access import Engineer, Operator
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError
+from bus.text import OneLine
 
 router = APIRouter(include_in_schema=False)
 Typed = Annotated[str, Form(max_length=20)]
@@ -61,7 +62,7 @@ async def block(
     desk: Desks,
     bus: str,
     unit: int,
-    reason: Annotated[str, Form(max_length=200)] = "",
+    reason: Annotated[OneLine, Form(max_length=200)] = "",
 ) -> Response:
     """Refuse every write to this unit, with the reason shown on every page."""
     desk.unit(bus, unit)

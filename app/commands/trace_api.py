@@ -19,10 +19,11 @@ from app.commands.trace_file import trace_line
 from app.commands.writer import desk_of
 from app.errors import Problem
 from app.web.access import Engineer, Person
+from app.web.api_route import ApiRoute
 from app.web.services import looked_up
 from bus.contract import Frame, ReadTrace
 
-router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["trace"])
+router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["trace"], route_class=ApiRoute)
 HOUR_S = 3600.0
 RECENT_S = 60.0
 PIECE = 2000

@@ -32,10 +32,11 @@ from app.history.spans import (
     questions,
 )
 from app.web.access import Viewer
+from app.web.api_route import ApiRoute
 from app.web.services import looked_up
 from app.web.templating import templates_of
 
-router = APIRouter(prefix="/api/v1/history", tags=["history"])
+router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
 SPARK_POINTS = 120
 MOST_SPARKS = 255
 Times = Annotated[Literal["iso", "epoch"], Query(alias="format")]

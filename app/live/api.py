@@ -14,10 +14,11 @@ from app.live.shown import BusShown, LineShown, UnitShown
 from app.live.state import LiveState
 from app.live.view import BlockReason, bus_json, line_json, unit_json
 from app.web.access import Viewer
+from app.web.api_route import ApiRoute
 from app.web.services import looked_up
 from bus.errors import unit_error_name
 
-router = APIRouter(prefix="/api/v1", tags=["line"])
+router = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
 
 
 def live_of(connection: HTTPConnection) -> LiveState:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from app.audit.kinds import Kind
 from bus.catalogue.status import StatusBits, status_bits
 from bus.contract import BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
 from bus.settings import BusSettings
@@ -13,7 +14,7 @@ from bus.settings import BusSettings
 class Change:
     """One entry to be. ``unit`` None: the whole bus."""
 
-    kind: str
+    kind: Kind
     unit: int | None
     at: float
     what: str
@@ -56,19 +57,15 @@ class Changes:
         memory.bits = now
         if before is None or before == now:
             return []
+        estop = "emergency stop input"
+        compared: tuple[tuple[Kind, str, bool, bool, tuple[str, str]], ...] = (
+            ("mode", "mode", before.remote, now.remote, ("LOCAL", "REMOTE")),
+            ("estop", estop, before.estop_active, now.estop_active, ("healthy", "active")),
+            ("run", "run input", before.run, now.run, ("off", "on")),
+        )
         return [
             Change(kind, reading.unit, reading.at, what, words[old], words[new])
-            for kind, what, old, new, words in (
-                ("mode", "mode", before.remote, now.remote, ("LOCAL", "REMOTE")),
-                (
-                    "estop",
-                    "emergency stop input",
-                    before.estop_active,
-                    now.estop_active,
-                    ("healthy", "active"),
-                ),
-                ("run", "run input", before.run, now.run, ("off", "on")),
-            )
+            for kind, what, old, new, words in compared
             if old != new
         ]
 

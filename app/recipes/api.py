@@ -15,10 +15,12 @@ from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, setpoints_now
 from app.recipes.view import dry_run_json, loaded_json, recipe_json
 from app.web.access import Engineer, Operator, Viewer
+from app.web.api_route import ApiRoute
 from app.web.services import service
 from app.web.shape import Strict
+from bus.text import Lines, OneLine
 
-router = APIRouter(prefix="/api/v1", tags=["recipes"])
+router = APIRouter(prefix="/api/v1", tags=["recipes"], route_class=ApiRoute)
 
 Raw = Annotated[int, Field(ge=0, le=99999)]
 
@@ -26,8 +28,8 @@ Raw = Annotated[int, Field(ge=0, le=99999)]
 class SaveRecipe(Strict):
     """``setpoints``: unit → raw; without any, the setpoints that the line has now."""
 
-    name: Annotated[str, Field(min_length=1, max_length=80)]
-    comment: Annotated[str, Field(max_length=1000)] = ""
+    name: Annotated[OneLine, Field(min_length=1, max_length=80)]
+    comment: Annotated[Lines, Field(max_length=1000)] = ""
     setpoints: Annotated[dict[str, Raw], Field(max_length=255, default_factory=dict)]
 
 
@@ -42,7 +44,7 @@ Book = Annotated[RecipeBook, service("recipes")]
 
 @router.get("/recipes")
 async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None) -> list[dict[str, Any]]:
-    """The newest version of every recipe in use."""
+    """The newest version of every recipe in use, at most 1000 of a bus, by name."""
     return [recipe_json(recipe, live.buses.get(recipe.bus)) for recipe in await book.store.newest(bus)]
 
 

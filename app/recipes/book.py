@@ -14,6 +14,9 @@ from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person
 from bus.contract import Result, SetLine, SetSpeed
 
+MOST_RECIPES = 1000
+"""In use on one bus; a list of them is given whole."""
+
 
 class RecipeBook:
     """One for the app."""
@@ -48,6 +51,10 @@ class RecipeBook:
     ) -> Recipe:
         """A new version. ``setpoints``: unit → raw. Raises Problem 422 or 404 in words."""
         live = self._state.buses[bus]
+        if await self.store.is_full(bus, name, MOST_RECIPES):
+            raise Problem(
+                422, "invalid", f"{bus} has {MOST_RECIPES} recipes in use; take one out of the list first"
+            )
         rows = tuple(_setpoint(live, unit, raw) for unit, raw in sorted(setpoints.items()))
         recipe = await self.store.save(Recipe(bus, name, comment, person.name, time.time(), rows))
         await self._record(person, recipe, "saved")
@@ -98,6 +105,7 @@ class RecipeBook:
         await self._events.record(
             kind="recipe",
             who=person.name,
+            origin=person.via,
             bus=recipe.bus,
             unit=None,
             what=f"recipe {recipe.name} version {recipe.version} {what}",

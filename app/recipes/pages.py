@@ -17,6 +17,7 @@ from app.web.access import Engineer, Operator, Viewer
 from app.web.templating import render
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError
+from bus.text import Lines, OneLine
 
 router = APIRouter(include_in_schema=False)
 _DECIMALS = 3
@@ -37,18 +38,25 @@ async def list_page(request: Request, _: Viewer, book: Book, live: Live) -> Resp
 
 
 @router.post("/recipes/save")
-async def save(request: Request, person: Engineer, book: Book, live: Live) -> Response:
+async def save(
+    request: Request,
+    person: Engineer,
+    book: Book,
+    live: Live,
+    name: Annotated[OneLine, Form()] = "",
+    comment: Annotated[Lines, Form()] = "",
+) -> Response:
     """A new version with the typed setpoints; a unit left empty is not part of it."""
     form = await request.form()
     bus = bus_or_404(live, str(form.get("bus", "")))
-    name = str(form.get("name", "")).strip()
+    name = name.strip()
     if not 1 <= len(name) <= 80:
         raise Problem(422, "invalid", "a recipe has a name of 1 to 80 characters; nothing was saved")
     typed = {unit: str(form.get(f"unit-{unit}", "")).strip() for unit in bus.units}
     setpoints = {unit: _raw(bus, unit, text) for unit, text in typed.items() if text}
     if not setpoints:
         raise Problem(422, "invalid", "no setpoint was given; nothing was saved")
-    saved = await book.save(person, bus.settings.name, name, str(form.get("comment", ""))[:1000], setpoints)
+    saved = await book.save(person, bus.settings.name, name, comment[:1000], setpoints)
     return Response(status_code=303, headers={"Location": f"/recipes/{saved.id}"})
 
 

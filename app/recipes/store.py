@@ -39,6 +39,16 @@ class RecipeStore:
         """The newest version of every recipe in use, by name."""
         return await self._database.read(lambda connection: _newest(connection, bus))
 
+    async def is_full(self, bus: str, name: str, most: int) -> bool:
+        """Whether one of this name would be more than so many in use."""
+        query = (
+            "SELECT count(DISTINCT name), ifnull(max(name = ?), 0) FROM recipe WHERE bus = ? AND retired = 0"
+        )
+        count, is_there = await self._database.read(
+            lambda connection: connection.execute(query, (name, bus)).fetchone()
+        )
+        return count >= most and not is_there
+
     async def versions(self, bus: str, name: str) -> list[Recipe]:
         """All versions of one recipe, newest first."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Query, Response
 from pydantic import Field
 
 from app.audit.api import Events
@@ -27,18 +27,22 @@ from app.sets.restore import RestoreDesk
 from app.sets.schedule import SetSchedule
 from app.sets.view import compared_json, departure_json, restore_json, set_json, summary_json
 from app.web.access import Engineer, Person, Role, Viewer
+from app.web.api_route import ApiRoute
 from app.web.services import service
-from app.web.shape import Strict
+from app.web.shape import Numbers, Strict, Units
+from bus.text import Lines, OneLine
 
-router = APIRouter(prefix="/api/v1", tags=["parameter sets"])
+router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
+MOST = 1000
+"""Sets of one answer."""
 
 
 class TakeSet(Strict):
     """Which units to read now (all of the bus when empty)."""
 
-    units: Annotated[list[int], Field(default_factory=list)]
-    name: Annotated[str, Field(max_length=80)] = ""
-    comment: Annotated[str, Field(max_length=1000)] = ""
+    units: Annotated[Units, Field(default_factory=list)]
+    name: Annotated[OneLine, Field(max_length=80)] = ""
+    comment: Annotated[Lines, Field(max_length=1000)] = ""
 
 
 class GoldenMark(Strict):
@@ -59,7 +63,7 @@ class PlanRestore(Strict):
     set: int | None = None
     document: str | None = None
     from_unit: int | None = None
-    ticked: Annotated[list[int], Field(default_factory=list)]
+    ticked: Annotated[Numbers, Field(default_factory=list)]
 
 
 Keeper = Annotated[SetKeeper, service("sets")]
@@ -69,10 +73,16 @@ Restores = Annotated[RestoreDesk, service("restores")]
 
 @router.get("/sets")
 async def list_sets(
-    _: Viewer, keeper: Keeper, bus: str | None = None, unit: int | None = None
+    _: Viewer,
+    keeper: Keeper,
+    bus: str | None = None,
+    unit: int | None = None,
+    before: int | None = None,
+    limit: Annotated[int, Query(ge=1, le=MOST)] = MOST,
 ) -> list[dict[str, Any]]:
-    """All stored sets, newest first."""
-    return [summary_json(summary) for summary in await keeper.store.summaries(bus, unit)]
+    """Stored sets, newest first: at most 1000; ask on with ``before`` = the last ``id``."""
+    found = await keeper.store.summaries(bus, unit, before=before, most=limit)
+    return [summary_json(summary) for summary in found]
 
 
 @router.post("/buses/{bus}/sets", status_code=201)
@@ -196,4 +206,4 @@ async def _ask_for_secrets(person: Person, events: EventLog, stored: ParameterSe
     if not person.role.includes(Role.ENGINEER):
         raise Problem(403, "forbidden", "the operator password (#21) is given to an engineer only")
     what = f"set {stored.id} was taken out with the operator password (#21) in clear"
-    await events.record(kind="secret", who=person.name, bus=stored.bus, unit=None, what=what)
+    await events.record(kind="secret", who=person.name, origin=person.via, bus=stored.bus, what=what)

@@ -19,8 +19,10 @@ from app.sets.taking import Taking, Takings
 from app.sets.view import compared_json, restore_json, set_json
 from app.web.access import Engineer, Viewer
 from app.web.services import service
+from app.web.shape import Units
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
+from bus.text import Lines, OneLine
 
 router = APIRouter(include_in_schema=False)
 
@@ -63,9 +65,9 @@ async def take(
     live: Live,
     readings: Readings,
     bus: Annotated[str, Form()],
-    unit: Annotated[list[int] | None, Form()] = None,
-    name: Annotated[str, Form(max_length=80)] = "",
-    comment: Annotated[str, Form(max_length=1000)] = "",
+    unit: Annotated[Units | None, Form()] = None,
+    name: Annotated[OneLine, Form(max_length=80)] = "",
+    comment: Annotated[Lines, Form(max_length=1000)] = "",
 ) -> Response:
     """Begin to read the units."""
     units = unit or list(bus_or_404(live, bus).units)

@@ -13,6 +13,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import JSONResponse, Response
+from starlette.routing import Match
 from starlette.websockets import WebSocket
 
 from app.errors import Problem, StoreError
@@ -115,7 +116,16 @@ async def _on_http(request: Request, error: Exception) -> Response:
         detail = f"{request.method} is not for {request.url.path}; nothing was done"
     problem = Problem(error.status_code, _CODES.get(error.status_code, "refused"), detail)
     problem.headers.update(error.headers or {})
+    if error.status_code == 405:
+        problem.with_headers(Allow=", ".join(_methods(request)))
     return respond(request, problem)
+
+
+def _methods(request: Request) -> list[str]:
+    """All that the path takes: the router names only those of the first route that it finds there."""
+    routes = [route for route in request.app.routes if route.matches(request.scope)[0] is not Match.NONE]
+    methods = {method for route in routes for method in getattr(route, "methods", None) or ()}
+    return sorted(methods | ({"HEAD"} if "GET" in methods else set()))
 
 
 async def _on_invalid(request: Request, error: Exception) -> Response:

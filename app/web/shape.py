@@ -3,14 +3,32 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 
 class Strict(BaseModel):
     """A body in which nothing is unknown, nothing is converted and no number is infinite."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def _each_once(numbers: list[int]) -> list[int]:
+    twice = [number for number in numbers if numbers.count(number) > 1]
+    if twice:
+        raise ValueError(f"{twice[0]} is given twice")
+    return numbers
+
+
+Units = Annotated[
+    list[Annotated[int, Field(ge=1, le=255)]], Field(max_length=255), AfterValidator(_each_once)
+]
+"""Addresses (#17)."""
+Numbers = Annotated[
+    list[Annotated[int, Field(ge=1, le=40)]], Field(max_length=40), AfterValidator(_each_once)
+]
+"""Of parameters."""
 
 
 def iso(at: float) -> str:

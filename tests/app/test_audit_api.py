@@ -91,6 +91,14 @@ async def test_what_makes_no_sense_is_invalid(viewer: httpx.AsyncClient, query: 
     assert (answer.status_code, answer.json()["code"]) == (422, "invalid")
 
 
+async def test_a_kind_that_there_is_not_is_said_with_those_that_there_are(viewer: httpx.AsyncClient) -> None:
+    for path in ("/api/v1/events", "/api/v1/events.csv"):
+        answer = await viewer.get(path, params={"kind": "nope"})
+        assert answer.status_code == 422
+        assert "'command'" in answer.json()["detail"]
+        assert (await viewer.get(path, params={"kind": "swap"})).status_code == 200
+
+
 async def test_a_span(house: House, viewer: httpx.AsyncClient) -> None:
     await house.services.events.record(kind="estop", what="then", at=1_700_000_000.0)
     span = {"from": "2023-11-14T22:13:20Z", "to": "2023-11-14T23:13:21+01:00"}
@@ -100,9 +108,9 @@ async def test_a_span(house: House, viewer: httpx.AsyncClient) -> None:
 
 async def test_csv_has_every_event_and_no_formula(house: House, viewer: httpx.AsyncClient) -> None:
     for number in range(1200):
-        await house.services.events.record(kind="many", what=str(number))
-    await house.services.events.record(kind="many", what="=HYPERLINK(1)", old="-5.0")
-    answer = await viewer.get("/api/v1/events.csv", params={"kind": "many"})
+        await house.services.events.record(kind="secret", what=str(number))
+    await house.services.events.record(kind="secret", what="=HYPERLINK(1)", old="-5.0")
+    answer = await viewer.get("/api/v1/events.csv", params={"kind": "secret"})
     assert answer.headers["content-type"].startswith("text/csv")
     rows = list(csv.DictReader(io.StringIO(answer.text)))
     assert len(rows) == 1201
@@ -150,8 +158,8 @@ async def test_the_pages_days_are_days_at_the_site(house: House) -> None:
 async def test_the_page_goes_on_to_older_ones(house: House) -> None:
     client = await house.signed_in(Role.VIEWER)
     for number in range(120):
-        await house.services.events.record(kind="many", what=f"thing-{number:03}")
-    page = await client.get("/events?kind=many")
+        await house.services.events.record(kind="secret", what=f"thing-{number:03}")
+    page = await client.get("/events?kind=secret")
     assert "thing-020" in page.text
     assert "thing-019" not in page.text
     older = page.text.split('href="/events?')[-1].split('"')[0].replace("&amp;", "&")

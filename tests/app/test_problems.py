@@ -42,7 +42,7 @@ async def test_an_unknown_call(engineer: httpx.AsyncClient) -> None:
 async def test_a_wrong_method(engineer: httpx.AsyncClient) -> None:
     answer = await engineer.delete("/api/v1/line")
     check_problem(answer, 405, "method_not_allowed")
-    assert answer.headers["allow"] == "GET"
+    assert answer.headers["allow"] == "GET, HEAD"
 
 
 async def test_an_unknown_bus_and_an_unknown_unit(engineer: httpx.AsyncClient) -> None:
@@ -153,3 +153,89 @@ async def test_our_own_failure_says_nothing_of_itself(
         answer = await other.get("/api/v1/events")
     check_problem(answer, 500, "failed")
     assert "secret" not in answer.text
+
+
+async def test_a_wrong_method_names_all_methods_of_the_path(engineer: httpx.AsyncClient) -> None:
+    """Which stand in as many routes."""
+    answer = await engineer.post("/api/v1/buses/dry-end/units/1/limits", json={})
+    check_problem(answer, 405, "method_not_allowed")
+    assert answer.headers["allow"] == "GET, HEAD, PUT"
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "key"),
+    [
+        ("/units/1/speed", b'{"raw": 5, "raw": 50}', "'raw'"),
+        ("/speeds", b'{"setpoints": {"1": {"raw": 5}, "1": {"raw": 50}}}', "'1'"),
+        ("/speeds", b'{"setpoints": {"1": {"raw": 5, "raw": 5}}}', "'raw'"),
+        ("/units/1/speed", b'{"\\ud800": 5, "\\ud800": 5}', r"'\ud800'"),
+    ],
+)
+async def test_a_key_that_is_given_twice_means_nothing(
+    engineer: httpx.AsyncClient, path: str, body: bytes, key: str
+) -> None:
+    headers = {"content-type": "application/json"}
+    answer = await engineer.post(f"/api/v1/buses/dry-end{path}", content=body, headers=headers)
+    check_problem(answer, 422, "invalid")
+    assert answer.json()["detail"] == f"{key}: it is given twice; nothing was sent"
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [
+        ("limt=5", "limt: there is no such parameter; there are: "),
+        ("limit=5&limit=6", "limit: it is given twice"),
+    ],
+)
+async def test_a_query_that_would_be_guessed_at(engineer: httpx.AsyncClient, query: str, words: str) -> None:
+    answer = await engineer.get(f"/api/v1/events?{query}")
+    check_problem(answer, 422, "invalid")
+    assert answer.json()["detail"].startswith(words)
+
+
+async def test_what_may_be_given_several_times_is(engineer: httpx.AsyncClient) -> None:
+    series = "series=dry-end/1/actual&series=dry-end/2/actual"
+    span = "from=2026-11-21T00:00:00Z&to=2026-11-21T01:00:00Z"
+    answer = await engineer.get(f"/api/v1/history/series?{series}&{span}")
+    assert len(answer.json()) == 2
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "field"),
+    [
+        ("POST", "/units/1/block", "reason"),
+        ("POST", "/sets", "name"),
+        ("POST", "/sets", "comment"),
+        ("POST", "/recipes", "name"),
+        ("POST", "/recipes", "comment"),
+    ],
+)
+@pytest.mark.parametrize("text", ["a\0b", "a\x1b[2J", "100\u202e5"])
+async def test_text_that_nobody_can_see_is_not_kept(
+    engineer: httpx.AsyncClient, method: str, path: str, field: str, text: str
+) -> None:
+    body = {"name": "n", field: text} if field != "reason" else {field: text}
+    answer = await engineer.request(method, f"/api/v1/buses/dry-end{path}", json=body)
+    check_problem(answer, 422, "invalid")
+    assert answer.json()["detail"].startswith(f"{field}: character ")
+
+
+@pytest.mark.parametrize(
+    ("path", "form"),
+    [
+        ("/units/dry-end/1/block", {"reason": "a\0b"}),
+        ("/sets/take", {"bus": "dry-end", "name": "a\0b"}),
+        ("/recipes/save", {"bus": "dry-end", "name": "n", "comment": "a\0b"}),
+    ],
+)
+async def test_nor_from_a_form(house: House, path: str, form: dict[str, str]) -> None:
+    client = await house.signed_in(Role.ENGINEER)
+    answer = await client.post(path, data=form)
+    assert answer.status_code == 422
+    assert "control character (U+0000)" in answer.text
+
+
+async def test_a_unit_named_twice_is_read_by_nobody(engineer: httpx.AsyncClient) -> None:
+    answer = await engineer.post("/api/v1/buses/dry-end/sets", json={"units": [1, 1]})
+    check_problem(answer, 422, "invalid")
+    assert answer.json()["detail"].startswith("units: 1 is given twice")

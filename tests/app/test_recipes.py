@@ -44,6 +44,17 @@ async def test_a_new_save_is_a_new_version_and_the_old_one_stays(scene: Scene) -
     ]
 
 
+async def test_a_list_that_is_given_whole_has_an_end(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.recipes.book.MOST_RECIPES", 2)
+    answering(scene.live)
+    for name in ("one", "two", "two"):
+        await scene.book.save(ANNA, "dry-end", name, "", {1: 1200})
+    with pytest.raises(Problem, match="2 recipes in use"):
+        await scene.book.save(ANNA, "dry-end", "three", "", {1: 1200})
+    await scene.book.retire(ANNA, "dry-end", "one")
+    await scene.book.save(ANNA, "dry-end", "three", "", {1: 1200})
+
+
 async def test_a_unit_whose_mode_was_never_read_cannot_be_in_a_recipe(scene: Scene) -> None:
     with pytest.raises(Problem, match="#8"):
         await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200})

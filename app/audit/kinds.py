@@ -1,0 +1,31 @@
+"""What kinds of event there are. Whoever asks for another is told so, instead of being shown nothing."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+Kind = Literal[
+    "block",
+    "bus",
+    "clock",
+    "command",
+    "configuration",
+    "control",
+    "estop",
+    "limits",
+    "login",
+    "login_refused",
+    "logout",
+    "mode",
+    "parameter_set",
+    "recipe",
+    "restore",
+    "run",
+    "secret",
+    "server",
+    "swap",
+    "token",
+    "unit",
+    "user",
+    "worker",
+]

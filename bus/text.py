@@ -1,0 +1,37 @@
+"""Text that people write for others to read: names, reasons, comments."""
+
+from __future__ import annotations
+
+import unicodedata
+from typing import Annotated
+
+from pydantic import AfterValidator
+
+_UNSEEN = frozenset(("Cc", "Cs", "Zl", "Zp"))
+"""Categories of Unicode: control characters, halves of a pair, separators of lines."""
+_TURNING = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+"""They make a text read differently from what it says."""
+_BREAKS = frozenset("\t\n\r")
+
+
+def check_one_line(text: str) -> str:
+    """``text`` itself. Raises ValueError for a sign that nobody sees, or that ends the line."""
+    return _seen(text, frozenset())
+
+
+def check_lines(text: str) -> str:
+    """``text`` itself, which may have several lines. Raises ValueError."""
+    return _seen(text, _BREAKS)
+
+
+OneLine = Annotated[str, AfterValidator(check_one_line)]
+"""A name or a reason."""
+Lines = Annotated[str, AfterValidator(check_lines)]
+"""A comment."""
+
+
+def _seen(text: str, allowed: frozenset[str]) -> str:
+    for place, sign in enumerate(text, 1):
+        if sign not in allowed and (unicodedata.category(sign) in _UNSEEN or sign in _TURNING):
+            raise ValueError(f"character {place} is a control character (U+{ord(sign):04X}); leave it out")
+    return text
