@@ -119,7 +119,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     workers = Workers([bus.name for bus in settings.bus], pipeline)
     accounts = Accounts(database, passwords, events)
     control = settings.site.control
-    safeguards = Safeguards(database, events, control_required=control, role_of=accounts.role_of)
+    safeguards = Safeguards(database, events, control_required=control, find=accounts.find)
     desk = Desk(live, workers.channels, events, database, safeguards)
     reader = ParameterReader(live, desk)
     local_time = partial(datetime.now, zone(settings.site.time_zone))

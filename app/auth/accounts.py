@@ -6,12 +6,13 @@ import sqlite3
 import time
 from collections.abc import Awaitable, Callable
 
+from app.audit.kinds import Kind
 from app.audit.log import EventLog
 from app.auth import rules, store
 from app.auth.passwords import Passwords
 from app.auth.store import Token, User
 from app.database import Database
-from app.web.access import Role
+from app.web.access import Role, account_of, name_of
 from bus.errors import CallerError
 
 Ended = Callable[[str], Awaitable[None]]
@@ -34,7 +35,7 @@ class Accounts:
         self._subscribers: list[Ended] = []
 
     def on_rights_changed(self, subscriber: Ended) -> None:
-        """Hear the name of each user or token whose rights changed or ended, to close what is open."""
+        """Hear the account of each user or token whose rights changed or ended, to close what is open."""
         self._subscribers.append(subscriber)
 
     async def users(self) -> list[User]:
@@ -45,14 +46,17 @@ class Accounts:
         """All tokens by name, without what they are."""
         return await self._database.read(store.tokens)
 
-    async def role_of(self, name: str) -> Role | None:
-        """What a user who may sign in, or a token, of this name may do; None when there is none."""
+    async def find(self, said: str) -> tuple[str, Role] | None:
+        """The account that somebody names, and what it may do: a user who may sign in, else a token, which
+        can also be named as such; None when there is none."""
+        name, only_token = name_of(said)
 
-        def find(connection: sqlite3.Connection) -> Role | None:
-            found = store.user(connection, name)
-            if found is not None and not found[0].disabled:
-                return found[0].role
-            return next((token.role for token in store.tokens(connection) if token.name == name), None)
+        def find(connection: sqlite3.Connection) -> tuple[str, Role] | None:
+            user = None if only_token else store.user(connection, name)
+            if user is not None and not user[0].disabled:
+                return name, user[0].role
+            tokens = (token for token in store.tokens(connection) if token.name == name)
+            return next(((account_of(name, token=True), token.role) for token in tokens), None)
 
         return await self._database.read(find)
 
@@ -134,8 +138,8 @@ class Accounts:
 
         await self._database.write(guarded)
 
-    async def _note(self, kind: str, what: str, by: str, origin: str, *ended: str) -> None:
+    async def _note(self, kind: Kind, what: str, by: str, origin: str, *ended: str) -> None:
         await self._events.record(kind=kind, what=what, who=by, origin=origin)
         for name in ended:
             for subscriber in self._subscribers:
-                await subscriber(name)
+                await subscriber(account_of(name, token=kind == "token"))

@@ -152,5 +152,5 @@ def _others(desk: Desktop, person: Person, bus: str) -> list[str]:
     holder = desk.guards.holder(bus)
     here = {name for name, role in desk.people().items() if Role(role).includes(Role.OPERATOR)}
     if person.role.includes(Role.ADMIN):
-        here.add(person.name)
+        here.add(person.account)
     return sorted(here - {holder})

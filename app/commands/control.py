@@ -29,7 +29,7 @@ class ControlledError(Exception):
 
 
 class Control:
-    """One holder at most for each bus, by name."""
+    """One holder at most for each bus, by account."""
 
     def __init__(self, *, required: bool) -> None:
         self.required = required

@@ -98,7 +98,7 @@ class Desk:
             earlier = await self._record.earlier(id)
             kept = self._kept.get(id)
             if kept is None and earlier is not None:
-                _refuse_other(id, earlier.command == command_of(person.name, bus, action))
+                _refuse_other(id, earlier.command == command_of(person.account, bus, action))
                 return earlier.fate
         if kept is None:
             time_s = time_for(action, live.settings) if timeout_s is None else timeout_s
@@ -106,7 +106,7 @@ class Desk:
             wish = Wish(id or uuid.uuid4().hex, person, bus, action, deadline, origin, listener)
             await self._check(wish, live, confirm)
             kept = self._start(wish, live)
-        _refuse_other(id, (kept.who, kept.bus, kept.action) == (person.name, bus, action))
+        _refuse_other(id, (kept.who, kept.bus, kept.action) == (person.account, bus, action))
         return await asyncio.shield(kept.fate)
 
     async def reserve(self, bus: str) -> None:
@@ -136,7 +136,7 @@ class Desk:
     def _object(self, person: Person, bus: str, action: Action, live: BusLive, confirm: bool) -> None:
         try:
             if is_write(action):
-                self._guards.control.use(bus, person.name, self._now())
+                self._guards.control.use(bus, person.account, self._now())
             check(action, self._circumstances(bus, live, confirm))
         except ControlledError as error:
             raise Problem(409, "controlled", f"{error}; nothing was sent", outcome="controlled") from error
@@ -161,7 +161,7 @@ class Desk:
         for unit, step in steps.items():
             self._moves.note(wish.bus, unit, step, at)
         fate = asyncio.create_task(self._follow(wish, live, steps, at), name=f"command {wish.id}")
-        kept = self._kept[wish.id] = _Kept(wish.person.name, wish.bus, wish.action, fate)
+        kept = self._kept[wish.id] = _Kept(wish.person.account, wish.bus, wish.action, fate)
         while len(self._kept) > REMEMBERED and next(iter(self._kept.values())).fate.done():
             self._kept.popitem(last=False)
         return kept

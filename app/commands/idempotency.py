@@ -41,7 +41,7 @@ def command_of(who: str, bus: str, action: Action) -> str:
 def begin(connection: sqlite3.Connection, wish: Wish, now: float) -> None:
     """Its fate is open from here on; what is older than :data:`KEPT_S` is forgotten."""
     connection.execute("DELETE FROM asked WHERE asked_at < ?", (now - KEPT_S,))
-    row = (wish.id, now, command_of(wish.person.name, wish.bus, wish.action))
+    row = (wish.id, now, command_of(wish.person.account, wish.bus, wish.action))
     connection.execute("INSERT INTO asked (id, asked_at, command) VALUES (?, ?, ?)", row)
 
 

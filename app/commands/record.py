@@ -73,7 +73,7 @@ class Record:
 def _entry(wish: Wish, unit: int | None, words: Wording) -> dict[str, Any]:
     return {
         "who": wish.person.name,
-        "origin": wish.origin,
+        "origin": f"{wish.origin}, token" if wish.person.via == "token" else wish.origin,
         "bus": wish.bus,
         "unit": unit,
         "what": words.what,

@@ -5,21 +5,22 @@ from __future__ import annotations
 import time
 from collections.abc import Awaitable, Callable
 
+from app.audit.kinds import Kind
 from app.audit.log import EventLog
 from app.commands.blocks import Block, BlockStore
 from app.commands.control import Control, ControlledError, Holding
 from app.commands.limits import Limits, LimitsStore
 from app.database import Database
 from app.errors import Problem
-from app.web.access import Person, Role
+from app.web.access import Person, Role, name_of
 
 SIGNED_OUT = "signed out, or has other rights"
 Changed = Callable[[str, int], None]
 """Told of the bus and the unit that was blocked or freed."""
 
 
-RoleOf = Callable[[str], Awaitable[Role | None]]
-"""What a user or program of some name may do; None when there is none of that name."""
+Find = Callable[[str], Awaitable[tuple[str, Role] | None]]
+"""The account that somebody names, and what it may do; None when there is none."""
 
 
 class Safeguards:
@@ -31,14 +32,14 @@ class Safeguards:
         events: EventLog,
         *,
         control_required: bool,
-        role_of: RoleOf,
+        find: Find,
         now: Callable[[], float] = time.time,
     ) -> None:
         self.limits = LimitsStore(database)
         self.blocks = BlockStore(database)
         self.control = Control(required=control_required)
         self._block_subscribers: list[Changed] = []
-        self._role_of = role_of
+        self._find = find
         self._events = events
         self._now = now
 
@@ -84,7 +85,7 @@ class Safeguards:
         return self.control.holding(bus, self._now())
 
     def holder(self, bus: str) -> str:
-        """The name of who holds control of a line; empty when nobody does."""
+        """The account of who holds control of a line; empty when nobody does."""
         holding = self.holding(bus)
         return holding.holder if holding is not None else ""
 
@@ -92,49 +93,58 @@ class Safeguards:
         """Take control that nobody else holds. Raises Problem 409."""
         before = self.holding(bus)
         try:
-            holding = self.control.take(bus, person.name, self._now())
+            holding = self.control.take(bus, person.account, self._now())
         except ControlledError as error:
             raise _controlled(error) from error
         if before is None:
-            await self._record("control", person, bus, None, "control taken", None, person.name)
+            await self._record("control", person, bus, None, "control taken", None, person.account)
         return holding
 
     async def hand_over(self, person: Person, bus: str, to: str) -> Holding:
         """Give control to somebody else; an admin may without holding it. Raises Problem 409, and 422
         for a name that nobody has who could use it: the line would be held by nobody until it lapses."""
-        await self._check_may_hold(person, to)
+        to = await self._who_may_hold(person, to)
         before = self.holding(bus)
         by_force = person.role.includes(Role.ADMIN)
         try:
-            holding = self.control.hand_over(bus, person.name, to, self._now(), by_force=by_force)
+            holding = self.control.hand_over(bus, person.account, to, self._now(), by_force=by_force)
         except ControlledError as error:
             raise _controlled(error) from error
         old = before.holder if before is not None else None
         await self._record("control", person, bus, None, "control handed over", old, to)
         return holding
 
-    async def _check_may_hold(self, person: Person, to: str) -> None:
-        role = person.role if to == person.name else await self._role_of(to)
-        if role is None:
+    async def _who_may_hold(self, person: Person, to: str) -> str:
+        found = (to, person.role) if to == person.account else await self._find(to)
+        if found is None:
             raise Problem(422, "invalid", f"there is no user {to} who may log in; control stays where it is")
+        account, role = found
         if not role.includes(Role.OPERATOR):
             raise Problem(
                 422, "invalid", f"{to} is {role} and may set nothing; control goes to an operator or above"
             )
+        return account
 
     async def release(self, person: Person, bus: str) -> None:
         """Give control back. Raises Problem 409."""
         try:
-            self.control.release(bus, person.name, self._now())
+            self.control.release(bus, person.account, self._now())
         except ControlledError as error:
             raise _controlled(error) from error
-        await self._record("control", person, bus, None, "control given back", person.name, None)
+        await self._record("control", person, bus, None, "control given back", person.account, None)
 
-    async def release_all_of(self, who: str) -> None:
+    async def release_all_of(self, account: str) -> None:
         """Somebody is signed in nowhere any more, or may do less: whatever they held is free."""
-        for bus in self.control.release_all_of(who, self._now()):
+        who, is_token = name_of(account)
+        for bus in self.control.release_all_of(account, self._now()):
             await self._events.record(
-                kind="control", what="control given back", who=who, bus=bus, old=who, message=SIGNED_OUT
+                kind="control",
+                what="control given back",
+                who=who,
+                origin="token" if is_token else "",
+                bus=bus,
+                old=account,
+                message=SIGNED_OUT,
             )
 
     def _tell_of_block(self, bus: str, unit: int) -> None:
@@ -143,7 +153,7 @@ class Safeguards:
 
     async def _record(
         self,
-        kind: str,
+        kind: Kind,
         person: Person,
         bus: str,
         unit: int | None,

@@ -13,11 +13,13 @@ from app.commands.limits import HIGHEST_SETPOINT, Limits
 from app.commands.safeguards import Safeguards
 from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
-from app.web.access import Engineer, Operator, Viewer
+from app.web.access import Engineer, Operator, Viewer, name_of
+from app.web.api_route import ApiRoute
 from app.web.services import looked_up
 from app.web.shape import Strict, iso
+from bus.text import OneLine
 
-router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"])
+router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"], route_class=ApiRoute)
 
 Setpoint = Annotated[int, Field(ge=0, le=HIGHEST_SETPOINT)]
 
@@ -42,7 +44,7 @@ class BlockBody(Strict):
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
-    reason: Annotated[str, Field(min_length=1, max_length=200)]
+    reason: Annotated[OneLine, Field(min_length=1, max_length=200)]
 
 
 class HandOverBody(Strict):
@@ -150,10 +152,12 @@ def _block_json(guards: Safeguards, bus: str, unit: int) -> dict[str, Any]:
 def _control_json(guards: Safeguards, holding: Holding | None) -> dict[str, Any]:
     said = {"required": guards.control.required, "lapses_after_s": LAPSES_AFTER_S}
     if holding is None:
-        return {**said, "holder": None, "since": None, "lapses_at": None}
+        return {**said, "holder": None, "is_token": None, "since": None, "lapses_at": None}
+    name, is_token = name_of(holding.holder)
     return {
         **said,
-        "holder": holding.holder,
+        "holder": name,
+        "is_token": is_token,
         "since": iso(holding.since),
         "lapses_at": iso(holding.lapses_at),
     }

@@ -51,7 +51,7 @@ async def live(websocket: WebSocket, person: Viewer, language: str = "") -> None
     templates = templates_of(websocket)
     if language not in templates.languages:
         language = templates.language_of(websocket).tag
-    browser = Browser(person.name, person.role.value, language, outlet_of(websocket.scope))
+    browser = Browser(person.account, person.role.value, language, outlet_of(websocket.scope))
     hub = hub_of(websocket)
     hub.join(browser)
     writing = asyncio.create_task(_write(websocket, browser))

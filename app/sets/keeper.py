@@ -62,6 +62,7 @@ class SetKeeper:
         await self._events.record(
             kind="parameter_set",
             who=person.name,
+            origin=person.via,
             bus=stored.bus,
             unit=unit,
             what=f"set {set_id} is the golden set of unit {unit} now",
@@ -96,6 +97,7 @@ class SetKeeper:
         await self._events.record(
             kind="parameter_set",
             who=person.name,
+            origin=person.via,
             bus=bus,
             unit=rows[0].unit if len(rows) == 1 else None,
             what=f"parameter set {kept.id} taken of unit {numbers}, {origin}",

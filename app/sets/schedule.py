@@ -120,7 +120,13 @@ class SetSchedule:
         self, person: Person, bus: str, what: str, unit: int | None = None, message: str = ""
     ) -> None:
         await self._events.record(
-            kind="parameter_set", who=person.name, bus=bus, unit=unit, what=what, message=message
+            kind="parameter_set",
+            who=person.name,
+            origin=person.via,
+            bus=bus,
+            unit=unit,
+            what=what,
+            message=message,
         )
 
 

@@ -38,6 +38,7 @@ class Role(StrEnum):
 
 _ORDER = (Role.VIEWER, Role.OPERATOR, Role.ENGINEER, Role.ADMIN)
 PEOPLE_ROLES = _ORDER
+_TOKEN = " (token)"
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,21 @@ class Person:
     language: str = ""
     panel: bool = False
     home: str = "/"
+
+    @property
+    def account(self) -> str:
+        """Who it is, told from all others."""
+        return account_of(self.name, token=self.via == "token")
+
+
+def account_of(name: str, *, token: bool) -> str:
+    """A user and a token may have the same name. No name has a space, so none can pass for another."""
+    return f"{name}{_TOKEN}" if token else name
+
+
+def name_of(account: str) -> tuple[str, bool]:
+    """The name of an account, and whether it is a token."""
+    return account.removesuffix(_TOKEN), account.endswith(_TOKEN)
 
 
 def person_of(connection: HTTPConnection) -> Person | None:

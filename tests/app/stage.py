@@ -180,9 +180,9 @@ class PlayedWorker:
 PEOPLE = {"anna": Role.OPERATOR, "ben": Role.OPERATOR, "vera": Role.VIEWER}
 
 
-async def role_of(name: str) -> Role | None:
-    """What the people of the stage may do."""
-    return PEOPLE.get(name)
+async def find(name: str) -> tuple[str, Role] | None:
+    """The people of the stage, who are no tokens, and what they may do."""
+    return (name, PEOPLE[name]) if name in PEOPLE else None
 
 
 class Stage:
@@ -197,7 +197,7 @@ class Stage:
         self.history = History()
         self.pipeline = Pipeline(self.live, self.history, self.events)
         self.workers = Workers([settings.name], self.pipeline, silent_ticks=silent_ticks)
-        self.guards = Safeguards(self.database, self.events, control_required=control, role_of=role_of)
+        self.guards = Safeguards(self.database, self.events, control_required=control, find=find)
         self.desk = Desk(self.live, self.workers.channels, self.events, self.database, self.guards)
         self.app = FastAPI()
         self.app.state.services = SimpleNamespace(
@@ -269,7 +269,7 @@ class _ByHeader:
         headers = dict(scope.get("headers", ()))
         role = headers.get(b"x-role", b"").decode()
         name = headers.get(b"x-name", role.encode()).decode()
-        scope["person"] = Person(name, Role(role), "token") if role else None
+        scope["person"] = Person(name, Role(role), "session") if role else None
         await self._app(scope, receive, send)
 
 

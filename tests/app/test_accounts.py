@@ -69,13 +69,20 @@ async def test_an_admin_remains(accounts: Accounts, ending: str) -> None:
 async def test_what_a_name_may_do(accounts: Accounts) -> None:
     await accounts.add_user("ann", Role.OPERATOR, "password1", **BY)
     await accounts.create_token("recipes", Role.ENGINEER, **BY)
-    assert [await accounts.role_of(name) for name in ("ann", "recipes", "nobody")] == [
-        Role.OPERATOR,
-        Role.ENGINEER,
+    assert [await accounts.find(name) for name in ("ann", "recipes", "nobody")] == [
+        ("ann", Role.OPERATOR),
+        ("recipes (token)", Role.ENGINEER),
         None,
     ]
     await accounts.set_disabled("ann", True, **BY)
-    assert await accounts.role_of("ann") is None
+    assert await accounts.find("ann") is None
+
+
+async def test_a_user_and_a_token_of_one_name_are_two(accounts: Accounts) -> None:
+    await accounts.add_user("ann", Role.OPERATOR, "password1", **BY)
+    await accounts.create_token("ann", Role.ENGINEER, **BY)
+    assert await accounts.find("ann") == ("ann", Role.OPERATOR)
+    assert await accounts.find("ann (token)") == ("ann (token)", Role.ENGINEER)
 
 
 async def test_every_change_is_an_event_with_its_author(accounts: Accounts) -> None:
@@ -104,4 +111,4 @@ async def test_who_listens_hears_whose_rights_changed(accounts: Accounts) -> Non
     await accounts.set_role("ann", Role.OPERATOR, **BY)
     await accounts.create_token("plc", Role.VIEWER, **BY)
     await accounts.revoke_token("plc", **BY)
-    assert heard == ["ann", "plc"]
+    assert heard == ["ann", "plc (token)"]
