@@ -11,7 +11,9 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from app.auth import rules
 from app.auth.accounts import Accounts
 from app.auth.pages import Keeping, Text, address_of
+from app.errors import Problem
 from app.web.access import PEOPLE_ROLES, Admin, Person, Role, Viewer
+from app.web.problems import is_fragment
 from app.web.templating import render
 from bus.errors import CallerError
 
@@ -96,6 +98,12 @@ async def reset_password(
     return await _did(request, accounts, _reset(accounts, person, name, password, address_of(request)))
 
 
+@router.get("/users/{name}/remove")
+async def review_removal(request: Request, _: Admin, name: str) -> HTMLResponse:
+    """What removing somebody means, before it is done."""
+    return render(request, "users/_review_remove.html", name=name)
+
+
 @router.post("/users/{name}/remove")
 async def remove(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
     """What somebody did stays in the events."""
@@ -119,6 +127,13 @@ async def create_token(
     return await _page(request, accounts, token_name=token.strip(), token=secret)
 
 
+@router.get("/users/tokens/{name}/revoke")
+async def review_revocation(request: Request, _: Admin, accounts: Keeping, name: str) -> HTMLResponse:
+    """What revoking a token means, and whether a program has been using it, before it is done."""
+    token = next((token for token in await accounts.tokens() if token.name == name), None)
+    return render(request, "users/_review_revoke.html", name=name, used_at=token.used_at if token else None)
+
+
 @router.post("/users/tokens/{name}/revoke")
 async def revoke_token(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
     """It is refused from the next request on."""
@@ -128,12 +143,15 @@ async def revoke_token(request: Request, person: Admin, accounts: Keeping, name:
 
 
 async def _did(request: Request, accounts: Accounts, change: Awaitable[None]) -> Response:
-    """Back to the page; with the sentence on it when the change was refused."""
+    """Back to the page; with the sentence on it, or in the dialog, when the change was refused."""
+    in_dialog = is_fragment(request)
     try:
         await change
     except CallerError as error:
+        if in_dialog:
+            raise Problem(422, "invalid", str(error)) from error
         return await _page(request, accounts, status=422, fault=str(error))
-    return RedirectResponse("/users", 303)
+    return Response(headers={"HX-Redirect": "/users"}) if in_dialog else RedirectResponse("/users", 303)
 
 
 async def _reset(accounts: Accounts, person: Person, name: str, password: str, origin: str) -> None:

@@ -37,6 +37,11 @@ class BatchRow:
     shown: str = ""
     fault: str = ""
 
+    @property
+    def changes(self) -> bool:
+        """Whether there is something to write: the unit may be so already."""
+        return self.wanted is not None and self.wanted != self.present_raw
+
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
@@ -72,11 +77,7 @@ async def write_batch(
     desk: Desk, person: Person, bus: str, number: int, rows: list[BatchRow], *, confirm: bool
 ) -> list[BatchResult]:
     """Write the rows that change something, one after another; a refusal does not end the rest."""
-    return [
-        await _write(desk, person, bus, number, row, confirm=confirm)
-        for row in rows
-        if row.wanted is not None and row.wanted != row.present_raw
-    ]
+    return [await _write(desk, person, bus, number, row, confirm=confirm) for row in rows if row.changes]
 
 
 def _row(unit: UnitLive, parameter: Parameter, typed: str) -> BatchRow:

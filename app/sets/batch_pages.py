@@ -52,7 +52,9 @@ async def batch_write(request: Request, person: Engineer, live: Live, desk: AskD
     if any(row.fault for row in rows):
         raise Problem(422, "invalid", "a value cannot be written; nothing was sent")
     results = await write_batch(desk, person, bus, number, rows, confirm=bool(parameter.dangerous))
-    return render(request, "sets/_batch_done.html", parameter=parameter, results=results)
+    undone = {result.unit for result in results if result.outcome != "verified"}
+    rows = rows_of_batch(live.buses[bus], number, {unit: typed[unit] for unit in undone})
+    return render(request, "sets/_batch_done.html", parameter=parameter, results=results, rows=rows)
 
 
 async def _typed(request: Request) -> tuple[int, dict[int, str]]:

@@ -9,6 +9,7 @@ const time = new Intl.DateTimeFormat(language, {
   second: "2-digit",
   fractionalSecondDigits: 3,
   hourCycle: "h23",
+  timeZone: document.body.dataset.zone || undefined,
 });
 
 function cell(text) {

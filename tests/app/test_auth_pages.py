@@ -179,3 +179,18 @@ async def test_a_token_is_shown_once(house: House, admin: httpx.AsyncClient) -> 
     assert found[1] not in (await admin.get("/users")).text
     await admin.post("/users/tokens/plc/revoke")
     assert (await program.get("/api/v1/me")).status_code == 401
+
+
+async def test_what_cannot_be_undone_is_asked_first_and_answers_in_the_dialog(
+    house: House, admin: httpx.AsyncClient
+) -> None:
+    await admin.post("/users/tokens", data={"token": "plc"})
+    asked = await admin.get("/users/tokens/plc/revoke", headers=HTML)
+    assert "refused from its next request on" in asked.text
+    assert 'hx-post="/users/tokens/plc/revoke"' in asked.text
+    fragment = HTML | {"hx-request": "true"}
+    refused = await admin.post("/users/tokens/none/revoke", headers=fragment)
+    assert (refused.status_code, "there is no token none" in refused.text) == (422, True)
+    done = await admin.post("/users/tokens/plc/revoke", headers=fragment)
+    assert (done.status_code, done.headers["hx-redirect"]) == (200, "/users")
+    assert [token.name for token in await house.services.accounts.tokens()] == []
