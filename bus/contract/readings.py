@@ -6,7 +6,7 @@ Speeds, parameters and analog values are the raw integers of the wire.
 
 from __future__ import annotations
 
-from msgspec import field
+from msgspec import Struct, field
 
 from bus.contract.message import BusLinkState, Direction, Message, UnitLinkState
 
@@ -63,8 +63,8 @@ class Staged(Message, frozen=True, tag="staged"):
     raw: int | None
 
 
-class UnitFigures(Message, frozen=True, tag="unit_figures"):
-    """Counters of one unit since the worker started; answer times in seconds (first byte after request)."""
+class UnitCounts(Struct, omit_defaults=True):
+    """What became of every request to one unit since the worker started; the worker counts in it."""
 
     unit: int
     polls: int = 0
@@ -75,6 +75,12 @@ class UnitFigures(Message, frozen=True, tag="unit_figures"):
     foreign: int = 0
     late: int = 0
     naks: dict[int, int] = field(default_factory=dict)
+
+
+# Frozen, as it is told, of what is counted in: msgspec allows that, the rule is for dataclasses.
+class UnitFigures(UnitCounts, Message, frozen=True, tag="unit_figures"):  # type: ignore[misc]
+    """The counters of one unit, and its answer times in seconds (first byte after request)."""
+
     answer_s_min: float | None = None
     answer_s_median: float | None = None
     answer_s_p99: float | None = None

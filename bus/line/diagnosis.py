@@ -8,7 +8,8 @@ All but one answer twice: that one answers for the others too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+import msgspec
 
 TROUBLED = 0.1
 """A unit is in trouble when it misses or spoils more than this part of its answers."""
@@ -20,8 +21,7 @@ LATE_PART = 0.05
 MUCH_NOISE_BYTES = 100
 
 
-@dataclass(frozen=True, slots=True)
-class UnitTrouble:
+class UnitTrouble(msgspec.Struct, frozen=True):
     """What one unit did in the window, units in floor order. ``spoilt``: answers with a wrong checksum."""
 
     unit: int

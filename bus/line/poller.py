@@ -186,7 +186,7 @@ class Poller:
         ordinary = self._turns.owner is None and heard.reply is not None and unit in self.schedule.round
         self._held = [] if ordinary else self._learn(heard, ended)
         if self._turns.settle(heard, began, ended):
-            self.roster[unit].statistics.retries += 1
+            self.roster[unit].statistics.counts.retries += 1
         if self.link.busy:
             self._sending = self._turns.followed(ended)
         else:

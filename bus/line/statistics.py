@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+
+from msgspec.structs import asdict
 
 from bus.contract import UnitFigures
+from bus.contract.readings import UnitCounts
 
 _SHORTEST_S = 0.0001
 _STEP = 1.08
@@ -37,9 +39,10 @@ class AnswerTimes:
         if self.smallest is None or self.largest is None:
             return None
         left = part * self.count
-        for place, count in enumerate(self._classes):
-            left -= count
-            if left <= 0 and count:
+        # Every second, twice for each unit of the line: the empty classes before the first are passed over.
+        for place in range(_class_of(self.smallest), _CLASSES):
+            left -= self._classes[place]
+            if left <= 0 and self._classes[place]:
                 return min(max(_middle_of(place), self.smallest), self.largest)
         return self.largest
 
@@ -54,38 +57,25 @@ def _middle_of(place: int) -> float:
     return _SHORTEST_S * _STEP ** (place - 0.5) if place else 0.0
 
 
-@dataclass(slots=True)
 class UnitStatistics:
     """What became of every request to one unit since the worker started."""
 
-    unit: int
-    polls: int = 0
-    answers: int = 0
-    timeouts: int = 0
-    retries: int = 0
-    checksum_errors: int = 0
-    foreign: int = 0
-    late: int = 0
-    naks: dict[int, int] = field(default_factory=dict)
-    times: AnswerTimes = field(default_factory=AnswerTimes)
+    __slots__ = ("counts", "times")
+
+    def __init__(self, unit: int) -> None:
+        self.counts = UnitCounts(unit)
+        self.times = AnswerTimes()
 
     def refused(self, code: int) -> None:
-        """The unit said NAK."""
-        self.naks[code] = self.naks.get(code, 0) + 1
+        """The unit said NAK. A new dictionary, as the one before may have been told."""
+        naks = self.counts.naks
+        self.counts.naks = {**naks, code: naks.get(code, 0) + 1}
 
     def figures(self) -> UnitFigures:
         """As the app gets it."""
         times = self.times
         return UnitFigures(
-            unit=self.unit,
-            polls=self.polls,
-            answers=self.answers,
-            timeouts=self.timeouts,
-            retries=self.retries,
-            checksum_errors=self.checksum_errors,
-            foreign=self.foreign,
-            late=self.late,
-            naks=dict(self.naks),
+            **asdict(self.counts),
             answer_s_min=times.smallest,
             answer_s_median=times.quantile(0.5),
             answer_s_p99=times.quantile(0.99),

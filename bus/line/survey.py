@@ -93,8 +93,8 @@ def _examine(roster: Roster, unit: int, pace: Pace) -> Generator[Step, Answer | 
 
 def _outcome(roster: Roster, question: Question) -> Generator[Step, Answer | None, Outcome]:
     """One question as the bus asks it. A second copy shows as one more late frame of that unit."""
-    statistics = roster[question.request.unit].statistics
-    late = statistics.late
+    counts = roster[question.request.unit].statistics.counts
+    late = counts.late
     dialect = _DOUBLED if question.doubled else _PLAIN
     answer = yield from ask(Ask(question.request, most_tries=1, dialect=dialect))
     if answer.fate is Fate.CLOSED:
@@ -103,5 +103,5 @@ def _outcome(roster: Roster, question: Question) -> Generator[Step, Answer | Non
         reply=answer.reply,
         spoilt=answer.rubbish.spoilt,
         strange=answer.rubbish.strange,
-        twice=statistics.late > late,
+        twice=counts.late > late,
     )

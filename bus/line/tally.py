@@ -36,7 +36,7 @@ class Tally:
         """Bytes that are no frame, while ``asked`` was asked."""
         self.wire.noise_bytes += len(noise.data)
         if noise.reason is Fault.CHECKSUM:
-            self._roster[asked].statistics.checksum_errors += 1
+            self._roster[asked].statistics.counts.checksum_errors += 1
 
     def no_answer(self, event: NoAnswer, asked: int, doubts: Doubts) -> None:
         """A good frame that is not the answer of ``asked``."""
@@ -48,11 +48,11 @@ class Tally:
             case Doubled() | Late():
                 self.heard_twice(asked)
             case Unexpected():
-                self._roster[asked].statistics.foreign += 1
+                self._roster[asked].statistics.counts.foreign += 1
 
     def heard_twice(self, unit: int) -> None:
         """An answer of an earlier exchange, or the last one once more."""
-        self._roster[unit].statistics.late += 1
+        self._roster[unit].statistics.counts.late += 1
 
     def ended(self, exchange: UnderWay, now: float, byte_s: float) -> None:
         """An exchange is over, with its answer or without; a byte takes ``byte_s``."""
@@ -62,12 +62,12 @@ class Tally:
             self.wire.broadcasts += 1
             return
         statistics = self._roster[request.unit].statistics
-        statistics.polls += isinstance(request, ReadStatus)
+        statistics.counts.polls += isinstance(request, ReadStatus)
         if reply is None:
-            statistics.timeouts += 1
+            statistics.counts.timeouts += 1
             return
         self._last_answer = exchange.frame
-        statistics.answers += 1
+        statistics.counts.answers += 1
         statistics.times.add(_begins(exchange, now, byte_s) - exchange.ends_sending)
         if isinstance(reply, Nak):
             statistics.refused(reply.code)
@@ -80,7 +80,7 @@ class Tally:
         if doubts.about(event.unit).outstanding or event.frame.wire == self._last_answer:
             self.heard_twice(event.unit)
         elif asked:
-            self._roster[asked].statistics.foreign += 1
+            self._roster[asked].statistics.counts.foreign += 1
 
 
 def _begins(exchange: UnderWay, now: float, byte_s: float) -> float:

@@ -154,7 +154,7 @@ def test_silence_ends_with_the_turnaround(wires: Wires) -> None:
     assert heard.reply is None
     assert ended - began == pytest.approx(7 * BYTE_S + TURNAROUND_S + MARGIN_S)
     assert wires.dropped == 1, "what has not left by then leaves no more"
-    assert wires.roster[1].statistics.timeouts == 1
+    assert wires.roster[1].statistics.counts.timeouts == 1
 
 
 def test_an_answer_that_begins_at_the_last_moment_is_waited_for(wires: Wires) -> None:
@@ -171,7 +171,7 @@ def test_an_answer_after_its_window_is_late_and_not_taken_by_the_next(wires: Wir
     assert len(wires.heard) == 1
     wires.answer(after_s=0.0)
     assert wires.heard[1][0].reply == STATUS
-    assert wires.roster[1].statistics.foreign + wires.roster[1].statistics.late == 1
+    assert wires.roster[1].statistics.counts.foreign + wires.roster[1].statistics.counts.late == 1
 
 
 def test_a_second_copy_comes_too_early_to_be_the_next_answer(wires: Wires) -> None:
@@ -183,7 +183,7 @@ def test_a_second_copy_comes_too_early_to_be_the_next_answer(wires: Wires) -> No
     newer = StatusReply(1, 600, 600, 77, 0xC0, 0x03)
     wires.answer(newer, after_s=0.0)
     assert wires.heard[1][0].reply == newer
-    assert wires.roster[1].statistics.late == 1
+    assert wires.roster[1].statistics.counts.late == 1
 
 
 def test_a_port_faster_than_its_baud_rate_is_learned_from_its_first_answer(wires: Wires) -> None:
@@ -223,7 +223,7 @@ def test_a_spoilt_answer_ends_the_wait_at_once(wires: Wires) -> None:
     wires.pass_time(0.02)
     assert wires.heard[0][0].reply is None
     assert wires.heard[0][0].rubbish.spoilt
-    assert wires.roster[1].statistics.checksum_errors == 1
+    assert wires.roster[1].statistics.counts.checksum_errors == 1
 
 
 def test_bytes_without_end_do_not_hold_the_window_open(wires: Wires) -> None:
@@ -253,7 +253,7 @@ def test_another_units_frame_is_counted_as_foreign(wires: Wires) -> None:
     wires.pass_time(7 * BYTE_S)
     wires.receive(encode_reply(StatusReply(7, 1, 1, 0, 0, 0), PLAIN))
     assert not wires.heard
-    assert wires.roster[1].statistics.foreign == 1
+    assert wires.roster[1].statistics.counts.foreign == 1
 
 
 def test_a_lost_port_gives_back_what_was_under_way(wires: Wires) -> None:
@@ -391,7 +391,7 @@ def test_nothing_follows_by_itself_where_more_came_than_the_answer() -> None:
     line.pass_time(25 * BYTE_S)
     line.link.data_received(encode_reply(STATUS, PLAIN) + encode_reply(replace(STATUS, unit=7), PLAIN))
     assert line.heard[-1][0].reply == STATUS
-    assert line.roster[1].statistics.foreign == 1
+    assert line.roster[1].statistics.counts.foreign == 1
     assert len(line.written) == 2
     assert not line.link.busy
 
