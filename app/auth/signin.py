@@ -22,6 +22,10 @@ Gone = Callable[[str], Awaitable[None]]
 RETRY_AFTER_S = str(round(WINDOW_S))
 
 
+_WRONG = {False: "the name or the password is not right", True: "the name or the PIN is not right"}
+"""What a person is told, and what somebody at a panel."""
+
+
 class SignIn:
     """Sessions of people and panels, tokens of programs."""
 
@@ -51,7 +55,7 @@ class SignIn:
             user = await self._verified(name, secret, panel)
             if user is None:
                 await self._failed(name, address)
-                raise Problem(401, "unauthorized", "the name or the password is not right")
+                raise Problem(401, "unauthorized", _WRONG[panel])
         self._failures.forget(name)
         return await self._begin(user, address)
 

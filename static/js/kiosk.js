@@ -43,16 +43,26 @@ async function toggleFullScreen() {
 
 // --- a cover over the page --------------------------------------------------------------------------------
 
-function lay(className, text) {
+function lay(className, ...lines) {
   uncover();
   cover = document.createElement("div");
   cover.className = `cover ${className}`;
-  if (text) {
-    const words = document.createElement("p");
-    words.textContent = text;
-    cover.append(words);
-  }
+  cover.append(...lines);
   document.body.append(cover);
+}
+
+function line(text, className = "") {
+  const words = document.createElement("p");
+  words.className = className;
+  words.textContent = text;
+  return words;
+}
+
+/** With the server's clock, which live.js keeps going: a panel that stands still shows that in the dark, too. */
+function darken() {
+  const clock = line("", "cover__clock");
+  clock.dataset.clock = "";
+  lay("cover--dark", line(verdict), clock, line(word("wake"), "cover__hint"));
 }
 
 function uncover() {
@@ -81,8 +91,8 @@ function look() {
   const idle = performance.now() - touchedAt;
   if (idle > GUARD_MS) document.dispatchEvent(new CustomEvent("lineside:idle"));
   if (idle > HOME_MS && goHome()) return;
-  if (idle > DARK_MS && !isDark() && !wantsSomebody()) lay("cover--dark", verdict);
-  else if (idle > GUARD_MS && !cover) lay("cover--guard", "");
+  if (idle > DARK_MS && !isDark() && !wantsSomebody()) darken();
+  else if (idle > GUARD_MS && !cover) lay("cover--guard");
 }
 
 /** What wants somebody now or soon does not go dark. */
@@ -105,7 +115,7 @@ function arrive() {
 
 function clean() {
   let left = CLEAN_S;
-  lay("cover--clean", word("cleaning", left));
+  lay("cover--clean", line(word("cleaning", left)));
   cover.dataset.cleaning = "";
   cover.setAttribute("role", "timer");
   const timer = setInterval(() => {
@@ -133,7 +143,7 @@ export function start() {
     level = fields.level ?? "";
     if (!isDark()) return;
     if (wantsSomebody()) uncover();
-    else if (cover.firstChild) cover.firstChild.textContent = verdict;
+    else cover.firstChild.textContent = verdict;
   });
   document.addEventListener("lineside:lost", () => isDark() && uncover());
   stayAwake();

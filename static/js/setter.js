@@ -29,7 +29,6 @@ function followUnit(input) {
   input.addEventListener("focus", () => input.dataset.touched === undefined && input.select());
   const forget = () => {
     delete input.dataset.touched;
-    delete input.dataset.fresh;
     say();
   };
   document.addEventListener("lineside:done", forget);
@@ -38,7 +37,8 @@ function followUnit(input) {
 
 function press(input, key) {
   const whole = input.selectionStart === 0 && input.selectionEnd === input.value.length;
-  const fresh = input.dataset.touched === undefined || whole;
+  const untouched = input.dataset.follows !== undefined && input.dataset.touched === undefined;
+  const fresh = untouched || whole;
   if (key === "erase") input.value = fresh ? "" : input.value.slice(0, -1);
   else if (key.length === 1 && (fresh ? "" : input.value).length < input.maxLength)
     input.value = (fresh ? "" : input.value) + key;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -64,7 +65,14 @@ def _signed_in(browser: Browser, site: Site, name: str) -> Any:
     page = context.new_page()
     page.goto("/login?panel=true")
     page.get_by_label("Panel").fill(name)
-    page.get_by_label("PIN").fill(PIN)
+    pin = page.get_by_role("textbox", name="PIN")
+    pin.fill("9")
+    page.get_by_role("button", name="Log in").click()
+    expect(page.locator(".notice")).to_contain_text("name or the PIN is not right")
+    expect(pin).to_be_focused()
+    for digit in f"{PIN}7":
+        page.get_by_role("button", name=digit, exact=True).click()
+    page.get_by_role("button", name="Erase").click()
     page.get_by_role("button", name="Log in").click()
     expect(page).to_have_url(HOME)
     state = context.storage_state()
@@ -142,6 +150,7 @@ def test_the_first_touch_after_dark_only_wakes(site: Site, panel: Callable[..., 
     page.clock.fast_forward("11:00")
     expect(page.locator(".cover--dark")).to_be_visible()
     expect(page.locator(".cover--dark")).to_contain_text("units")
+    expect(page.locator(".cover--dark [data-clock]")).to_have_text(re.compile(r"\d\d:\d\d:\d\d"))
     tap(page, ".nudges button >> nth=2")
     expect(page.locator(".cover")).to_have_count(0)
     assert heard(site) == before
