@@ -35,6 +35,17 @@ BEHIND = """() => {
 }"""
 """What hides the middle of the element with the focus; null where nothing has it."""
 
+OVERLAP = """() => [...document.querySelectorAll(".tile__speed")]
+  .map(pair => [...pair.querySelectorAll(".value__number")].map(number => {
+    const text = document.createRange();
+    text.selectNodeContents(number);
+    return text.getBoundingClientRect();
+  }))
+  .filter(([set, actual]) => set.right > actual.left && actual.right > set.left
+    && set.bottom > actual.top && actual.bottom > set.top)
+  .length"""
+"""In how many tiles the setpoint lies under the actual speed."""
+
 Axe = Callable[[Page], list[str]]
 
 
@@ -124,6 +135,26 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
 def test_what_a_glove_presses_is_large_enough(browser_page: OpensPages, path: str) -> None:
     page = opened(browser_page("engineer", viewport=PHONE, is_mobile=True, has_touch=True), path)
     assert page.evaluate(TOO_SMALL, TARGET) == []
+
+
+@pytest.mark.parametrize("width", [360, 620, 1024, 1280, 1600, 1920])
+def test_the_two_numbers_of_a_tile_never_lie_over_each_other(browser_page: OpensPages, width: int) -> None:
+    page = opened(browser_page(viewport={"width": width, "height": 900}), "/?view=tiles")
+    assert page.evaluate(OVERLAP) == 0
+    for number in page.locator(".tile__speed .value__number").all():
+        number.evaluate("one => one.textContent = '888.88'.slice(0, one.textContent.length)")
+    assert page.evaluate(OVERLAP) == 0
+
+
+@pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
+def test_a_small_panel_has_room_for_the_verdict_and_scrolls_nothing_sideways(
+    browser_page: OpensPages, locale: str
+) -> None:
+    page = opened(browser_page(viewport={"width": 1024, "height": 768}, locale=locale), "/setpoints")
+    room = "one => one.getBoundingClientRect().right <= one.parentElement.getBoundingClientRect().right"
+    assert page.locator(".top__verdict [data-live$=verdict]").evaluate(room)
+    for wide in ("html", ".table-wrap"):
+        assert page.locator(wide).first.evaluate("one => one.scrollWidth <= one.clientWidth"), wide
 
 
 @pytest.mark.parametrize(("path", "size"), [("/units/line/1", PHONE), ("/setpoints", PANEL), ("/", PHONE)])

@@ -82,6 +82,7 @@ def test_the_setpoints_page_has_both_and_changes_the_one_that_is_meant(
     before = state(site.line, 1)["setpoint"]
     page = opened(browser_page(viewport=PANEL), "/setpoints")
     form = page.get_by_role("form", name="wet")
+    expect(form.get_by_role("heading", name="wet")).to_be_visible()
     form.locator('[name="new-1"]').fill("81.0")
     form.get_by_role("button", name="Review the change").click()
     expect(page.locator("#review-title")).to_contain_text("wet")
@@ -205,6 +206,16 @@ def test_a_followers_setpoint_is_a_ratio(site: Site, browser_page: OpensPages, f
     expect(page.locator("#setpoint-error")).to_contain_text("verified")
     assert state(site.line, follower)["setpoint"] == before + 100
     expect(field).to_have_value(f"{(before + 100) / 10_000:.4f}")
+
+
+def test_the_present_ratio_stands_beside_a_follower_that_is_set_with_others(
+    site: Site, browser_page: OpensPages, follower: int
+) -> None:
+    read_again(site, follower)
+    page = opened(browser_page(viewport=PANEL), "/setpoints")
+    ratio = f"{state(site.line, follower)['setpoint'] / 10_000:.4f}"
+    expect(page.locator(f'[data-unit="line/{follower}"] th')).to_contain_text(f"ratio {ratio}")
+    expect(page.locator('[data-unit="line/1"] th')).not_to_contain_text("ratio")
 
 
 def test_what_is_staged_for_a_follower_is_a_ratio_too(
