@@ -10,9 +10,10 @@ _PROC = Path("/proc")
 
 
 def holders_of(path: str) -> list[str]:
-    """``name (process 123)`` of those that hold a lock on it, else of those that have it open."""
+    """``name (process 123)`` of the others that hold a lock on it, else of those that have it open."""
     device = Path(path).resolve()
-    pids = _lockers(device) or _openers(device)
+    own = {os.getpid()}
+    pids = _lockers(device) - own or _openers(device) - own
     return [f"{_name(pid)} (process {pid})" for pid in sorted(pids)]
 
 
@@ -31,7 +32,7 @@ def _lockers(device: Path) -> set[int]:
 
 def _openers(device: Path) -> set[int]:
     pids = (int(entry.name) for entry in _PROC.iterdir() if entry.name.isdigit())
-    return {pid for pid in pids if pid != os.getpid() and _has_open(pid, device)}
+    return {pid for pid in pids if _has_open(pid, device)}
 
 
 def _has_open(pid: int, device: Path) -> bool:

@@ -76,10 +76,15 @@ class Dashboard:
 
 @contextmanager
 def dashboard(
-    folder: Path, units: list[Unit], *, site_toml: str = "", bus_toml: str = ""
+    folder: Path,
+    units: list[Unit],
+    *,
+    site_toml: str = "",
+    bus_toml: str = "",
+    cable_of: type[Cable] = Cable,
 ) -> Iterator[Dashboard]:
     """Serve these units; every one has been read, with its parameters, when this begins."""
-    with plugged(folder / "tty", units) as cable:
+    with plugged(folder / "tty", units, cable_of) as cable:
         made = Dashboard(folder, f"http://127.0.0.1:{free_port()}", cable)
         config = folder / "lineside.toml"
         config.write_text(_configuration(made, site_toml, bus_toml), encoding="utf-8")
@@ -135,7 +140,7 @@ data = "./data"
 
 [[bus]]
 name = "dry-end"
-port = "{made.cable.path}"
+port = "{made.cable.port}"
 turnaround_ms = 300  # the units are played by a thread, which a busy machine may keep waiting
 {bus_toml}
 {units}"""

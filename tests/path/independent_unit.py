@@ -183,6 +183,11 @@ class Cable:
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
 
+    @property
+    def port(self) -> str:
+        """What a host opens."""
+        return str(self.path)
+
     def plug(self) -> None:
         """Appear at the path."""
         self._master, self._slave = os.openpty()
@@ -228,9 +233,9 @@ class Cable:
 
 
 @contextmanager
-def plugged(path: Path, units: list[Unit]) -> Iterator[Cable]:
+def plugged(path: Path, units: list[Unit], make: type[Cable] = Cable) -> Iterator[Cable]:
     """A cable with units, pulled at the end."""
-    cable = Cable(path, units)
+    cable = make(path, units)
     cable.plug()
     try:
         yield cable

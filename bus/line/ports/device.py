@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import os
 import termios
+from array import array
 from contextlib import suppress
 from typing import Any
 
@@ -15,7 +17,10 @@ from bus.errors import WireError
 from bus.line.port import OpenPort, PartlySent, PortUnavailable, Receiver
 from bus.line.ports.gated import GatedSerial
 from bus.line.ports.reception import Reception
-from bus.line.ports.refusal import why_not
+from bus.line.ports.refusal import in_use, why_not
+
+_TIOCGEXCL = 0x80045440
+"""Linux, 3.8 and newer; the standard library does not name it."""
 
 
 class DevicePort:
@@ -57,6 +62,8 @@ class DevicePort:
             termios.tcgetattr(self._descriptor)
         except (termios.error, OSError) as error:
             raise WireError(f"{self._name} is gone: was the adapter pulled out?") from error
+        if _is_claimed(self._descriptor):
+            raise WireError(in_use(self._name))
 
     def close(self) -> None:
         if self._protocol.closed:
@@ -73,11 +80,23 @@ async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
         instance = GatedSerial(path, baudrate=baud, timeout=0, write_timeout=0, exclusive=True)
     except (serial.SerialException, termios.error, OSError, ValueError) as error:
         raise PortUnavailable(why_not(path, error)) from error
+    if _is_claimed(instance.device):
+        instance.close()
+        raise PortUnavailable(in_use(path))
     _prefer_low_latency(instance)
     protocol = Reception(receiver, f"{path} is gone: was the adapter pulled out?")
     transport, _ = await serial_asyncio.connection_for_serial(loop, lambda: protocol, instance)
     await protocol.made
     return DevicePort(instance, transport, protocol, path)
+
+
+def _is_claimed(descriptor: int) -> bool:
+    """Whether another program wants the port for itself (ioctl_tty(2), TIOCEXCL; nothing here asks for that).
+    Root may open such a port all the same, and one that is open already stays so: two hosts on one line."""
+    answer = array("i", [0])
+    with suppress(OSError):
+        fcntl.ioctl(descriptor, _TIOCGEXCL, answer)
+    return bool(answer[0])
 
 
 def _prefer_low_latency(instance: GatedSerial) -> None:

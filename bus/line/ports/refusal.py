@@ -20,12 +20,17 @@ def why_not(path: str, error: Exception) -> str:
     if number in (errno.EACCES, errno.EPERM):
         return f"{path} may not be opened: {_permission_advice(path)}"
     if number in (errno.EAGAIN, errno.EBUSY):
-        return f"{path} is in use{_by_whom(path)}"
+        return in_use(path)
     if number in (errno.ENOTTY, errno.EINVAL, errno.EISDIR):
         return f"{path} is not a serial port"
     if number is not None:
         return f"{path} cannot be opened ({os.strerror(number)})"
     return f"{path} cannot be opened ({error})"
+
+
+def in_use(path: str) -> str:
+    """Another program has it, and which."""
+    return f"{path} is in use by {', '.join(holders_of(path)) or 'another program'}"
 
 
 def _errno_in(error: Exception) -> int | None:
@@ -51,8 +56,3 @@ def _permission_advice(path: str) -> str:
     except (OSError, KeyError):
         return "the user that runs lineside needs the right to read and write it"
     return f"add the user to its group, 'sudo usermod -aG {group} {user}', and log in again"
-
-
-def _by_whom(path: str) -> str:
-    holders = holders_of(path)
-    return f" by {', '.join(holders)}" if holders else " by another program"

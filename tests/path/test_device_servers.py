@@ -1,0 +1,136 @@
+"""A device server that goes away while a write is on its way, and comes back: no fate says what is not so."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+import serial
+
+from tests.bus.rfc2217_server import DeviceServer
+from tests.path.dashboard import Dashboard, dashboard
+from tests.path.independent_unit import Cable, Unit
+
+SET = 0x84
+
+
+class PlainServer(DeviceServer):
+    """One that hands on the bytes as they are."""
+
+    @property
+    def url(self) -> str:
+        """For lineside.toml."""
+        return super().url.replace("rfc2217://", "socket://")
+
+    def _serve(self, host: socket.socket, port: serial.Serial) -> None:
+        self._host = host
+        host.settimeout(0.002)
+        while not self._stopping.is_set() and self._host is host:
+            with suppress(TimeoutError):
+                data = host.recv(1024)
+                if not data:
+                    return
+                port.write(data)
+            if waiting := port.read(1024):
+                self.write(waiting)
+
+
+class Served(Cable):
+    """A cable behind a device server."""
+
+    kind: type[DeviceServer]
+
+    def __init__(self, path: Path, units: list[Unit]) -> None:
+        super().__init__(path, units)
+        self.server = self.kind(str(path))
+
+    @property
+    def port(self) -> str:
+        """The device server's address."""
+        return self.server.url
+
+    def plug(self) -> None:
+        """With its server."""
+        super().plug()
+        self.server.__enter__()
+
+    def pull(self) -> None:
+        """With its server."""
+        self.server.__exit__(None, None, None)
+        super().pull()
+
+
+class ServedPlain(Served):
+    """``socket://``"""
+
+    kind = PlainServer
+
+
+class ServedByRfc2217(Served):
+    """``rfc2217://``"""
+
+    kind = DeviceServer
+
+
+class Witness(Unit):
+    """As it hears its first 84h the server hangs up: before or after the unit has carried it out."""
+
+    cable: Served
+    deaf = False
+    armed = False
+
+    def answer(self, body: bytes) -> bytes | None:
+        """As any unit does, but for the one time."""
+        if not (self.armed and body[0] == self.address and body[1] == SET):
+            return super().answer(body)
+        self.armed = False
+        self.cable.server.hang_up()
+        return None if self.deaf else super().answer(body)
+
+
+@pytest.fixture(params=[ServedPlain, ServedByRfc2217], ids=["socket", "rfc2217"], scope="module")
+def plant(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dashboard]:
+    if request.param is ServedByRfc2217:
+        pytest.importorskip("serialx")
+    witness = Witness(1, commanded=1000, actual=1000)
+    folder = tmp_path_factory.mktemp("served")
+    with dashboard(folder, [witness, Unit(2)], cable_of=request.param) as made:
+        assert isinstance(made.cable, Served)
+        witness.cable = made.cable
+        yield made
+
+
+@pytest.mark.parametrize("timeout_s", [0.3, 10.0], ids=["in no time", "in time"])
+@pytest.mark.parametrize("deaf", [False, True], ids=["carried out", "not carried out"])
+def test_it_goes_away_while_a_write_is_on_its_way(plant: Dashboard, deaf: bool, timeout_s: float) -> None:
+    unit = plant.cable.units[1]
+    assert isinstance(unit, Witness)
+    _hears(plant)
+    unit.writes.clear()
+    wanted = unit.commanded + 1
+    unit.deaf, unit.armed = deaf, True
+    said = plant.bus("POST", "/units/1/speed", {"raw": wanted, "timeout_s": timeout_s}).json()
+    assert not unit.armed, f"the write did not come so far: {said}"
+    assert said["outcome"] in ("verified", "unverified"), "it left, so nothing else is known to be so"
+    if said["outcome"] == "verified":
+        assert (said["read_back"], unit.commanded) == (wanted, wanted)
+    done = len(unit.writes)
+    _hears(plant)
+    assert len(unit.writes) == done, "nothing is sent once the fate was told"
+    event = plant.call("GET", "/events?kind=command&limit=1").json()["events"][0]
+    assert event["outcome"] == said["outcome"]
+
+
+def _hears(plant: Dashboard) -> None:
+    """Until both units were read anew, so that what was to be sent before has been."""
+    for number in (1, 2, 1, 2):
+        before: Any = plant.unit(number)["read_at"]
+        plant.see(
+            number,
+            "read again",
+            lambda shown, before=before: shown["link"] == "online" and shown["read_at"] != before,  # type: ignore[misc]
+        )

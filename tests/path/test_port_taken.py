@@ -1,0 +1,132 @@
+"""Another program wants the port, and the adapter comes back under another name."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.e2e.site import end, eventually
+from tests.path.dashboard import Dashboard, dashboard
+from tests.path.independent_unit import Unit
+
+LOCK = """
+import fcntl, os, sys
+port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
+fcntl.flock(port, fcntl.LOCK_EX)
+print("held", flush=True)
+sys.stdin.read()
+"""
+"""As programs do that ask first; waits until the lock is free."""
+CLAIM = """
+import fcntl, os, sys, termios
+port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
+fcntl.ioctl(port, termios.TIOCEXCL)
+print("held", flush=True)
+sys.stdin.read()
+fcntl.ioctl(port, termios.TIOCNXCL)  # the other end of the cable has the terminal open, so it would stay
+"""
+"""As programs do that do not ask, while the worker has it open."""
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> Iterator[Dashboard]:
+    with dashboard(tmp_path, [Unit(1, commanded=1000, actual=1000), Unit(2)]) as made:
+        yield made
+
+
+@contextmanager
+def another_program(plant: Dashboard, script: str) -> Iterator[subprocess.Popen[str]]:
+    """It runs; whether it has the port yet is another matter."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", script, plant.cable.port],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        assert process.stdin is not None
+        process.stdin.close()
+        process.stdin = None
+        process.wait()
+        end(process)
+
+
+def closed(plant: Dashboard, words: str) -> dict[str, Any]:
+    """Wait until the bus is shown closed, with this among the reasons."""
+
+    def look() -> dict[str, Any] | None:
+        bus = plant.line()
+        return bus if bus["link"] == "closed" and words in bus["link_cause"] else None
+
+    shown: dict[str, Any] = eventually(look, f"closed with {words!r}; it is {plant.line()}")
+    return shown
+
+
+def nothing_is_sent_and_it_comes_back(plant: Dashboard) -> None:
+    """To be begun while the port is closed; ends when the line is read again."""
+    for unit in (1, 2):
+        plant.see(unit, "online again", lambda shown: shown["link"] == "online")
+    assert [unit.writes for unit in plant.cable.units.values()] == [[], []], "nothing is sent late"
+    assert plant.bus("POST", "/units/1/speed", {"raw": 1200}).status_code == 200
+
+
+def refused_meanwhile(plant: Dashboard) -> None:
+    """A write finds the bus closed."""
+    answer = plant.bus("POST", "/units/1/speed", {"raw": 4000})
+    assert (answer.status_code, answer.json()["code"]) == (503, "bus_closed")
+
+
+def test_a_port_that_is_locked_when_the_worker_starts(plant: Dashboard) -> None:
+    (worker,) = plant.workers()
+    with another_program(plant, LOCK) as other:
+        os.kill(worker, signal.SIGKILL)
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        closed(plant, f"is in use by {_name(other.pid)} (process {other.pid})")
+        refused_meanwhile(plant)
+    nothing_is_sent_and_it_comes_back(plant)
+
+
+def test_a_port_that_is_claimed_while_it_is_open_and_when_the_worker_starts(plant: Dashboard) -> None:
+    with another_program(plant, CLAIM) as other:
+        closed(plant, f"(process {other.pid})")
+        refused_meanwhile(plant)
+        (worker,) = plant.workers()
+        os.kill(worker, signal.SIGKILL)
+        eventually(lambda: plant.workers() not in ([], [worker]), "another worker")
+        closed(plant, f"(process {other.pid})")
+        refused_meanwhile(plant)
+    nothing_is_sent_and_it_comes_back(plant)
+
+
+def test_another_device_behind_the_same_name(plant: Dashboard) -> None:
+    before = str(plant.cable.path.resolve())
+    plant.cable.pull()
+    closed(plant, "")
+    refused_meanwhile(plant)
+    with ExitStack() as taken:
+        eventually(lambda: _take_a_number(taken) == before, f"{before} free, to be taken")
+        plant.cable.plug()
+        assert str(plant.cable.path.resolve()) != before
+        nothing_is_sent_and_it_comes_back(plant)
+
+
+def _take_a_number(until: ExitStack) -> str:
+    """Another terminal, so that the next one is not called as the last was; gives its name."""
+    for end_of_it in (ends := os.openpty()):
+        until.callback(os.close, end_of_it)
+    return os.ttyname(ends[1])
+
+
+def _name(pid: int) -> str:
+    return Path(f"/proc/{pid}/comm").read_text().strip()
