@@ -130,7 +130,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     sign_in = SignIn(database, passwords, events, worker_token)
     sign_in.on_gone = safeguards.release_all_of
     hub = Hub(live, templates, time)
-    hub.block, hub.drift, hub.watch = safeguards.block_reason, sets.drifts.words, workers.watch
+    hub.block, hub.drift, hub.watch = safeguards.block_reason, sets.drifts.told, workers.watch
     sets.drifts.on_change = hub.refresh_unit
     hub.holder = safeguards.holder
     hub.memory = lambda voice, now: sentence(history.status, voice.t, voice.formats, now)

@@ -16,7 +16,7 @@ from app.live.browser import Browser
 from app.live.fields import Voice, health_fields, unit_key
 from app.live.motions import motions_for, watch_motions
 from app.live.readers import Readers
-from app.live.screen import WHOLE_LINE, Block, Drift, Groups, Recipe, Screen
+from app.live.screen import WHOLE_LINE, Block, Drift, Drifted, Groups, Recipe, Screen
 from app.live.state import LiveState
 from app.web.templating import Templates
 from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
@@ -228,8 +228,8 @@ def _unblocked(_bus: str, _unit: int) -> str:
     return ""
 
 
-def _undrifted(_bus: str, _unit: int, _voice: Voice, _now: float) -> str:
-    return ""
+def _undrifted(_bus: str, _unit: int, _voice: Voice, _now: float) -> Drifted:
+    return Drifted()
 
 
 def _unloaded(_bus: str) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from app.live.abnormal import Sight, Trouble, bus_trouble, unit_trouble
 from app.live.age import scan_s_of, stale_after_s, unit_link_now
@@ -26,14 +27,21 @@ _OF_THE_LINK = {"unknown", "offline", "stale"}
 """Said of the bus, and not of each of its units again, while the bus itself is in trouble."""
 Block = Callable[[str, int], str]
 """The reason why a unit is blocked, by bus and address; empty where it is not."""
-Drift = Callable[[str, int, Voice, float], str]
-"""In which parameters a unit departs from its golden set and who did that, in words for a moment; empty where
-it does not."""
+Drift = Callable[[str, int, Voice, float], "Drifted"]
+"""How a unit departs from its golden set, by bus and address, for a moment."""
 Recipe = Callable[[str], tuple[str, list[str]] | None]
 """The recipe that a bus was loaded with, and the names of the units that have departed from it since."""
 
 MOST_DEPARTED = 3
 """Named one by one; more are a number, and the page of recipes has them all."""
+
+
+class Drifted(NamedTuple):
+    """In which parameters a unit departs from its golden set and who did that: ``words`` for the line, and a
+    ``key`` that is another whenever the list on the unit's page is. Both empty where nothing is golden."""
+
+    words: str = ""
+    key: str = ""
 
 
 @dataclass(slots=True)
@@ -109,7 +117,7 @@ class Screen:
         motion, blocked = self.motions[bus_name, number], self.block(bus_name, number)
         link, overdue = unit_link_now(bus, unit, now), _is_overdue(bus, unit, now)
         drifted = self.drift(bus_name, number, self.voice, now)
-        sight = Sight(unit, link, motion.state, blocked, overdue, drifted, motion.since)
+        sight = Sight(unit, link, motion.state, blocked, overdue, drifted.words, motion.since)
         trouble = unit_trouble(bus, sight, self.voice)
         if trouble is not None and trouble.code in _OF_THE_LINK and bus_trouble(bus, self.voice):
             trouble = None
@@ -118,6 +126,7 @@ class Screen:
         fields["level"] = trouble.level if trouble else ""
         fields["trouble"] = trouble.text if trouble else ""
         fields["blocked"] = blocked
+        fields["drift"] = drifted.key
         return fields
 
     def _recipe(self, bus_name: str) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from app.audit.log import Event, EventLog
 from app.live.fields import Voice
+from app.live.screen import Drifted
 from app.live.state import LiveState
 from app.sets.background import Background
 from app.sets.changers import who_changed
@@ -32,6 +33,12 @@ class Departure:
     @property
     def _told(self) -> tuple[int, int | None]:
         return self.row.number, None if self.row.right is None else self.row.right.raw
+
+    @property
+    def key(self) -> str:
+        """A text that is another when there is something else to tell."""
+        left, right = (None if side is None else side.raw for side in (self.row.left, self.row.right))
+        return f"{self.row.number}={left}>{right}@{self.change['id'] if self.change else ''}"
 
     def same(self, other: Departure) -> bool:
         """Whether both say the same of the unit, whoever changed it."""
@@ -83,10 +90,13 @@ class Drifts:
         """How many parameters have not been read from the unit since the server started."""
         return len(PARAMETERS) - len(self._state.buses[bus].units[unit].parameters)
 
-    def words(self, bus: str, unit: int, voice: Voice, now: float) -> str:
-        """The same as one sentence for the line; empty while it is what it ought to be."""
-        found = self._found.get((bus, unit))
-        return _sentence(list(found.values()), voice, now) if found else ""
+    def told(self, bus: str, unit: int, voice: Voice, now: float) -> Drifted:
+        """The same for the line, and what the list of them on the unit's page depends on."""
+        if (bus, unit) not in self._golden:
+            return Drifted()
+        found = self.of(bus, unit)
+        rows = ",".join(one.key for one in found)
+        return Drifted(_sentence(found, voice, now) if found else "", f"{self.unread(bus, unit)}:{rows}")
 
     def _is_known(self, bus: str, unit: int) -> bool:
         return bus in self._state.buses and unit in self._state.buses[bus].units

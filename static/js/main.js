@@ -7,6 +7,7 @@ import * as live from "./live.js";
 import * as minutes from "./minutes.js";
 import * as people from "./people.js";
 import * as quality from "./quality.js";
+import * as redraw from "./redraw.js";
 import * as review from "./review.js";
 import * as setter from "./setter.js";
 import * as sight from "./sight.js";
@@ -23,6 +24,7 @@ review.start();
 setter.start();
 trace.start();
 people.start();
+redraw.start();
 kiosk.start();
 minutes.start();
 live.follow([

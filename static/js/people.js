@@ -1,4 +1,4 @@
-// Who else has a page open, and that control of a line went from one to another.
+// Who else has a page open.
 import { listen } from "./bind.js";
 
 const tell = (what) => document.dispatchEvent(new CustomEvent(what));
@@ -23,7 +23,4 @@ export function start() {
     draw(fields.here ?? "");
     tell("lineside:people");
   });
-  for (const part of document.querySelectorAll("[data-control]")) {
-    listen(part.dataset.control, (_, changed) => "held_by" in changed && tell("lineside:control"));
-  }
 }

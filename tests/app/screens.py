@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from app.live.fields import Voice
 from app.live.motions import motions_for, watch_motions
-from app.live.screen import Screen
+from app.live.screen import Drifted, Screen
 from app.live.state import LiveState
 from app.web.formats import Formats
 from app.web.languages import Languages
@@ -59,7 +59,7 @@ def screen(live: LiveState, tag: str = "en", blocks: dict[int, str] | None = Non
         voice(tag),
         motions,
         lambda _bus, unit: (blocks or {}).get(unit, ""),
-        lambda _bus, _unit, _voice, _now: "",
+        lambda _bus, _unit, _voice, _now: Drifted(),
         lambda _bus: None,
     )
     made.refresh(100.0)

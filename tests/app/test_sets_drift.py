@@ -9,6 +9,7 @@ import pytest
 
 from app.audit.log import EventLog
 from app.database import Database
+from app.live.screen import Drifted
 from app.sets.drift import Drifts
 from app.sets.model import ParameterSet, Row, UnitRows
 from app.sets.store import SetStore
@@ -47,9 +48,12 @@ class Scene:
         what = f"write #{number} {PARAMETERS[number].name} (86h)"
         await self.events.record(kind="command", what=what, outcome=outcome, **said)
 
+    def key(self) -> str:
+        return self.drifts.told("dry-end", 1, voice(), NOW).key
+
     async def says(self, tag: str = "en") -> str:
         await self.drifts.traced("dry-end", 1)
-        return self.drifts.words("dry-end", 1, voice(tag), NOW)
+        return self.drifts.told("dry-end", 1, voice(tag), NOW).words
 
 
 @pytest.fixture
@@ -125,3 +129,18 @@ async def test_after_a_restart_the_events_still_tell(scene: Scene) -> None:
     assert one.change is not None
     assert (one.change["who"], one.traced) == ("anna", True)
     await again.close()
+
+
+async def test_the_list_on_the_units_page_has_another_key_when_it_says_something_else(scene: Scene) -> None:
+    keys = [scene.key()]
+    for number, raw in ((7, 0), (7, 61), (7, 62), (12, 5)):
+        scene.reads(number, raw)
+        keys.append(scene.key())
+    await scene.asked("erik", 12, 5)
+    await scene.says()
+    keys.append(scene.key())
+    assert len(set(keys)) == len(keys)
+    scene.reads(12, 5)
+    await scene.says()
+    assert scene.key() == keys[-1]
+    assert scene.drifts.told("dry-end", 2, voice(), NOW) == Drifted()

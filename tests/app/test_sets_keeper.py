@@ -30,7 +30,7 @@ class Scene:
         self.keeper = SetKeeper(self.live, reader, self.store, self.events)  # type: ignore[arg-type]
 
     def line_says(self, unit: int) -> str:
-        return self.keeper.drifts.words("dry-end", unit, voice(), NOON.timestamp())
+        return self.keeper.drifts.told("dry-end", unit, voice(), NOON.timestamp()).words
 
     def tells(self, unit: int, number: int, raw: int) -> None:
         self.live.apply("dry-end", [ParameterValue(unit=unit, number=number, at=1.0, raw=raw)])
