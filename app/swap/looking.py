@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from app.commands.desk import Desk
+from app.errors import Problem
 from app.live.state import LiveState
 from app.swap.record import Swap
 from app.swap.rules import FACTORY_ADDRESS, Kind, Sight
@@ -10,13 +11,13 @@ from app.web.access import Person
 from bus.catalogue.status import status_bits
 from bus.contract import ScanBus
 
-LOOK_TIMEOUT_S = 10.0
+LOOK_TIMEOUT_S = 30.0
 LOOKS = 4
 """How often an address is asked whose unit still answers the scan."""
 
 
 async def look(desk: Desk, live: LiveState, person: Person, swap: Swap) -> Sight:
-    """What the wire shows now. Raises Problem 503 while the bus is closed."""
+    """What the wire shows now. Raises Problem 503 where nobody can tell: the bus is closed, or too busy."""
     bus, target = swap.bus, swap.unit
     at_target = await _at_section(desk, live, person, bus, target)
     at_factory: Kind = "silent"
@@ -46,6 +47,8 @@ async def _at_section(desk: Desk, live: LiveState, person: Person, bus: str, uni
 async def _answers(desk: Desk, person: Person, bus: str, address: int) -> Kind:
     action = ScanBus(first=address, last=address)
     result = await desk.ask(person, bus, action, timeout_s=LOOK_TIMEOUT_S, origin="unit swap")
+    if result.outcome != "verified":
+        raise Problem(503, "not_looked", result.message)
     return next((found.kind for found in result.found if found.unit == address), "silent")
 
 

@@ -24,7 +24,7 @@ from app.swap.rules import STEPS, Kind, Sight, advice, done_steps
 from app.swap.sources import offers
 from app.swap.store import SwapStore
 from app.web.access import Person
-from bus.contract import Action, FoundUnit, Result, ScanBus, UnitLink
+from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
 from bus.settings import BusSettings
 from tests.app.played_desk import ANNA, Noted
 from tests.app.screens import line
@@ -197,12 +197,13 @@ class Wire:
     """A desk on which each scan of an address sees what is next in ``seen``."""
 
     seen: list[Kind]
+    outcome: Outcome = "verified"
 
     async def ask(self, _who: Person, _bus: str, action: Action, **_: Any) -> Result:
         assert isinstance(action, ScanBus)
         kind = self.seen.pop(0)
         found = [] if kind == "silent" else [FoundUnit(action.first, 9600, kind)]
-        return Result(id="x", at=1.0, outcome="verified", found=found)
+        return Result(id="x", at=1.0, outcome=self.outcome, message="no link", found=found)
 
 
 @pytest.mark.parametrize(
@@ -222,6 +223,14 @@ async def test_a_lost_answer_of_a_unit_that_is_heard_is_no_silence(
     live.apply("dry", [UnitLink(unit=2, at=101.0, link=link)])
     shown_now = await look(wire, live, ANNA, swap)  # type: ignore[arg-type]
     assert (shown_now.at_target, wire.seen) == (at_target, [])
+
+
+async def test_a_look_that_came_to_no_end_shows_nothing(scene: Scene) -> None:
+    swap, live = await scene.begin(), line(2)
+    swap.bus = "dry"
+    with pytest.raises(Problem, match="no link"):
+        await look(Wire(["silent"], "unverified"), live, ANNA, swap)  # type: ignore[arg-type]
+    assert not swap.is_new
 
 
 def a_restore(state: State, planned_at: float = 101.0) -> Restore:
