@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -131,6 +133,20 @@ def test_others_are_bounded(outbox: Outbox) -> None:
 
 def test_ten_minutes_of_a_full_bus_are_kept() -> None:
     assert MOST_READINGS / 38.4 >= 600
+
+
+def test_an_app_that_is_away_for_hours_costs_no_more_than_a_few_megabytes() -> None:
+    outbox, sizes = Outbox(), []
+    tracemalloc.start()
+    try:
+        for _ in range(3):
+            for number in range(MOST_READINGS):
+                outbox.put([reading(number), result(number)])
+            sizes.append(tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    assert sizes[-1] < 20_000_000
+    assert sizes[-1] < 1.05 * sizes[0], "it grew although it was full"
 
 
 @given(

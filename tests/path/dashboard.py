@@ -88,7 +88,7 @@ def dashboard(
         made = Dashboard(folder, f"http://127.0.0.1:{free_port()}", cable)
         config = folder / "lineside.toml"
         config.write_text(_configuration(made, site_toml, bus_toml), encoding="utf-8")
-        store, tokens = _people()
+        store, tokens = people()
         shutil.copytree(store, folder / "data")
         made.tokens.update(tokens)
         with (folder / "serve.log").open("ab") as log:
@@ -104,7 +104,7 @@ def dashboard(
 
 
 @cache
-def _people() -> tuple[Path, dict[str, str]]:
+def people() -> tuple[Path, dict[str, str]]:
     """A store with a token for each role, made once by the command, to begin every test from."""
     folder = Path(mkdtemp(prefix="lineside-people-"))
     atexit.register(shutil.rmtree, folder)

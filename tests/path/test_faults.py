@@ -1,0 +1,113 @@
+"""A bad line: whatever is answered 200 is so, held against units that know nothing of the product."""
+
+from __future__ import annotations
+
+import os
+import random
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from tests.path.dashboard import Dashboard, dashboard
+from tests.path.independent_unit import ACK, NAK, Cable, Unit, frame
+
+UNITS = (1, 2, 3)
+WRITES = 12
+"""To each unit."""
+RATE = 0.05
+"""Of each fault."""
+STRANGER = 99
+LATE_S = 0.4
+"""More than the turnaround that the bus allows."""
+
+
+class BadCable(Cable):
+    """Once ``bad``, every fault strikes one frame in twenty, in an order that is the same in each run."""
+
+    bad = False
+
+    def __init__(self, path: Path, units: list[Unit]) -> None:
+        super().__init__(path, units)
+        self._dice = random.Random(11)
+
+    def _strikes(self) -> bool:
+        return self.bad and self._dice.random() < RATE
+
+    def _answer(self, master: int, body: bytes) -> None:
+        if self._strikes():
+            return  # the request is lost
+        if body[0] in self.units and self._strikes():
+            os.write(master, frame(bytes([body[0], NAK, 0x80])))  # refused, as in LOCAL
+            return
+        with self.lock:
+            answers = [unit.answer(body) for unit in self.units.values()]
+        for said in answers:
+            if said is not None:
+                time.sleep(0.002)
+                os.write(master, self._spoilt(said))
+
+    def _spoilt(self, said: bytes) -> bytes:
+        if self._strikes():
+            said = b""  # lost
+        if self._strikes():
+            said = said[: len(said) // 2]
+        if self._strikes():
+            said = said[:4] + bytes(byte ^ 0x04 for byte in said[4:5]) + said[5:]
+        if self._strikes():
+            said += said
+        if self._strikes():
+            said = frame(bytes([STRANGER, ACK])) + said
+        if self._strikes():
+            time.sleep(LATE_S)
+        return said
+
+
+def test_what_is_verified_on_a_bad_line_is_so(tmp_path: Path) -> None:
+    with dashboard(tmp_path, [Unit(number) for number in UNITS], cable_of=BadCable) as plant:
+        assert isinstance(plant.cable, BadCable)
+        plant.cable.bad = True
+        with ThreadPoolExecutor(len(UNITS)) as people:
+            said = [each for some in people.map(lambda unit: _play(plant, unit), UNITS) for each in some]
+        plant.cable.bad = False
+    outcomes = Counter(outcome for outcome, _ in said)
+    assert [complaint for _, complaint in said if complaint] == []
+    assert outcomes["verified"] > len(said) / 4, outcomes
+    assert outcomes.keys() <= {"verified", "unverified", "refused", "not_sent"}
+
+
+def _play(plant: Dashboard, number: int) -> list[tuple[str, str]]:
+    """One write after the other to one unit; what came of each, and what is wrong with that."""
+    dice = random.Random(number)
+    return [_write(plant, plant.cable.units[number], 1000 + fresh, dice) for fresh in range(WRITES)]
+
+
+def _write(plant: Dashboard, unit: Unit, raw: int, dice: random.Random) -> tuple[str, str]:
+    unit.writes.clear()
+    path, body, command, holds = _wish(unit, raw, dice)
+    method = "POST" if path == "speed" else "PUT"
+    said: Any = plant.bus(method, f"/units/{unit.address}/{path}", body).json()
+    acted = any(entry[0] == command for entry in unit.writes)
+    outcome = said["outcome"]
+    if outcome == "verified" and not holds():
+        return outcome, f"{path} {body}: verified, and the unit does not hold it"
+    if outcome in ("refused", "not_sent") and acted:
+        return outcome, f"{path} {body}: {outcome}, and the unit acted"
+    return outcome, ""
+
+
+def _wish(unit: Unit, raw: int, dice: random.Random) -> Any:
+    """Path, body, command, and whether the unit holds it."""
+    which = dice.randrange(3)
+    if which == 0:
+        return "speed", {"raw": raw, "timeout_s": 5}, 0x84, lambda: unit.commanded == raw
+    if which == 1:
+        return "parameters/9", {"raw": raw, "timeout_s": 5}, 0x86, lambda: unit.values[9] == raw
+    output, on = dice.randrange(1, 7), dice.random() < 0.5
+    return (
+        f"outputs/{output}",
+        {"on": on, "timeout_s": 5},
+        0x87,
+        lambda: bool(unit.outputs >> output - 1 & 1) == on,
+    )

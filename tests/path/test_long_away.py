@@ -1,0 +1,137 @@
+"""The app was away for ten minutes of a full bus: every reading is in the history, at its own time."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from shutil import copytree
+from typing import Any
+
+import httpx
+
+from bus.contract import CONTRACT_VERSION, BusLink, Command, Hello, Reading, Snapshot, Watch
+from bus.worker.deadline import AppClock
+from bus.worker.outbox import Outbox
+from bus.worker.uplink import Uplink
+from tests.e2e.site import LINESIDE, end, eventually, free_port
+from tests.path.dashboard import people
+
+UNITS = (1, 2, 3, 4)
+AWAY_S = 600
+EACH_S = 25 * 10 / 9600
+"""A poll and its answer at 9600 baud."""
+
+
+class Polling:
+    """What a worker says of itself; its line is imagined, its buffer and its link are real."""
+
+    def __init__(self) -> None:
+        self.since = time.time() - AWAY_S
+
+    def hello(self) -> Hello:
+        """Who speaks."""
+        return Hello(
+            version=CONTRACT_VERSION,
+            bus="far",
+            worker="of the test",
+            started_at=self.since,
+            software="test",
+            port="elsewhere",
+            sent_at=time.time(),
+        )
+
+    def snapshot(self, seq: int) -> Snapshot:
+        """The port is open."""
+        return Snapshot(seq=seq, sent_at=time.time(), bus=BusLink(self.since, "open", baud=9600), units=[])
+
+    def command(self, command: Command) -> None:
+        """Nobody asks for one."""
+
+    def reserve(self) -> None:
+        """Nobody asks for it."""
+
+    def cancel(self, command_id: str) -> None:
+        """Nobody asks for it."""
+
+    def watch(self, watch: Watch) -> None:
+        """Whatever people look at."""
+
+
+def ten_minutes(since: float) -> list[Reading]:
+    """Of a full bus, no two alike."""
+    count = int(AWAY_S / EACH_S)
+    return [
+        Reading(UNITS[place % len(UNITS)], since + place * EACH_S, place, place, 0, 0x40, 0x02)
+        for place in range(count)
+    ]
+
+
+def test_ten_minutes_are_delivered_at_their_own_times(tmp_path: Path) -> None:
+    store, tokens = people()
+    copytree(store, tmp_path / "data")
+    number = free_port()
+    url = f"http://127.0.0.1:{number}"
+    line, outbox = Polling(), Outbox()
+    kept = ten_minutes(line.since)
+    for reading in kept:
+        outbox.put([reading])
+    uplink = Uplink(url, tokens["engineer"], outbox, line, AppClock(), time.time)
+    with at_work(uplink), served(tmp_path, number):
+        eventually(lambda: outbox.connected and not len(outbox), "everything delivered")
+        for unit in UNITS:
+            said = _history(url, tokens["viewer"], unit, line.since)
+            own = [reading for reading in kept if reading.unit == unit]
+            assert [round(at, 3) for at in said["t"]] == [round(each.at, 3) for each in own]
+            assert said["max"] == [each.actual for each in own]
+            assert said["bucket_s"] == 0, "every reading itself"
+
+
+@contextmanager
+def at_work(uplink: Uplink) -> Iterator[None]:
+    """On a loop of its own."""
+    loop = asyncio.new_event_loop()
+    running = loop.create_task(uplink.run())
+    thread = threading.Thread(target=lambda: loop.run_until_complete(asyncio.wait([running])))
+    thread.start()
+    try:
+        yield
+    finally:
+        loop.call_soon_threadsafe(running.cancel)
+        thread.join()
+        loop.close()
+
+
+@contextmanager
+def served(folder: Path, number: int) -> Iterator[None]:
+    """``lineside serve`` with a bus whose port is not on this machine."""
+    config = folder / "lineside.toml"
+    units = "".join(f'[[bus.unit]]\nid = {unit}\nname = "Unit {unit}"\n' for unit in UNITS)
+    config.write_text(
+        f'[server]\nport = {number}\ndata = "./data"\n'
+        f'[[bus]]\nname = "far"\nport = "{folder}/not-here"\n{units}'
+    )
+    with (folder / "serve.log").open("wb") as log:
+        server = subprocess.Popen([LINESIDE, "serve", "--config", config], stdout=log, stderr=log)
+        try:
+            yield
+        finally:
+            end(server)
+
+
+def _history(url: str, token: str, unit: int, since: float) -> dict[str, Any]:
+    span = {"from": _iso(since - 1), "to": _iso(since + AWAY_S + 1)}
+    asked = {"bus": "far", "unit": unit, "value": "actual", "points": 20_000, "format": "epoch", **span}
+    headers = {"Authorization": f"Bearer {token}"}
+    answer = httpx.get(f"{url}/api/v1/history", params=asked, headers=headers, timeout=60, trust_env=False)
+    assert answer.status_code == 200, answer.text
+    said: dict[str, Any] = answer.json()
+    return said
+
+
+def _iso(at: float) -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(at))
