@@ -72,14 +72,21 @@ class Control:
             del self._holdings[bus]
         return held
 
+    def objection(self, bus: str, who: str, now: float) -> str:
+        """Why somebody may not write now; empty where they may."""
+        holding = self.holding(bus, now)
+        if not self.required or (holding is not None and holding.holder == who):
+            return ""
+        return _who_holds(holding)
+
     def use(self, bus: str, who: str, now: float) -> None:
         """A write is about to be asked: it needs control, and keeps it. Raises ControlledError."""
-        if not self.required:
-            return
+        objection = self.objection(bus, who, now)
+        if objection:
+            raise ControlledError(objection)
         holding = self.holding(bus, now)
-        if holding is None or holding.holder != who:
-            raise ControlledError(_who_holds(holding))
-        self._holdings[bus] = replace(holding, used_at=now)
+        if self.required and holding is not None:
+            self._holdings[bus] = replace(holding, used_at=now)
 
 
 def _who_holds(holding: Holding | None) -> str:

@@ -24,16 +24,19 @@ Proof = tuple[str, str, Fate]
 
 
 @router.get("")
-async def review_zero(_: Operator, desk: Desks) -> Response:
-    """What setting the line to zero will do, and to whom."""
-    plans = _plans(desk)
+async def review_zero(person: Operator, desk: Desks) -> Response:
+    """What setting the line to zero will do, and to whom; a bus in other hands is named as a whole."""
+    now = time.time()
+    objections = {bus: desk.guards.control.objection(bus, person.account, now) for bus in desk.live.buses}
+    plans = [plan for plan in _plans(desk) if not objections[plan.bus]]
     units = sum(len(plan.units) for plan in plans)
     return desk.render(
         "line/_review_zero.html",
         plans=plans,
-        many=len(plans) > 1,
+        held={bus: objection for bus, objection in objections.items() if objection},
+        many=len(desk.live.buses) > 1,
         command_id=new_id(),
-        reviewed_at=time.time(),
+        reviewed_at=now,
         longest_s=2 * timeout_s(units) + units * timeout_s(1),
     )
 

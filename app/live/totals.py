@@ -57,7 +57,7 @@ def line_fields(live: LiveState, judged: Judged, entries: list[Entry], voice: Vo
             for entry in entries[:MOST_ENTRIES]
         ),
         "troubles": f"{len(entries)}",
-        "blocked": _blocked(judged, voice),
+        "named": _named(entries, judged, voice),
     } | _figures(live, voice)
 
 
@@ -85,10 +85,12 @@ def _since(trouble: Trouble, voice: Voice, now: float) -> str:
     return voice.t("since {time}", time=voice.formats.since(trouble.since, now))
 
 
-def _blocked(judged: Judged, voice: Voice) -> str:
-    """Every block with its reason, for the pages without the strip."""
+def _named(entries: list[Entry], judged: Judged, voice: Voice) -> str:
+    """What the pages without the strip name: each bus that is not well, and each block with its reason."""
+    buses = [f"{entry.name}: {entry.trouble.text}" for entry in entries if "/" not in entry.key]
     sights = (sight for sight, _ in judged.values() if sight.blocked)
-    return " · ".join(f"{sight.unit.settings.name} {voice.t('blocked')}: {sight.blocked}" for sight in sights)
+    blocks = [f"{sight.unit.settings.name} {voice.t('blocked')}: {sight.blocked}" for sight in sights]
+    return " · ".join(buses + blocks)
 
 
 def _figures(live: LiveState, voice: Voice) -> Fields:

@@ -52,5 +52,17 @@ def test_nobody_holds_it_says_so() -> None:
         Control(required=True).release("bus", "anna", 0.0)
 
 
+def test_a_review_is_told_who_else_holds_it_and_uses_nothing() -> None:
+    control = Control(required=True)
+    assert "nobody" in control.objection("one", "anna", 0.0)
+    control.take("one", "anna", 0.0)
+    assert control.objection("one", "ben", 5.0) == "anna holds control of this line"
+    assert control.objection("one", "anna", 5.0) == ""
+    holding = control.holding("one", 5.0)
+    assert holding is not None
+    assert holding.used_at == 0.0
+
+
 def test_where_it_is_not_required_everybody_may() -> None:
     Control(required=False).use("bus", "anna", 0.0)
+    assert Control(required=False).objection("bus", "anna", 0.0) == ""

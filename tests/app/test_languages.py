@@ -53,6 +53,7 @@ def test_one_file_adds_a_language(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("english", "german"),
     [
+        ("operator holds control of this line", "operator hat die Bedienung dieser Linie"),
         (
             "unit 3: 25000 is outside 0 to 2000 (the limits set for this unit); the nearest is 2000; "
             "nothing was sent",

@@ -168,6 +168,8 @@ def test_a_closed_bus_leaves_the_other_its_controls(site: Site, browser_page: Op
         expect(page.locator("[data-strip] a")).to_have_count(1)
         expect(page.locator('[data-unit="wet/1"]')).not_to_have_attribute("data-quality", "online")
         expect(page.locator('[data-unit="line/1"]')).to_have_attribute("data-quality", "online")
+        opened(page, "/setpoints")
+        expect(page.locator(".top__named")).to_contain_text("wet: the port is closed")
         page.get_by_role("button", name="Set line to zero").click()
         expect(page.locator("[data-review-act]")).to_have_text("Set 3 units to speed 0")
         expect(page.locator("#review-body")).to_contain_text("does not answer")

@@ -36,8 +36,14 @@ class Sentences:
         for expression, said in self._patterns:
             found = expression.fullmatch(sentence)
             if found:
-                return said.format(**{name: t(value) for name, value in found.groupdict().items()})
+                values = found.groupdict().items()
+                return said.format(**{name: _value(name, value, t) for name, value in values})
         return sentence
+
+
+def _value(name: str, value: str, t: Callable[[str], str]) -> str:
+    """A word that names somebody is said as it is: a user may be called ``operator``."""
+    return value if name == "who" and " " not in value else t(value)
 
 
 def _expression(pattern: str) -> re.Pattern[str]:
