@@ -6,6 +6,13 @@ const MOST_SPAN = 12 * 365 * 86400;
 const DEFAULT_SPAN = 3600;
 const DEFAULT_VALUES = 8;
 export const MOST_VALUES = 32;
+const PRESETS = {
+  morning: (now) => ({ from: morning(now), to: null }),
+  shift: (now) => {
+    const [from, to] = lastShift(now);
+    return { from, to };
+  },
+};
 const nowSeconds = () => Date.now() / 1000;
 
 /** A view: `series` ("bus/unit/value"), `scale` shared or own, `marks`, cursors `a` and `b` (or null), and either
@@ -46,11 +53,13 @@ export class View extends EventTarget {
   }
 
   preset(name) {
-    if (name === "morning") this.change({ from: morning(nowSeconds()), to: null });
-    else {
-      const [from, to] = lastShift(nowSeconds());
-      this.change({ from, to });
-    }
+    this.change(PRESETS[name](nowSeconds()));
+  }
+
+  /** Whether this is what a preset shows now. */
+  isPreset(name) {
+    const { from, to } = PRESETS[name](nowSeconds());
+    return this.from === from && this.to === to;
   }
 
   show(from, to) {

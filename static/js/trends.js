@@ -3,7 +3,7 @@ import { exportAddress, fetchMarks, fetchSeries } from "./trends-data.js";
 import { gestures } from "./trends-gestures.js";
 import { Picture } from "./trends-plot.js";
 import { drawCursors, drawMarks, drawRows, fineness, inWords } from "./trends-table.js";
-import { fromField, say, toField } from "./trends-time.js";
+import { fromField, length, say, toField } from "./trends-time.js";
 import { MOST_VALUES, View } from "./trends-view.js";
 
 const SETTLE_MS = 60;
@@ -103,6 +103,7 @@ function drawAll() {
   picture.draw(answers, view.range(), view.scale, chosen);
   drawRows(body, answers, names, { remove: (name) => view.remove(name), choose });
   moved(cursor.at);
+  describe();
   byId("trend-summary").textContent = inWords(answers);
   requestAnimationFrame(shownToPeople);
 }
@@ -134,6 +135,8 @@ function showControls() {
       "aria-pressed",
       String(view.live && view.from === null && Number(button.dataset.span) === view.span),
     );
+  for (const button of root.querySelectorAll("[data-preset]"))
+    button.setAttribute("aria-pressed", String(view.isPreset(button.dataset.preset)));
   root.querySelector("[data-move=live]").setAttribute("aria-pressed", String(view.live));
   const exact = byId("trend-exact").elements;
   if (!byId("trend-exact").contains(document.activeElement)) {
@@ -146,10 +149,12 @@ function showControls() {
     byId(`export-${file}`).href = exportAddress(view.series, [from, to], file);
 }
 
+/** No moment that passes while one looks: what follows now is said by its length. */
 function describe() {
   const [from, to] = view.range();
+  const begins = view.live && view.from === null ? length(view.span) : say(from);
   byId("trend-span").textContent =
-    `${say(from)} – ${view.live ? words.live : say(to)} · ${fineness(answers)}`;
+    `${begins} – ${view.live ? words.live : say(to)} · ${fineness(answers)}`;
 }
 
 view.addEventListener("change", ({ detail }) => {
@@ -216,7 +221,7 @@ function recolour() {
 
 gestures(byId("trend-picture"), view, (x) => picture.timeAt(x), cursor);
 showControls();
-const first = fetchAll().then(describe);
+const first = fetchAll();
 first.finally(fetchEvents);
 // What every page has comes after the picture, or without it when the history is slow.
 Promise.race([first, new Promise((late) => setTimeout(late, REST_WAITS_MS))]).finally(() => import("./main.js"));

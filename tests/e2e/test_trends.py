@@ -42,14 +42,37 @@ COLUMNS = """canvas => {
   };
   return Object.fromEntries([10, 50, 90].map((part) => [part, column(part)]));
 }"""
+STROKES = """canvas => {
+  const box = canvas.getBoundingClientRect();
+  const over = document.querySelector("#trend-lanes .u-over").getBoundingClientRect();
+  const scale = canvas.width / box.width;
+  const context = canvas.getContext("2d");
+  const [top, height] = [Math.round((over.top - box.top) * scale), Math.round(over.height * scale)];
+  const strokes = (part) => {
+    const x = Math.round((over.left - box.left + (over.width * part) / 100) * scale);
+    const { data } = context.getImageData(x, top, 1, height);
+    const rows = Array.from({ length: height }, (_, y) => data.slice(4 * y, 4 * y + 4).join());
+    const ground = rows.toSorted((a, b) =>
+      rows.filter((row) => row === b).length - rows.filter((row) => row === a).length)[0];
+    const runs = [];
+    rows.forEach((row, y) => {
+      if (row === ground) return;
+      if (runs.length && runs.at(-1)[1] === y - 1) runs.at(-1)[1] = y;
+      else runs.push([y, y]);
+    });
+    return runs.map(([first, last]) => (first + last + 1) / 2 / height);
+  };
+  return Object.fromEntries([11, 51, 91].map((part) => [part, strokes(part)]));
+}"""
 NOTHING = "\N{EN DASH}"
 PHONE = {"width": 360, "height": 740}
+BERLIN = '[site]\ntime_zone = "Europe/Berlin"\n'
 
 
 @pytest.fixture(scope="module")
 def own_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    """Two units, for tests that hurt the server."""
-    with one_site(tmp_path_factory.mktemp("hurt"), 2, line_options=("--no-script",)) as made:
+    """Two units in Berlin, for tests that hurt the server."""
+    with one_site(tmp_path_factory.mktemp("hurt"), 2, line_options=("--no-script",), toml=BERLIN) as made:
         yield made
 
 
@@ -69,7 +92,7 @@ def history(served: Site, value: str = "actual", seconds: float = 60, unit: int 
 
 def opened(page: Page, query: str = "") -> Page:
     page.goto(f"/trends{query}")
-    expect(page.locator("#trends[data-drawn]")).to_be_attached(timeout=20_000)
+    expect(page.locator("#trends[data-drawn]")).to_be_attached()
     return page
 
 
@@ -189,6 +212,88 @@ def test_gaps_are_gaps_and_a_band_is_drawn_between_least_and_greatest(browser_pa
     painted = page.locator("#trend-plot canvas").evaluate(COLUMNS)
     assert painted["10"] > painted["50"] * 3, painted
     assert painted["90"] > painted["50"] * 3, painted
+
+
+def test_a_bit_is_a_lane_high_while_it_is_on_and_nothing_where_nothing_was_heard(
+    browser_page: OpensPages,
+) -> None:
+    """Two lanes of 1 in a scale from -0.2 to 2, the first above; on is 0.7 above the floor of its lane."""
+    page = browser_page("viewer", viewport=OFFICE)
+    t = [1_700_000_000 + i for i in range(100)]
+    run = [None if 40 <= i < 60 else int(i < 40) for i in range(100)]
+    bit = {"bus": "line", "unit": 1, "measure": "", "decimals": 0, "bucket_s": 1, "t": t}
+    body = [
+        bit | {"value": name, "avg": on, "min": on, "max": on}
+        for name, on in (("run", run), ("remote", [1] * 100))
+    ]
+    page.route("**/api/v1/history/series*", lambda route: route.fulfill(json=body))
+    moments = [datetime.fromtimestamp(at, UTC).isoformat().replace("+00:00", "Z") for at in (t[0], t[-1])]
+    opened(page, f"?s=line/1/run&s=line/1/remote&from={moments[0]}&to={moments[1]}&marks=0")
+    strokes = page.locator("#trend-lanes canvas").evaluate(STROKES)
+    on, off, other = (2 - 1.7) / 2.2, (2 - 1.0) / 2.2, (2 - 0.7) / 2.2
+    assert strokes["11"] == pytest.approx([on, other], abs=0.03)
+    assert strokes["51"] == pytest.approx([other], abs=0.03)
+    assert strokes["91"] == pytest.approx([off, other], abs=0.03)
+
+
+def test_one_finger_pulls_the_picture_and_sets_no_cursor(browser_page: OpensPages) -> None:
+    page = browser_page("viewer", viewport=PHONE, has_touch=True)
+    opened(page, "?s=line/1/actual&from=2026-01-01T00:00:00Z&to=2026-01-01T00:10:00Z")
+    width = page.locator("#trend-picture").evaluate("picture => picture.clientWidth")
+    box = page.locator("#trend-plot .u-over").bounding_box()
+    assert box is not None
+    finger = page.context.new_cdp_session(page)
+
+    def touch(kind: str, *places: tuple[float, float]) -> None:
+        finger.send(
+            "Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": y} for x, y in places]}
+        )
+
+    start, y, pull = round(box["x"] + 20), round(box["y"] + 60), 120
+    touch("touchStart", (start, y))
+    for x in range(start, start + pull + 1, 10):
+        touch("touchMove", (x, y))
+    touch("touchEnd")
+    began = datetime(2026, 1, 1, tzinfo=UTC).timestamp() - 600 * pull / width
+    page.wait_for_function(
+        "wanted => ['from', 'to'].every((name, i) => Math.abs("
+        "Date.parse(new URLSearchParams(location.search).get(name)) / 1000 - wanted[i]) < 5)",
+        arg=[began, began + 600],
+    )
+    assert {"a", "b"}.isdisjoint(view_of(page))
+
+
+PRESETS = [
+    # now, since this morning, last shift; UTC, the clocks of Berlin change on 29 March and 25 October
+    ("2026-11-20T15:30:00", "2026-11-20T05:00:00", ("2026-11-20T05:00:00", "2026-11-20T13:00:00")),
+    ("2026-11-20T04:59:59", "2026-11-19T05:00:00", ("2026-11-19T13:00:00", "2026-11-19T21:00:00")),
+    ("2026-11-20T05:00:00", "2026-11-20T05:00:00", ("2026-11-19T21:00:00", "2026-11-20T05:00:00")),
+    ("2026-03-29T04:00:00", "2026-03-29T04:00:00", ("2026-03-28T21:00:00", "2026-03-29T04:00:00")),
+    ("2026-03-29T13:00:00", "2026-03-29T04:00:00", ("2026-03-29T04:00:00", "2026-03-29T12:00:00")),
+    ("2026-10-25T00:30:00", "2026-10-24T04:00:00", ("2026-10-24T12:00:00", "2026-10-24T20:00:00")),
+    ("2026-10-25T01:30:00", "2026-10-24T04:00:00", ("2026-10-24T12:00:00", "2026-10-24T20:00:00")),
+    ("2026-10-25T09:30:00", "2026-10-25T05:00:00", ("2026-10-24T20:00:00", "2026-10-25T05:00:00")),
+]
+
+
+def test_morning_and_last_shift_are_those_of_the_site_also_when_its_clocks_change(
+    own_site: Site, browser_page: OpensPages
+) -> None:
+    """The night of the shorter day has seven hours, that of the longer nine. The browser is elsewhere."""
+    page = browser_page("viewer", own_site, viewport=OFFICE, timezone_id="America/New_York")
+    opened(page, "?s=line/1/actual")
+    for now, morning, shift in PRESETS:
+        page.clock.set_fixed_time(f"{now}Z")
+        assert pressed(page, "morning") == {"from": f"{morning}.000Z"}, now
+        assert pressed(page, "shift") == {"from": f"{shift[0]}.000Z", "to": f"{shift[1]}.000Z"}, now
+
+
+def pressed(page: Page, preset: str) -> dict[str, str]:
+    """The span after a preset was pressed. By script: a page whose clock has jumped has lost its server."""
+    button = page.locator(f"[data-preset={preset}]")
+    button.evaluate("button => button.click()")
+    expect(button).to_have_attribute("aria-pressed", "true")
+    return {name: unquote(at) for name, at in view_of(page).items() if name in ("from", "to")}
 
 
 def test_two_presses_set_two_cursors_and_two_fingers_zoom(browser_page: OpensPages) -> None:
