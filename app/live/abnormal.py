@@ -13,6 +13,7 @@ from typing import Literal
 from app.live.fields import STATE_WORDS, Voice, bits_of, mode_of
 from app.live.motion import State
 from app.live.state import BusLive, UnitLive
+from app.live.suspicion import suspicion
 from bus.catalogue.status import StatusBits
 from bus.contract import Reading, UnitLinkState
 
@@ -99,7 +100,7 @@ def unit_trouble(bus: BusLive, sight: Sight, voice: Voice) -> Trouble | None:
         return Trouble("high", voice.t("no answer"), "offline", reading.at)
     bits = bits_of(bus, reading)
     holding = conditions_of(bits, reading, sight.state)
-    found = next(_findings(sight, holding, bits, voice), None)
+    found = next(_findings(sight, suspicion(bus, sight.unit), holding, bits, voice), None)
     if found is None:
         return None
     level, text, code = found
@@ -107,11 +108,13 @@ def unit_trouble(bus: BusLive, sight: Sight, voice: Voice) -> Trouble | None:
 
 
 def _findings(
-    sight: Sight, holding: frozenset[str], bits: StatusBits, voice: Voice
+    sight: Sight, suspected: str, holding: frozenset[str], bits: StatusBits, voice: Voice
 ) -> Iterator[tuple[Level, str, str]]:
     """Level, words and code, the worst first; said only as far as somebody asks."""
     if "estop" in holding:
         yield "urgent", voice.t("e-stop input active"), "estop"
+    if suspected:
+        yield "high", voice.t(suspected), "suspect"
     if "off_speed" in holding:
         yield "high", voice.t(STATE_WORDS["off_speed"]), "off_speed"
     if sight.link == "stale" and sight.overdue:

@@ -1,7 +1,8 @@
 """A unit, a bus and the line as the API shows them. Pure: the time is passed in.
 
 Speeds are decimal texts in the unit's own decimals (#3), null while those are not known; a field
-that was never read is null. ``…_raw`` are the integers of the wire.
+that was never read is null. ``…_raw`` are the integers of the wire. ``suspect``: in words why another unit
+may be answering in this one's name; null where nothing says so.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 from app.live.age import scan_s_of, unit_link_now
 from app.live.fields import bits_of, mode_of
 from app.live.state import BusLive, LiveState, UnitLive, follower
+from app.live.suspicion import suspicion
 from app.web.shape import iso
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import (
@@ -83,6 +85,7 @@ def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason) -> J
         "labels": unit.settings.labels.model_dump(),
         "link": unit_link_now(bus, unit, now),
         "link_cause": unit.link.cause,
+        "suspect": suspicion(bus, unit) or None,
         "blocked": block(bus.settings.name, unit.settings.id) or None,
         "decimals": unit.parameter_raw(DECIMALS),
         "follower": follower(unit),

@@ -22,6 +22,7 @@ from bus.catalogue.parameter import (
 __all__ = [
     "NEEDED_TO_JUDGE",
     "NEEDED_TO_SHOW",
+    "OWN_ADDRESS",
     "PARAMETERS",
     "IllegalValue",
     "Parameter",
@@ -152,3 +153,7 @@ NEEDED_TO_SHOW = (1, 2, 3, 8, 12, 22, 23, 28, 29, 30)
 """Without these a reading cannot be shown right."""
 NEEDED_TO_JUDGE = (31, 38)
 """Without these a ratio cannot be judged before it is sent: they are a follower's limits."""
+OWN_ADDRESS = 17
+"""Every unit has it and only its panel changes it (manual, 4.0), so its value is known beforehand. Read at
+another address, another unit answers there; the address in an answer is no proof, for it is the one that was
+asked."""

@@ -101,6 +101,9 @@ class BusFigures(Message, frozen=True, tag="bus_figures"):
     units: list[UnitFigures] = field(default_factory=list)
     updates_lost: int = 0
     """Readings and news dropped because the app was away longer than the worker can keep them."""
+    answers_for_all: int = 0
+    """The unit that seems to answer to every address beside the others, so that each answer of theirs comes
+    twice and nobody knows which one is whose; 0: none."""
 
 
 class Frame(Message, frozen=True, tag="frame"):

@@ -2,7 +2,8 @@
 
 One unit: its drop or its address. All: adapter, main cable or termination. All from one place on: the
 cable there. Spoilt bytes at many: shielding. Spoilt bytes at one address only: two units may share it.
-All but one answer twice: that one answers for the others too.
+All but one answer twice, or are spoilt when they are asked: that one answers for the others too. Where it
+does so for one that is off, no frame shows it; only the address does that the answering unit reads in #17.
 """
 
 from __future__ import annotations
@@ -19,10 +20,13 @@ MANY = 3
 """Units of which one can be told from all the others."""
 LATE_PART = 0.05
 MUCH_NOISE_BYTES = 100
+COLLIDED_BYTES = 20
+"""What is left of a few answers that two units gave at once; units that are off leave nothing."""
 
 
 class UnitTrouble(msgspec.Struct, frozen=True):
-    """What one unit did in the window, units in floor order. ``spoilt``: answers with a wrong checksum."""
+    """What one unit did in the window, units in floor order. ``spoilt``: answers with a wrong checksum.
+    ``says``: the address that its #17 reads, None where that was not read."""
 
     unit: int
     offline: bool = False
@@ -31,6 +35,7 @@ class UnitTrouble(msgspec.Struct, frozen=True):
     spoilt: int = 0
     foreign: int = 0
     late: int = 0
+    says: int | None = None
 
     @property
     def asked(self) -> int:
@@ -48,17 +53,55 @@ class UnitTrouble(msgspec.Struct, frozen=True):
     def slow(self) -> bool:
         return self.late >= FEW and self.late > LATE_PART * self.asked
 
+    @property
+    def twice(self) -> bool:
+        """Frames come in its name that it does not owe: an answer that is late was given up before."""
+        return self.slow and self.timeouts < FEW
+
 
 def diagnose(units: Sequence[UnitTrouble], noise_bytes: int, echoes: int) -> str:
     """One or two sentences; empty when all is well."""
-    others_too = _answers_for_others(units)
-    found = [_garbled(units), _silent(units)]
-    found += [others_too] if others_too else [_slow(units), _foreign(units)]
+    found = [_in_another_name(units), _garbled(units), _collided(units, noise_bytes) or _silent(units)]
+    found += [_heard_twice(units)] if answers_for_all(units) else [_slow(units), _foreign(units)]
     if echoes:
         found.append("The adapter hears itself: switch its echo (or two-wire mode) off.")
     if noise_bytes >= MUCH_NOISE_BYTES:
         found.append(_noise(units, named=any(found)))
     return " ".join(sentence for sentence in found if sentence)
+
+
+def answers_for_all(units: Sequence[UnitTrouble]) -> int:
+    """The unit that seems to answer to every address, as all others are heard twice; 0: none."""
+    heard = [each for each in units if not each.silent]
+    alone = [each for each in heard if not each.twice]
+    return alone[0].unit if len(alone) == 1 and len(heard) >= MANY and alone[0].answers else 0
+
+
+def _heard_twice(units: Sequence[UnitTrouble]) -> str:
+    unit = answers_for_all(units)
+    return f"The answers of every unit but unit {unit} come twice: does unit {unit} answer to every address?"
+
+
+def _in_another_name(units: Sequence[UnitTrouble]) -> str:
+    others = [each for each in units if each.says not in (None, each.unit) and not each.silent]
+    if not others:
+        return ""
+    says = others[0].says
+    names = _names([each for each in others if each.says == says])
+    return (
+        f"What answers as unit {names} reads {says} as its own address (#17): does unit {says} answer in its "
+        "name, or does it count parameters otherwise?"
+    )
+
+
+def _collided(units: Sequence[UnitTrouble], noise_bytes: int) -> str:
+    alone = [each.unit for each in units if not each.silent]
+    if len(alone) != 1 or len(units) < MANY or noise_bytes < COLLIDED_BYTES:
+        return ""
+    return (
+        f"Only unit {alone[0]} answers, and something comes when others are asked: does unit {alone[0]} "
+        "answer to every address?"
+    )
 
 
 def _silent(units: Sequence[UnitTrouble]) -> str:
@@ -90,14 +133,6 @@ def _garbled(units: Sequence[UnitTrouble]) -> str:
     if len(garbled) == len(units):
         return "Answers of every unit are spoilt: look at shielding, grounding and termination."
     return f"Answers of units {_names(garbled)} are spoilt: look at the shielding of their stretch of cable."
-
-
-def _answers_for_others(units: Sequence[UnitTrouble]) -> str:
-    alone = [each for each in units if not each.slow]
-    if len(alone) != 1 or len(units) < MANY or not alone[0].answers:
-        return ""
-    unit = alone[0].unit
-    return f"The answers of every unit but unit {unit} come twice: does unit {unit} answer to every address?"
 
 
 def _noise(units: Sequence[UnitTrouble], *, named: bool) -> str:

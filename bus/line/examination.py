@@ -13,7 +13,7 @@ from collections.abc import Generator
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.parameters import OWN_ADDRESS, PARAMETERS
 from bus.catalogue.status import status_bits
 from bus.line.found import STRANGE, TWO_UNITS, TWO_UNITS_OR_ELSE, Checksum10h, Found, remarks_on
 from bus.settings import Dialect
@@ -34,7 +34,6 @@ TRIES = 2
 """How often a read is asked of a unit before it counts as not answered."""
 GARBLED_SHARE = 0.25
 """Above this part of spoilt or doubled answers more than noise is at work."""
-OWN_ADDRESS = 17
 OWN_ADDRESS_IN_BCD = 0x17
 FIRST_OF_EACH_TYPE = tuple({row.type: number for number, row in reversed(list(PARAMETERS.items()))}.values())
 _READABLE = [number for number, parameter in PARAMETERS.items() if not parameter.secret]

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from bus.catalogue.parameters import OWN_ADDRESS
 from bus.contract import BusFigures, UnitFigures
-from bus.line.diagnosis import UnitTrouble, diagnose
-from bus.line.roster import Roster
+from bus.line.diagnosis import UnitTrouble, answers_for_all, diagnose
+from bus.line.roster import Roster, UnitRecord
 from bus.line.schedule import Schedule
 from bus.line.tally import WireCounts
 
@@ -38,6 +39,7 @@ class Figures:
         before = self._before(mark)
         elapsed = now - before.at
         scan_s = schedule.scan_s()
+        troubles = [_trouble(roster[unit], before.units[unit], after) for unit, after in units.items()]
         return BusFigures(
             at=at,
             scan_hz=1.0 / scan_s if scan_s > 0 else 0.0,
@@ -46,8 +48,9 @@ class Figures:
             scan_s_with_one_more=schedule.scan_s(1),
             noise_bytes=counts.noise_bytes,
             echoes=counts.echoes,
-            diagnosis=self._diagnosis(before, mark, roster),
+            diagnosis=diagnose(troubles, mark.noise_bytes - before.noise_bytes, mark.echoes - before.echoes),
             units=list(units.values()),
+            answers_for_all=answers_for_all(troubles),
         )
 
     def _before(self, mark: _Mark) -> _Mark:
@@ -56,22 +59,15 @@ class Figures:
         self._marks.append(mark)
         return self._marks[0]
 
-    def _diagnosis(self, before: _Mark, mark: _Mark, roster: Roster) -> str:
-        troubles = [
-            _trouble(roster[unit].link.link == "offline", before.units[unit], after)
-            for unit, after in mark.units.items()
-        ]
-        noise = mark.noise_bytes - before.noise_bytes
-        return diagnose(troubles, noise, mark.echoes - before.echoes)
 
-
-def _trouble(offline: bool, before: UnitFigures, after: UnitFigures) -> UnitTrouble:
+def _trouble(record: UnitRecord, before: UnitFigures, after: UnitFigures) -> UnitTrouble:
     return UnitTrouble(
         unit=after.unit,
-        offline=offline,
+        offline=record.link.link == "offline",
         answers=after.answers - before.answers,
         timeouts=after.timeouts - before.timeouts,
         spoilt=after.checksum_errors - before.checksum_errors,
         foreign=after.foreign - before.foreign,
         late=after.late - before.late,
+        says=record.raw(OWN_ADDRESS),
     )

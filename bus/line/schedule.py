@@ -20,7 +20,7 @@ from enum import StrEnum
 
 import msgspec
 
-from bus.catalogue.parameters import NEEDED_TO_JUDGE, NEEDED_TO_SHOW, PARAMETERS
+from bus.catalogue.parameters import NEEDED_TO_JUDGE, NEEDED_TO_SHOW, OWN_ADDRESS, PARAMETERS
 from bus.line.gaps import Gaps
 from bus.line.round import Round
 from bus.line.share import Share
@@ -64,7 +64,7 @@ class Schedule:
         self._unseen = list(reversed(order))
         self.round = Round(order, poll_s)
         self.silence = Silence(seed)
-        self.gaps = Gaps(tuple(PARAMETERS), NEEDED_TO_SHOW + NEEDED_TO_JUDGE)
+        self.gaps = Gaps(tuple(PARAMETERS), (*NEEDED_TO_SHOW, *NEEDED_TO_JUDGE, OWN_ADDRESS))
         self._needed = Share(NEEDED_SHARE, BURST_POLLS * poll_s)
         self._slow = Share(SLOW_SHARE_UNWATCHED, BURST_POLLS * poll_s)
         self._circle = Share(CIRCLE_SHARE)

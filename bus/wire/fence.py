@@ -31,6 +31,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from bus.catalogue.parameters import OWN_ADDRESS
 from bus.errors import UnitErrorCode
 from bus.settings import Dialect
 from bus.wire.commands import (
@@ -42,8 +43,6 @@ from bus.wire.commands import (
 )
 from bus.wire.framing import ACK, NAK
 
-OWN_ADDRESS = 17
-"""The parameter that a fence reads: every unit has it and its value is known beforehand."""
 LONG_RUN = 3
 """Equal reads in a row beyond this are as good as any number of them."""
 MOST_OUTSTANDING = 32

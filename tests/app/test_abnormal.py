@@ -4,7 +4,8 @@ import pytest
 
 from app.live.abnormal import Sight, Tally, bus_trouble, unit_trouble, verdict
 from app.live.motion import State
-from bus.contract import BusLink, UnitLinkState
+from app.live.view import unit_json
+from bus.contract import BusFigures, BusLink, ParameterValue, UnitLinkState
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, voice
 
 
@@ -40,6 +41,30 @@ def test_each_trouble_has_its_step(given: dict[str, str], found: tuple[str, str]
 
 def test_the_worst_is_said() -> None:
     assert trouble(state="off_speed", inputs=RUN, blocked="x") == ("urgent", "estop")
+
+
+@pytest.mark.parametrize(
+    ("said", "found"),
+    [
+        (ParameterValue(1, 17, 100.0, 1), None),
+        (ParameterValue(1, 17, 100.0, None, available=False), None),
+        (ParameterValue(1, 17, 100.0, 3), "perhaps unit 3 answers for it (#17)"),
+        (BusFigures(1.0, 1.0, 1.0, 1.0, 1.0, answers_for_all=1), None),
+        (
+            BusFigures(1.0, 1.0, 1.0, 1.0, 1.0, answers_for_all=2),
+            "perhaps unit 2 answers for it (each answer comes twice)",
+        ),
+    ],
+)
+def test_a_unit_in_whose_name_another_may_answer_is_not_well(
+    said: ParameterValue | BusFigures, found: str | None
+) -> None:
+    live = line()
+    bus = live.buses["dry"]
+    live.apply("dry", [reading(), said])
+    trouble = unit_trouble(bus, Sight(bus.units[1], "online", "at_speed"), voice())
+    assert (trouble and (trouble.level, trouble.text)) == (found and ("high", found))
+    assert unit_json(bus, bus.units[1], 100.0, lambda _bus, _unit: "")["suspect"] == found
 
 
 def test_run_may_be_off_while_nothing_is_commanded() -> None:

@@ -22,7 +22,7 @@ from bus.contract import (
     Watch,
     encode,
 )
-from bus.line.diagnosis import UnitTrouble, diagnose
+from bus.line.diagnosis import UnitTrouble, answers_for_all, diagnose
 from bus.simulator.faults import Kind
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
 
@@ -226,11 +226,57 @@ def ill(*units: int, **trouble: int) -> list[UnitTrouble]:
         (WELL, 500, 0, "Stray bytes"),
         (ill(3, timeouts=40), 10_000, 0, "Bytes come in that are no answer"),
         (ill(1, 2, 4, 5, late=20), 0, 0, "does unit 3 answer to every address?"),
+        (ill(1, 2, 4, 5, offline=True), 48, 0, "Only unit 3 answers, and something comes"),
+        (ill(1, 2, 4, 5, offline=True), 0, 0, "look at what they share"),
+        (ill(5, says=3), 0, 0, "as unit 5 reads 3 as its own address (#17): does unit 3 answer"),
+        (ill(5, says=5), 0, 0, ""),
+        (ill(5, says=3, offline=True), 0, 0, "Only unit 5 does not answer"),
     ],
 )
 def test_the_likely_cause_in_words(units: list[UnitTrouble], noise: int, echoes: int, words: str) -> None:
     said = diagnose(units, noise, echoes)
     assert words in said if words else said == ""
+
+
+@pytest.mark.parametrize(
+    ("units", "found"),
+    [
+        (WELL, 0),
+        (ill(1, 2, 4, 5, late=20), 3),
+        (ill(1, 2, 4, 5, late=1), 0),
+        (ill(1, 2, 3, 4, 5, late=20), 0),
+        (ill(1, 2, late=20), 0),
+        (ill(1, 2, 4, 5, late=8, timeouts=8), 0),
+        ([*ill(1, 2, late=20)[:3], *ill(4, 5, offline=True)[3:]], 3),
+        ([UnitTrouble(1, answers=100, late=50), UnitTrouble(2, answers=100)], 0),
+    ],
+    ids=[
+        "well",
+        "all but 3",
+        "by chance",
+        "an adapter",
+        "two",
+        "really late",
+        "with two off",
+        "of two nobody can tell",
+    ],
+)
+def test_who_answers_to_every_address(units: list[UnitTrouble], found: int) -> None:
+    assert answers_for_all(units) == found
+
+
+def test_who_answers_in_the_name_of_a_dead_unit_is_found_by_what_it_reads_as_its_own_address() -> None:
+    """No frame of it shows that: unit 3 gives the address that was asked."""
+
+    async def scene(line: VirtualLine) -> None:
+        line.faults.set(Kind.DEAD, 1.0, 5)
+        line.faults.set(Kind.EVERYBODY, 1.0, 3)
+        await line.until(lambda: line.readings(5) and "#17" in line.worker.poller.figures().diagnosis)
+        said = line.worker.poller.figures().diagnosis
+        assert "What answers as unit 5 reads 3 as its own address" in said
+        assert {value.raw for value in line.parameters() if (value.unit, value.number) == (5, 17)} == {3}
+
+    run(scene, 5)
 
 
 # --- the process ---------------------------------------------------------------------------------
