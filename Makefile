@@ -16,10 +16,10 @@ demo: setup
 
 setup: $(VENV)/.lineside
 
-# Two browsers, their servers and their lines share the machine, and a real line starved of time misses polls
-# as it should. What fails so is run again alone; only what fails again has failed.
+# Three browsers, their servers and their lines share the machine: half their time they wait. A real line starved
+# of time misses polls as it should. What fails so is run again alone; only what fails again has failed.
 test: development
-	$(BIN)/pytest -n 2 --dist loadfile || $(BIN)/pytest --last-failed --last-failed-no-failures none
+	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder || $(BIN)/pytest --last-failed --last-failed-no-failures none
 
 bench: development
 	$(BIN)/python -m benchmarks

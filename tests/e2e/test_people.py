@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import Site, eventually
+from tests.e2e.site import PATIENCE_S, Site, eventually
 from tests.e2e.site import site as one_site
 
 PANEL = {"width": 1280, "height": 800}
@@ -35,7 +35,7 @@ def holder(site: Site) -> Iterator[httpx.Client]:
     with httpx.Client(
         base_url=site.url,
         headers={"Authorization": f"Bearer {site.tokens['admin']}"},
-        timeout=30,
+        timeout=PATIENCE_S,
         trust_env=False,
     ) as client:
         assert (

@@ -15,7 +15,6 @@ from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
 
 OFFICE = {"width": 1280, "height": 900}
-SLOW = 180_000
 
 
 GOOD = {1: 1500, 2: 1600, 4: 9000, 5: 100, 6: 33, 7: 44, 9: 444, 10: 6, 11: 7, 12: 8, 15: 11}
@@ -27,7 +26,7 @@ GOOD |= {22: 7, 23: 200, 25: 9, 29: 1, 30: 1900, 31: 19000, 38: 5500, 39: 21}
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Three units at rest; the third is about to die, and a set of it is stored."""
     folder = tmp_path_factory.mktemp("swap")
-    with one_site(folder, 3, line_options=("--no-script", "--speedup", "10")) as made:
+    with one_site(folder, 3, line_options=("--no-script", "--speedup", "10"), turnaround_ms=1000) as made:
         new_section(made, GOOD)
         with made.api("engineer") as client:
             taken = client.post("/buses/line/sets", json={"units": [3], "name": "the good one"})
@@ -52,17 +51,24 @@ def removed(site: Site) -> bool:
     return True
 
 
+LEAVE = re.compile("(Leave|Put) this swap")
+
+
 def begin(page: Page) -> None:
     page.goto("/swap/line/3")
-    leave = page.get_by_role("button", name=re.compile("(Leave|Put) this swap"))
-    if leave.count():
-        leave.click()
+    if page.get_by_role("button", name=LEAVE).count():
+        leave(page, 3)
         page.goto("/swap/line/3")
     page.get_by_role("button", name="Begin the swap of Coater").click()
 
 
+def leave(page: Page, unit: int) -> None:
+    page.get_by_role("button", name=LEAVE).click()
+    expect(page).to_have_url(f"/units/line/{unit}")
+
+
 def says(page: Page, text: str) -> None:
-    expect(page.locator("#steps [role=status]")).to_contain_text(text, timeout=SLOW)
+    expect(page.locator("#steps [role=status]")).to_contain_text(text)
 
 
 def keypad(site: Site, place: int, number: int, raw: int) -> None:
@@ -93,7 +99,7 @@ def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensP
     says(page, "Two units answer at address 1: the spare still has its factory address")
     site.stop(signal.SIGKILL)
     site.start()
-    expect(page.get_by_text(re.compile("begun .* by engineer, from set 1"))).to_be_visible(timeout=SLOW)
+    expect(page.get_by_text(re.compile("begun .* by engineer, from set 1"))).to_be_visible()
     says(page, "Two units answer at address 1: the spare still has its factory address")
     keypad(site, spare, 17, 3)
     says(page, "At the keypad of the new unit set parameter 19 to 1 (REMOTE)")
@@ -104,7 +110,7 @@ def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensP
     expect(page.locator("#restore [role=status]")).to_contain_text("Nothing has been written")
     expect(page.get_by_text("accelerates in 3.3 s instead of 10.0 s")).to_be_visible()
     page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
-    expect(page.get_by_role("heading", name=re.compile("^Proof"))).to_be_visible(timeout=SLOW)
+    expect(page.get_by_role("heading", name=re.compile("^Proof"))).to_be_visible()
     page.get_by_role("link", name="Back to the swap").click()
     says(page, "The new unit is what the old one was, proven by a full read.")
     expect(page.get_by_role("link", name="The proof, to read or print")).to_be_visible()
@@ -129,7 +135,7 @@ def test_a_spare_with_the_older_list_at_the_address_already(site: Site, browser_
         page.get_by_role("row", name=re.compile("Minimum Ratio.*this unit does not have it"))
     ).to_be_visible()
     page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
-    expect(page.get_by_text("what was asked but for the rows left out")).to_be_visible(timeout=SLOW)
+    expect(page.get_by_text("what was asked but for the rows left out")).to_be_visible()
     assert "#38: this unit does not have it" in events(site, "swap")[0]["message"]
 
 
@@ -141,8 +147,7 @@ def test_two_units_at_the_address_of_the_section(site: Site, browser_page: Opens
     site.line.remote.do("spare", parameters={17: 3})
     says(page, "Two units answer at address 3 at once. Take the old one off the cable")
     eventually(lambda: site.unit(2)["link"] == "online", "the others go on")
-    page.get_by_role("button", name="Leave this swap").click()
-    expect(page).to_have_url(re.compile("/units/line/3$"))
+    leave(page, 3)
     removed(site)
 
 
@@ -158,8 +163,8 @@ def test_a_section_without_a_set_becomes_what_its_neighbour_is_or_the_sheet(
     page.goto("/swap/line/2")
     page.get_by_label("What the spare shall become").select_option("live:line:1")
     begin_it.click()
-    expect(page.get_by_text("The set is of unit 1, another section.")).to_be_visible(timeout=SLOW)
-    page.get_by_role("button", name="Leave this swap").click()
+    expect(page.get_by_text("The set is of unit 1, another section.")).to_be_visible()
+    leave(page, 2)
     page.goto("/swap/line/2")
     page.get_by_label("What the spare shall become").select_option("sheet")
     begin_it.click()
@@ -167,7 +172,7 @@ def test_a_section_without_a_set_becomes_what_its_neighbour_is_or_the_sheet(
     page.get_by_role("button", name="It is the spare").click()
     says(page, "Enter its parameters from the sheet")
     page.get_by_role("button", name="All is entered: read the unit and keep it").click()
-    expect(page.get_by_role("heading", level=1)).to_have_text("entered from the sheet", timeout=SLOW)
+    expect(page.get_by_role("heading", level=1)).to_have_text("entered from the sheet")
     assert events(site, "swap")[0]["what"] == "unit swapped and kept"
 
 
@@ -181,26 +186,24 @@ def test_a_server_killed_in_the_midst_of_a_restore_says_what_was_done(
     newest = page.locator("#source option", has_text="the good one").get_attribute("value")
     page.get_by_label("From a stored set").select_option(newest)
     page.get_by_role("button", name="Read the unit and show the difference").click()
-    site.line.remote.do("fault", kind="slow", rate=1, unit=3)
+    site.line.remote.do("fault", kind="late", rate=1, unit=3)
     page.get_by_role("button", name=f"Write {len(GOOD)} rows to unit 3").click()
-    expect(page.get_by_text(re.compile(r"writing: [1-9]\d* of"))).to_be_visible(timeout=SLOW)
+    expect(page.get_by_text(re.compile(r"writing: [1-9]\d* of"))).to_be_visible()
     site.stop(signal.SIGKILL)
     expect(page.locator(".gone")).to_be_visible()
     site.line.remote.do("clear")
     site.start()
-    expect(page.get_by_text("It ended early: the server ended while it was under way")).to_be_visible(
-        timeout=SLOW
-    )
+    expect(page.get_by_text("It ended early: the server ended while it was under way")).to_be_visible()
     done = page.get_by_role("cell", name="verified", exact=True).count()
     assert 1 <= done < len(GOOD)
     assert done + page.get_by_role("cell", name=re.compile("not written|unverified")).count() == len(GOOD)
     eventually(lambda: site.unit(3)["link"] == "online", "the unit of section 3")
     page.get_by_role("button", name="Review what is left").click()
     left = page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3"))
-    expect(left).to_be_visible(timeout=SLOW)
+    expect(left).to_be_visible()
     assert len(GOOD) - done - 1 <= int(left.inner_text().split()[1]) <= len(GOOD) - done
     left.click()
-    expect(page.get_by_text("proven by a full read")).to_be_visible(timeout=SLOW)
+    expect(page.get_by_text("proven by a full read")).to_be_visible()
     assert {number: parameter(site, number) for number in GOOD} == GOOD
     page.goto("/units/line/3/restore")
     expect(page.get_by_role("row", name=re.compile("ended early"))).to_have_count(1)

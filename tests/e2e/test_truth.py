@@ -53,9 +53,7 @@ def test_a_dead_unit_is_hatched_and_named_and_the_others_are_not(
     page = opened(browser_page(site=own_site, viewport=PANEL), "/")
     own_site.line.remote.do("fault", kind="dead", rate=1, unit=2)
     try:
-        expect(page.locator('[data-unit="line/2"]')).to_have_attribute(
-            "data-quality", "offline", timeout=20_000
-        )
+        expect(page.locator('[data-unit="line/2"]')).to_have_attribute("data-quality", "offline")
         expect(page.locator("[data-strip]")).to_contain_text("no answer")
         expect(page.locator('[data-unit="line/1"]')).to_have_attribute("data-quality", "online")
         expect(page.locator('[data-live="line/2.actual"]')).not_to_be_empty()
@@ -63,7 +61,7 @@ def test_a_dead_unit_is_hatched_and_named_and_the_others_are_not(
         assert page.locator("form.setter").evaluate("form => form.inert")
     finally:
         own_site.line.remote.do("clear")
-    expect(page.locator('[data-unit="line/2"]')).to_have_attribute("data-quality", "online", timeout=20_000)
+    expect(page.locator('[data-unit="line/2"]')).to_have_attribute("data-quality", "online")
     assert not page.locator("form.setter").evaluate("form => form.inert")
 
 
@@ -71,11 +69,11 @@ def test_a_pulled_cable_is_one_cause(own_site: Site, browser_page: OpensPages) -
     page = opened(browser_page(site=own_site, viewport=PANEL), "/")
     own_site.line.remote.do("unplug")
     try:
-        expect(page.locator("[data-strip] a")).to_have_count(1, timeout=20_000)
+        expect(page.locator("[data-strip] a")).to_have_count(1)
         expect(page.locator("[data-strip]")).to_contain_text("the port is closed")
     finally:
         own_site.line.remote.do("plug")
-    expect(page.locator("[data-strip] a")).to_have_count(0, timeout=30_000)
+    expect(page.locator("[data-strip] a")).to_have_count(0)
 
 
 def test_a_dead_worker_is_named_and_comes_back(own_site: Site, browser_page: OpensPages) -> None:
@@ -87,7 +85,7 @@ def test_a_dead_worker_is_named_and_comes_back(own_site: Site, browser_page: Ope
     finally:
         os.kill(worker, signal.SIGKILL)
     expect(page.locator("[data-strip]")).to_contain_text("bus worker")
-    expect(page.locator("[data-strip] a")).to_have_count(0, timeout=30_000)
+    expect(page.locator("[data-strip] a")).to_have_count(0)
 
 
 def test_a_silent_server_takes_the_controls_away_and_the_page_returns_by_itself(
@@ -132,7 +130,7 @@ def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
     assert heard(own_site) == before
 
 
-@pytest.mark.provokes("WebSocket", "fetching the script")
+@pytest.mark.provokes("WebSocket")
 def test_a_killed_server_is_said_and_the_whole_comes_back_with_it(
     own_site: Site, browser_page: OpensPages
 ) -> None:
@@ -142,12 +140,12 @@ def test_a_killed_server_is_said_and_the_whole_comes_back_with_it(
     expect(page.locator("[data-gone-cause]")).to_contain_text("closed")
     own_site.start()
     own_site.wait_for_units()
-    expect(page.locator(LIVE)).to_be_attached(timeout=20_000)
+    expect(page.locator(LIVE)).to_be_attached()
     raw = own_site.unit(1)["commanded_raw"]
     expect(page.locator('[data-live="line/1.commanded"]')).to_have_text(f"{raw / 10:.1f}")
 
 
-@pytest.mark.provokes("WebSocket", "fetching the script")
+@pytest.mark.provokes("WebSocket")
 def test_a_page_that_slept_asks_for_everything_again(own_site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/")
     page.context.set_offline(True)
@@ -155,7 +153,7 @@ def test_a_page_that_slept_asks_for_everything_again(own_site: Site, browser_pag
     with own_site.api("operator") as client:
         assert client.post("/buses/line/units/3/speed", json={"value": "33.3"}).status_code == 200
     page.context.set_offline(False)
-    expect(page.locator(LIVE)).to_be_attached(timeout=20_000)
+    expect(page.locator(LIVE)).to_be_attached()
     expect(page.locator('[data-live="line/3.commanded"]')).to_have_text("33.3")
 
 

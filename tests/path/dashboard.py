@@ -15,7 +15,7 @@ from typing import Any
 
 import httpx
 
-from tests.e2e.site import LINESIDE, ROLES, end, eventually, free_port
+from tests.e2e.site import LINESIDE, PATIENCE_S, ROLES, end, eventually, free_port
 from tests.path.independent_unit import Cable, Unit, plugged
 
 
@@ -35,7 +35,9 @@ class Dashboard:
         headers = {"Authorization": f"Bearer {self.tokens[role]}"} if role else {}
         headers |= more.pop("headers", {})
         url = f"{self.url}/api/v1{path}"
-        return httpx.request(method, url, json=body, headers=headers, timeout=60, trust_env=False, **more)
+        return httpx.request(
+            method, url, json=body, headers=headers, timeout=PATIENCE_S, trust_env=False, **more
+        )
 
     def bus(
         self, method: str, path: str, body: Any = None, role: str = "admin", **more: Any
@@ -70,7 +72,7 @@ class Dashboard:
             unit = self.unit(number)
             return unit if holds(unit) else None
 
-        seen: dict[str, Any] = eventually(look, f"unit {number} {what}; it is {self.unit(number)}", within=30)
+        seen: dict[str, Any] = eventually(look, f"unit {number} {what}; it is {self.unit(number)}")
         return seen
 
 

@@ -43,7 +43,7 @@ def test_a_killed_app_leaves_a_whole_line(tmp_path: Path, command: int, line: li
         worker, server = _worker_and_server(plant)
         killer.victim.append(server)
         other.submit(_ask, plant)
-        eventually(lambda: _ended(worker), "the worker gone with its app", within=20)
+        eventually(lambda: _ended(worker), "the worker gone with its app")
         assert [unit.commanded for unit in units] == line
         assert all(unit.staged in (None, unit.commanded) for unit in units), "and nothing waits to surprise"
 
