@@ -1,24 +1,36 @@
-// How often this device may be given something to draw. A quick one draws what it is told at once; one that takes
-// long is left time for the finger between two pictures: what came meanwhile is drawn together, the newest of each.
+// How often this device may be given something to draw. All drawing together gets a fixed share of the main thread,
+// whatever the device: a quick one draws what it is told at once, one that takes long has the rest of its time for
+// the finger. What came meanwhile is drawn together, the newest of each.
 
-/** Cheaper pictures follow each other freely; above it, so many times the excess lies from one to the next. */
-const FREE_MS = 5;
-const REST = 8;
-/** Nothing waits longer, however slow the device is: what changes four times a second is seen four times a second. */
-const LONGEST_MS = 240;
-/** The least of the last few counts, because something else may have been in between. */
-const REMEMBERED = 4;
+/** The part of the main thread that drawing may take; hearing what there is to draw comes on top. */
+const SHARE = 0.2;
+/** Drawings may be this far ahead of their share: a few cheap ones in a row wait for nothing. */
+const AHEAD_MS = 60;
+/** Nothing waits longer, however slow the device is. */
+const LONGEST_MS = 600;
+/** The middle of the last few costs, because something else may have been in between. */
+const REMEMBERED = 3;
 
 const costs = [];
-let ready = 0;
+let paid = 0;
 let timer = 0;
 let measuring = false;
 const after = new MessageChannel();
 
-const rest = () => {
-  const cost = costs.length < REMEMBERED ? 0 : Math.min(...costs);
-  return Math.min(LONGEST_MS, Math.max(0, cost - FREE_MS) * REST);
-};
+/** What a drawing costs, in ms, judged by the last few; while there are fewer, the least of them. */
+export function usual(known) {
+  const sorted = [...known].sort((one, other) => one - other);
+  return (known.length < REMEMBERED ? sorted[0] : sorted[REMEMBERED >> 1]) ?? 0;
+}
+
+/** The time until which drawing has used up its share, once more has begun at `began` that costs `cost`; all in
+    ms. `until` is what it was before. */
+export function usedUp(until, began, cost) {
+  return Math.min(Math.max(until, began) + cost / SHARE, began + LONGEST_MS + AHEAD_MS);
+}
+
+/** When the next drawing may begin, of a share used up until then. */
+export const readyAt = (until) => until - AHEAD_MS;
 
 /** Measure from the writing to the end of the frame: the browser lays out and paints after the frame's callbacks. */
 function measure(wrote) {
@@ -39,14 +51,14 @@ function run(draw) {
   timer = 0;
   const began = performance.now();
   draw();
-  ready = began + rest();
+  paid = usedUp(paid, began, usual(costs));
   measure(performance.now() - began);
 }
 
-/** Call `draw` now, or as soon as the device has rested; once, however often it is asked for until then. */
+/** Call `draw` now, or as soon as its share allows; once, however often it is asked for until then. */
 export function soon(draw) {
   if (timer) return;
-  const wait = ready - performance.now();
+  const wait = readyAt(paid) - performance.now();
   if (wait <= 0) run(draw);
   else timer = setTimeout(run, wait, draw);
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, WebSocketRoute, expect
 
 from tests.e2e.conftest import OpensPages
 
@@ -19,6 +19,8 @@ SHOW = """async (texts) => {
 }"""
 KNOWN_TO_BE_OUT_OF_SIGHT = """async () =>
   (await import(document.querySelector('link[href$="/sight.js"]').href)).mayWait("line/8")"""
+SNAPSHOT_TAKEN = """async () =>
+  (await import(document.querySelector('link[href$="/bind.js"]').href)).fieldsOf("line/8") !== undefined"""
 LAST_TEXT_IN_THE_FRAME = """(act) => new Promise((resolve) => {
   act();
   requestAnimationFrame(
@@ -29,11 +31,28 @@ SCROLLED = f"({LAST_TEXT_IN_THE_FRAME})(() => scrollTo(0, document.documentEleme
 PRINTED = f"({LAST_TEXT_IN_THE_FRAME})(() => dispatchEvent(new Event('beforeprint')))"
 
 
+class Server:
+    """What the page hears of the server: a first snapshot, and then nothing that could come between what a
+    test shows; also not when the page, having heard nothing, asks again."""
+
+    def __init__(self, page: Page) -> None:
+        self._asked = False
+        page.route_web_socket("**/live?*", self._answer)
+
+    def _answer(self, browser: WebSocketRoute) -> None:
+        if self._asked:
+            return
+        self._asked = True
+        server = browser.connect_to_server()
+        server.on_message(lambda said: browser.send(said) if '"snapshot"' in str(said) else None)
+
+
 def opened(page: Page) -> Page:
     """Eight tiles on a phone, of which the last is far below the window and known to be."""
+    Server(page)
     page.goto("/?view=tiles")
-    expect(page.locator("body[data-link=live]")).to_be_attached()
     page.wait_for_function(KNOWN_TO_BE_OUT_OF_SIGHT)
+    page.wait_for_function(SNAPSHOT_TAKEN)
     return page
 
 
