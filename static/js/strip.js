@@ -41,10 +41,10 @@ function draw(strip, troubles) {
   }
 }
 
-/** Pages without the strip say it to a screen reader: only when it is more or less than before, never at first. */
+/** To a screen reader: only when it is more or less than before, never at first, and not each unit on its ramp. */
 function say(verdict) {
   const place = document.getElementById("verdict");
-  if (place && !document.querySelector("[data-strip]")) place.textContent = verdict;
+  if (place) place.textContent = verdict;
 }
 
 export function start() {

@@ -53,6 +53,10 @@ def test_one_file_adds_a_language(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("english", "german"),
     [
+        (
+            "nobody holds control of this line; take it first; nothing was sent",
+            "niemand hat die Bedienung dieser Linie; zuerst übernehmen; nichts wurde gesendet",
+        ),
         ("operator holds control of this line", "operator hat die Bedienung dieser Linie"),
         (
             "unit 3: 25000 is outside 0 to 2000 (the limits set for this unit); the nearest is 2000; "

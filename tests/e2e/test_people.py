@@ -403,7 +403,8 @@ def test_a_screen_reader_hears_the_verdict_and_no_figures(
         )
     finally:
         site.line.remote.do("mode", unit=3, to="remote")
-    assert not any(re.search(r"\d\.\d", text) for text in page.evaluate("window.said"))
+    said = page.evaluate("window.said")
+    assert not any(re.search(r"\d\.\d|ramping", text) for text in said), said
 
 
 def test_focus_stays_while_a_unit_is_not_heard(site: Site, browser_page: OpensPages) -> None:
