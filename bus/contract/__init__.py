@@ -48,8 +48,10 @@ from bus.contract.readings import (
     ParameterValue,
     Reading,
     Staged,
+    UnitCounts,
     UnitFigures,
     UnitLink,
+    UnitState,
 )
 from bus.contract.speech import (
     AppMessage,
@@ -61,7 +63,6 @@ from bus.contract.speech import (
     Hello,
     Reserve,
     Snapshot,
-    UnitState,
     Update,
     WantSnapshot,
     Watch,
@@ -107,6 +108,7 @@ __all__ = [
     "Snapshot",
     "Stage",
     "Staged",
+    "UnitCounts",
     "UnitFigures",
     "UnitLink",
     "UnitLinkState",

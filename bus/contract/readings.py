@@ -1,8 +1,4 @@
-"""What the units said and how they are: from the worker to the app.
-
-Times are seconds since the epoch on the speaker's own clock (float, microsecond resolution).
-Speeds, parameters and analog values are the raw integers of the wire.
-"""
+"""What the units said and how they are: from the worker to the app."""
 
 from __future__ import annotations
 
@@ -61,6 +57,16 @@ class Staged(Message, frozen=True, tag="staged"):
     unit: int
     at: float
     raw: int | None
+
+
+class UnitState(Message, frozen=True, tag="unit_state"):
+    """All that the worker knows of one unit now."""
+
+    unit: int
+    link: UnitLink
+    reading: Reading | None = None
+    parameters: list[ParameterValue] = field(default_factory=list)
+    staged: int | None = None
 
 
 class UnitCounts(Struct, omit_defaults=True):

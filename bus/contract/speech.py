@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import msgspec
-from msgspec import field
 
 from bus.contract.actions import Action
 from bus.contract.fates import Progress, Result
@@ -16,19 +15,10 @@ from bus.contract.readings import (
     Reading,
     Staged,
     UnitLink,
+    UnitState,
 )
 
 Update = Reading | ParameterValue | UnitLink | BusLink | Staged | BusFigures | Progress | Result | Frames
-
-
-class UnitState(Message, frozen=True, tag="unit_state"):
-    """All that the worker knows of one unit now."""
-
-    unit: int
-    link: UnitLink
-    reading: Reading | None = None
-    parameters: list[ParameterValue] = field(default_factory=list)
-    staged: int | None = None
 
 
 class Hello(Message, frozen=True, tag="hello"):

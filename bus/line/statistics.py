@@ -6,8 +6,7 @@ import math
 
 from msgspec.structs import asdict
 
-from bus.contract import UnitFigures
-from bus.contract.readings import UnitCounts
+from bus.contract import UnitCounts, UnitFigures
 
 _SHORTEST_S = 0.0001
 _STEP = 1.08
