@@ -42,15 +42,18 @@ function swatch(place) {
   return svg;
 }
 
-function cell(row, content) {
+/** With the head of its column, which a phone shows beside it. */
+function cell(row, content, head = "") {
   const td = row.insertCell();
   td.className = "number";
+  if (head) td.dataset.head = head;
   td.textContent = content;
   return td;
 }
 
 /** One row for each value; `on`: remove(name), choose(place). */
 export function drawRows(body, answers, names, on) {
+  const heads = body.parentElement.tHead.rows[0].cells;
   const focused = body.contains(document.activeElement) ? document.activeElement.dataset.key : null;
   body.replaceChildren(
     ...answers.map((answer, place) => {
@@ -65,9 +68,11 @@ export function drawRows(body, answers, names, on) {
       axis.addEventListener("click", () => on.choose(place));
       head.append(axis);
       row.append(head);
-      for (let i = 0; i < 4; i++) cell(row, UNKNOWN);
       const found = summary(answer);
-      for (const name of ["least", "average", "greatest"]) cell(row, text(answer, found?.[name]));
+      const read = [null, null, null, null, found?.least, found?.average, found?.greatest];
+      read.forEach((value, i) => {
+        cell(row, text(answer, value), heads[i + 1].textContent);
+      });
       const remove = document.createElement("button");
       remove.type = "button";
       remove.className = "button button--small";
