@@ -26,7 +26,8 @@ GOOD |= {22: 7, 23: 200, 25: 9, 29: 1, 30: 1900, 31: 19000, 38: 5500, 39: 21}
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Three units at rest; the third is about to die, and a set of it is stored."""
     folder = tmp_path_factory.mktemp("swap")
-    with one_site(folder, 3, line_options=("--no-script", "--speedup", "10"), turnaround_ms=1000) as made:
+    # Each question to an address where two answer is waited for to its end.
+    with one_site(folder, 3, line_options=("--no-script", "--speedup", "10"), turnaround_ms=250) as made:
         new_section(made, GOOD)
         with made.api("engineer") as client:
             taken = client.post("/buses/line/sets", json={"units": [3], "name": "the good one"})
@@ -186,7 +187,7 @@ def test_a_server_killed_in_the_midst_of_a_restore_says_what_was_done(
     newest = page.locator("#source option", has_text="the good one").get_attribute("value")
     page.get_by_label("From a stored set").select_option(newest)
     page.get_by_role("button", name="Read the unit and show the difference").click()
-    site.line.remote.do("fault", kind="late", rate=1, unit=3)
+    site.line.remote.do("fault", kind="slow", rate=1, unit=3)
     page.get_by_role("button", name=f"Write {len(GOOD)} rows to unit 3").click()
     expect(page.get_by_text(re.compile(r"writing: [1-9]\d* of"))).to_be_visible()
     site.stop(signal.SIGKILL)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import atexit
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
-from tempfile import mkdtemp
 from typing import Any
 
 import httpx
 
-from tests.e2e.site import LINESIDE, PATIENCE_S, ROLES, end, eventually, free_port
+from tests.e2e.site import LINESIDE, PATIENCE_S, end, eventually, free_port, people
 from tests.path.independent_unit import Cable, Unit, plugged
 
 
@@ -103,21 +100,6 @@ def dashboard(
                 yield made
             finally:
                 end(server)
-
-
-@cache
-def people() -> tuple[Path, dict[str, str]]:
-    """A store with a token for each role, made once by the command, to begin every test from."""
-    folder = Path(mkdtemp(prefix="lineside-people-"))
-    atexit.register(shutil.rmtree, folder)
-    config = folder / "lineside.toml"
-    config.write_text('[server]\ndata = "./data"\n')
-    tokens = {}
-    for role in ROLES:
-        command = [LINESIDE, "token", "create", role, "--role", role, "--config", config]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        tokens[role] = done.stdout.split()[-1]
-    return folder / "data", tokens
 
 
 def _serves(made: Dashboard) -> bool:

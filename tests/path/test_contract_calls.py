@@ -345,7 +345,7 @@ def test_every_command_is_an_event(plant: Dashboard) -> None:
     problem(plant.bus("POST", "/units/3/speed", {"raw": 2500, "execute": True}, "operator"), 409, "refused")
     events = plant.call("GET", "/events?limit=2&kind=command", role="viewer").json()["events"]
     assert [(event["unit"], event["outcome"]) for event in events] == [(3, "refused"), (1, "verified")]
-    expected = {"who": "operator", "bus": "dry-end", "old": now["commanded"], "new": "250.0"}
+    expected = {"who": "operator-program", "bus": "dry-end", "old": now["commanded"], "new": "250.0"}
     assert events[1].items() >= expected.items()
     assert (events[1]["old_raw"], events[1]["new_raw"]) == (now["commanded_raw"], 2500)
 

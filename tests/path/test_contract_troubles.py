@@ -149,7 +149,7 @@ def test_a_killed_server_leaves_no_worker_behind(tmp_path: Path) -> None:
 def test_control_of_a_line(tmp_path: Path) -> None:
     with dashboard(tmp_path, [Unit(1)], site_toml="control = true") as plant:
         assert speed(plant, 1, 10).json()["code"] == "controlled"
-        assert plant.bus("POST", "/control", role="operator").json()["holder"] == "operator"
+        assert plant.bus("POST", "/control", role="operator").json()["holder"] == "operator-program"
         assert speed(plant, 1, 10).status_code == 409
         body = {"raw": 10, "execute": True}
         assert plant.bus("POST", "/units/1/speed", body, "operator").status_code == 200

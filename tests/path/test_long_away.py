@@ -18,8 +18,7 @@ from bus.contract import CONTRACT_VERSION, BusLink, Command, Hello, Reading, Sna
 from bus.worker.deadline import AppClock
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
-from tests.e2e.site import LINESIDE, end, eventually, free_port
-from tests.path.dashboard import people
+from tests.e2e.site import LINESIDE, end, eventually, free_port, people
 
 UNITS = (1, 2, 3, 4)
 AWAY_S = 600
