@@ -18,13 +18,16 @@ WRITES = 12
 """To each unit."""
 RATE = 0.05
 """Of each fault."""
+DEAF_RATE = 0.2
+"""Of the one fault that only a read-back can tell."""
+WRITTEN = (0x84, 0x86, 0x87)
 STRANGER = 99
 LATE_S = 0.4
 """More than the turnaround that the bus allows."""
 
 
 class BadCable(Cable):
-    """Once ``bad``, every fault strikes one frame in twenty, in an order that is the same in each run."""
+    """Once ``bad``, every fault strikes at its rate, in an order that is the same in each run."""
 
     bad = False
 
@@ -32,14 +35,17 @@ class BadCable(Cable):
         super().__init__(path, units)
         self._dice = random.Random(11)
 
-    def _strikes(self) -> bool:
-        return self.bad and self._dice.random() < RATE
+    def _strikes(self, rate: float = RATE) -> bool:
+        return self.bad and self._dice.random() < rate
 
     def _answer(self, master: int, body: bytes) -> None:
         if self._strikes():
             return  # the request is lost
         if body[0] in self.units and self._strikes():
             os.write(master, frame(bytes([body[0], NAK, 0x80])))  # refused, as in LOCAL
+            return
+        if body[0] in self.units and body[1] in WRITTEN and self._strikes(DEAF_RATE):
+            os.write(master, frame(bytes([body[0], ACK])))  # acknowledged, and nothing done
             return
         with self.lock:
             answers = [unit.answer(body) for unit in self.units.values()]
