@@ -5,11 +5,13 @@
 /** The part of the main thread that drawing may take; hearing what there is to draw comes on top. */
 const SHARE = 0.2;
 /** Drawings may be this far ahead of their share: a few cheap ones in a row wait for nothing. */
-const AHEAD_MS = 60;
+const AHEAD_MS = 200;
 /** Nothing waits longer, however slow the device is. */
 const LONGEST_MS = 600;
-/** The middle of the last few costs, because something else may have been in between. */
-const REMEMBERED = 3;
+/** A cost is judged beside the few before it, because something else may have been in between: */
+const REMEMBERED = 4;
+/** More than so many times the least of them was not drawing. */
+const CREDIBLE = 2;
 
 const costs = [];
 let paid = 0;
@@ -17,10 +19,10 @@ let timer = 0;
 let measuring = false;
 const after = new MessageChannel();
 
-/** What a drawing costs, in ms, judged by the last few; while there are fewer, the least of them. */
-export function usual(known) {
-  const sorted = [...known].sort((one, other) => one - other);
-  return (known.length < REMEMBERED ? sorted[0] : sorted[REMEMBERED >> 1]) ?? 0;
+/** What the last drawing cost, in ms, as far as the costs of the last few, oldest first, make it credible. */
+export function credible(known) {
+  const least = Math.min(...known);
+  return known.length < REMEMBERED ? 0 : Math.min(known.at(-1), CREDIBLE * least);
 }
 
 /** The time until which drawing has used up its share, once more has begun at `began` that costs `cost`; all in
@@ -51,7 +53,7 @@ function run(draw) {
   timer = 0;
   const began = performance.now();
   draw();
-  paid = usedUp(paid, began, usual(costs));
+  paid = usedUp(paid, began, credible(costs));
   measure(performance.now() - began);
 }
 
