@@ -10,7 +10,7 @@ from typing import Any
 
 @contextmanager
 def ended(process: subprocess.Popen[Any], within_s: float) -> Iterator[None]:
-    """End ``process`` after the block: by SIGTERM, and by SIGKILL where that takes longer than ``within_s``."""
+    """End ``process`` after the block: by SIGTERM; by SIGKILL where that takes longer than ``within_s``."""
     try:
         yield
     finally:
