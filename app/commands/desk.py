@@ -30,13 +30,7 @@ from bus.contract import Action, ChangeBaud, Command, Result, ScanBus, SetSpeed,
 
 REMEMBERED = 1000
 """Fates kept for whoever asks with the same id again."""
-STATUS_OF_OBJECTION = {
-    "invalid": 422,
-    "dangerous": 409,
-    "confirm_needed": 409,
-    "suspect": 409,
-    "blocked": 423,
-}
+STATUS_OF_OBJECTION = {"invalid": 422, "dangerous": 409, "confirm_needed": 409, "blocked": 423}
 ACTED = ("verified", "acknowledged", "unverified")
 """Outcomes after which a unit has acted, or may have."""
 
@@ -94,8 +88,7 @@ class Desk:
         ``timeout_s``: how long a write may wait for the wire; :func:`time_for` it when None.
 
         Raises Problem for what is not asked of the worker at all: 404 for a unit or bus that is not
-        configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed``, ``suspect`` or
-        ``controlled``, 423 ``blocked``.
+        configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``.
         """
         live = bus_or_404(self._live, bus)
         for unit in units_named(action):

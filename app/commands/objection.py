@@ -10,7 +10,7 @@ from app.commands.blocks import Block
 from app.commands.limits import Limits
 from app.live.state import BusLive
 
-Code = Literal["invalid", "dangerous", "confirm_needed", "blocked", "suspect"]
+Code = Literal["invalid", "dangerous", "confirm_needed", "blocked"]
 
 
 class ObjectionError(Exception):

@@ -10,7 +10,6 @@ from app.commands.limits import HIGHEST_SETPOINT
 from app.commands.objection import Circumstances, ObjectionError
 from app.commands.setpoints import check_setpoint
 from app.live.state import BusLive, UnitLive
-from app.live.suspicion import other_in_its_name
 from bus.catalogue.parameter import IllegalValue, Parameter, check_writable_value, danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS, status_bits
@@ -38,7 +37,6 @@ def check(action: Action, now: Circumstances) -> None:
     """Raises ObjectionError for the first reason not to send ``action``."""
     for unit in units_written(action, now.bus):
         _check_not_blocked(unit, now)
-        _check_is_itself(unit, now)
     match action:
         case SetSpeed() | SetLine() | ExecuteSpeed() | ExecuteAll():
             _check_setpoints(action, now)
@@ -107,16 +105,6 @@ def _check_not_blocked(unit: int, now: Circumstances) -> None:
     if block is not None:
         raise ObjectionError(
             "blocked", f"unit {unit} is blocked by {block.set_by}: {block.reason}", unit=unit
-        )
-
-
-def _check_is_itself(unit: int, now: Circumstances) -> None:
-    """Whoever answers in another's name carries out in its name, too, and its read-back proves that."""
-    live = now.bus.units.get(unit)
-    other = other_in_its_name(live) if live is not None else None
-    if other is not None:
-        raise ObjectionError(
-            "suspect", f"unit {other} (#17) answers as unit {unit} and would carry it out", unit=unit
         )
 
 

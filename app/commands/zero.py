@@ -13,7 +13,6 @@ from app.commands.ramp import MAX_DISPLAY, RAMP_DOWN
 from app.live.age import unit_link_now
 from app.live.fields import bits_of
 from app.live.state import BusLive, UnitLive, follower
-from app.live.suspicion import other_in_its_name
 
 
 @dataclass(slots=True)
@@ -49,8 +48,6 @@ def why_not_told(bus: BusLive, unit: UnitLive, blocked: bool, now: float) -> str
         return "blocked"
     if bus.link.link == "closed" or unit.reading is None or unit_link_now(bus, unit, now) == "offline":
         return "does not answer"
-    if other_in_its_name(unit) is not None:
-        return "another unit answers for it"
     return "" if bits_of(bus, unit.reading).remote else "not in REMOTE"
 
 

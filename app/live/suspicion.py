@@ -11,18 +11,22 @@ from app.live.state import BusLive, UnitLive
 from bus.catalogue.parameters import OWN_ADDRESS
 
 
-def other_in_its_name(unit: UnitLive) -> int | None:
-    """The address that whoever answers for ``unit`` has by its own #17; None while that is not another."""
-    own = unit.parameter_raw(OWN_ADDRESS)
-    return None if own == unit.settings.id else own
-
-
 def suspicion(bus: BusLive, unit: UnitLive) -> str:
-    """Why the values shown for ``unit`` may be another's, in words; empty where nothing says so."""
-    other = other_in_its_name(unit)
-    if other is not None:
-        return f"perhaps unit {other} answers for it (#17)"
+    """Why the values shown for ``unit`` may be another's, in words; empty where nothing says so.
+
+    It warns and forbids nothing: an address changed at the panel (#17) may hold from the next power-up only.
+    """
+    own = unit.parameter_raw(OWN_ADDRESS)
+    if own not in (None, unit.settings.id) and _most_read_their_own_address(bus):
+        return f"perhaps unit {own} answers for it (#17)"
     everybody = bus.figures.answers_for_all if bus.figures is not None else 0
     if everybody not in (0, unit.settings.id):
         return f"perhaps unit {everybody} answers for it (each answer comes twice)"
     return ""
+
+
+def _most_read_their_own_address(bus: BusLive) -> bool:
+    """Where they do not, #17 says something else in these units, and nothing about who answers."""
+    read = [(unit.parameter_raw(OWN_ADDRESS), unit.settings.id) for unit in bus.units.values()]
+    said = [own == address for own, address in read if own is not None]
+    return 2 * sum(said) > len(said)

@@ -4,6 +4,7 @@ import pytest
 
 from app.live.abnormal import Sight, Tally, bus_trouble, unit_trouble, verdict
 from app.live.motion import State
+from app.live.suspicion import suspicion
 from app.live.view import unit_json
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLinkState
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, voice
@@ -48,7 +49,7 @@ def test_the_worst_is_said() -> None:
     [
         (ParameterValue(1, 17, 100.0, 1), None),
         (ParameterValue(1, 17, 100.0, None, available=False), None),
-        (ParameterValue(1, 17, 100.0, 3), "perhaps unit 3 answers for it (#17)"),
+        (ParameterValue(1, 17, 100.0, 3), None),
         (BusFigures(1.0, 1.0, 1.0, 1.0, 1.0, answers_for_all=1), None),
         (
             BusFigures(1.0, 1.0, 1.0, 1.0, 1.0, answers_for_all=2),
@@ -65,6 +66,18 @@ def test_a_unit_in_whose_name_another_may_answer_is_not_well(
     trouble = unit_trouble(bus, Sight(bus.units[1], "online", "at_speed"), voice())
     assert (trouble and (trouble.level, trouble.text)) == (found and ("high", found))
     assert unit_json(bus, bus.units[1], 100.0, lambda _bus, _unit: "")["suspect"] == found
+
+
+def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:
+    live = line(4)
+    bus = live.buses["dry"]
+    live.apply("dry", [reading(), ParameterValue(1, 17, 100.0, 3), ParameterValue(2, 17, 100.0, 3)])
+    assert suspicion(bus, bus.units[1]) == ""
+    live.apply("dry", [ParameterValue(3, 17, 100.0, 3)])
+    assert suspicion(bus, bus.units[1]) == "", "units whose #17 says something else"
+    live.apply("dry", [ParameterValue(2, 17, 100.0, 2)])
+    assert suspicion(bus, bus.units[1]) == "perhaps unit 3 answers for it (#17)"
+    assert suspicion(bus, bus.units[2]) == ""
 
 
 def test_run_may_be_off_while_nothing_is_commanded() -> None:

@@ -172,15 +172,6 @@ def test_a_blocked_unit_is_refused_on_every_path(action: Action) -> None:
     check(action, circumstances(blocked=16 if not isinstance(action, ChangeBaud) else 0, confirm=True))
 
 
-@pytest.mark.parametrize("action", WRITES, ids=lambda action: type(action).__name__)
-def test_nothing_is_written_in_the_name_of_a_unit_for_which_another_answers(action: Action) -> None:
-    readings = (reading(1), reading(2), reading(16))
-    error = objection(action, circumstances(bus_with(*readings, parameter(2, 17, 16)), confirm=True))
-    assert (error.code, error.unit) == ("suspect", 2)
-    assert "unit 16 (#17) answers as unit 2" in str(error)
-    check(action, circumstances(bus_with(*readings, parameter(2, 17, 2)), confirm=True))
-
-
 def test_a_broadcast_is_refused_when_it_would_execute_what_a_blocked_unit_has_staged() -> None:
     bus = bus_with(reading(1), Staged(unit=2, at=0.0, raw=5))
     assert objection(ExecuteAll(), circumstances(bus, blocked=2)).code == "blocked"
