@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from time import time
 from typing import Annotated
 
 from fastapi import APIRouter, Form, Request, Response, UploadFile
@@ -78,6 +79,7 @@ async def look_again(
         words={"target": unit, "factory": FACTORY_ADDRESS, "baud": baud, "hundreds": baud // 100},
         steps=STEPS,
         done=done_steps(now.step),
+        at=time(),
     )
 
 
