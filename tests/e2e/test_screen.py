@@ -52,6 +52,19 @@ def test_a_page_fits_its_window(browser_page: OpensPages, path: str, viewport: d
     assert too_wide(page) <= 0
 
 
+def test_how_units_answer_are_cards_on_a_phone_and_their_links_large_enough_for_gloves(
+    browser_page: OpensPages,
+) -> None:
+    page = opened(browser_page("engineer", viewport=PHONE, has_touch=True), "/bus/line")
+    expect(page.locator(".answers tbody tr")).to_have_count(8)
+    table = page.locator(".table-wrap", has=page.locator(".answers"))
+    assert table.evaluate("table => table.scrollWidth - table.clientWidth") <= 0
+    heights = page.locator(".answers a").evaluate_all(
+        "links => links.map(link => link.getBoundingClientRect().height)"
+    )
+    assert min(heights) >= 44
+
+
 @pytest.mark.parametrize("path", ["/", "/units/line/1"])
 def test_at_twice_the_size_nothing_is_lost(browser_page: OpensPages, path: str) -> None:
     page = opened(browser_page(viewport={"width": 640, "height": 400}), path)
