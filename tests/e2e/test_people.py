@@ -310,7 +310,7 @@ def test_zero_is_one_press_and_one_confirm_from_every_page_by_keyboard(
     page = browser_page("admin", viewport=PANEL)
     before = heard(site)
     with site.api("admin") as client:
-        client.post("/buses/line/control")
+        client.post("/buses/line/control/hand-over", json={"to": "admin"}).raise_for_status()
     for path in pages:
         opened(page, path)
         assert page.evaluate(UNREACHABLE) == [], path
