@@ -3,18 +3,43 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
 _PROC = Path("/proc")
+_PLAYED = Path("/dev/pts")
 
 
 def holders_of(path: str) -> list[str]:
     """``name (process 123)`` of the others that hold a lock on it, else of those that have it open."""
     device = Path(path).resolve()
-    own = {os.getpid()}
+    own = {os.getpid(), *_played_by(device)}
     pids = _lockers(device) - own or _openers(device) - own
     return [f"{_name(pid)} (process {pid})" for pid in sorted(pids)]
+
+
+def is_played(path: str) -> bool:
+    """Whether this is a pseudo-terminal, at whose other end a program plays the device."""
+    return Path(path).resolve().parent == _PLAYED
+
+
+def _played_by(device: Path) -> set[int]:
+    """The programs at the other end of a pseudo-terminal: they are the line, and no other host on it."""
+    if not is_played(str(device)):
+        return set()
+    end = f"tty-index:\t{device.name}\n"
+    return {pid for pid in _pids() if _has_end(pid, end)}
+
+
+def _has_end(pid: int, end: str) -> bool:
+    with suppress(OSError):
+        for descriptor in (_PROC / str(pid) / "fd").iterdir():
+            with suppress(OSError):
+                is_end = descriptor.readlink().name == "ptmx"
+                if is_end and end in (_PROC / str(pid) / "fdinfo" / descriptor.name).read_text():
+                    return True
+    return False
 
 
 def _lockers(device: Path) -> set[int]:
@@ -31,8 +56,11 @@ def _lockers(device: Path) -> set[int]:
 
 
 def _openers(device: Path) -> set[int]:
-    pids = (int(entry.name) for entry in _PROC.iterdir() if entry.name.isdigit())
-    return {pid for pid in pids if _has_open(pid, device)}
+    return {pid for pid in _pids() if _has_open(pid, device)}
+
+
+def _pids() -> Iterator[int]:
+    return (int(entry.name) for entry in _PROC.iterdir() if entry.name.isdigit())
 
 
 def _has_open(pid: int, device: Path) -> bool:

@@ -31,9 +31,9 @@ port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
 fcntl.ioctl(port, termios.TIOCEXCL)
 print("held", flush=True)
 sys.stdin.read()
-fcntl.ioctl(port, termios.TIOCNXCL)  # the other end of the cable has the terminal open, so it would stay
 """
-"""As programs do that do not ask, while the worker has it open."""
+"""As programs do that do not ask, while the worker has it open. The other end of the cable has the terminal
+open, so the claim outlives the program."""
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ import serial
 import serial_asyncio
 
 from bus.errors import WireError
+from bus.line.holders import holders_of, is_played
 from bus.line.port import OpenPort, PartlySent, PortUnavailable, Receiver
 from bus.line.ports.gated import GatedSerial
 from bus.line.ports.reception import Reception
@@ -62,7 +63,7 @@ class DevicePort:
             termios.tcgetattr(self._descriptor)
         except (termios.error, OSError) as error:
             raise WireError(f"{self._name} is gone: was the adapter pulled out?") from error
-        if _is_claimed(self._descriptor):
+        if _is_claimed(self._descriptor, self._name):
             raise WireError(in_use(self._name))
 
     def close(self) -> None:
@@ -80,7 +81,7 @@ async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
         instance = GatedSerial(path, baudrate=baud, timeout=0, write_timeout=0, exclusive=True)
     except (serial.SerialException, termios.error, OSError, ValueError) as error:
         raise PortUnavailable(why_not(path, error)) from error
-    if _is_claimed(instance.device):
+    if _is_claimed(instance.device, path):
         instance.close()
         raise PortUnavailable(in_use(path))
     _prefer_low_latency(instance)
@@ -90,13 +91,17 @@ async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
     return DevicePort(instance, transport, protocol, path)
 
 
-def _is_claimed(descriptor: int) -> bool:
+def _is_claimed(descriptor: int, path: str) -> bool:
     """Whether another program wants the port for itself (ioctl_tty(2), TIOCEXCL; nothing here asks for that).
-    Root may open such a port all the same, and one that is open already stays so: two hosts on one line."""
+    Root may open such a port all the same, and one that is open already stays so: two hosts on one line.
+
+    The claim ends with the last descriptor of the device. On a pseudo-terminal the program that plays the
+    line may keep one, so there it holds while somebody else has it open.
+    """
     answer = array("i", [0])
     with suppress(OSError):
         fcntl.ioctl(descriptor, _TIOCGEXCL, answer)
-    return bool(answer[0])
+    return bool(answer[0]) and (not is_played(path) or bool(holders_of(path)))
 
 
 def _prefer_low_latency(instance: GatedSerial) -> None:
