@@ -56,6 +56,19 @@ async def test_nothing_is_called_stop(house: House, path: str) -> None:
     assert not [button for button in buttons if re.search(r"\bstop\b", button, re.IGNORECASE)]
 
 
+async def test_bounds_without_decimals_are_numbers_of_the_wire_and_have_no_unit(house: House) -> None:
+    client = await house.program(Role.VIEWER)
+    live = house.services.live.buses["dry-end"].units[1]
+    unit = live.settings.labels.unit
+    assert unit
+    unread = (await client.get("/units/dry-end/1")).text
+    assert "raw</span>" in unread
+    assert f"raw {unit}</span>" not in unread
+    values = [ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((2, 2000), (3, 1))]
+    house.services.live.apply("dry-end", list(values))
+    assert f"200.0 {unit}</span>" in (await client.get("/units/dry-end/1")).text
+
+
 async def test_a_unit_that_is_not_there_is_said_in_words(house: House) -> None:
     page = await (await house.program(Role.VIEWER)).get("/units/dry-end/200")
     assert page.status_code == 404

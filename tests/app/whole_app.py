@@ -15,7 +15,7 @@ from app.main import create_app
 from app.settings import Server, Settings, Site
 from app.web.access import PEOPLE_ROLES, Role
 from app.wiring import Services, running
-from bus.settings import BusSettings, UnitSettings
+from bus.settings import BusSettings, UnitLabels, UnitSettings
 
 PASSWORD = "correct horse battery"
 HOST = "plant.example"
@@ -23,7 +23,8 @@ HOST = "plant.example"
 
 def settings_in(folder: Path, **site: Any) -> Settings:
     """One bus of two units."""
-    units = (UnitSettings(id=1, name="Unwind"), UnitSettings(id=2, name="Nip"))
+    unwind = UnitSettings(id=1, name="Unwind", labels=UnitLabels(unit="m/min"))
+    units = (unwind, UnitSettings(id=2, name="Nip"))
     bus = BusSettings(name="dry-end", port="/dev/null", unit=units)
     return Settings(site=Site(**{"name": "Mill 7", **site}), server=Server(data=folder / "data"), bus=(bus,))
 
