@@ -31,6 +31,7 @@ class UnitShown(TypedDict):
     link: UnitLinkState
     link_cause: str
     blocked: str | None
+    suspect: str | None
     read_at: str | None
     age_ms: int | None
     commanded_raw: int | None
