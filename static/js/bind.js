@@ -102,14 +102,16 @@ function write(group, changed) {
   }
 }
 
-/** Write what waits, but for what nobody can see. */
+/** Write what waits, but for what nobody can see; whether there was anything to write. */
 export function draw() {
+  const all = waiting.size;
   for (const [group, changed] of waiting) {
     if (mayWait(group)) continue;
     waiting.delete(group);
     write(group, changed);
   }
   if (waiting.size && !timer) timer = setTimeout(drawLate, LATE_MS);
+  return waiting.size < all;
 }
 
 function drawLate() {

@@ -3,7 +3,7 @@
 // the finger. What came meanwhile is drawn together, the newest of each.
 
 /** The part of the main thread that drawing may take; hearing what there is to draw comes on top. */
-const SHARE = 0.2;
+const SHARE = 0.15;
 /** Drawings may be this far ahead of their share: a few cheap ones in a row wait for nothing. */
 const AHEAD_MS = 200;
 /** Nothing waits longer, however slow the device is. */
@@ -52,12 +52,13 @@ function measure(wrote) {
 function run(draw) {
   timer = 0;
   const began = performance.now();
-  draw();
+  if (!draw()) return;
   paid = usedUp(paid, began, credible(costs));
   measure(performance.now() - began);
 }
 
-/** Call `draw` now, or as soon as its share allows; once, however often it is asked for until then. */
+/** Call `draw` now, or as soon as its share allows; once, however often it is asked for until then. It says
+    whether it drew anything: of what nobody can see there is no frame to pay for. */
 export function soon(draw) {
   if (timer) return;
   const wait = readyAt(paid) - performance.now();

@@ -38,6 +38,7 @@ DEVICE = """async ([write, frame, every, run]) => {
     drawn.push([now, told === null ? 0 : now - told]);
     told = null;
     now += write;
+    return write > 0;
   };
   for (let next = 0; now < run;) {
     if (now >= next) {
@@ -94,6 +95,11 @@ def test_a_slow_device_draws_within_the_share(page: Page, write: float, frame: f
 def test_a_quick_device_draws_at_once_what_it_is_told(page: Page) -> None:
     drawn = device(page, 1, 2, 26)
     assert len(drawn) >= RUN_MS / 26 - 1
+    assert max(waited for _, waited in drawn) == 0
+
+
+def test_of_what_nobody_can_see_there_is_nothing_to_pay_for(page: Page) -> None:
+    drawn = device(page, 0, 80, 10)
     assert max(waited for _, waited in drawn) == 0
 
 
