@@ -67,6 +67,11 @@ class Errands:
         return finished
 
     @property
+    def write_waits(self) -> bool:
+        """Whether anything would write."""
+        return any(errand.claim is Claim.WRITE and errand.result is None for errand in self._all)
+
+    @property
     def slow_waits(self) -> bool:
         """Whether anything would use a gap."""
         return any(errand.claim is Claim.SLOW for errand in self._all)

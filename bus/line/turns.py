@@ -43,6 +43,7 @@ class Turns:
         self._routine: tuple[Task, Asking] | None = None
         self._foreseen: tuple[Task, Asking] | None = None
         self._routine_at = 0.0
+        self._read_last = False
         self._not_before = 0.0
         self._reserved_at = 0.0
         self._reserved_until = 0.0
@@ -91,6 +92,7 @@ class Turns:
         errand, self.owner = self.owner, None
         if errand is not None:
             errand.settle(heard, ended)
+            self._read_last = errand.claim is Claim.READ
             if errand.claim is Claim.SLOW:
                 self.schedule.spent(Task(Kind.SLOW), began, ended, answered=True)
         elif self._routine is not None:
@@ -118,11 +120,13 @@ class Turns:
         return request
 
     def _leave_a_poll(self, now: float) -> bool:
-        return (
-            not self.errands.whole_line_changes
-            and now - self._routine_at > ERRANDS_AT_A_STRETCH_S
-            and len(self.schedule.round) > 0
-        )
+        """A look at parameters takes every second turn at most: who reads many must not blind the others."""
+        if self.errands.whole_line_changes or len(self.schedule.round) == 0:
+            return False
+        if now - self._routine_at > ERRANDS_AT_A_STRETCH_S:
+            return True
+        free = now >= max(self._not_before, self._reserved_until)
+        return self._read_last and free and not self.errands.write_waits
 
     # --- the schedule --------------------------------------------------------------------------
 
@@ -175,6 +179,7 @@ class Turns:
         return False
 
     def _pace(self, request: Request, now: float) -> None:
+        self._read_last = False
         self._routine_at = now
         self._not_before = now + PACE * self._exchange_s(request)
 

@@ -102,6 +102,26 @@ def test_a_write_that_is_announced_leaves_no_later_than_if_it_were_there_already
     run(scene, 8)
 
 
+def test_who_reads_parameters_without_end_leaves_every_second_turn_to_the_scan() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        began = line.loop.time()
+        while line.loop.time() < began + 10:
+            line.command(ReadParameters(unit=1, numbers=[1, 2, 3, 4, 5]), timeout_s=20.0)
+            line.command(ReadParameters(unit=2, numbers=[1, 2, 3, 4, 5]), timeout_s=20.0)
+            await asyncio.sleep(0.1)
+        polled = polls(line, began)
+        assert len(polled) > 0.45 * 10 / POLL_S
+        assert {polled.count(unit) for unit in line.units} <= {len(polled) // 8, len(polled) // 8 + 1}
+        asked = line.loop.time()
+        line.command(SetSpeed(unit=3, raw=700))
+        await asyncio.sleep(0.1)
+        left = next(at for at, data in line.written if at >= asked and data[3] == 0x84)
+        assert left - asked <= POLL_S + 0.001, "a write is the next frame all the same"
+
+    run(scene, 8)
+
+
 def test_a_turn_kept_for_a_write_that_never_comes_costs_a_moment_and_the_units_no_turn() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
