@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from playwright.sync_api import Page, WebSocketRoute, expect
+from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
 
@@ -19,8 +19,6 @@ SHOW = """async (texts) => {
 }"""
 KNOWN_TO_BE_OUT_OF_SIGHT = """async () =>
   (await import(document.querySelector('link[href$="/sight.js"]').href)).mayWait("line/8")"""
-SNAPSHOT_TAKEN = """async () =>
-  (await import(document.querySelector('link[href$="/bind.js"]').href)).fieldsOf("line/8") !== undefined"""
 LAST_TEXT_IN_THE_FRAME = """(act) => new Promise((resolve) => {
   act();
   requestAnimationFrame(
@@ -31,35 +29,12 @@ SCROLLED = f"({LAST_TEXT_IN_THE_FRAME})(() => scrollTo(0, document.documentEleme
 PRINTED = f"({LAST_TEXT_IN_THE_FRAME})(() => dispatchEvent(new Event('beforeprint')))"
 
 
-class Server:
-    """What the page hears of the server: a first snapshot, and then nothing that could come between what a
-    test shows; also not when the page, having heard nothing, asks again."""
-
-    def __init__(self, page: Page) -> None:
-        self._asked = False
-        self._told = False
-        page.route_web_socket("**/live?*", self._answer)
-
-    def _answer(self, browser: WebSocketRoute) -> None:
-        if self._asked:
-            return
-        self._asked = True
-        server = browser.connect_to_server()
-        server.on_message(lambda said: self._tell(browser, str(said)))
-
-    def _tell(self, browser: WebSocketRoute, said: str) -> None:
-        """A page that takes long may be told the whole a second time."""
-        if not self._told and '"snapshot"' in said:
-            self._told = True
-            browser.send(said)
-
-
 def opened(page: Page) -> Page:
-    """Eight tiles on a phone, of which the last is far below the window and known to be."""
-    Server(page)
+    """Eight tiles on a phone, of which the last is far below the window and known to be. Of the server nothing
+    is heard that could come between what a test shows."""
+    page.route_web_socket("**/live?*", lambda _browser: None)
     page.goto("/?view=tiles")
     page.wait_for_function(KNOWN_TO_BE_OUT_OF_SIGHT)
-    page.wait_for_function(SNAPSHOT_TAKEN)
     return page
 
 
