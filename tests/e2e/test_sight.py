@@ -30,8 +30,8 @@ PRINTED = f"({LAST_TEXT_IN_THE_FRAME})(() => dispatchEvent(new Event('beforeprin
 
 
 def opened(page: Page) -> Page:
-    """Eight tiles on a phone, of which the last is far below the window and known to be. Of the server nothing
-    is heard that could come between what a test shows."""
+    """Eight tiles on a phone, of which the last is far below the window and known to be. Nothing is heard of
+    the server that could come between what a test shows."""
     page.route_web_socket("**/live?*", lambda _browser: None)
     page.goto("/?view=tiles")
     page.wait_for_function(KNOWN_TO_BE_OUT_OF_SIGHT)
