@@ -30,7 +30,8 @@ NEEDED_SHARE = 0.8
 NEEDED_SHARE_OF_MANY = 0.5
 MANY_UNITS = 12
 """With more units than this the first seconds are shared evenly, or readings would look stale."""
-SLOW_SHARE_WATCHED = 0.09
+SLOW_SHARE_WATCHED = 0.08
+"""With fences and the circle beside it the scan then keeps nine tenths of its rate."""
 SLOW_SHARE_UNWATCHED = 0.95
 CIRCLE_SHARE = 0.01
 BURST_POLLS = 2
