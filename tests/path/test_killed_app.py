@@ -39,7 +39,7 @@ class Killer(Unit):
     ("command", "whole"), [(STAGE, [OLD, NEW]), (EXECUTE, [NEW])], ids=["staged", "executed"]
 )
 def test_a_killed_app_leaves_a_whole_line(tmp_path: Path, command: int, whole: list[list[int]]) -> None:
-    """Before the execute it is the old line, or the new one where the worker was done before it could know."""
+    """Before the execute it is the old line, or the new one where the worker had done before it knew."""
     killer = Killer(2, commanded=1000, actual=1000, command=command)
     units = [Unit(1, commanded=1000, actual=1000), killer, Unit(3, commanded=1000, actual=1000)]
     with dashboard(tmp_path, units) as plant, ThreadPoolExecutor(1) as other:
