@@ -10,7 +10,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import cast
 
-from bus.contract import Direction, Frame
+from bus.contract import Clause, Direction, Frame
 from bus.errors import CallerError
 
 _DIRECTIONS = ("out", "in")
@@ -35,6 +35,6 @@ def parse_trace_line(line: str) -> Frame:
         if direction not in _DIRECTIONS:
             raise ValueError(f"direction {direction!r}")
         at = datetime.fromisoformat(time).timestamp()
-        return Frame(at, cast(Direction, direction), bytes.fromhex(data), meaning)
+        return Frame(at, cast(Direction, direction), bytes.fromhex(data), [Clause(meaning)])
     except ValueError as error:
         raise CallerError(f"not a line of a trace ({error}): {line.strip()[:60]}") from error

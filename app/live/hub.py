@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from app.live.age import scan_s_of
 from app.live.browser import Browser
 from app.live.fields import Voice, health_fields, unit_key
+from app.live.frames import frame_fields
 from app.live.motions import motions_for, watch_motions
 from app.live.readers import Readers
 from app.live.screen import WHOLE_LINE, Block, Drift, Drifted, Groups, Recipe, Screen
@@ -187,11 +187,12 @@ class Hub:
             readers.tell(groups)
 
     def _show_frames(self, bus: str, frames: Sequence[Frame]) -> None:
-        followers = [browser for browser in self._browsers() if browser.trace == bus]
-        if followers:
-            shown = [_frame(frame) for frame in frames]
-            for browser in followers:
-                browser.show_frames(shown)
+        for readers in self._read():
+            followers = [browser for browser in readers.browsers if browser.trace == bus]
+            if followers:
+                shown = [frame_fields(frame, readers.screen.voice) for frame in frames]
+                for browser in followers:
+                    browser.show_frames(shown)
 
     # --- to the browsers ----------------------------------------------------------------------------
 
@@ -246,13 +247,3 @@ def _unforgetting(_voice: Voice, _now: float) -> str:
 
 def _unwatched(_bus: str, _units: list[int], _trace: bool) -> None:
     return None
-
-
-def _frame(frame: Frame) -> dict[str, Any]:
-    return {
-        "at": round(frame.at, 4),
-        "direction": frame.direction,
-        "hex": frame.data.hex(" ").upper(),
-        "meaning": frame.meaning,
-        "valid": frame.valid,
-    }

@@ -11,6 +11,7 @@ Speeds, parameters and analog values are the raw integers of the wire.
 
 from __future__ import annotations
 
+from bus.clauses import Clause
 from bus.contract.actions import (
     Action,
     ChangeBaud,
@@ -83,6 +84,7 @@ __all__ = [
     "BusLinkState",
     "Cancel",
     "ChangeBaud",
+    "Clause",
     "Clock",
     "Command",
     "Delivered",

@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-CONTRACT_VERSION = 1
+CONTRACT_VERSION = 2
 
 UnitLinkState = Literal["unknown", "online", "stale", "offline"]
 BusLinkState = Literal["open", "closed"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from msgspec import Struct, field
 
+from bus.clauses import Clause, in_english
 from bus.contract.message import BusLinkState, Direction, Message, UnitLinkState
 
 
@@ -113,13 +114,18 @@ class BusFigures(Message, frozen=True, tag="bus_figures"):
 
 
 class Frame(Message, frozen=True, tag="frame"):
-    """One frame (or piece of rubbish) as it passed the port, with its meaning in words."""
+    """One frame (or piece of rubbish) as it passed the port, with what it says."""
 
     at: float
     direction: Direction
     data: bytes
-    meaning: str
+    clauses: list[Clause]
     valid: bool = True
+
+    @property
+    def meaning(self) -> str:
+        """What it says, in English."""
+        return in_english(self.clauses)
 
 
 class Frames(Message, frozen=True, tag="frames"):

@@ -8,7 +8,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from bus.contract import Direction, Frame
+from msgspec.structs import replace
+
+from bus.contract import Clause, Direction, Frame
 from bus.settings import Dialect
 from bus.wire.describe import Describer
 from bus.wire.framing import FrameDecoder
@@ -17,7 +19,7 @@ KEPT_S = 3600.0
 KEPT_BYTES = 16_000_000
 PIECE_BYTES = 65_536
 MOST_FRAMES_OF_A_COMMAND = 300
-HIDDEN = "a frame with a secret value (#21), which is not kept"
+HIDDEN = Clause("a frame with a secret value (#21), which is not kept")
 
 _HEAD = struct.Struct("<dBBH")
 _VALID, _HIDDEN = 1, 2
@@ -104,16 +106,20 @@ class Interpreter:
 
     def frame(self, passed: Passed) -> Frame:
         """As the app shows it."""
-        meaning = HIDDEN if passed.hidden else self._meaning(passed.data)
+        clauses = [HIDDEN] if passed.hidden else self._clauses(passed.data)
         return Frame(
             at=passed.at,
             direction=passed.direction,
             data=b"" if passed.hidden else passed.data,
-            meaning=meaning,
+            clauses=clauses,
             valid=passed.valid,
         )
 
-    def _meaning(self, data: bytes) -> str:
+    def _clauses(self, data: bytes) -> list[Clause]:
         decoder = FrameDecoder(self._dialect)
-        described = self._describer.describe([*decoder.feed(data), *decoder.flush()])
-        return "; ".join(each.words for each in described)
+        clauses: list[Clause] = []
+        for described in self._describer.describe([*decoder.feed(data), *decoder.flush()]):
+            if clauses:
+                clauses[-1] = replace(clauses[-1], then="; ")
+            clauses += described.clauses
+        return clauses

@@ -6,12 +6,15 @@ neither its command nor its parameter; where the request is not at hand the word
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from msgspec.structs import replace
+
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, status_bits
+from bus.clauses import Clause, in_english
 from bus.errors import unit_error_name
 from bus.settings import Dialect
 from bus.wire.commands import (
@@ -37,30 +40,36 @@ from bus.wire.framing import ACK, NAK, FrameDecoder, Noise, Received, ReceivedFr
 Json: TypeAlias = "bool | int | str | list[Json] | dict[str, Json] | None"
 
 _KINDS = {
-    0x81: ("read_status", "read speed and status"),
-    0x82: ("set_speed", "set speed (staged)"),
-    0x83: ("execute_speed", "execute speed"),
-    0x84: ("set_and_execute_speed", "set and execute speed"),
-    0x85: ("read_parameter", "read parameter"),
-    0x86: ("write_parameter", "write parameter"),
-    0x87: ("write_output", "write auxiliary output"),
-    0x88: ("write_analog_output", "write analog output"),
+    0x81: ("read_status", "read speed and status", "read speed and status"),
+    0x82: ("set_speed", "set speed (staged)", "set speed (staged) {raw}"),
+    0x83: ("execute_speed", "execute speed", "execute speed"),
+    0x84: ("set_and_execute_speed", "set and execute speed", "set and execute speed {raw}"),
+    0x85: ("read_parameter", "read parameter", "read parameter {parameter}"),
+    0x86: ("write_parameter", "write parameter", "write parameter {parameter} = {raw}"),
+    0x87: ("write_output", "write auxiliary output", "write auxiliary output {output} {state}"),
+    0x88: ("write_analog_output", "write analog output", "write analog output {raw}"),
 }
+"""Of each command: its name for programs, its name in words, and how one is told."""
 _PARAMETER_VALUE_WIDTHS = (1, 2, 4)
 
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """One frame, or a frame whole but for its checksum. ``words`` never show a secret, ``fields`` do."""
+    """One frame, or a frame whole but for its checksum. ``clauses`` never show a secret, ``fields`` do."""
 
     uid: int
     kind: str
     fields: dict[str, Json]
-    words: str
+    clauses: tuple[Clause, ...]
     wire: bytes
     checksum_ok: bool = True
     request: Request | None = None
     """What it asks, where it is a request."""
+
+    @property
+    def words(self) -> str:
+        """What it says, in English."""
+        return in_english(self.clauses)
 
     def as_json(self) -> dict[str, Json]:
         """The object of ``lineside decode --json``."""
@@ -77,7 +86,12 @@ class Rubbish:
     """Bytes that are no frame."""
 
     wire: bytes
-    words: str
+    clauses: tuple[Clause, ...]
+
+    @property
+    def words(self) -> str:
+        """Why not, in English."""
+        return in_english(self.clauses)
 
 
 class Describer:
@@ -104,12 +118,13 @@ class Describer:
 
     def _noise(self, noise: Noise) -> Described | Rubbish:
         if not noise.body:
-            return Rubbish(noise.data, f"{len(noise.data)} bytes that are no frame: {noise.reason}")
+            no_frame = Clause("{count} bytes that are no frame", {"count": len(noise.data)}, ": ")
+            return Rubbish(noise.data, (no_frame, Clause(noise.reason.value)))
         described = describe_body(noise.body, noise.data, self._dialect, None)
-        right = f"checksum wrong, {checksum(noise.body):02X}h would be right; as it stands: "
-        return Described(
-            described.uid, described.kind, described.fields, right + described.words, noise.data, False
-        )
+        right = {"right": f"{checksum(noise.body):02X}"}
+        wrong = Clause("checksum wrong, {right}h would be right; as it stands", right, ": ")
+        clauses = (wrong, *described.clauses)
+        return Described(described.uid, described.kind, described.fields, clauses, noise.data, False)
 
 
 def describe_bytes(data: bytes, dialect: Dialect | None = None) -> list[Described | Rubbish]:
@@ -127,7 +142,7 @@ def describe_body(body: bytes, wire: bytes, dialect: Dialect, asked: Request | N
         return _describe_request(parse_request(body, dialect), wire)
     except IllegalRequest as error:
         fields: dict[str, Json] = {"command": f"{body[1]:02X}", "data": body[2:].hex(" ").upper()}
-        return Described(body[0], "unknown", fields, f"unit {body[0]}: {error}", wire)
+        return Described(body[0], "unknown", fields, (_unit(body[0]), Clause(str(error))), wire)
 
 
 def is_secret(request: Request) -> bool:
@@ -141,25 +156,31 @@ def is_secret(request: Request) -> bool:
 
 
 def _describe_request(request: Request, wire: bytes) -> Described:
-    kind, name = _KINDS[request.COMMAND]
-    to = "all units" if request.unit == 0 else f"unit {request.unit}"
-    fields, detail = _request_detail(request)
-    return Described(request.unit, kind, fields, f"{to}: {name}{detail}", wire, request=request)
+    kind, _, told = _KINDS[request.COMMAND]
+    to = Clause("all units", then=": ") if request.unit == 0 else _unit(request.unit)
+    fields, values = _request_detail(request)
+    return Described(request.unit, kind, fields, (to, Clause(told, values)), wire, request=request)
 
 
-def _request_detail(request: Request) -> tuple[dict[str, Json], str]:
+def _request_detail(request: Request) -> tuple[dict[str, Json], dict[str, int | str]]:
+    """What it carries, for programs and for people."""
     match request:
         case ReadParameter(number=number):
-            return {"number": number, "name": _name(number)}, f" {_title(number)}"
+            return {"number": number, "name": _name(number)}, {"parameter": _title(number)}
         case WriteParameter(number=number, raw=raw):
             shown = "hidden" if is_secret(request) else raw
-            return {"number": number, "name": _name(number), "raw": raw}, f" {_title(number)} = {shown}"
+            fields: dict[str, Json] = {"number": number, "name": _name(number), "raw": raw}
+            return fields, {"parameter": _title(number), "raw": shown}
         case StageSpeed(raw=raw) | SetAndExecuteSpeed(raw=raw) | WriteAnalogOutput(raw=raw):
-            return {"raw": raw}, f" {raw}"
+            return {"raw": raw}, {"raw": raw}
         case WriteOutput(output=output, on=on):
-            return {"output": output, "on": on}, f" {output} {'on' if on else 'off'}"
+            return {"output": output, "on": on}, {"output": output, "state": "on" if on else "off"}
         case _:
-            return {}, ""
+            return {}, {}
+
+
+def _unit(unit: int) -> Clause:
+    return Clause("unit {unit}", {"unit": unit}, ": ")
 
 
 def _name(number: int) -> str | None:
@@ -181,53 +202,61 @@ def _describe_answer(body: bytes, wire: bytes, dialect: Dialect, asked: Request 
 
 
 def _in_context(reply: Reply, asked: Request, wire: bytes, dialect: Dialect) -> Described:
-    command = _KINDS[asked.COMMAND][1]
     match reply:
         case StatusReply():
             return _status(reply, wire, dialect)
         case Nak():
-            return _nak(reply, wire, f" to {command}")
+            return _nak(reply, wire, Clause("NAK to {command}", _command(asked), ", "))
         case ParameterReply() if isinstance(asked, ReadParameter):
             fields: dict[str, Json] = {"number": asked.number, "name": _name(asked.number), "raw": reply.raw}
             shown = "hidden" if is_secret(asked) else reply.raw
-            words = f"unit {reply.unit}: {_title(asked.number)} is {shown}"
-            return Described(reply.unit, "parameter_value", fields, words, wire)
+            value = Clause("{parameter} is {raw}", {"parameter": _title(asked.number), "raw": shown})
+            return Described(reply.unit, "parameter_value", fields, (_unit(reply.unit), value), wire)
         case _:
             data = reply.data if isinstance(reply, Ack) else b""
-            said = ", and said a value" if data else ""
-            return Described(
-                reply.unit, "ack", _data_fields(data), f"unit {reply.unit}: took {command}{said}", wire
-            )
+            told = "took {command}, and said a value" if data else "took {command}"
+            took = (_unit(reply.unit), Clause(told, _command(asked)))
+            return Described(reply.unit, "ack", _data_fields(data), took, wire)
+
+
+def _command(asked: Request) -> dict[str, int | str]:
+    return {"command": _KINDS[asked.COMMAND][1]}
 
 
 def _without_context(body: bytes, wire: bytes, dialect: Dialect) -> Described:
     unit, data = body[0], body[2:]
     if body[1] == NAK and len(data) == 1:
-        return _nak(Nak(unit, data[0]), wire, "")
+        return _nak(Nak(unit, data[0]), wire, Clause("NAK", then=", "))
     status = parse_reply(ReadStatus(unit), body, dialect)
     if isinstance(status, StatusReply):
         return _status(status, wire, dialect)
-    if body[1] == ACK and not data:
-        return Described(unit, "ack", {}, f"unit {unit}: ACK, a write was taken", wire)
-    if body[1] == ACK and len(data) in _PARAMETER_VALUE_WIDTHS:
-        words = (
-            f"unit {unit}: ACK with {int.from_bytes(data, 'big')}: the value of a parameter, or the answer"
-            " to a write of one; only the request would tell which"
+    kind, fields, told = _without_request(body[1], data)
+    return Described(unit, kind, fields, (_unit(unit), told), wire)
+
+
+def _without_request(mark: int, data: bytes) -> tuple[str, dict[str, Json], Clause]:
+    if mark == ACK and not data:
+        return "ack", {}, Clause("ACK, a write was taken")
+    if mark == ACK and len(data) in _PARAMETER_VALUE_WIDTHS:
+        told = (
+            "ACK with {raw}: the value of a parameter, or the answer to a write of one;"
+            " only the request would tell which"
         )
-        return Described(unit, "parameter_value", _data_fields(data), words, wire)
-    mark = "ACK" if body[1] == ACK else "NAK"
-    words = f"unit {unit}: {mark} with {len(data)} bytes, which no answer has"
-    return Described(unit, "unknown", {"data": data.hex(" ").upper()}, words, wire)
+        fields = _data_fields(data)
+        return "parameter_value", fields, Clause(told, {"raw": int.from_bytes(data, "big")})
+    told = "{mark} with {count} bytes, which no answer has"
+    values: dict[str, int | str] = {"mark": "ACK" if mark == ACK else "NAK", "count": len(data)}
+    return "unknown", {"data": data.hex(" ").upper()}, Clause(told, values)
 
 
 def _data_fields(data: bytes) -> dict[str, Json]:
     return {"raw": int.from_bytes(data, "big"), "width": len(data)} if data else {}
 
 
-def _nak(reply: Nak, wire: bytes, what: str) -> Described:
+def _nak(reply: Nak, wire: bytes, nak: Clause) -> Described:
     name = unit_error_name(reply.code)
     fields: dict[str, Json] = {"unit_error": reply.code, "name": name}
-    return Described(reply.unit, "nak", fields, f"unit {reply.unit}: NAK{what}, {name}", wire)
+    return Described(reply.unit, "nak", fields, (_unit(reply.unit), nak, Clause(name)), wire)
 
 
 def _status(reply: StatusReply, wire: bytes, dialect: Dialect) -> Described:
@@ -241,12 +270,24 @@ def _status(reply: StatusReply, wire: bytes, dialect: Dialect) -> Described:
         "outputs": list(bits.outputs),
         "inputs": {**bits.inputs},
     }
-    words = f"unit {reply.unit}: commanded {reply.commanded}, actual {reply.actual}, analog {reply.analog}, "
-    return Described(reply.unit, "status", fields, words + ", ".join(_bits_in_words(bits)), wire)
+    speeds = Clause(
+        "commanded {commanded}, actual {actual}, analog {analog}",
+        {"commanded": reply.commanded, "actual": reply.actual, "analog": reply.analog},
+    )
+    clauses = (_unit(reply.unit), *_listed([speeds, *_bits_in_words(bits)]))
+    return Described(reply.unit, "status", fields, clauses, wire)
 
 
-def _bits_in_words(bits: StatusBits) -> list[str]:
-    words = ["at speed" if bits.at_speed else "off speed", "remote" if bits.remote else "not remote"]
-    words += [f"output {number} on" for number, on in enumerate(bits.outputs, start=1) if on]
+def _bits_in_words(bits: StatusBits) -> Iterator[Clause]:
+    yield Clause("at speed" if bits.at_speed else "off speed")
+    yield Clause("remote" if bits.remote else "not remote")
+    for number, on in enumerate(bits.outputs, start=1):
+        if on:
+            yield Clause("output {output} on", {"output": number})
     names = {"estop": "emergency stop active", "slave": "follower"}
-    return words + [names.get(name, name) for name, on in bits.inputs.items() if on]
+    yield from (Clause(names.get(name, name)) for name, on in bits.inputs.items() if on)
+
+
+def _listed(clauses: list[Clause]) -> list[Clause]:
+    *others, last = clauses
+    return [*(replace(clause, then=", ") for clause in others), last]

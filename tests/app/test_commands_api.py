@@ -13,6 +13,7 @@ import pytest
 from app.commands.trace_file import parse_trace_line
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
+    Clause,
     Command,
     ExecuteAll,
     ExecuteSpeed,
@@ -231,7 +232,9 @@ async def test_a_line_action_answers_for_each_unit_with_frames(stage: Stage, wor
         UnitOutcome(unit=1, outcome="verified", read_back=100, sent_at=1.0, proven_at=2.0),
         UnitOutcome(unit=2, outcome="unverified", message="no answer"),
     ]
-    frame = Frame(at=1.5, direction="out", data=b"\x10\x02\x00\x83\x10\x03\x7d", meaning="execute, all")
+    frame = Frame(
+        at=1.5, direction="out", data=b"\x10\x02\x00\x83\x10\x03\x7d", clauses=[Clause("execute, all")]
+    )
     worker.play = answering("unverified", units=units, skew_s=0.02, frames=[frame])
     answer = await stage.ask("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
     said = answer.json()
@@ -340,7 +343,7 @@ async def test_a_refresh_that_breaks_off_is_no_list(stage: Stage, worker: Played
 
 
 async def test_the_password_is_in_no_answer_and_no_event(stage: Stage, worker: PlayedWorker) -> None:
-    frame = Frame(at=1.0, direction="out", data=b"\x00\x00\x10\x92", meaning="write #21 = 4242")
+    frame = Frame(at=1.0, direction="out", data=b"\x00\x00\x10\x92", clauses=[Clause("write #21 = 4242")])
     worker.play = answering("verified", read_back=4242, frames=[frame])
     answer = await stage.ask("PUT", "/units/1/parameters/21", {"raw": 4242})
     assert answer.status_code == 200
@@ -416,7 +419,8 @@ async def test_the_trace_is_read_in_pieces_and_its_file_can_be_read_back(
 ) -> None:
     start = time.time() - 30
     frames = [
-        Frame(at=start + n / 1000, direction="out", data=bytes([n % 256]), meaning="m") for n in range(2500)
+        Frame(at=start + n / 1000, direction="out", data=bytes([n % 256]), clauses=[Clause("m")])
+        for n in range(2500)
     ]
 
     async def play(command: Command) -> Sequence[Update]:

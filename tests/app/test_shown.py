@@ -14,7 +14,7 @@ from app.live.shown import BusShown, ParameterShown, UnitShown
 from app.live.state import LiveState
 from app.live.view import bus_json, parameter_json
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import Command, Frame, Result, UnitOutcome, Update
+from bus.contract import Clause, Command, Frame, Result, UnitOutcome, Update
 from tests.app.stage import Stage, bus_settings, fate, snapshot, staged
 
 EXACT = with_config(ConfigDict(extra="forbid", strict=True))
@@ -42,7 +42,7 @@ def test_units_and_buses_read_and_unread() -> None:
 
 def test_fates() -> None:
     live = LiveState([bus_settings()], time.time())
-    frame = Frame(at=1.0, direction="out", data=b"x", meaning="m")
+    frame = Frame(at=1.0, direction="out", data=b"x", clauses=[Clause("m")])
     parts = [UnitOutcome(unit=1, outcome="verified", sent_at=1.0, proven_at=2.0, attempts=1)]
     result = Result(id="a", at=1.0, outcome="verified", units=parts, frames=[frame])
     for unit in (None, 1):

@@ -116,7 +116,8 @@ def test_a_good_frame_that_means_nothing_is_unknown(body: str) -> None:
 
 def test_rubbish_is_named() -> None:
     (described,) = describe_bytes(b"\x55\xaa")
-    assert described == Rubbish(b"\x55\xaa", "2 bytes that are no frame: outside a frame")
+    assert isinstance(described, Rubbish)
+    assert (described.wire, described.words) == (b"\x55\xaa", "2 bytes that are no frame: outside a frame")
 
 
 def test_a_doubled_checksum_byte_is_not_listed() -> None:

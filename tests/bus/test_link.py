@@ -286,7 +286,7 @@ def test_a_secret_passes_without_its_bytes(wires: Wires) -> None:
     wires.answer(ParameterReply(1, 4242))
     for passed in wires.trace.since(0.0):
         assert passed.data == b""
-        assert Interpreter(PLAIN).frame(passed).meaning == HIDDEN
+        assert Interpreter(PLAIN).frame(passed).meaning == HIDDEN.text
     assert wires.heard[0][0].frame == b""
 
 
