@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Form
 from starlette.responses import Response
 
-from app.commands.forms import Desks, new_id
+from app.commands.forms import Desks
 from app.errors import Problem
 from app.web.access import Engineer
 from bus.contract import ChangeBaud
@@ -26,7 +26,7 @@ async def review(_: Engineer, desk: Desks, bus: str, baud: int) -> Response:
         raise Problem(422, "invalid", f"a unit speaks at {', '.join(map(str, BAUDS))} baud")
     if baud == live.baud:
         raise Problem(422, "invalid", f"the line goes at {baud} baud already")
-    return desk.render("bus/_review_baud.html", bus=live, baud=baud, command_id=new_id())
+    return desk.review("bus/_review_baud.html", bus=live, baud=baud)
 
 
 @router.post("")

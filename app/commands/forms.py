@@ -66,6 +66,16 @@ class Desktop:
         """A page or fragment."""
         return render(self.request, template, status=status, **context)
 
+    def review(self, template: str, /, **context: Any) -> Response:
+        """The second step: what will be done once this is confirmed, and the id it will be done under."""
+        return self.render(template, command_id=new_id(), reviewed_at=time.time(), **context)
+
+    def not_so(self, reason: str, place: str, *, nearest: str = "", status: int = 422) -> Response:
+        """Why what was typed gets no review, at the CSS selector ``place``; ``nearest`` would get one."""
+        response = self.render("unit/_not_so.html", reason=reason, nearest=nearest, status=status)
+        response.headers["HX-Retarget"] = place
+        return response
+
     def refuse_lapsed(self, reviewed_at: float) -> None:
         """Raises Problem 409 for a review that is over. Nothing is sent."""
         if time.time() - reviewed_at > REVIEW_LASTS_S:
@@ -79,18 +89,20 @@ class Desktop:
             person, bus, action, timeout_s=timeout_s, confirm=True, id=id, origin="page"
         )
 
-    def fate(self, result: Result, unit: UnitLive | None = None) -> Fate:
-        """The fate of a command; what was read back in the unit's own decimals."""
-        return fate_of(result, str, self.voice) if unit is None else self.fate_at(result, unit)
-
-    def fate_at(self, result: Result | UnitOutcome, unit: UnitLive) -> Fate:
-        """The fate of a setpoint at one unit."""
+    def fate(self, result: Result | UnitOutcome, unit: UnitLive | None = None) -> Fate:
+        """What became of it; what was read back is a setpoint in the decimals of ``unit``, else as it is."""
+        if unit is None:
+            return fate_of(result, str, self.voice)
         return fate_of(result, lambda raw: self.voice.formats.point(shown_setpoint(raw, unit)), self.voice)
 
     def refused(self, problem: Problem, title: str) -> Response:
         """The end of a review that sent nothing, in the dialog."""
-        fate = fate_of_problem(problem, self.voice)
-        return self.render("unit/_done.html", title=title, fate=fate, undo=None, status=problem.status)
+        return self.done(title, fate_of_problem(problem, self.voice), status=problem.status)
+
+    def done(self, title: str, fate: Fate, *, status: int = 200, **setpoint: Any) -> Response:
+        """The end of a review, in the dialog. ``setpoint``: what was asked, what field reads it, its undo."""
+        context = {"asked": "", "reads": "", "undo": None} | setpoint
+        return self.render("unit/_done.html", title=title, fate=fate, status=status, **context)
 
 
 def new_id() -> str:

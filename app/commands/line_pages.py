@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from app.commands.bodies import Quantity
 from app.commands.fate import Fate
-from app.commands.forms import TIMEOUT_S, Desks, Desktop, new_id
+from app.commands.forms import TIMEOUT_S, Desks, Desktop
 from app.commands.ramp import Change, change_of, present_setpoint
 from app.commands.speed_pages import refuse_outside
 from app.commands.typed import Typed
@@ -72,16 +72,12 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
         setpoints = {change.unit: change.new_raw for change in changes}
         desk.desk.check(person, bus, SetLine(setpoints=setpoints), confirm=True)
     except (CallerError, Problem) as error:
-        response = desk.render("unit/_not_so.html", reason=desk.voice.t(str(error)), nearest="", status=422)
-        response.headers["HX-Retarget"] = f"#setpoints-error-{bus}"
-        return response
-    return desk.render(
+        return desk.not_so(desk.voice.t(str(error)), f"#setpoints-error-{bus}")
+    return desk.review(
         "setpoints/_review.html",
         bus=bus,
         changes=changes,
         obstacles=_obstacles(desk, live, changes),
-        command_id=new_id(),
-        reviewed_at=time.time(),
         longest_s=2 * timeout_s(len(changes)),
     )
 
@@ -176,7 +172,7 @@ def _proofs(
         (
             live.units[number].settings.name,
             shown_setpoint(raw, live.units[number]),
-            desk.fate_at(said.get(number, result), live.units[number]),
+            desk.fate(said.get(number, result), live.units[number]),
         )
         for number, raw in setpoints.items()
     ]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from typing import Annotated
 
 from fastapi import APIRouter, Form, Path
 from starlette.responses import Response
 
-from app.commands.forms import Desks, Desktop, new_id
+from app.commands.fate import Fate
+from app.commands.forms import Desks, Desktop
 from app.commands.writer import EngineeringWriter, Writer
 from app.errors import Problem
 from app.live.state import UnitLive
@@ -40,15 +40,12 @@ async def review_output(person: Operator, desk: Desks, bus: str, unit: int, numb
         desk.desk.check(person, bus, WriteOutput(unit=unit, number=number, on=on), confirm=True)
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
-    return desk.render(
+    return desk.review(
         "unit/_review_output.html",
-        bus=bus,
         unit=desk.shown(bus, unit),
         number=number,
         name=output_name(live, number),
         on=on,
-        command_id=new_id(),
-        reviewed_at=time.time(),
     )
 
 
@@ -73,8 +70,8 @@ async def set_output(
     fate = desk.fate(result)
     if result.outcome == "verified":
         state = desk.voice.t(ON if on else OFF)
-        fate = type(fate)("good", desk.voice.t("verified: output {n} is {state}", n=number, state=state))
-    return desk.render("unit/_done.html", title=live.settings.name, fate=fate, undo=None)
+        fate = Fate("good", desk.voice.t("verified: output {n} is {state}", n=number, state=state))
+    return desk.done(live.settings.name, fate)
 
 
 @router.post("/analog-output/review")
@@ -91,17 +88,9 @@ async def review_analog(
         raw = _whole_number(value)
         desk.desk.check(person, bus, WriteAnalogOutput(unit=unit, raw=raw), confirm=True)
     except (CallerError, Problem) as error:
-        response = desk.render("unit/_not_so.html", reason=str(error), nearest="", status=422)
-        response.headers["HX-Retarget"] = "#analog-error"
-        return response
-    return desk.render(
-        "unit/_review_analog.html",
-        bus=bus,
-        unit=desk.shown(bus, unit),
-        raw=raw,
-        volts=_volts(desk, live, raw),
-        command_id=new_id(),
-        reviewed_at=time.time(),
+        return desk.not_so(str(error), "#analog-error")
+    return desk.review(
+        "unit/_review_analog.html", unit=desk.shown(bus, unit), raw=raw, volts=_volts(desk, live, raw)
     )
 
 
@@ -122,7 +111,7 @@ async def set_analog(
         result = await desk.ask(person, bus, WriteAnalogOutput(unit=unit, raw=raw), id)
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
-    return desk.render("unit/_done.html", title=live.settings.name, fate=desk.fate(result), undo=None)
+    return desk.done(live.settings.name, desk.fate(result))
 
 
 def _whole_number(text: str) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from itertools import groupby
 from typing import Annotated, Any
 
@@ -10,7 +9,8 @@ from fastapi import APIRouter, Form, Path
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
-from app.commands.forms import TIMEOUT_S, Desks, Desktop, new_id
+from app.commands.fate import Fate
+from app.commands.forms import TIMEOUT_S, Desks, Desktop
 from app.commands.typed import Typed
 from app.commands.words import known_parameter_text, text_of
 from app.commands.writer import EngineeringWriter
@@ -80,9 +80,8 @@ async def review_parameter(
         desk.desk.check(person, bus, WriteParameter(unit=unit, number=number, raw=raw), confirm=True)
     except (CallerError, Problem) as error:
         return _not_so(desk, live, parameter, error)
-    return desk.render(
+    return desk.review(
         "unit/_review_parameter.html",
-        bus=bus,
         unit=desk.shown(bus, unit),
         parameter=parameter,
         raw=raw,
@@ -90,8 +89,6 @@ async def review_parameter(
         new=text_of(parameter, raw, live),
         danger=danger_of_writing(parameter, raw),
         typed=CONFIRMING_WORD,
-        command_id=new_id(),
-        reviewed_at=time.time(),
     )
 
 
@@ -128,7 +125,7 @@ async def _write(
     if result.read_back is not None:
         reads = desk.voice.formats.point(text_of(parameter, result.read_back, live))
         said = "verified: reads {value}" if result.outcome == "verified" else "reads {value} instead"
-        fate = type(fate)(fate.tone, desk.voice.t(said, value=reads))
+        fate = Fate(fate.tone, desk.voice.t(said, value=reads))
     return desk.render(
         "unit/_parameter_done.html",
         title=f"#{number} {parameter.name}",
@@ -149,6 +146,4 @@ def _not_so(desk: Desktop, live: UnitLive, parameter: Parameter, error: CallerEr
         reason = desk.voice.t(
             "out of range: the nearest that it takes is {value}; nothing was sent", value=shown
         )
-    response = desk.render("unit/_not_so.html", reason=reason, nearest=shown, status=422)
-    response.headers["HX-Retarget"] = f"#parameter-{parameter.number}-error"
-    return response
+    return desk.not_so(reason, f"#parameter-{parameter.number}-error", nearest=shown)

@@ -5,14 +5,13 @@ Nothing is sent before the review is confirmed, but for a nudge that is small en
 
 from __future__ import annotations
 
-import time
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Form
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
-from app.commands.forms import TIMEOUT_S, Desks, Desktop, new_id
+from app.commands.forms import TIMEOUT_S, Desks, Desktop
 from app.commands.ramp import (
     change_of,
     nudges,
@@ -27,7 +26,7 @@ from app.commands.writer import Writer
 from app.errors import Problem
 from app.live.state import UnitLive, follower
 from app.web.access import Operator, Person
-from bus.contract import ExecuteSpeed, ReadParameters, SetSpeed
+from bus.contract import ExecuteSpeed, ReadParameters, Result, SetSpeed
 from bus.errors import CallerError
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
@@ -35,6 +34,7 @@ router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 Raw = Annotated[int, Form(ge=0)]
 Was = Annotated[str, Form(pattern=r"^\d{0,6}$")]
 """The setpoint that the person saw, raw; empty where it was not known."""
+ERROR_PLACE = "#setpoint-error"
 
 
 @router.post("/review")
@@ -82,28 +82,23 @@ async def _know_ramp(person: Person, desk: Desktop, bus: str, live: UnitLive) ->
 def _review(person: Person, desk: Desktop, bus: str, live: UnitLive, raw: int, *, execute: bool) -> Response:
     unit = live.settings.id
     desk.desk.check(person, bus, SetSpeed(unit=unit, raw=raw, execute=execute), confirm=True)
-    return desk.render(
+    return desk.review(
         "unit/_review_speed.html",
-        bus=bus,
         unit=desk.shown(bus, unit),
         change=change_of(desk.bus(bus), live, raw, desk.guards.limits.of(bus, unit)),
         execute=execute,
         follower=bool(follower(live)),
-        command_id=new_id(),
-        reviewed_at=time.time(),
     )
 
 
 def _not_so(desk: Desktop, live: UnitLive, error: CallerError | Problem) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
-    response = desk.render(
-        "unit/_not_so.html",
-        reason=desk.voice.t(str(error)),
+    return desk.not_so(
+        desk.voice.t(str(error)),
+        ERROR_PLACE,
         nearest="" if nearest is None else desk.voice.formats.point(shown_setpoint(nearest, live)),
         status=error.status if isinstance(error, Problem) else 422,
     )
-    response.headers["HX-Retarget"] = "#setpoint-error"
-    return response
 
 
 @router.post("/speed")
@@ -128,21 +123,22 @@ async def set_speed(
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
     undo = {"value": shown_setpoint(int(was), live), "how": how} if was and action.execute else None
-    return desk.render(
-        "unit/_done.html",
-        title=live.settings.name,
-        fate=desk.fate(result, live),
+    return _done(desk, bus, live, raw, result, undo if result.outcome == "verified" else None)
+
+
+def _done(
+    desk: Desktop, bus: str, live: UnitLive, raw: int, result: Result, undo: dict[str, str] | None
+) -> Response:
+    # The screen says the commanded speed of a follower, and no ratio to prove this by.
+    reads = "" if follower(live) else f"{bus}/{live.settings.id}.commanded"
+    return desk.done(
+        live.settings.name,
+        desk.fate(result, live),
         asked=shown_setpoint(raw, live),
-        reads=_reads_of(bus, live),
-        undo=undo if result.outcome == "verified" else None,
-        bus=bus,
-        unit=desk.shown(bus, unit),
+        reads=reads,
+        undo=undo,
+        unit=desk.shown(bus, live.settings.id),
     )
-
-
-def _reads_of(bus: str, live: UnitLive) -> str:
-    """The field of the screen that says what the unit reads now; a follower's is a speed and no ratio."""
-    return "" if follower(live) else f"{bus}/{live.settings.id}.commanded"
 
 
 def _refuse_moved(desk: Desktop, bus: str, live: UnitLive, was: str) -> None:
@@ -173,13 +169,8 @@ async def nudge(
         result = await desk.ask(person, bus, SetSpeed(unit=unit, raw=raw), id)
     except Problem as problem:
         return _not_so(desk, live, problem)
-    response = desk.render(
-        "unit/_nudged.html",
-        asked=shown_setpoint(raw, live),
-        fate=desk.fate(result, live),
-        command_id=new_id(),
-    )
-    response.headers["HX-Retarget"] = "#setpoint-error"
+    response = desk.render("unit/_nudged.html", asked=shown_setpoint(raw, live), fate=desk.fate(result, live))
+    response.headers["HX-Retarget"] = ERROR_PLACE
     return response
 
 
@@ -198,13 +189,10 @@ async def review_execute(person: Operator, desk: Desks, bus: str, unit: int) -> 
         desk.desk.check(person, bus, ExecuteSpeed(unit=unit), confirm=True)
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
-    return desk.render(
+    return desk.review(
         "unit/_review_execute.html",
-        bus=bus,
         unit=desk.shown(bus, unit),
         change=change_of(desk.bus(bus), live, live.staged, desk.guards.limits.of(bus, unit)),
-        command_id=new_id(),
-        reviewed_at=time.time(),
     )
 
 
@@ -227,11 +215,4 @@ async def execute(
         result = await desk.ask(person, bus, ExecuteSpeed(unit=unit), id)
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
-    return desk.render(
-        "unit/_done.html",
-        title=live.settings.name,
-        fate=desk.fate(result, live),
-        asked=shown_setpoint(raw, live),
-        reads=_reads_of(bus, live),
-        undo=None,
-    )
+    return _done(desk, bus, live, raw, result, undo=None)

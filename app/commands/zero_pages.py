@@ -10,12 +10,12 @@ from fastapi import APIRouter, Form
 from starlette.responses import Response
 
 from app.commands.fate import Fate, fate_of_problem
-from app.commands.forms import Desks, Desktop, new_id
+from app.commands.forms import Desks, Desktop
 from app.commands.line_pages import timeout_s
 from app.commands.words import shown_setpoint
 from app.commands.zero import ZeroPlan, plan_zero
 from app.errors import Problem
-from app.web.access import Operator, Person
+from app.web.access import Operator, Person, Role, Viewer
 from bus.contract import Result, SetLine, SetSpeed, UnitOutcome
 
 router = APIRouter(prefix="/line/zero", include_in_schema=False)
@@ -24,19 +24,20 @@ Proof = tuple[str, str, Fate]
 
 
 @router.get("")
-async def review_zero(person: Operator, desk: Desks) -> Response:
-    """What setting the line to zero will do, and to whom; a bus in other hands is named as a whole."""
+async def review_zero(person: Viewer, desk: Desks) -> Response:
+    """What setting the line to zero will do, and to whom; a bus in other hands is named as a whole. Who may
+    only look is told so: the button stands in the same place of every page for everybody."""
+    if not person.role.includes(Role.OPERATOR):
+        return desk.render("line/_zero_not_yours.html")
     now = time.time()
     objections = {bus: desk.guards.control.objection(bus, person.account, now) for bus in desk.live.buses}
     plans = [plan for plan in _plans(desk) if not objections[plan.bus]]
     units = sum(len(plan.units) for plan in plans)
-    return desk.render(
+    return desk.review(
         "line/_review_zero.html",
         plans=plans,
         held={bus: objection for bus, objection in objections.items() if objection},
         many=len(desk.live.buses) > 1,
-        command_id=new_id(),
-        reviewed_at=now,
         longest_s=2 * timeout_s(units) + units * timeout_s(1),
     )
 
@@ -91,7 +92,7 @@ async def _zero_units(person: Person, desk: Desktop, plan: ZeroPlan, id: str) ->
         if isinstance(fate, Problem) or fate.outcome not in ("verified", "bus_closed"):
             fate = await told(SetSpeed(unit=number, raw=0), f"-{number}")
         live = desk.unit(plan.bus, number)
-        shown = fate_of_problem(fate, desk.voice) if isinstance(fate, Problem) else desk.fate_at(fate, live)
+        shown = fate_of_problem(fate, desk.voice) if isinstance(fate, Problem) else desk.fate(fate, live)
         proofs.append((_on_site(desk, plan.bus, name), shown_setpoint(0, live), shown))
     return proofs
 
