@@ -78,7 +78,7 @@ async def pieces(history: History, table: Table) -> AsyncIterator[list[Row]]:
         until = min(end, since - since % step + step)
         part = [replace(q, start=since, end=until) for q in table.questions]
         damaged: list[Block] = []
-        read = partial(_piece, table=table, part=part, heard=heard, damaged=damaged)
+        read = partial(_rows, table=table, part=part, heard=heard, damaged=damaged)
         yield await history.read(read)
         history.report(damaged)
         since = until
@@ -91,18 +91,6 @@ def _extent(connection: store.Connection) -> tuple[int, int]:
     return first, max(last, now) + DAY
 
 
-def _piece(
-    connection: store.Connection,
-    tail: Tail,
-    table: Table,
-    part: Sequence[Question],
-    heard: dict[tuple[str, int], int],
-    damaged: list[Block],
-) -> list[Row]:
-    with store.standing_still(connection):
-        return _rows(connection, tail, table, part, heard, damaged)
-
-
 def _rows(
     connection: store.Connection,
     tail: Tail,
@@ -112,19 +100,19 @@ def _rows(
     damaged: list[Block],
 ) -> list[Row]:
     rows: list[Row] = []
-    width = 1 if table.fineness == "readings" else 3
     numbered = list(enumerate(part))
     by_unit = sorted(numbered, key=lambda item: (item[1].bus.name, item[1].unit))
-    for unit, group in groupby(by_unit, key=lambda item: (item[1].bus.name, item[1].unit)):
-        wanted = list(group)
-        key = store.find_unit(connection, *unit)
-        if key is None:
-            continue
-        source = unit_history.Source(connection, key, tail.runs(key, part[0].start, part[0].end), damaged)
-        if table.fineness == "readings":
-            rows += _reading_rows(source, wanted, len(part), heard)
-        else:
-            rows += _rollup_rows(source, wanted, len(part) * width, table.fineness)
+    with store.standing_still(connection):
+        for unit, group in groupby(by_unit, key=lambda item: (item[1].bus.name, item[1].unit)):
+            wanted = list(group)
+            key = store.find_unit(connection, *unit)
+            if key is None:
+                continue
+            source = unit_history.Source(connection, key, tail.runs(key, part[0].start, part[0].end), damaged)
+            if table.fineness == "readings":
+                rows += _reading_rows(source, wanted, len(part), heard)
+            else:
+                rows += _rollup_rows(source, wanted, 3 * len(part), table.fineness)
     rows.sort(key=lambda row: row.at)
     return rows if table.fineness == "readings" else _together(rows)
 
