@@ -13,7 +13,7 @@ from fastapi import Depends
 from starlette.requests import HTTPConnection
 
 from app.commands.desk import Desk
-from app.web.access import Engineer, Operator, Person
+from app.web.access import Person, Requires, Role
 
 
 def desk_of(connection: HTTPConnection) -> Desk:
@@ -21,17 +21,16 @@ def desk_of(connection: HTTPConnection) -> Desk:
     return cast(Desk, connection.app.state.services.desk)
 
 
-async def _writer(person: Operator, connection: HTTPConnection, bus: str) -> Person:
-    await desk_of(connection).reserve(bus)
-    return person
+class _Writes(Requires):
+    """A dependency that leaves the next turn of ``{bus}`` in the path free for whom it lets in."""
+
+    async def __call__(self, connection: HTTPConnection) -> Person:
+        person = await super().__call__(connection)
+        await desk_of(connection).reserve(connection.path_params["bus"])
+        return person
 
 
-async def _engineering_writer(person: Engineer, connection: HTTPConnection, bus: str) -> Person:
-    await desk_of(connection).reserve(bus)
-    return person
-
-
-Writer = Annotated[Person, Depends(_writer)]
+Writer = Annotated[Person, Depends(_Writes(Role.OPERATOR))]
 """An operator, for whose write the next turn of ``{bus}`` is left free."""
-EngineeringWriter = Annotated[Person, Depends(_engineering_writer)]
+EngineeringWriter = Annotated[Person, Depends(_Writes(Role.ENGINEER))]
 """An engineer, likewise."""

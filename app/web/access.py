@@ -6,7 +6,6 @@ not start otherwise (`app.web.routes`). The person is put into the ASGI scope by
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Literal
@@ -74,11 +73,11 @@ def person_of(connection: HTTPConnection) -> Person | None:
     return person
 
 
+@dataclass(frozen=True)
 class Requires:
     """A dependency: refuses whoever has less than ``role``, and gives the person."""
 
-    def __init__(self, role: Role) -> None:
-        self.role = role
+    role: Role
 
     async def __call__(self, connection: HTTPConnection) -> Person:
         """Raises Problem 401 or 403."""
@@ -91,17 +90,6 @@ class Requires:
             )
         return person
 
-    def __hash__(self) -> int:
-        return hash(self.role)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Requires) and other.role is self.role
-
-
-def requires(role: Role) -> Callable[[HTTPConnection], Awaitable[Person]]:
-    """For ``Depends(requires(Role.OPERATOR))``."""
-    return Requires(role)
-
 
 async def public() -> None:
     """For ``dependencies=[Depends(public)]``: a route that nobody need sign in for."""
@@ -113,8 +101,8 @@ def not_signed_in() -> Problem:
     return problem.with_headers(WWW_Authenticate="Bearer")
 
 
-Viewer = Annotated[Person, Depends(requires(Role.VIEWER))]
-Operator = Annotated[Person, Depends(requires(Role.OPERATOR))]
-Engineer = Annotated[Person, Depends(requires(Role.ENGINEER))]
-Admin = Annotated[Person, Depends(requires(Role.ADMIN))]
-Worker = Annotated[Person, Depends(requires(Role.WORKER))]
+Viewer = Annotated[Person, Depends(Requires(Role.VIEWER))]
+Operator = Annotated[Person, Depends(Requires(Role.OPERATOR))]
+Engineer = Annotated[Person, Depends(Requires(Role.ENGINEER))]
+Admin = Annotated[Person, Depends(Requires(Role.ADMIN))]
+Worker = Annotated[Person, Depends(Requires(Role.WORKER))]

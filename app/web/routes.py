@@ -35,4 +35,4 @@ def refuse_undeclared(app: FastAPI) -> None:
     """Raises RuntimeError naming the first route that declares neither a role nor that it is public."""
     for route, roles in demands(app):
         if not roles:
-            raise RuntimeError(f"{route.path} declares no role: add requires(Role.…) or public to it")
+            raise RuntimeError(f"{route.path} declares no role: add Requires(Role.…) or public to it")
