@@ -66,12 +66,16 @@ class Asking:
             return None
         return self.ask.request
 
-    def settle(self, heard: Heard) -> None:
-        """The exchange with what ``next_request`` gave is over."""
+    def settle(self, heard: Heard) -> bool:
+        """What ``next_request`` gave has passed; whether it is tried again, as nobody answered."""
         if heard.request != self.ask.request:
             self._rubbish = heard.rubbish
             self._settle_fence(answered=heard.reply is not None)
-            return
+        else:
+            self._settle_request(heard)
+        return self.answer is None and heard.reply is None
+
+    def _settle_request(self, heard: Heard) -> None:
         self._attempts += 1
         self._sent_at = heard.sent_at
         if heard.request.unit == 0:

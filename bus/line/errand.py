@@ -72,12 +72,13 @@ class Errand:
             self._advance(self._taken_answer(), now)
         return None
 
-    def settle(self, heard: Heard, now: float) -> None:
-        """Its exchange is over."""
+    def settle(self, heard: Heard, now: float) -> bool:
+        """Its exchange is over; whether it is tried again, as nobody answered."""
         assert self.asking is not None
-        self.asking.settle(heard)
+        again = self.asking.settle(heard)
         if self.asking.answer is not None:
             self._advance(self._taken_answer(), now)
+        return again
 
     def close(self, now: float) -> None:
         """The port is gone: every question of it ends so."""

@@ -88,14 +88,14 @@ class Turns:
         return asking.ask.request
 
     def settle(self, heard: Heard, began: float, ended: float) -> bool:
-        """The exchange under way is over; whether it was a read of the schedule that is tried again."""
+        """The exchange under way is over; whether it is tried again, as nobody answered."""
         errand, self.owner = self.owner, None
         if errand is not None:
-            errand.settle(heard, ended)
             self._read_last = errand.claim is Claim.READ
             if errand.claim is Claim.SLOW:
                 self.schedule.spent(Task(Kind.SLOW), began, ended, answered=True)
-        elif self._routine is not None:
+            return errand.settle(heard, ended)
+        if self._routine is not None:
             return self._settle_routine(*self._routine, heard, began, ended)
         return False
 
@@ -162,11 +162,11 @@ class Turns:
         return request
 
     def _settle_routine(self, task: Task, asking: Asking, heard: Heard, began: float, ended: float) -> bool:
-        asking.settle(heard)
+        again = asking.settle(heard)
         self.schedule.spent(task, began, ended, answered=heard.reply is not None)
         answer = asking.answer
         if answer is None:
-            return True
+            return again
         self._routine = None
         if task.kind is Kind.FIRST and answer.reply is None:
             self.schedule.fell_silent(task.unit, ended)

@@ -314,9 +314,9 @@ def test_a_later_poll_is_fenced_too_and_its_retry_is_not() -> None:
     asking = Asking(Ask(ReadStatus(1)))
     fence = asking.next_request(0.0, doubt)
     assert isinstance(fence, ReadParameter)
-    asking.settle(Heard(fence, Ack(1), 1.0, 1.5))
+    assert not asking.settle(Heard(fence, Ack(1), 1.0, 1.5)), "a fence that was answered is no retry"
     assert asking.next_request(0.0, Doubt(1, PLAIN)) == ReadStatus(1)
-    asking.settle(miss(ReadStatus(1)))
+    assert asking.settle(miss(ReadStatus(1))), "now it is tried again"
     assert asking.next_request(0.0, doubt) == ReadStatus(1)
 
 

@@ -11,7 +11,7 @@ from bus.line.schedule import Schedule
 from bus.line.steps import Ask, Procedure, Wish
 from bus.line.turns import Turns
 from bus.settings import Dialect
-from bus.wire.commands import ReadStatus, Reply, Request, SetAndExecuteSpeed, StatusReply
+from bus.wire.commands import Ack, ReadStatus, Reply, Request, SetAndExecuteSpeed, StatusReply
 from bus.wire.fence import Doubt
 
 PLAIN = Dialect()
@@ -114,6 +114,18 @@ def test_a_poll_without_an_answer_is_tried_again_before_what_was_foreseen() -> N
     line.settle(request, _answer(request))
     line.time += POLL_S
     assert line.turns.next_request(line.time) == following
+
+
+def test_a_write_without_an_answer_is_tried_again_too() -> None:
+    line = Line(2)
+    polled = line.poll()
+    line.turns.errands.add(_write(2))
+    line.settle(polled, _answer(polled))
+    write = SetAndExecuteSpeed(2, 500)
+    assert line.turns.next_request(line.time) == write
+    assert line.settle(write, None), "it is tried again"
+    assert line.turns.next_request(line.time) == write
+    assert not line.settle(write, Ack(2)), "it was answered"
 
 
 def test_of_a_line_with_one_unit_nothing_is_foreseen() -> None:
