@@ -5,10 +5,15 @@ from __future__ import annotations
 import asyncio
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+from app.database import Database
 from app.errors import Problem
 from app.live.state import LiveState
+from app.sets.keeper import SetKeeper
+from app.sets.reading import ParameterReader
+from app.sets.store import SetStore
 from app.web.access import Person, Role
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
@@ -136,3 +141,21 @@ def answering(live: LiveState, commanded: int = 1000, *, run: bool = False, remo
 def factory() -> dict[int, int]:
     """A unit as it comes out of its box, in REMOTE."""
     return {number: row.minimum for number, row in PARAMETERS.items()} | {17: 1, 18: 96, 19: 1}
+
+
+class SetScene:
+    """A keeper of sets before two units that answer, with its store in ``folder``."""
+
+    def __init__(self, folder: Path) -> None:
+        self.live = a_bus()
+        self.desk = PlayedDesk(self.live, {1: factory(), 2: factory()})
+        self.events = Noted()
+        self.database = Database(folder / "store.db")
+        self.store = SetStore(self.database)
+        reader = ParameterReader(self.live, self.desk)  # type: ignore[arg-type]
+        self.keeper = SetKeeper(self.live, reader, self.store, self.events)  # type: ignore[arg-type]
+
+    def tells(self, unit: int, *numbers: int, raw: int = 30) -> None:
+        """A unit says that these of its parameters are ``raw``."""
+        values = [ParameterValue(unit=unit, number=number, at=1.0, raw=raw) for number in numbers]
+        self.live.apply("dry-end", values)

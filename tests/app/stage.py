@@ -312,3 +312,12 @@ async def until(condition: Callable[[], object], what: str) -> None:
 def fate(command: Command, outcome: str, **more: Any) -> Result:
     """A command's end as the worker tells it."""
     return Result(id=command.id, at=time.time(), outcome=outcome, **more)  # type: ignore[arg-type]
+
+
+def answering(outcome: str, **more: Any) -> Play:
+    """To play every command to the same end."""
+
+    async def play(command: Command) -> Sequence[Update]:
+        return [fate(command, outcome, **more)]
+
+    return play

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -30,31 +29,14 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from tests.app.stage import PlayedWorker, Stage, fate, reading, snapshot, staged, unit_state
+from tests.app.stage import PlayedWorker, Stage, answering, fate, reading, snapshot, unit_state
 
 
 @pytest.fixture
-async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
-    async with staged(tmp_path) as built:
-        yield built
-
-
-@pytest.fixture
-async def worker(stage: Stage) -> PlayedWorker:
-    played = await stage.worker()
-    played.play = verify
-    return played
-
-
-async def verify(command: Command) -> Sequence[Update]:
-    return [fate(command, "verified", read_back=1)]
-
-
-def answering(outcome: str, **more: Any) -> Any:
-    async def play(command: Command) -> Sequence[Update]:
-        return [fate(command, outcome, **more)]
-
-    return play
+async def worker(worker: PlayedWorker) -> PlayedWorker:
+    """Every unit takes everything."""
+    worker.play = answering("verified", read_back=1)
+    return worker
 
 
 async def test_the_worker_is_told_of_a_write_before_it_comes(stage: Stage, worker: PlayedWorker) -> None:
@@ -291,7 +273,7 @@ async def test_a_value_reads_the_decimals_first_where_they_are_not_known(stage: 
         if isinstance(command.action, ReadParameters):
             values = [ParameterValue(unit=1, number=3, at=1.0, raw=2), ParameterValue(1, 8, 1.0, 0)]
             return [fate(command, "verified", values=values)]
-        return await verify(command)
+        return [fate(command, "verified", read_back=1)]
 
     worker.play = play
     assert (await stage.ask("POST", "/units/1/speed", {"value": "12.34"})).status_code == 200

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -14,21 +13,10 @@ from app.commands.wish import DEFAULT_TIMEOUT_S, time_for
 from app.errors import Problem, StoreError
 from app.web.access import Person, Role
 from bus.contract import Cancel, Command, Progress, ReadParameters, SetLine, SetSpeed, Update, WriteParameter
-from tests.app.stage import PlayedWorker, Stage, bus_settings, fate, staged
+from tests.app.stage import PlayedWorker, Stage, answering, bus_settings, fate
 
 ANNA = Person("anna", Role.OPERATOR, "token")
 WISH = SetSpeed(unit=1, raw=5)
-
-
-@pytest.fixture
-async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
-    async with staged(tmp_path) as built:
-        yield built
-
-
-@pytest.fixture
-async def worker(stage: Stage) -> PlayedWorker:
-    return await stage.worker()
 
 
 async def commands(stage: Stage) -> list[dict[str, Any]]:
@@ -68,10 +56,7 @@ async def test_a_fate_that_cannot_be_written_down_is_told_all_the_same(
     async def full(*_: object) -> None:
         raise StoreError("the disk is full")
 
-    async def play(command: Command) -> Sequence[Update]:
-        return [fate(command, "verified")]
-
-    worker.play = play
+    worker.play = answering("verified")
     monkeypatch.setattr(stage.events, "conclude", full)
     assert (await stage.desk.ask(ANNA, "dry-end", WISH)).outcome == "verified"
 

@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 import websockets
 
-from bus.contract import Batch, Clock, Command, Delivered, WantSnapshot, Watch, Welcome
+from bus.contract import CONTRACT_VERSION, Batch, Clock, Command, Delivered, WantSnapshot, Watch, Welcome
 from tests.app.stage import Stage, fate, hello, reading, snapshot, staged, until
-
-
-@pytest.fixture
-async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
-    async with staged(tmp_path) as built:
-        yield built
 
 
 async def test_only_whoever_may_feed_is_let_in(stage: Stage) -> None:
@@ -131,7 +124,7 @@ async def test_the_same_worker_is_told_where_to_go_on(stage: Stage) -> None:
     stranger = await stage.connect()
     await stranger.say(hello("w2"))
     assert (await stranger.hear(Welcome)) == Welcome(
-        version=1,
+        version=CONTRACT_VERSION,
         seq=0,
         app_time=stranger.heard[0].app_time,  # type: ignore[union-attr]
     )

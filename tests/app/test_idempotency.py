@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Sequence
-from pathlib import Path
 
 import pytest
 
@@ -14,22 +12,11 @@ from app.commands.desk import Desk
 from app.commands.wish import Wish
 from app.errors import Problem
 from app.web.access import Person, Role
-from bus.contract import Action, Command, Result, SetSpeed, Update, WriteParameter
-from tests.app.stage import PlayedWorker, Stage, fate, staged
+from bus.contract import Action, Command, Result, SetSpeed, WriteParameter
+from tests.app.stage import PlayedWorker, Stage, answering, fate
 
 ANNA = Person("anna", Role.ENGINEER, "token")
 WISH = SetSpeed(unit=1, raw=5)
-
-
-@pytest.fixture
-async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
-    async with staged(tmp_path) as built:
-        yield built
-
-
-@pytest.fixture
-async def worker(stage: Stage) -> PlayedWorker:
-    return await stage.worker()
 
 
 def restarted(stage: Stage) -> Desk:
@@ -38,10 +25,7 @@ def restarted(stage: Stage) -> Desk:
 
 
 async def test_a_known_fate_is_given_again_and_nothing_is_sent(stage: Stage, worker: PlayedWorker) -> None:
-    async def play(command: Command) -> Sequence[Update]:
-        return [fate(command, "refused", unit_error=129, message="value above max")]
-
-    worker.play = play
+    worker.play = answering("refused", unit_error=129, message="value above max")
     first = await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")
     again = await restarted(stage).ask(ANNA, "dry-end", WISH, id="mine")
     assert (again.outcome, again.unit_error, again.message) == ("refused", 129, "value above max")
@@ -65,10 +49,7 @@ async def test_what_was_open_at_the_restart_is_unverified_and_not_sent_again(
 async def test_an_id_of_another_command_is_refused_after_a_restart_too(
     stage: Stage, worker: PlayedWorker
 ) -> None:
-    async def play(command: Command) -> Sequence[Update]:
-        return [fate(command, "verified")]
-
-    worker.play = play
+    worker.play = answering("verified")
     await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")
     with pytest.raises(Problem) as refused:
         await restarted(stage).ask(ANNA, "dry-end", SetSpeed(unit=1, raw=6), id="mine")
@@ -81,10 +62,7 @@ async def test_what_was_refused_before_it_was_sent_may_be_asked_again(
 ) -> None:
     dangerous = WriteParameter(unit=1, number=19, raw=0)
 
-    async def play(command: Command) -> Sequence[Update]:
-        return [fate(command, "verified")]
-
-    worker.play = play
+    worker.play = answering("verified")
     with pytest.raises(Problem):
         await stage.desk.ask(ANNA, "dry-end", dangerous, id="mine")
     confirmed = await restarted(stage).ask(ANNA, "dry-end", dangerous, confirm=True, id="mine")
@@ -93,10 +71,7 @@ async def test_what_was_refused_before_it_was_sent_may_be_asked_again(
 
 
 async def test_an_id_is_its_givers_own(stage: Stage, worker: PlayedWorker) -> None:
-    async def play(command: Command) -> Sequence[Update]:
-        return [fate(command, "verified", read_back=5)]
-
-    worker.play = play
+    worker.play = answering("verified", read_back=5)
     await stage.desk.ask(ANNA, "dry-end", WISH, id="1")
     for desk in (stage.desk, restarted(stage)):
         with pytest.raises(Problem, match="was used for another command"):

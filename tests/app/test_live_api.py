@@ -2,19 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from pathlib import Path
-
-import pytest
-
 from bus.contract import BusFigures, UnitFigures
-from tests.app.stage import Stage, staged, until
-
-
-@pytest.fixture
-async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
-    async with staged(tmp_path) as built:
-        yield built
+from tests.app.stage import Stage, until
 
 
 async def test_the_line_a_bus_a_unit(stage: Stage) -> None:

@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
 from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from app.errors import StoreError
 from bus.contract import Batch, BusLink
-from tests.app.stage import HEALTHY, Stage, hello, reading, snapshot, staged, until
-
-
-@pytest.fixture
-async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
-    async with staged(tmp_path) as built:
-        yield built
+from tests.app.stage import HEALTHY, Stage, hello, reading, snapshot, until
 
 
 async def events(stage: Stage, count: int) -> list[dict[str, Any]]:

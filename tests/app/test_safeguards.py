@@ -13,13 +13,7 @@ from app.commands.blocks import Block, BlockStore
 from app.commands.limits import NO_LIMITS, Limits, LimitsStore
 from app.database import Database
 from bus.contract import Command, Update
-from tests.app.stage import PlayedWorker, Stage, fate, reading, staged
-
-
-@pytest.fixture
-async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
-    async with staged(tmp_path) as built:
-        yield built
+from tests.app.stage import PlayedWorker, Stage, answering, fate, reading, staged
 
 
 @pytest.fixture
@@ -89,11 +83,7 @@ async def test_two_moves_at_once_do_not_both_pass(stage: Stage) -> None:
 
 async def test_what_did_not_move_does_not_count(stage: Stage) -> None:
     worker = await stage.worker()
-
-    async def refuse(command: Command) -> Sequence[Update]:
-        return [fate(command, "refused", unit_error=128)]
-
-    worker.play = refuse
+    worker.play = answering("refused", unit_error=128)
     await stage.ask("PUT", "/units/1/limits", {"per_minute": 100})
     assert await speed(stage, 1100) == (409, "refused")
     assert await speed(stage, 1100) == (409, "refused")

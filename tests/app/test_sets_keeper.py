@@ -2,43 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
-from app.database import Database
 from app.errors import Problem
-from app.sets.keeper import SetKeeper
-from app.sets.reading import ParameterReader
-from app.sets.store import SetStore
-from bus.contract import ParameterValue
-from tests.app.played_desk import ANNA, Noted, PlayedDesk, a_bus, factory
+from tests.app.played_desk import ANNA, SetScene
 from tests.app.screens import voice
 
 NOON = datetime(2026, 11, 20, 12, 0, tzinfo=UTC)
 
 
-class Scene:
-    def __init__(self, folder: Path) -> None:
-        self.live = a_bus()
-        self.desk = PlayedDesk(self.live, {1: factory(), 2: factory()})
-        self.events = Noted()
-        self.database = Database(folder / "store.db")
-        self.store = SetStore(self.database)
-        reader = ParameterReader(self.live, self.desk)  # type: ignore[arg-type]
-        self.keeper = SetKeeper(self.live, reader, self.store, self.events)  # type: ignore[arg-type]
-
+class Scene(SetScene):
     def line_says(self, unit: int) -> str:
         return self.keeper.drifts.told("dry-end", unit, voice(), NOON.timestamp()).words
 
-    def tells(self, unit: int, number: int, raw: int) -> None:
-        self.live.apply("dry-end", [ParameterValue(unit=unit, number=number, at=1.0, raw=raw)])
-
 
 @pytest.fixture
-def scene(tmp_path: Path) -> Scene:
-    return Scene(tmp_path)
+def scene(tmp_path: Path) -> Iterator[Scene]:
+    made = Scene(tmp_path)
+    yield made
+    made.database.close()
 
 
 async def test_a_set_keeps_every_value_with_its_evidence(scene: Scene) -> None:
@@ -79,15 +65,15 @@ async def test_drift_is_what_departs_from_the_golden_set(scene: Scene) -> None:
     drifts = scene.keeper.drifts
     assert drifts.golden("dry-end", 1) is None
     await scene.keeper.mark_golden(ANNA, kept.id, 1)
-    scene.tells(1, 6, 0)
+    scene.tells(1, 6, raw=0)
     assert drifts.of("dry-end", 1) == []
     assert drifts.unread("dry-end", 1) == 39
-    scene.tells(1, 6, 30)
-    scene.tells(1, 20, 500)
+    scene.tells(1, 6)
+    scene.tells(1, 20, raw=500)
     assert [one.row.number for one in drifts.of("dry-end", 1)] == [6]
     assert drifts.of("dry-end", 2) == []
     assert scene.line_says(1) == "#6 differs from golden"
-    scene.tells(1, 6, 0)
+    scene.tells(1, 6, raw=0)
     assert (drifts.of("dry-end", 1), scene.line_says(1)) == ([], "")
     with pytest.raises(Problem):
         await scene.keeper.mark_golden(ANNA, kept.id, 2)

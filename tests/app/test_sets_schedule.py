@@ -9,36 +9,22 @@ from pathlib import Path
 
 import pytest
 
-from app.database import Database
 from app.sets.first_write import FirstWrites
-from app.sets.keeper import SetKeeper
-from app.sets.reading import ParameterReader
 from app.sets.schedule import SAID_AFTER, SetSchedule, due_between
-from app.sets.store import SetStore
-from bus.contract import ParameterValue, UnitLink, UnitLinkState
-from tests.app.played_desk import ANNA, Noted, PlayedDesk, a_bus, factory
+from bus.contract import UnitLink, UnitLinkState
+from tests.app.played_desk import ANNA, SetScene
 
 NOON = datetime.now(UTC).replace(hour=12, minute=0, second=0, microsecond=0)
 """Of today: sets are stored with the time of the machine."""
 MIDNIGHT = NOON - timedelta(hours=12)
 
 
-class Scene:
+class Scene(SetScene):
     def __init__(self, folder: Path) -> None:
-        self.live = a_bus()
-        self.desk = PlayedDesk(self.live, {1: factory(), 2: factory()})
-        self.events = Noted()
-        self.database = Database(folder / "store.db")
-        self.store = SetStore(self.database)
+        super().__init__(folder)
         self.now = NOON
-        reader = ParameterReader(self.live, self.desk)  # type: ignore[arg-type]
-        self.keeper = SetKeeper(self.live, reader, self.store, self.events)  # type: ignore[arg-type]
         self.schedule = SetSchedule(self.live, self.keeper, self.events, lambda: self.now)  # type: ignore[arg-type]
         self.first = FirstWrites(self.live, self.keeper, lambda: self.now)
-
-    def tells(self, unit: int, *numbers: int) -> None:
-        values = [ParameterValue(unit=unit, number=number, at=1.0, raw=30) for number in numbers]
-        self.live.apply("dry-end", values)
 
     def link(self, unit: int, state: UnitLinkState) -> None:
         self.live.apply("dry-end", [UnitLink(unit=unit, at=1.0, link=state)])

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator
-from pathlib import Path
 
-import pytest
 from pydantic import ConfigDict, TypeAdapter, with_config
 
 from app.commands.answers import FateShown, fate_json
@@ -15,15 +12,9 @@ from app.live.state import LiveState
 from app.live.view import bus_json, parameter_json
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Clause, Command, Frame, Result, UnitOutcome, Update
-from tests.app.stage import Stage, bus_settings, fate, snapshot, staged
+from tests.app.stage import Stage, bus_settings, fate, snapshot
 
 EXACT = with_config(ConfigDict(extra="forbid", strict=True))
-
-
-@pytest.fixture
-async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
-    async with staged(tmp_path) as built:
-        yield built
 
 
 def test_units_and_buses_read_and_unread() -> None:

@@ -1,0 +1,21 @@
+"""The stage that many tests play on, and its worker, who does nothing until it is told how."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from tests.app.stage import PlayedWorker, Stage, staged
+
+
+@pytest.fixture
+async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
+    async with staged(tmp_path) as built:
+        yield built
+
+
+@pytest.fixture
+async def worker(stage: Stage) -> PlayedWorker:
+    return await stage.worker()
