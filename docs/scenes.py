@@ -90,6 +90,13 @@ def _together(page: Page, *, confirm: bool = False) -> None:
         _confirm(page)
 
 
+def _baud(page: Page) -> None:
+    form = page.locator("#baud ~ form")
+    form.locator("select").select_option("4800")
+    form.locator("[type=submit]").click()
+    page.wait_for_selector("[data-review-act]")
+
+
 def _batch(page: Page) -> None:
     for unit, text in ((1, "5.5"), (2, "6"), (4, "7.5")):
         page.locator(f"[name=unit-{unit}]").fill(text)
@@ -146,11 +153,11 @@ PAGES = (
     Scene("parameters", UNIT + "/parameters", whole=True),
     Scene("setpoints", "/setpoints", whole=True),
     Scene("setpoints-review", "/setpoints", _together),
-    Scene("trends", "/trends?series=line/3/actual&series=line/3/commanded", whole=True),
+    Scene("trends", "/trends?s=line/3/actual&s=line/3/commanded", whole=True),
     Scene("events", "/events"),
     Scene("bus", "/bus/line", whole=True),
     Scene("bus-trace", "/bus/line", _trace, whole=True),
-    Scene("bus-baud", "/bus/line", press_all("#baud ~ form [type=submit]", shows="[data-review-act]")),
+    Scene("bus-baud", "/bus/line", _baud),
     Scene("sets", "/sets", whole=True),
     Scene("set", "/sets/1", whole=True),
     Scene("set-taking", "/sets", _taking),
@@ -195,6 +202,7 @@ def well(site: Site) -> None:
         site.line.remote.do("input", unit=unit, input="run", on=True)
     with site.api("engineer") as client:
         client.put("/buses/line/units/3/outputs/1", json={"on": True}).raise_for_status()
+        client.put("/buses/line/units/3/limits", json={"highest": 1500}).raise_for_status()
         client.get("/buses/line/units/3/parameters?refresh=true", timeout=60).raise_for_status()
         for name in ("before the new felt", "after the new felt"):
             body = {"name": name, "units": [3], "comment": "night shift"}

@@ -18,6 +18,7 @@ from app.live.motions import motions_for, watch_motions
 from app.live.readers import Readers
 from app.live.screen import WHOLE_LINE, Block, Drift, Drifted, Groups, Recipe, Screen
 from app.live.state import LiveState
+from app.live.totals import holders
 from app.web.templating import Templates
 from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
 
@@ -25,6 +26,7 @@ HEARTBEAT_S = 1.0
 STAGE_WORDS = {
     "waiting": "waiting for the wire",
     "sent": "sent",
+    "searching": "addresses asked:",
     "acknowledged": "acknowledged",
     "proving": "reading back",
 }
@@ -129,14 +131,12 @@ class Hub:
         for readers in self._read():
             screen = readers.screen
             groups = screen.settle(now)
-            said = {"holder": self._holders(), "memory": self.memory(screen.voice, now)}
+            held_by = {bus: self.holder(bus) for bus in self.live.buses}
+            said = {"holder": holders(held_by, screen.voice), "memory": self.memory(screen.voice, now)}
             for held in (screen.put(WHOLE_LINE, said), *self._held(screen)):
                 for group, fields in held.items():
                     groups.setdefault(group, {}).update(fields)
             readers.tell(groups, always=True)
-
-    def _holders(self) -> str:
-        return ", ".join(sorted({holder for bus in self.live.buses if (holder := self.holder(bus))}))
 
     def _held(self, screen: Screen) -> list[Groups]:
         return [screen.put(bus, {"held_by": self.holder(bus)}) for bus in self.live.buses]
@@ -162,18 +162,22 @@ class Hub:
     def _pass_on(self, bus: str, update: Update) -> None:
         match update:
             case Progress():
-                self._show_progress(update)
+                self._show_progress(bus, update)
             case Frames():
                 self._show_frames(bus, update.frames)
             case BusFigures():
                 self._show_health(bus, update)
 
-    def _show_progress(self, progress: Progress) -> None:
+    def _show_progress(self, bus: str, progress: Progress) -> None:
+        """Of a search everybody who looks at the bus is told; it has no review whose page knows its id."""
+        group, field = f"command/{progress.id}", "stage"
+        if progress.stage == "searching":
+            group, field = bus, "searched"
         for readers in self._read():
             text = readers.screen.voice.t(STAGE_WORDS[progress.stage])
             if progress.of > 1:
                 text += f" {progress.done}/{progress.of}"
-            readers.tell({f"command/{progress.id}": {"stage": text}})
+            readers.tell({group: {field: text}})
 
     def _show_health(self, bus: str, figures: BusFigures) -> None:
         watched = self._opened_units(bus)

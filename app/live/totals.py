@@ -13,6 +13,7 @@ from app.web.formats import UNKNOWN
 
 MOST_ENTRIES = 30
 """In the strip; when more is not well, the verdict has their number."""
+NO_BREAK = "\u00a0"
 Judged = Mapping[str, tuple[Sight, Trouble | None]]
 """How each unit looks and what is wrong with it, by the group of its fields."""
 
@@ -59,6 +60,23 @@ def line_fields(live: LiveState, judged: Judged, entries: list[Entry], voice: Vo
         "troubles": f"{len(entries)}",
         "named": _named(entries, judged, voice),
     } | _figures(live, voice)
+
+
+def holders(held_by: Mapping[str, str], voice: Voice) -> str:
+    """Who holds control of which bus, in words; ``held_by`` has an empty name for a bus that is free. Of the
+    only bus there is, only the name is said, and nothing where nobody holds any. Breaks between two buses."""
+    held = {bus: holder for bus, holder in held_by.items() if holder}
+    if not held:
+        return ""
+    nobody, free = voice.t("nobody"), len(held_by) - len(held)
+    if not free and len(set(held.values())) == 1:
+        [holder] = set(held.values())
+        return holder if len(held) == 1 else voice.t("{name}, every bus", name=holder)
+    named = held if free > 1 else held_by
+    said = [f"{bus}: {holder or nobody}" for bus, holder in named.items()]
+    if free > 1:
+        said.append(f"{voice.t('the others')}: {nobody}")
+    return ", ".join(one.replace(" ", NO_BREAK) for one in said)
 
 
 def _of_units(name: str, bus: BusLive, judged: Judged) -> list[tuple[str, str, Trouble]]:

@@ -11,7 +11,7 @@ CONTRACT_VERSION = 2
 UnitLinkState = Literal["unknown", "online", "stale", "offline"]
 BusLinkState = Literal["open", "closed"]
 Outcome = Literal["verified", "acknowledged", "refused", "unverified", "invalid", "not_sent", "bus_closed"]
-Stage = Literal["waiting", "sent", "acknowledged", "proving"]
+Stage = Literal["waiting", "sent", "searching", "acknowledged", "proving"]
 Direction = Literal["out", "in"]
 
 

@@ -16,7 +16,7 @@ from bus.line.proof import ask
 from bus.line.roster import Roster
 from bus.line.steps import Answer, Ask, Fate, Procedure, Step, Tell, Wait, Wish
 from bus.settings import Dialect
-from bus.wire.commands import wire_seconds
+from bus.wire.lengths import wire_seconds
 
 SHARE = 1 / 3
 """Of the wire, at most: a unit that is polled keeps two thirds of its rate."""
@@ -54,7 +54,7 @@ def survey(roster: Roster, first: int, last: int, pace: Pace, wish: Wish) -> Pro
     for unit in passes:
         if wish.cancelled:
             return _result(found, f"given up after {passes.done} of {of} addresses")
-        yield Tell("sent", unit, passes.done, of)
+        yield Tell("searching", unit, passes.done, of)
         try:
             one = yield from _examine(roster, unit, pace)
         except _Lost:

@@ -120,6 +120,15 @@ async def test_how_far_a_command_is_goes_to_the_pages_and_is_not_kept(world: Wor
     assert "command/x1" not in world.hub.screen("de").shown
 
 
+async def test_how_far_a_search_is_goes_to_whoever_looks_at_the_bus(world: World) -> None:
+    browser = world.join("bernd", "de")
+    await told(browser)
+    world.live.apply("dry", [Progress(id="x1", at=100.1, stage="searching", done=17, of=255)])
+    (diff,) = await told(browser)
+    assert diff["f"] == {"dry": {"searched": "gefragte Adressen: 17/255"}}
+    assert "searched" not in world.hub.screen("de").shown["dry"]
+
+
 async def test_frames_go_only_to_who_follows(world: World) -> None:
     follower, other = world.join("anna"), world.join("bernd")
     await told(follower)
