@@ -22,7 +22,8 @@ from bus.line.errand import EVERY_UNIT, NO_UNIT, Claim, Errand
 from bus.line.poller import Poller
 from bus.line.roster import Roster
 from bus.line.steps import Procedure, Wish
-from bus.wire.commands import StageSpeed, usual_reply_bytes, wire_seconds
+from bus.wire.commands import StageSpeed
+from bus.wire.lengths import usual_reply_bytes, wire_seconds
 
 STAGE_BYTES = 11
 

@@ -10,7 +10,9 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 
 from bus.settings import Dialect
-from bus.wire.commands import ReadStatus, encode_request, wire_seconds
+from bus.wire.bodies import encode_request
+from bus.wire.commands import ReadStatus
+from bus.wire.lengths import wire_seconds
 
 PASSES = 2
 MOST_PASSES = 4

@@ -20,10 +20,11 @@ from bus.line.found import Checksum10h, Found
 from bus.line.passes import MARGIN_S
 from bus.line.transport import OpenPort, open_port
 from bus.settings import BITS_PER_BYTE, Dialect
-from bus.wire.commands import ReadStatus, longest_reply_bytes
+from bus.wire.commands import ReadStatus
 from bus.wire.exchange import Answered, Doubled, Echo, Event, Exchange, Foreign, Late, Unexpected
 from bus.wire.fence import Doubts
 from bus.wire.framing import DLE, DoubledChecksum, FrameDecoder, Noise, ReceivedFrame
+from bus.wire.lengths import longest_reply_bytes
 
 QUIET_BYTES = 4
 LEAST_QUIET_S = 0.005

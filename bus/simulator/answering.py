@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from bus.errors import UnitErrorCode
 from bus.simulator.memory import Mode, Prm, width_by_type
 from bus.simulator.unit import Unit
+from bus.wire.bodies import IllegalRequest, encode_reply, parse_request
 from bus.wire.commands import (
     Ack,
     ExecuteSpeed,
-    IllegalRequest,
     Nak,
     ParameterReply,
     ReadParameter,
@@ -33,8 +33,6 @@ from bus.wire.commands import (
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
-    encode_reply,
-    parse_request,
 )
 
 ALL_UNITS = 0

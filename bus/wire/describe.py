@@ -17,9 +17,9 @@ from bus.catalogue.status import StatusBits, status_bits
 from bus.clauses import Clause, in_english
 from bus.errors import unit_error_name
 from bus.settings import Dialect
+from bus.wire.bodies import IllegalRequest, parse_reply, parse_request
 from bus.wire.commands import (
     Ack,
-    IllegalRequest,
     Nak,
     ParameterReply,
     ReadParameter,
@@ -32,8 +32,6 @@ from bus.wire.commands import (
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
-    parse_reply,
-    parse_request,
 )
 from bus.wire.framing import ACK, NAK, FrameDecoder, Noise, Received, ReceivedFrame, checksum
 

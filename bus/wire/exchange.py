@@ -22,7 +22,8 @@ from __future__ import annotations
 import msgspec
 
 from bus.settings import Dialect
-from bus.wire.commands import Reply, Request, parse_reply
+from bus.wire.bodies import parse_reply
+from bus.wire.commands import Reply, Request
 from bus.wire.fence import Doubt
 from bus.wire.framing import DoubledChecksum, FrameDecoder, Noise, ReceivedFrame
 from bus.wire.prepared import prepare

@@ -34,14 +34,9 @@ import msgspec
 from bus.catalogue.parameters import OWN_ADDRESS
 from bus.errors import UnitErrorCode
 from bus.settings import Dialect
-from bus.wire.commands import (
-    ReadParameter,
-    ReadStatus,
-    Request,
-    acknowledged_lengths,
-    is_write,
-)
+from bus.wire.commands import ReadParameter, ReadStatus, Request, is_write
 from bus.wire.framing import ACK, NAK
+from bus.wire.lengths import acknowledged_lengths
 
 LONG_RUN = 3
 """Equal reads in a row beyond this are as good as any number of them."""

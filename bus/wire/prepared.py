@@ -7,15 +7,11 @@ from functools import lru_cache
 import msgspec
 
 from bus.settings import Dialect
-from bus.wire.commands import (
-    Request,
-    is_write,
-    least_reply_bytes,
-    longest_reply_bytes,
-    request_body,
-)
+from bus.wire.bodies import request_body
+from bus.wire.commands import Request, is_write
 from bus.wire.describe import is_secret
 from bus.wire.framing import encode_frame
+from bus.wire.lengths import least_reply_bytes, longest_reply_bytes
 
 MOST_KEPT = 4096
 """More than 40 parameters and the status of all the units that one bus commonly has."""

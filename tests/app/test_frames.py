@@ -14,6 +14,7 @@ from bus.contract import Frame
 from bus.errors import UnitErrorCode
 from bus.line.trace import HIDDEN
 from bus.settings import Dialect
+from bus.wire.bodies import encode_reply, encode_request
 from bus.wire.commands import (
     Ack,
     ExecuteSpeed,
@@ -28,8 +29,6 @@ from bus.wire.commands import (
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
-    encode_reply,
-    encode_request,
 )
 from bus.wire.describe import describe_bytes
 from bus.wire.framing import Fault

@@ -12,11 +12,18 @@ from hypothesis import strategies as st
 
 from bus.errors import CallerError
 from bus.settings import Dialect
+from bus.wire.bodies import (
+    IllegalRequest,
+    encode_reply,
+    encode_request,
+    is_request,
+    parse_reply,
+    parse_request,
+)
 from bus.wire.commands import (
     LARGEST_VALUE,
     Ack,
     ExecuteSpeed,
-    IllegalRequest,
     Nak,
     ParameterReply,
     ReadParameter,
@@ -29,17 +36,10 @@ from bus.wire.commands import (
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
-    encode_reply,
-    encode_request,
-    is_request,
     is_write,
-    longest_reply_bytes,
-    parse_reply,
-    parse_request,
-    usual_reply_bytes,
-    wire_seconds,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
+from bus.wire.lengths import longest_reply_bytes, usual_reply_bytes, wire_seconds
 
 BINARY, BCD = Dialect(), Dialect(parameter_numbers="bcd")
 

@@ -11,16 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.settings import Dialect
-from bus.wire.commands import (
-    Ack,
-    Nak,
-    ParameterReply,
-    ReadParameter,
-    ReadStatus,
-    WriteParameter,
-    encode_reply,
-    encode_request,
-)
+from bus.wire.bodies import encode_reply, encode_request
+from bus.wire.commands import Ack, Nak, ParameterReply, ReadParameter, ReadStatus, WriteParameter
 from bus.wire.describe import Described, Rubbish, describe_bytes, is_secret
 
 PLAIN = Dialect()

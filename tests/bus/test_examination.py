@@ -12,15 +12,8 @@ from bus.line.examination import Outcome, Question, examine, number_for_checksum
 from bus.line.found import Found, conclude, settings_seen
 from bus.line.passes import silent_seconds
 from bus.settings import Dialect
-from bus.wire.commands import (
-    Nak,
-    ParameterReply,
-    ReadParameter,
-    ReadStatus,
-    StatusReply,
-    encode_request,
-    is_write,
-)
+from bus.wire.bodies import encode_request
+from bus.wire.commands import Nak, ParameterReply, ReadParameter, ReadStatus, StatusReply, is_write
 
 Answering = Callable[[Question], Outcome]
 SILENCE = Outcome()

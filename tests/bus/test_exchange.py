@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from bus.errors import CallerError
 from bus.settings import Dialect
+from bus.wire.bodies import encode_reply, encode_request
 from bus.wire.commands import (
     Ack,
     ExecuteSpeed,
@@ -20,8 +21,6 @@ from bus.wire.commands import (
     StageSpeed,
     StatusReply,
     WriteOutput,
-    encode_reply,
-    encode_request,
 )
 from bus.wire.exchange import Answered, Doubled, Echo, Event, Exchange, Foreign, Late, Unexpected
 from bus.wire.fence import Doubt

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.settings import Dialect
+from bus.wire.bodies import encode_reply
 from bus.wire.commands import (
     Ack,
     ExecuteSpeed,
@@ -24,7 +25,6 @@ from bus.wire.commands import (
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
-    encode_reply,
     is_write,
 )
 from bus.wire.exchange import Answered, Exchange

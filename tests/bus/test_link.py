@@ -17,6 +17,7 @@ from bus.line.port_pace import PortPace
 from bus.line.roster import Roster
 from bus.line.trace import HIDDEN, Interpreter, Passed, Trace
 from bus.settings import Dialect
+from bus.wire.bodies import encode_reply
 from bus.wire.commands import (
     Ack,
     ExecuteSpeed,
@@ -26,7 +27,6 @@ from bus.wire.commands import (
     Reply,
     SetAndExecuteSpeed,
     StatusReply,
-    encode_reply,
 )
 
 PLAIN = Dialect()

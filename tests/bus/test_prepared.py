@@ -6,6 +6,7 @@ import pytest
 
 from bus.errors import CallerError
 from bus.settings import Dialect
+from bus.wire.bodies import encode_request
 from bus.wire.commands import (
     ExecuteSpeed,
     ReadParameter,
@@ -13,10 +14,8 @@ from bus.wire.commands import (
     Request,
     SetAndExecuteSpeed,
     WriteParameter,
-    encode_request,
-    least_reply_bytes,
-    longest_reply_bytes,
 )
+from bus.wire.lengths import least_reply_bytes, longest_reply_bytes
 from bus.wire.prepared import _prepare_read, prepare
 
 DIALECTS = [

@@ -17,6 +17,7 @@ from bus.simulator.memory import Mode, Prm
 from bus.simulator.pacer import WAKE_S, ReplyLine, RequestLine, byte_seconds
 from bus.simulator.record import Happened, Record
 from bus.simulator.unit import ORDINARY, Traits
+from bus.wire.bodies import encode_request
 from bus.wire.commands import (
     ExecuteSpeed,
     ReadStatus,
@@ -24,7 +25,6 @@ from bus.wire.commands import (
     SetAndExecuteSpeed,
     StageSpeed,
     WriteParameter,
-    encode_request,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 

@@ -20,6 +20,7 @@ from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import Port, PtyPort, TcpPort
 from bus.simulator.record import Happened
 from bus.simulator.serve import LineServer
+from bus.wire.bodies import encode_request, parse_reply
 from bus.wire.commands import (
     Ack,
     Nak,
@@ -29,8 +30,6 @@ from bus.wire.commands import (
     Request,
     SetAndExecuteSpeed,
     StatusReply,
-    encode_request,
-    parse_reply,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 

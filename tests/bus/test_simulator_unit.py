@@ -12,6 +12,7 @@ from bus.settings import Dialect
 from bus.simulator.answering import encode, respond
 from bus.simulator.memory import Memory, Mode, Prm
 from bus.simulator.unit import Inputs, Traits, Unit
+from bus.wire.bodies import encode_request, parse_reply
 from bus.wire.commands import (
     Ack,
     ExecuteSpeed,
@@ -27,9 +28,7 @@ from bus.wire.commands import (
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
-    encode_request,
     is_write,
-    parse_reply,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 

@@ -28,7 +28,8 @@ from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import Port, PtyPort, TcpPort
 from bus.simulator.serve import LineServer
-from bus.wire.commands import ReadStatus, encode_request
+from bus.wire.bodies import encode_request
+from bus.wire.commands import ReadStatus
 
 PATIENCE_S = 20.0
 POLL = encode_request(ReadStatus(1), Dialect())

@@ -13,18 +13,8 @@ import atheris
 with atheris.instrument_imports(include=["bus.wire"]):
     from bus.errors import CallerError
     from bus.settings import Dialect
-    from bus.wire.commands import (
-        IllegalRequest,
-        ReadParameter,
-        ReadStatus,
-        Request,
-        SetAndExecuteSpeed,
-        WriteParameter,
-        encode_reply,
-        parse_reply,
-        parse_request,
-        request_body,
-    )
+    from bus.wire.bodies import IllegalRequest, encode_reply, parse_reply, parse_request, request_body
+    from bus.wire.commands import ReadParameter, ReadStatus, Request, SetAndExecuteSpeed, WriteParameter
     from bus.wire.describe import describe_bytes
     from bus.wire.exchange import Answered, Exchange
     from bus.wire.framing import FrameDecoder, Received, ReceivedFrame, encode_frame

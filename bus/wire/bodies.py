@@ -1,0 +1,191 @@
+"""The commands and their answers as bytes, in both directions (manual, the command pages).
+
+A *body* is what a frame carries: ``[UID][CMD][data]`` from the host, ``[UID][ACK][data]`` or
+``[UID][NAK][ERR]`` from a unit. All numbers are most significant byte first.
+
+``encode_request`` refuses what the manual's ranges exclude, so that a bad value never reaches the
+wire; ``parse_request``, the unit's side, takes whatever can arrive and leaves the judgement to the unit.
+"""
+
+from __future__ import annotations
+
+from bus.errors import CallerError, LinesideError, UnitErrorCode
+from bus.settings import Dialect
+from bus.wire.commands import (
+    LARGEST_VALUE,
+    Ack,
+    ExecuteSpeed,
+    Nak,
+    ParameterReply,
+    ReadParameter,
+    ReadStatus,
+    Reply,
+    Request,
+    SetAndExecuteSpeed,
+    StageSpeed,
+    StatusReply,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.wire.framing import ACK, NAK, encode_frame
+from bus.wire.lengths import acknowledged_lengths
+
+
+class IllegalRequest(LinesideError):
+    """A unit received a frame that is no request; ``code`` is the NAK the manual has for it."""
+
+    def __init__(self, unit: int, code: int, message: str) -> None:
+        super().__init__(message)
+        self.unit = unit
+        self.code = code
+
+
+# --- the host's side of a request ----------------------------------------------------------------
+
+
+def encode_request(request: Request, dialect: Dialect) -> bytes:
+    """The frame to send. Raises CallerError for an address, number or value outside the manual's ranges."""
+    return encode_frame(request_body(request, dialect), dialect)
+
+
+def request_body(request: Request, dialect: Dialect) -> bytes:
+    """What the frame carries, unstuffed. Raises CallerError like ``encode_request``."""
+    lowest = 0 if isinstance(request, ExecuteSpeed) else 1
+    _require("unit address", request.unit, lowest, 255)
+    return bytes((request.unit, request.COMMAND)) + _request_data(request, dialect)
+
+
+def _request_data(request: Request, dialect: Dialect) -> bytes:
+    match request:
+        case ReadStatus() | ExecuteSpeed():
+            return b""
+        case StageSpeed() | SetAndExecuteSpeed() | WriteAnalogOutput():
+            return _value(request.raw)
+        case ReadParameter():
+            return _number_byte(request.number, dialect)
+        case WriteParameter():
+            return _number_byte(request.number, dialect) + _value(request.raw)
+        case WriteOutput():
+            _require("output", request.output, 1, 6)
+            return bytes((request.output, request.on))
+
+
+def _value(raw: int) -> bytes:
+    _require("value", raw, 0, LARGEST_VALUE)
+    return raw.to_bytes(4, "big")
+
+
+def _number_byte(number: int, dialect: Dialect) -> bytes:
+    if dialect.parameter_numbers == "bcd":
+        _require("parameter number", number, 1, 99)
+        return bytes((number // 10 * 16 + number % 10,))
+    _require("parameter number", number, 1, 255)
+    return bytes((number,))
+
+
+def _require(what: str, value: int, lowest: int, highest: int) -> None:
+    if not lowest <= value <= highest:
+        raise CallerError(f"{what} {value} cannot be sent; it must be {lowest} to {highest}")
+
+
+# --- the unit's side of a request ----------------------------------------------------------------
+
+_VALUE_COMMANDS: dict[int, type[StageSpeed | SetAndExecuteSpeed | WriteAnalogOutput]] = {
+    command.COMMAND: command for command in (StageSpeed, SetAndExecuteSpeed, WriteAnalogOutput)
+}
+_REQUEST_DATA_BYTES = {0x81: 0, 0x82: 4, 0x83: 0, 0x84: 4, 0x85: 1, 0x86: 5, 0x87: 2, 0x88: 4}
+
+
+def is_request(body: bytes) -> bool:
+    """Whether ``body`` has the shape of a request; no answer has, its second byte being 06h or 15h."""
+    return len(body) >= 2 and _REQUEST_DATA_BYTES.get(body[1]) == len(body) - 2
+
+
+def parse_request(body: bytes, dialect: Dialect) -> Request:
+    """What the host asks of the unit body[0]; values are not judged.
+
+    Raises IllegalRequest, with the code a unit would answer, for an unknown command, a wrong length, a
+    parameter number that is no BCD where the dialect counts so, an output value other than 0 or 1.
+    """
+    unit, command = body[0], body[1]
+    if not is_request(body):
+        raise IllegalRequest(
+            unit, UnitErrorCode.ILLEGAL_COMMAND, f"{command:02X}h is no command of this length"
+        )
+    data = body[2:]
+    if command in _VALUE_COMMANDS:
+        return _VALUE_COMMANDS[command](unit, int.from_bytes(data, "big"))
+    match command:
+        case ReadStatus.COMMAND:
+            return ReadStatus(unit)
+        case ExecuteSpeed.COMMAND:
+            return ExecuteSpeed(unit)
+        case ReadParameter.COMMAND:
+            return ReadParameter(unit, _number(unit, data[0], dialect))
+        case WriteParameter.COMMAND:
+            return WriteParameter(unit, _number(unit, data[0], dialect), int.from_bytes(data[1:], "big"))
+    if data[1] > 1:
+        raise IllegalRequest(
+            unit, UnitErrorCode.ILLEGAL_OUTPUT_VALUE, f"output value {data[1]} is not 0 or 1"
+        )
+    return WriteOutput(unit, data[0], data[1] == 1)
+
+
+def _number(unit: int, byte: int, dialect: Dialect) -> int:
+    if dialect.parameter_numbers == "binary":
+        return byte
+    tens, ones = divmod(byte, 16)
+    if tens > 9 or ones > 9:
+        raise IllegalRequest(unit, UnitErrorCode.ILLEGAL_PARAMETER_NUMBER, f"{byte:02X}h is not BCD")
+    return tens * 10 + ones
+
+
+# --- answers -------------------------------------------------------------------------------------
+
+
+def encode_reply(reply: Reply, dialect: Dialect) -> bytes:
+    """The unit's frame. Raises CallerError where a field does not fit its bytes."""
+    mark = NAK if isinstance(reply, Nak) else ACK
+    try:
+        return encode_frame(bytes((reply.unit, mark)) + _reply_data(reply, dialect), dialect)
+    except (OverflowError, ValueError) as error:
+        raise CallerError(f"{reply} does not fit a frame: {error}") from error
+
+
+def _reply_data(reply: Reply, dialect: Dialect) -> bytes:
+    match reply:
+        case StatusReply():
+            speeds = reply.commanded.to_bytes(4, "big") + reply.actual.to_bytes(4, "big")
+            return speeds + bytes((reply.analog, reply.outputs, reply.inputs))
+        case Ack():
+            return reply.data
+        case Nak():
+            return bytes((reply.code,))
+        case ParameterReply():
+            return reply.raw.to_bytes(dialect.parameter_reply_bytes or reply.width, "big")
+
+
+def parse_reply(request: Request, body: bytes, dialect: Dialect) -> Reply | None:
+    """What ``body`` says if it can be the answer to ``request``, else None.
+
+    It can when the address is the one asked, and the length is one that the command's answer may have.
+    Nothing answers unit 0. The manual draws the answer to 86h as ``[UID][DAT]`` without an ACK; such a
+    body is not taken, for nothing in it says that it is an answer (its prose has the ACK, and the write
+    is proven by 85h in any case).
+    """
+    if len(body) < 2 or body[0] != request.unit or request.unit == 0:
+        return None
+    mark, data = body[1], body[2:]
+    if mark == NAK:
+        return Nak(request.unit, data[0]) if len(data) == 1 else None
+    if mark != ACK or len(data) not in acknowledged_lengths(request, dialect):
+        return None
+    match request:
+        case ReadStatus():
+            speeds = int.from_bytes(data[:4], "big"), int.from_bytes(data[4:8], "big")
+            return StatusReply(request.unit, *speeds, *data[8:])
+        case ReadParameter():
+            return ParameterReply(request.unit, int.from_bytes(data, "big"), len(data))
+        case _:
+            return Ack(request.unit, data)

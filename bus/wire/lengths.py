@@ -1,0 +1,61 @@
+"""How many bytes an answer has, and how long bytes take on the wire."""
+
+from __future__ import annotations
+
+from bus.settings import BITS_PER_BYTE, Dialect
+from bus.wire.commands import ReadParameter, Request
+
+_FRAME_OVERHEAD = 5
+"""10 02 before the body; 10 03 and the checksum after it."""
+
+
+def acknowledged_lengths(request: Request, dialect: Dialect) -> frozenset[int]:
+    """How many data bytes an ACK to ``request`` may carry."""
+    width = dialect.parameter_reply_bytes
+    if width and request.COMMAND == ReadParameter.COMMAND:
+        return frozenset((width,))
+    return _ACKNOWLEDGED_LENGTHS[request.COMMAND]
+
+
+_NOTHING, _STATUS = frozenset((0,)), frozenset((11,))
+_ACKNOWLEDGED_LENGTHS = {
+    0x81: _STATUS,
+    0x82: _NOTHING,
+    0x83: _NOTHING,
+    0x84: _NOTHING,
+    0x85: frozenset((1, 2, 4)),
+    0x86: frozenset((0, 1, 2, 4)),
+    0x87: _NOTHING,
+    0x88: _NOTHING,
+}
+
+
+def usual_reply_bytes(request: Request, dialect: Dialect) -> int:
+    """Bytes on the wire of an ordinary answer, nothing in it being 10h; 0 where nothing answers."""
+    return _reply_bytes(request, dialect, bytes_per_byte=1)
+
+
+def least_reply_bytes(request: Request, dialect: Dialect) -> int:
+    """Bytes on the wire of the shortest acknowledgement; 0 where nothing answers."""
+    if request.unit == 0:
+        return 0
+    return _FRAME_OVERHEAD + 2 + min(acknowledged_lengths(request, dialect))
+
+
+def longest_reply_bytes(request: Request, dialect: Dialect) -> int:
+    """Bytes on the wire of the longest answer, every byte of it being 10h; 0 where nothing answers."""
+    doubled_checksum = 1 if request.unit and dialect.checksum_10h == "twice" else 0
+    return _reply_bytes(request, dialect, bytes_per_byte=2) + doubled_checksum
+
+
+def _reply_bytes(request: Request, dialect: Dialect, bytes_per_byte: int) -> int:
+    if request.unit == 0:
+        return 0
+    nak_data = 1
+    data = max(nak_data, *acknowledged_lengths(request, dialect))
+    return _FRAME_OVERHEAD + bytes_per_byte * (2 + data)
+
+
+def wire_seconds(byte_count: int, baud: int) -> float:
+    """How long ``byte_count`` bytes take at ``baud``, ten bits each."""
+    return byte_count * BITS_PER_BYTE / baud
