@@ -52,6 +52,9 @@ function watch(form) {
   );
 }
 
+/** A part of the page that is fetched as the page is opened or on its way, and not because somebody pressed. */
+const isByItself = (source) => source.hasAttribute("hx-trigger");
+
 /** The review is over without a command: the button is gone and the reason stays. */
 function end(form, reason) {
   close();
@@ -141,9 +144,8 @@ export function start() {
   });
   document.addEventListener("htmx:before:request", (event) => {
     const { request, sourceElement: source } = event.detail.ctx;
-    // What fetches itself, as a page is opened or on its way, only reads; it may come before the first word.
-    const readsByItself = request.method === "GET" && source.hasAttribute("hx-trigger");
-    if (!isLive() && !readsByItself) return event.preventDefault();
+    // What only reads may come before the first word.
+    if (!isLive() && !(request.method === "GET" && isByItself(source))) return event.preventDefault();
     if (source.matches("[data-review]")) asked(source);
   });
   document.addEventListener("htmx:after:swap", (event) => {
@@ -153,8 +155,9 @@ export function start() {
     const named = event.detail.ctx.target;
     const target = typeof named === "string" ? document.querySelector(named) : named;
     if (target === content) opened();
-    // What is said beside a field may be out of sight: on a phone the button is a pad below it.
-    else if (target?.matches("[role=status]") && target.firstElementChild)
+    // What is said beside a field may be out of sight: on a phone the button is a pad below it. Only to whoever
+    // has pressed: a page never moves by itself.
+    else if (target?.matches("[role=status]") && target.firstElementChild && !isByItself(event.detail.ctx.sourceElement))
       target.scrollIntoView({ block: "nearest" });
   });
   document.addEventListener("htmx:error", () => {

@@ -110,3 +110,13 @@ async def test_an_old_press_sends_nothing_and_says_so(house: House) -> None:
     assert (late.status_code, "too late" in late.text) == (409, True)
     lapsed = await client.post("/units/dry-end/1/speed", data=form)
     assert (lapsed.status_code, "lapsed" in lapsed.text) == (409, True)
+
+
+async def test_who_may_only_look_is_told_so_where_the_line_is_set_to_zero(house: House) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    for path in ("/", "/units/dry-end/1", "/trends", "/account"):
+        assert 'hx-get="/line/zero"' in (await viewer.get(path)).text, path
+    said = await viewer.get("/line/zero")
+    assert "An operator may set the line to zero" in said.text
+    assert "data-review-act" not in said.text
+    assert (await viewer.post("/line/zero", data={"id": "a", "reviewed_at": "1"})).status_code == 403

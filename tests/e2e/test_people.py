@@ -88,7 +88,10 @@ def opened(page: Page, path: str) -> Page:
 
 def test_control_is_taken_seen_handed_over_and_given_back(site: Site, browser_page: OpensPages) -> None:
     anna = opened(browser_page("operator", viewport=PANEL), "/bus/line")
+    anna.evaluate("document.addEventListener('htmx:after:swap', () => document.body.dataset.swapped = '')")
     ben = opened(browser_page("engineer", viewport=PANEL), "/bus/line")
+    expect(anna.locator("body[data-swapped]")).to_be_attached()
+    assert anna.evaluate("scrollY") == 0, "a page must not move because somebody came"
     looks = opened(browser_page("viewer", viewport=PANEL), "/units/line/1")
     expect(anna.locator("[data-people]")).to_contain_text("engineer · engineer")
     expect(looks.locator("[data-live='people.count']")).to_have_text("3")
@@ -108,7 +111,7 @@ def test_control_is_taken_seen_handed_over_and_given_back(site: Site, browser_pa
 
     ben.get_by_role("button", name="Give control back").click()
     expect(anna.get_by_role("button", name="Take control")).to_be_visible()
-    expect(looks.locator("[data-live='whole_line.holder']")).to_have_text("\u2013")
+    expect(looks.locator("[data-live='whole_line.holder']")).to_have_text("nobody")
 
 
 @pytest.mark.usefixtures("holder")

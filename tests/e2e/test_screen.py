@@ -162,6 +162,9 @@ def test_a_panel_is_cleaned_without_setting_anything(browser_page: OpensPages) -
 
 def test_a_viewer_sees_no_control(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PANEL), "/units/line/1")
-    expect(page.locator("[data-command]")).to_have_count(0)
+    expect(page.locator(".main [data-command]")).to_have_count(0)
+    page.get_by_role("button", name="Set line to zero").click()
+    expect(page.locator("#review")).to_contain_text("An operator may set the line to zero")
+    expect(page.locator("[data-review-act]")).to_have_count(0)
     opened(page, "/setpoints")
-    expect(page.locator("[data-command], [data-new]")).to_have_count(0)
+    expect(page.locator(".main [data-command], [data-new]")).to_have_count(0)

@@ -1,0 +1,28 @@
+from __future__ import annotations
+
+import pytest
+
+from app.live.totals import holders
+from tests.app.screens import voice
+
+
+@pytest.mark.parametrize(
+    ("held_by", "said", "german"),
+    [
+        ({"line": ""}, "", ""),
+        ({"line": "anna"}, "anna", "anna"),
+        ({"line": "", "wet": ""}, "", ""),
+        ({"line": "anna", "wet": "anna"}, "anna, every bus", "anna, jeder Bus"),
+        ({"line": "anna", "wet": "ben"}, "line: anna, wet: ben", "line: anna, wet: ben"),
+        ({"line": "", "wet": "ben"}, "line: nobody, wet: ben", "line: niemand, wet: ben"),
+        (
+            {"line": "", "wet": "ben", "dry": ""},
+            "wet: ben, the others: nobody",
+            "wet: ben, die anderen: niemand",
+        ),
+        ({"line": "a (token)", "wet": ""}, "line: a (token), wet: nobody", "line: a (token), wet: niemand"),
+    ],
+)
+def test_who_holds_control_is_said_with_the_bus(held_by: dict[str, str], said: str, german: str) -> None:
+    texts = [holders(held_by, voice(tag)).replace("\u00a0", " ") for tag in ("en", "de")]
+    assert texts == [said, german]
