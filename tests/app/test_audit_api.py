@@ -182,3 +182,16 @@ async def test_a_german_reads_and_searches_numbers_in_german_writing(house: Hous
         row = page.split(f'id="event-{number}"')[1].split("</tr>")[0]
         assert ("48,0" in row, "1250,5" in row, "48.0" in row) == (True, True, False)
     assert "48.0" in (await viewer.get("/events", headers={"Accept-Language": "en"})).text
+
+
+async def test_what_people_have_named_and_written_is_not_translated(house: House) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    said: dict[str, Any] = {"who": "ann", "bus": "dry-end", "unit": 1}
+    await house.services.events.record(
+        kind="control", what="control handed over", old="operator", new="user", **said
+    )
+    await house.services.events.record(kind="block", what="unit blocked", new="ramping", **said)
+    page = (await viewer.get("/events", headers={"Accept-Language": "de"})).text
+    assert '<td class="event__old number">operator</td>' in page
+    assert '<td class="event__new number">user</td>' in page
+    assert '<td class="event__new number">ramping</td>' in page

@@ -12,6 +12,11 @@ import string
 from collections.abc import Callable, Mapping
 
 MOST_REMEMBERED = 2000
+AS_TYPED = frozenset({"called", "typed"})
+"""In a pattern, the braces of a name that people have given and of what they have written."""
+
+NARROW = {"lowest": r"\S", "highest": r"\S", "unit": "[^;:]", "units": "[^;:]"}
+"""Of what signs a number or a list of numbers can be, lest one pattern swallows the half of two sentences."""
 
 
 class Sentences:
@@ -42,13 +47,16 @@ class Sentences:
 
 
 def _value(name: str, value: str, t: Callable[[str], str]) -> str:
-    """A word that names somebody is said as it is: a user may be called ``operator``."""
-    return value if name == "who" and " " not in value else t(value)
+    """What people have called somebody or something, or have typed, is said as it is: a user may be called
+    ``operator``, and a recipe ``at speed``. ``who`` may also be a sentence of the program's own."""
+    if name in AS_TYPED or (name == "who" and " " not in value):
+        return value
+    return t(value)
 
 
 def _expression(pattern: str) -> re.Pattern[str]:
     parts = (
-        re.escape(literal) + (f"(?P<{name}>.+?)" if name else "")
+        re.escape(literal) + (f"(?P<{name}>{NARROW.get(name, '.')}+?)" if name else "")
         for literal, name, _, _ in string.Formatter().parse(pattern)
     )
     return re.compile("".join(parts), re.DOTALL)
