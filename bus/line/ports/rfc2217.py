@@ -38,7 +38,8 @@ def _rfc2217_transport() -> Any:
     """serialx's own, which takes servers as they are.
 
     Many never acknowledge the masks of line and modem states (RFC 2217, 3), which mean nothing on RS-422, and
-    many speak first: what they say before the connection is known to be there would be an error.
+    many speak first: what they say before the connection is known to be there would be an error. serialx has
+    neither a setting nor a public method for that, so inner ones are overridden, and its version is bounded.
     """
     from serialx.platforms.serial_rfc2217 import RFC2217SerialTransport
     from serialx.platforms.serial_rfc2217.types import SetLinestateMaskCmd, SetModemstateMaskCmd
