@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from app.live.age import worker_is_silent
 from app.live.fields import STATE_WORDS, Voice, bits_of, mode_of
 from app.live.motion import State
 from app.live.state import BusLive, UnitLive
@@ -70,10 +71,12 @@ class Tally:
         self.off_speed += sight.state == "off_speed"
 
 
-def bus_trouble(bus: BusLive, voice: Voice) -> Trouble | None:
+def bus_trouble(bus: BusLive, voice: Voice, now: float) -> Trouble | None:
     """What is wrong with a whole bus."""
     if not bus.worker_connected:
         return Trouble("urgent", voice.t("the bus worker is not connected"), "worker")
+    if bus.figures is not None and worker_is_silent(bus, now):
+        return Trouble("urgent", voice.t("the bus worker says nothing"), "worker", bus.figures.at)
     if bus.link.link == "closed":
         cause = f": {voice.t(bus.link.cause)}" if bus.link.cause else ""
         return Trouble("urgent", voice.t("the port is closed") + cause, "port", bus.link.at)

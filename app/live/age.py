@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from app.live.state import BusLive, UnitLive
-from bus.contract import UnitLinkState
+from bus.contract import BusFigures, UnitLinkState
 from bus.settings import BITS_PER_BYTE, BusSettings
 
 POLL_BYTES = 25
 """81h and its answer (manual, 2.2): 7 bytes out, 18 back."""
 OFFLINE_SCANS = 5
+WORKER_SILENT_AFTER_S = 2.0
+"""A worker tells its figures every second, and beside them whatever its units say."""
 
 
 def stale_after_s(scan_s: float) -> float:
@@ -47,3 +49,18 @@ def unit_link_now(bus: BusLive, unit: UnitLive, now: float) -> UnitLinkState:
     if said != "online" or bus.link.link == "closed" or age > stale_after_s(scan_s):
         return "stale"
     return "online"
+
+
+def worker_is_silent(bus: BusLive, now: float) -> bool:
+    """Whether a worker that is connected says nothing: its process stands still, or the way to it is cut."""
+    if not bus.worker_connected or bus.figures is None:
+        return False
+    since = now - WORKER_SILENT_AFTER_S
+    return bus.figures.at < since and all(
+        unit.reading is None or unit.reading.at < since for unit in bus.units.values()
+    )
+
+
+def figures_now(bus: BusLive, now: float) -> BusFigures | None:
+    """The figures of a bus as far as they are of this moment."""
+    return None if bus.link.link == "closed" or worker_is_silent(bus, now) else bus.figures

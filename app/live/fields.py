@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from app.live.age import offline_after_s, scan_s_of, stale_after_s
+from app.live.age import figures_now, offline_after_s, scan_s_of, stale_after_s
 from app.live.motion import State
 from app.live.state import BusLive, UnitLive, follower
 from app.web.formats import UNKNOWN, Formats
@@ -93,7 +93,7 @@ def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, state: State,
     return fields
 
 
-def bus_fields(bus: BusLive, voice: Voice) -> Fields:
+def bus_fields(bus: BusLive, voice: Voice, now: float) -> Fields:
     """The figures of one bus, and for how long its units' readings count as fresh."""
     scan_s = scan_s_of(bus)
     cause = voice.t(bus.link.cause) if bus.link.link == "closed" else ""
@@ -114,8 +114,8 @@ def bus_fields(bus: BusLive, voice: Voice) -> Fields:
         "noise": UNKNOWN,
         "diagnosis": cause,
     }
-    figures = bus.figures
-    if figures is None or bus.link.link == "closed":
+    figures = figures_now(bus, now)
+    if figures is None:
         return fields
     number = voice.formats.number
     return fields | {

@@ -65,7 +65,7 @@ class Screen:
         for number in units:
             self._put(changed, unit_key(bus_name, number), self._unit(bus_name, bus, bus.units[number], now))
         if whole_bus:
-            fields = bus_fields(bus, self.voice) | {"recipe": self._recipe(bus_name)}
+            fields = bus_fields(bus, self.voice, now) | {"recipe": self._recipe(bus_name)}
             self._put(changed, bus_name, fields)
         if whole_bus or not all(_DECIDES.isdisjoint(fields) for fields in changed.values()):
             self._put(changed, WHOLE_LINE, self._line(now))
@@ -119,7 +119,7 @@ class Screen:
         drifted = self.drift(bus_name, number, self.voice, now)
         sight = Sight(unit, link, motion.state, blocked, overdue, drifted.words, motion.since)
         trouble = unit_trouble(bus, sight, self.voice)
-        if trouble is not None and trouble.code in _OF_THE_LINK and bus_trouble(bus, self.voice):
+        if trouble is not None and trouble.code in _OF_THE_LINK and bus_trouble(bus, self.voice, now):
             trouble = None
         self._judged[unit_key(bus_name, number)] = (sight, trouble)
         fields = unit_fields(bus, unit, sight.link, sight.state, self.voice)
@@ -142,7 +142,7 @@ class Screen:
 
     def _line(self, now: float) -> Fields:
         self.entries = entries_of(self.live, self._judged, self.voice, now)
-        return line_fields(self.live, self._judged, self.entries, self.voice)
+        return line_fields(self.live, self._judged, self.entries, self.voice, now)
 
 
 def _is_overdue(bus: BusLive, unit: UnitLive, now: float) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from app.live.abnormal import LEVELS, Sight, Tally, Trouble, bus_trouble, verdict, worst
+from app.live.age import figures_now
 from app.live.fields import Fields, Voice, unit_key
 from app.live.state import BusLive, LiveState
 from app.web.formats import UNKNOWN
@@ -33,13 +34,13 @@ def entries_of(live: LiveState, judged: Judged, voice: Voice, now: float) -> lis
     """Everything that is not well, the worst first, in floor order; one cause is said once."""
     found: list[tuple[str, str, Trouble]] = []
     for name, bus in live.buses.items():
-        trouble = bus_trouble(bus, voice) or _all_silent(name, bus, judged, voice)
+        trouble = bus_trouble(bus, voice, now) or _all_silent(name, bus, judged, voice)
         found += [(name, name, trouble)] if trouble is not None else _of_units(name, bus, judged)
     found.sort(key=lambda entry: LEVELS.index(entry[2].level))
     return [Entry(key, name, trouble, _since(trouble, voice, now)) for key, name, trouble in found]
 
 
-def line_fields(live: LiveState, judged: Judged, entries: list[Entry], voice: Voice) -> Fields:
+def line_fields(live: LiveState, judged: Judged, entries: list[Entry], voice: Voice, now: float) -> Fields:
     """The fields of the whole line."""
     tally = Tally()
     for sight, _ in judged.values():
@@ -59,7 +60,7 @@ def line_fields(live: LiveState, judged: Judged, entries: list[Entry], voice: Vo
         ),
         "troubles": f"{len(entries)}",
         "named": _named(entries, judged, voice),
-    } | _figures(live, voice)
+    } | _figures(live, voice, now)
 
 
 def holders(held_by: Mapping[str, str], voice: Voice) -> str:
@@ -111,15 +112,13 @@ def _named(entries: list[Entry], judged: Judged, voice: Voice) -> str:
     return " · ".join(buses + blocks)
 
 
-def _figures(live: LiveState, voice: Voice) -> Fields:
+def _figures(live: LiveState, voice: Voice, now: float) -> Fields:
     """The slowest scan and the fullest wire of all buses."""
-    open_figures = [
-        bus.figures for bus in live.buses.values() if bus.figures is not None and bus.link.link == "open"
-    ]
-    if not open_figures:
+    known = [figures for bus in live.buses.values() if (figures := figures_now(bus, now)) is not None]
+    if not known:
         return {"scan": UNKNOWN, "wire": UNKNOWN}
     number = voice.formats.number
     return {
-        "scan": f"{number(max(figures.scan_s for figures in open_figures), 2)} s",
-        "wire": f"{number(100 * max(figures.wire_utilisation for figures in open_figures))} %",
+        "scan": f"{number(max(figures.scan_s for figures in known), 2)} s",
+        "wire": f"{number(100 * max(figures.wire_utilisation for figures in known))} %",
     }

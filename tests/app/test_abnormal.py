@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.live.abnormal import Sight, Tally, bus_trouble, unit_trouble, verdict
+from app.live.abnormal import Sight, Tally, Trouble, bus_trouble, unit_trouble, verdict
 from app.live.motion import State
 from app.live.suspicion import suspicion
 from app.live.view import unit_json
@@ -92,15 +92,27 @@ def test_one_poll_missed_is_no_trouble_yet() -> None:
 def test_a_bus_says_worker_or_port() -> None:
     live = line()
     bus = live.buses["dry"]
-    assert bus_trouble(bus, voice()) is None
+    assert bus_trouble(bus, voice(), 100.5) is None
     live.apply("dry", [BusLink(at=1, link="closed", cause="no such device")])
-    found = bus_trouble(bus, voice())
+    found = bus_trouble(bus, voice(), 100.5)
     assert found is not None
     assert found.text == "the port is closed: no such device"
     bus.worker_connected = False
-    found = bus_trouble(bus, voice())
+    found = bus_trouble(bus, voice(), 100.5)
     assert found is not None
     assert found.code == "worker"
+
+
+def test_a_worker_that_stands_still_is_named_before_its_units() -> None:
+    live = line()
+    bus = live.buses["dry"]
+    figures = BusFigures(at=100.0, scan_hz=4.8, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3)
+    live.apply("dry", [figures])
+    assert bus_trouble(bus, voice(), 101.9) is None
+    found = bus_trouble(bus, voice("de"), 102.1)
+    assert found == Trouble("urgent", "der Busdienst sagt nichts", "worker", 100.0)
+    live.apply("dry", [reading(at=102.0)])
+    assert bus_trouble(bus, voice(), 102.1) is None, "a unit was heard through it"
 
 
 @pytest.mark.parametrize(

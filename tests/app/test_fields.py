@@ -77,7 +77,7 @@ def test_analog_is_in_its_units() -> None:
 
 
 def test_a_bus_without_figures_says_that_it_does_not_know() -> None:
-    shown = bus_fields(line().buses["dry"], voice())
+    shown = bus_fields(line().buses["dry"], voice(), 100.5)
     assert (shown["scan"], shown["wire"]) == ("–", "–")  # noqa: RUF001
     assert shown["stale_after"] == "2.00"
 
@@ -85,7 +85,7 @@ def test_a_bus_without_figures_says_that_it_does_not_know() -> None:
 def test_the_rate_of_a_bus_is_said_wherever_it_is_shown() -> None:
     live = line()
     live.apply("dry", [BusLink(at=100.0, link="open", baud=4800)])
-    shown = bus_fields(live.buses["dry"], voice("de"))
+    shown = bus_fields(live.buses["dry"], voice("de"), 100.5)
     assert (shown["baud"], shown["carries"]) == ("4800", "dessen, was 4800 Baud tragen")
 
 
@@ -95,7 +95,7 @@ def test_a_bus_s_figures_are_texts() -> None:
         "dry",
         [BusFigures(at=100.0, scan_hz=4.8, scan_s=1.5, wire_utilisation=0.976, scan_s_with_one_more=1.6)],
     )
-    shown = bus_fields(live.buses["dry"], voice("de"))
+    shown = bus_fields(live.buses["dry"], voice("de"), 100.5)
     assert (shown["scan"], shown["wire"], shown["stale_after"]) == ("1,50 s", "98 %", "3.00")
 
 

@@ -82,6 +82,7 @@ def test_a_dead_worker_is_named_and_comes_back(own_site: Site, browser_page: Ope
     os.kill(worker, signal.SIGSTOP)
     try:
         expect(page.locator('[data-unit="line/1"]')).not_to_have_attribute("data-quality", "online")
+        expect(page.locator("[data-strip]")).to_contain_text("the bus worker says nothing")
     finally:
         os.kill(worker, signal.SIGKILL)
     expect(page.locator("[data-strip]")).to_contain_text("bus worker")
