@@ -5,10 +5,13 @@ from __future__ import annotations
 import ast
 import re
 import string
+from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
+from app.audit.kinds import Kind
 from app.live.fields import STATE_WORDS
 from app.live.hub import STAGE_WORDS
 from app.web.access import Role
@@ -18,9 +21,67 @@ from bus.catalogue.parameters import PARAMETERS
 from bus.errors import UnitErrorCode, unit_error_name
 
 APP = Path(__file__).resolve().parents[2] / "app"
+BUS = APP.parent / "bus"
 COMMENT = re.compile(r"\{#.*?#\}", re.DOTALL)
 CALL = re.compile(r"""(?<![\w.])t\(\s*(?:"((?:[^"\\]|\\.)*)"|'((?:[^'\\]|\\.)*)')""")
 FILLED = "X1"
+SQL = re.compile(r"\s*(SELECT|INSERT|UPDATE|DELETE|CREATE|PRAGMA|WITH|ALTER|DROP|FROM|WHERE|AND|ORDER|JOIN) ")
+FOR_PROGRAMS = (
+    *("app/cli", "app/metrics", "app/audit/chain.py", "app/settings.py", "app/web/schema.py"),
+    *("app/feed/ingest.py", "app/feed/socket.py", "bus/configuration.py", "bus/settings.py"),
+    *("bus/simulator", "bus/wire", "bus/worker/uplink.py"),
+)
+"""What is said on a console, in a log or between our own programs; no page shows it."""
+UNSEEN_CALLS = {
+    "info",
+    "warning",
+    "error",
+    "exception",
+    "Query",
+    "Path",
+    "Body",
+    "Field",
+    "create_task",
+    "begin",
+}
+UNSEEN_KEYWORDS = {"description", "summary", "title", "help", "name"}
+PARTS = {
+    "is refused from now on": "user ann is refused from now on",
+    "may sign in again": "user ann may sign in again",
+    "a block of the history was damaged, it was worked out again: X1": (
+        "a block of the history was damaged, it was worked out again: hours of dry-end/1 from 03:00 on"
+    ),
+    "a block of the history is damaged, it is missing: X1": (
+        "a block of the history is damaged, it is missing: readings of dry-end/1 from 03:00 on"
+    ),
+    "bus worker X1, port X1": "bus worker is back, port /dev/ttyUSB0",
+    "clock of X1 stepped by X1 s": "clock of the bus worker stepped by +1.000 s",
+    "parameter set X1 taken of unit X1, X1": "parameter set 3 taken of unit 1, 2, by hand",
+    "the unit of the set": "the unit of the set has 20 of 40 parameters only",
+    "X1 has X1 of X1 parameters only": "this unit has 20 of 40 parameters only",
+    "restored from X1: X1": "restored from set 3 of unit 1: done: #6; in doubt: #7",
+    "unit swap begun, from X1": "unit swap begun, from set 3",
+    "X1 at address X1": "a unit answers at address 3 in REMOTE",
+    ", not in REMOTE": "a unit answers at address 3, not in REMOTE",
+    "X1 is not there: is the adapter plugged in?X1": (
+        "/dev/ttyUSB0 is not there: is the adapter plugged in? There is: /dev/serial/by-id/x"
+    ),
+    " while X1 is active": "its commanded speed reads 5 while preset and LOCAL is active",
+    "X1: no unit was changedX1": "unit 3 did not answer: no unit was changed; may still be staged in unit 1",
+    "; may still be staged in unit X1": "unit 3 refused: illegal speed value: no unit was changed",
+}
+"""Pieces of a sentence → one that is built of them."""
+UNSEEN = {
+    "X1 (X1 of unit key X1 from X1)": "a log",
+    "X1, at the panel": "both of its texts are looked up by app.sets.drift",
+    "History: something that was kept was damaged; the events say what is missing, the rest is ": "a half",
+    "whole. Check the disk.": "the other half",
+    "no history is kept, everything else works": "said with its time and cause",
+    "of a size that cannot be known now": "has a pattern of its own",
+    "a worker says hello first": "said to a program",
+    'it must be a JSON object, {"…": …}, sent as Content-Type: application/json': "said to a program",
+}
+"""Sentences that no page shows as they stand, and why."""
 OTHERS = [tag.tag for tag in Languages() if tag.tag != "en"]
 
 
@@ -70,6 +131,62 @@ def built() -> set[str]:
     return {text for text in found if re.search("[a-z]{2,} [a-z]", text)}
 
 
+def spoken() -> dict[str, str]:
+    """Every sentence of four words and more in a file whose words a page may show → the file."""
+    found = {}
+    for path in [*APP.rglob("*.py"), *BUS.rglob("*.py")]:
+        name = path.relative_to(APP.parent).as_posix()
+        if not name.startswith(FOR_PROGRAMS):
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            unseen = {id(each) for part in unseen_parts(tree) for each in ast.walk(part)}
+            for node in ast.walk(tree):
+                if id(node) not in unseen:
+                    found[text_of(node)] = name
+    return {
+        text: name
+        for text, name in found.items()
+        if len(text.split()) > 3 and re.search("[a-z]{2,} [a-z]", text) and not SQL.match(text)
+    }
+
+
+def unseen_parts(tree: ast.AST) -> Iterator[ast.AST]:
+    """Docstrings, what is logged or described to programs, and the pieces of a sentence with braces."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Expr(value=ast.Constant()):
+                yield node
+            case ast.JoinedStr():
+                yield from node.values
+            case ast.Call(func=ast.Attribute(attr=name) | ast.Name(id=name)) if name in UNSEEN_CALLS:
+                yield from node.args
+                yield from node.keywords
+            case ast.keyword(arg=name) if name in UNSEEN_KEYWORDS:
+                yield node.value
+
+
+def text_of(node: ast.AST) -> str:
+    match node:
+        case ast.Constant(value=str(text)):
+            return text
+        case ast.JoinedStr():
+            return sentence(node)
+    return ""
+
+
+def noted() -> set[str]:
+    """What is written into the events in fixed words."""
+    found = set()
+    for path in APP.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            match node:
+                case ast.Call(
+                    func=ast.Attribute(attr="record" | "_record") | ast.Name(id="Wording" | "Change")
+                ):
+                    given = [*node.args, *(one.value for one in node.keywords)]
+                    found |= {text_of(each) for each in given if isinstance(each, ast.Constant)}
+    return found - {""} - set(get_args(Kind))
+
+
 def sentence(node: ast.JoinedStr) -> str:
     return "".join(str(part.value) if isinstance(part, ast.Constant) else FILLED for part in node.values)
 
@@ -97,7 +214,30 @@ def test_every_sentence_that_is_raised_is_found_by_its_pattern(tag: str) -> None
     assert sorted(text for text in built() if language.t(text) == text) == []
 
 
+@pytest.mark.parametrize("tag", OTHERS)
+def test_every_sentence_in_the_code_is_translated(tag: str) -> None:
+    language = Languages()[tag]
+    untold = {text: name for text, name in spoken().items() if language.t(text) == text}
+    assert {text: name for text, name in untold.items() if text not in PARTS.keys() | UNSEEN.keys()} == {}
+
+
+@pytest.mark.parametrize("tag", OTHERS)
+@pytest.mark.parametrize("whole", PARTS.values())
+def test_what_is_built_of_pieces_is_translated_whole(tag: str, whole: str) -> None:
+    said = Languages()[tag].t(whole)
+    assert said != whole
+    assert not set(re.findall("[a-z]+", said.lower())) & {"the", "of", "unit"}
+
+
+@pytest.mark.parametrize("tag", OTHERS)
+def test_every_word_of_the_events_is_translated(tag: str) -> None:
+    language = Languages()[tag]
+    assert sorted(text for text in noted() if language.t(text) == text) == []
+
+
 def test_the_search_finds_texts_at_all() -> None:
     assert "Set line to zero" in in_templates()
     assert "verified" in in_code()
     assert f"set {FILLED} does not hold unit {FILLED}" in built()
+    assert f"no answer to {FILLED} questions in a row" in spoken()
+    assert "unit blocked" in noted()
