@@ -17,7 +17,8 @@ from starlette.routing import Match
 from starlette.websockets import WebSocket
 
 from app.errors import Problem, StoreError
-from app.web.templating import render
+from app.web.access import person_of
+from app.web.templating import render, templates_of
 from bus.errors import CallerError
 
 log = structlog.get_logger()
@@ -46,14 +47,14 @@ def is_fragment(connection: HTTPConnection) -> bool:
     return connection.headers.get("hx-request") == "true"
 
 
-def problem_json(problem: Problem) -> JSONResponse:
-    """The problem as ``application/problem+json``."""
+def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
+    """The problem as ``application/problem+json``; ``detail`` instead of its own English sentence."""
     content = {
         "type": "about:blank",
         "title": HTTPStatus(problem.status).phrase,
         "status": problem.status,
         "code": problem.code,
-        "detail": problem.detail,
+        "detail": detail or problem.detail,
         **problem.extra,
     }
     return JSONResponse(content, problem.status, problem.headers, "application/problem+json")
@@ -70,9 +71,20 @@ async def refuse_socket(socket: WebSocket, problem: Problem) -> None:
 def respond(request: Request, problem: Problem) -> Response:
     """The problem in the form that whoever asks can read."""
     if wants_json(request):
-        return problem_json(problem)
+        return problem_json(problem, _detail(request, problem))
     template = "web/_problem.html" if is_fragment(request) else "web/problem.html"
     return render(request, template, status=problem.status, headers=problem.headers, problem=problem)
+
+
+def _detail(request: Request, problem: Problem) -> str:
+    """A page that asks the API shows the sentence to a person, in that person's language; a program that
+    comes with a token gets it in English."""
+    person = person_of(request)
+    if person is None or person.via != "session":
+        return problem.detail
+    templates = templates_of(request)
+    language = templates.language_of(request)
+    return templates.formats(language.tag).sentence(language.t(problem.detail))
 
 
 def _place(location: Sequence[int | str]) -> str:

@@ -14,7 +14,7 @@ async function get(path, query, signal) {
 async function answered(response) {
   if (response.ok) return response.json();
   const problem = await response.json().catch(() => ({}));
-  throw new Error(problem.detail ?? `${response.status} ${response.statusText}`);
+  throw new Error(problem.detail ?? response.status);
 }
 
 const spanOf = ([from, to]) => ({ from: iso(from), to: iso(Math.max(to, from + 0.001)) });

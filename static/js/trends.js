@@ -82,8 +82,9 @@ async function fetchAll() {
     byId("trend-fault").textContent = "";
     drawAll();
   } catch (error) {
-    if (error.name !== "AbortError")
-      byId("trend-fault").textContent = words.fault.replace("{n}", error.message);
+    // A browser's own words for a request that came to nothing are in its language, not in the page's.
+    const why = error instanceof TypeError ? words.silent : error.message;
+    if (error.name !== "AbortError") byId("trend-fault").textContent = words.fault.replace("{n}", why);
   }
 }
 

@@ -243,3 +243,10 @@ async def test_a_unit_named_twice_is_read_by_nobody(engineer: httpx.AsyncClient)
     answer = await engineer.post("/api/v1/buses/dry-end/sets", json={"units": [1, 1]})
     check_problem(answer, 422, "invalid")
     assert answer.json()["detail"].startswith("units: 1 is given twice")
+
+
+async def test_a_page_that_asks_the_api_is_refused_in_the_language_of_its_person(house: House) -> None:
+    german = {"accept-language": "de"}
+    person, program = await house.signed_in(Role.VIEWER), await house.program(Role.VIEWER)
+    assert (await person.get("/api/v1/nowhere", headers=german)).json()["detail"].startswith("unter /api/v1")
+    assert (await program.get("/api/v1/nowhere", headers=german)).json()["detail"].startswith("there is")
