@@ -88,7 +88,8 @@ class Drifts:
 
     def unread(self, bus: str, unit: int) -> int:
         """How many parameters have not been read from the unit since the server started."""
-        return len(PARAMETERS) - len(self._state.buses[bus].units[unit].parameters)
+        known = self._state.buses[bus].units[unit].parameters
+        return sum(number not in known for number in PARAMETERS)
 
     def told(self, bus: str, unit: int, voice: Voice, now: float) -> Drifted:
         """The same for the line, and what the list of them on the unit's page depends on."""

@@ -108,3 +108,20 @@ async def test_a_language_that_is_not_there(house: House) -> None:
     client = await house.signed_in(Role.VIEWER)
     answer: httpx.Response = await client.post("/account/language", data={"language": "../x"})
     assert answer.status_code == 422
+
+
+@pytest.mark.parametrize(
+    ("english", "german"),
+    [
+        ("write #12 Up to Speed Tolerance (86h)", "#12 Up to Speed Tolerance geschrieben (86h)"),
+        (
+            "unit 1: its commanded speed reads 5; unit 2, which was not part of the change: "
+            "its commanded speed reads 7 while up and LOCAL is active",
+            "Regler 1: sein Sollwert lautet 5; Regler 2, der nicht zur Änderung gehörte: "
+            "sein Sollwert lautet 7, während Auf und LOCAL aktiv sind",
+        ),
+        ("lowest 0, largest step 50", "niedrigster 0, größter Schritt 50"),
+    ],
+)
+def test_a_pattern_takes_no_more_than_its_own(english: str, german: str) -> None:
+    assert Languages()["de"].t(english) == german

@@ -29,7 +29,7 @@ SQL = re.compile(r"\s*(SELECT|INSERT|UPDATE|DELETE|CREATE|PRAGMA|WITH|ALTER|DROP
 FOR_PROGRAMS = (
     *("app/cli", "app/metrics", "app/audit/chain.py", "app/settings.py", "app/web/schema.py"),
     *("app/feed/ingest.py", "app/feed/socket.py", "bus/configuration.py", "bus/settings.py"),
-    *("bus/simulator", "bus/wire", "bus/worker/uplink.py"),
+    *("bus/simulator", "bus/wire", "bus/worker/uplink.py", "bus/__main__.py", "app/web/routes.py"),
 )
 """What is said on a console, in a log or between our own programs; no page shows it."""
 UNSEEN_CALLS = {
@@ -49,10 +49,10 @@ PARTS = {
     "is refused from now on": "user ann is refused from now on",
     "may sign in again": "user ann may sign in again",
     "a block of the history was damaged, it was worked out again: X1": (
-        "a block of the history was damaged, it was worked out again: hours of dry-end/1 from 03:00 on"
+        "a block of the history was damaged, it was worked out again: the hours of dry-end/1 from 03:00 on"
     ),
     "a block of the history is damaged, it is missing: X1": (
-        "a block of the history is damaged, it is missing: readings of dry-end/1 from 03:00 on"
+        "a block of the history is damaged, it is missing: every reading of dry-end/1 from 03:00 on"
     ),
     "bus worker X1, port X1": "bus worker is back, port /dev/ttyUSB0",
     "clock of X1 stepped by X1 s": "clock of the bus worker stepped by +1.000 s",
@@ -68,6 +68,18 @@ PARTS = {
     ),
     " while X1 is active": "its commanded speed reads 5 while preset and LOCAL is active",
     "X1: no unit was changedX1": "unit 3 did not answer: no unit was changed; may still be staged in unit 1",
+    "X1: it counts parameters otherwise, or answers for another": (
+        "#17 says 4, not 3: it counts parameters otherwise, or answers for another"
+    ),
+    "unit X1: a step X1 needs a review, because the largest without one is X1": (
+        "unit 3: a step of 50 needs a review, because the largest without one is 20; confirm it"
+    ),
+    "X1: there is no such parameter; X1; nothing was sent": (
+        "sort: there is no such parameter; there are: from, to; nothing was sent"
+    ),
+    "unit X1 X1, X1 X1: its state is not known": (
+        "unit 3 did not acknowledge, and it reads 5: its state is not known"
+    ),
     "; may still be staged in unit X1": "unit 3 refused: illegal speed value: no unit was changed",
 }
 """Pieces of a sentence → one that is built of them."""
@@ -80,6 +92,7 @@ UNSEEN = {
     "of a size that cannot be known now": "has a pattern of its own",
     "a worker says hello first": "said to a program",
     'it must be a JSON object, {"…": …}, sent as Content-Type: application/json': "said to a program",
+    "X1 needs one more package: pip install 'lineside[rfc2217]'": "what is to be typed stays",
 }
 """Sentences that no page shows as they stand, and why."""
 OTHERS = [tag.tag for tag in Languages() if tag.tag != "en"]
@@ -147,6 +160,12 @@ def spoken() -> dict[str, str]:
         for text, name in found.items()
         if len(text.split()) > 3 and re.search("[a-z]{2,} [a-z]", text) and not SQL.match(text)
     }
+
+
+def left_as_it_is(text: str, said: str) -> list[str]:
+    """The clauses that stand in both: a general pattern says what it joins one by one."""
+    clauses = re.split("[;:] ", text)
+    return [each for each in clauses if each in said and re.search("[a-z]{2,} [a-z]{2,}", each)]
 
 
 def unseen_parts(tree: ast.AST) -> Iterator[ast.AST]:
@@ -217,7 +236,7 @@ def test_every_sentence_that_is_raised_is_found_by_its_pattern(tag: str) -> None
 @pytest.mark.parametrize("tag", OTHERS)
 def test_every_sentence_in_the_code_is_translated(tag: str) -> None:
     language = Languages()[tag]
-    untold = {text: name for text, name in spoken().items() if language.t(text) == text}
+    untold = {text: name for text, name in spoken().items() if left_as_it_is(text, language.t(text))}
     assert {text: name for text, name in untold.items() if text not in PARTS.keys() | UNSEEN.keys()} == {}
 
 

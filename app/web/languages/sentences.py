@@ -15,7 +15,7 @@ MOST_REMEMBERED = 2000
 AS_TYPED = frozenset({"called", "typed"})
 """In a pattern, the braces of a name that people have given and of what they have written."""
 
-NARROW = {"lowest": r"\S", "highest": r"\S", "unit": "[^;:]", "units": "[^;:]"}
+NARROW = {"lowest": r"\S", "highest": r"\S", "others": r"[\d, ]", "unit": "[^;:]", "units": "[^;:]"}
 """Of what signs a number or a list of numbers can be, lest one pattern swallows the half of two sentences."""
 
 
