@@ -17,10 +17,10 @@ from app.history.runs import DAY, HOUR, MINUTE, micros
 from app.history.service import FILE
 from app.history.writer import MIGRATIONS
 
-DAYS = 120
+DAYS = 60
 ROWS = DAYS * 1440
 MOST_MB = 100
-"""All rows at once would be more than twice as much."""
+"""All rows at once would be half as much again and more."""
 EXPORT = """\
 import asyncio, json, resource, sys
 from pathlib import Path

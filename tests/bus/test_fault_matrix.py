@@ -258,7 +258,7 @@ async def test_all_faults_together_over_a_real_pseudo_terminal() -> None:
             await app.until(lambda: all(app.readings(unit) for unit in range(1, UNITS + 1)))
             trial = Trial(app.ask, time.monotonic, simulated.record, simulated.plant.units)
             server.call(lambda line: suffer(line.faults, ALL_AT_ONCE))
-            await trial.play(seed=5, count=120)
+            await trial.play(seed=5, count=60)
             leave.set()
             with suppress(asyncio.CancelledError):
                 await worker
@@ -267,4 +267,4 @@ async def test_all_faults_together_over_a_real_pseudo_terminal() -> None:
     trial.complaints += made_up(told, simulated.record, time.time() - time.monotonic() - CLOCK_SLACK_S)
     trial.complaints += too_late(trial.cases, bodies(came), slack_s=CLOCK_SLACK_S)
     assert trial.complaints == []
-    assert trial.outcomes()["verified"] > 10
+    assert trial.outcomes()["verified"] > 5
