@@ -14,6 +14,8 @@ import * as sight from "./sight.js";
 import * as strip from "./strip.js";
 import * as trace from "./trace.js";
 
+// On a phone the rail is longer than the window: where one is stands in sight.
+document.querySelector(".rail__item[aria-current]")?.scrollIntoView({ block: "nearest", inline: "center" });
 rebind();
 sight.start(draw, drawAll);
 focus.start();

@@ -50,6 +50,7 @@ def test_axe_finds_nothing(
 def test_a_page_fits_its_window(browser_page: OpensPages, path: str, viewport: dict[str, int]) -> None:
     page = opened(browser_page("engineer", viewport=viewport), path)
     assert too_wide(page) <= 0
+    expect(page.locator(".rail__item[aria-current]")).to_be_in_viewport(ratio=1)
 
 
 def test_how_units_answer_are_cards_on_a_phone_and_their_links_large_enough_for_gloves(
