@@ -92,12 +92,12 @@ def to_login(connection: HTTPConnection) -> Response:
     """Send a person to the login and from there back; htmx is told to move the whole page."""
     if is_fragment(connection):
         answer = problem_json(not_signed_in())
-        answer.headers["HX-Redirect"] = _login_url(_page_of(connection))
+        answer.headers["HX-Redirect"] = _login_url(_page_of(connection), refused=True)
         return answer
     is_page = connection.scope["method"] in ("GET", "HEAD")
     query = connection.url.query
     where = connection.url.path + (f"?{query}" if query else "")
-    return RedirectResponse(_login_url(where if is_page else _page_of(connection)), 303)
+    return RedirectResponse(_login_url(where if is_page else _page_of(connection), refused=not is_page), 303)
 
 
 def _page_of(connection: HTTPConnection) -> str:
@@ -107,8 +107,11 @@ def _page_of(connection: HTTPConnection) -> str:
     return parts.path + (f"?{parts.query}" if parts.query else "")
 
 
-def _login_url(next_page: str) -> str:
-    return "/login" if next_page == "/" else f"/login?next={quote(next_page)}"
+def _login_url(next_page: str, *, refused: bool) -> str:
+    """``refused``: somebody has pressed something, and is told there that it was not done."""
+    said = [f"next={quote(next_page)}"] if next_page != "/" else []
+    said += ["refused=true"] if refused else []
+    return "/login" + ("?" + "&".join(said) if said else "")
 
 
 def _is_public(path: str) -> bool:

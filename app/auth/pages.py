@@ -44,11 +44,13 @@ def address_of(connection: HTTPConnection) -> str:
 
 
 @router.get("/login", dependencies=[Depends(public)])
-async def login_page(request: Request, sign_in: SigningIn, next: str = "/", panel: bool = False) -> Response:
-    """The form; whoever is signed in already goes on."""
+async def login_page(
+    request: Request, sign_in: SigningIn, next: str = "/", panel: bool = False, refused: bool = False
+) -> Response:
+    """The form; whoever is signed in already goes on. ``refused``: a press has led here."""
     if person_of(request):
         return RedirectResponse(_own(next), 303)
-    return await _login_form(request, sign_in, next, panel)
+    return await _login_form(request, sign_in, next, panel, refused=refused)
 
 
 @router.post("/login", dependencies=[Depends(public)])
@@ -153,6 +155,8 @@ async def _login_form(
     panel: bool,
     problem: Problem | None = None,
     name: str = "",
+    *,
+    refused: bool = False,
 ) -> HTMLResponse:
     context: dict[str, Any] = {"next": _own(next), "panel": panel, "problem": problem, "name": name}
     return render(
@@ -160,6 +164,7 @@ async def _login_form(
         "auth/login.html",
         status=problem.status if problem else 200,
         headers=problem.headers if problem else None,
+        refused=refused,
         nobody_yet=await sign_in.nobody_can_sign_in(),
         **context,
     )

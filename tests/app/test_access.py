@@ -151,13 +151,15 @@ async def test_a_session_that_is_over(house: House, monkeypatch: pytest.MonkeyPa
     swapped = await client.post("/line/zero", headers=fragment)
     assert (swapped.status_code, swapped.headers["hx-redirect"]) == (
         401,
-        "/login?next=/units/dry-end/1%3Fx%3D1",
+        "/login?next=/units/dry-end/1%3Fx%3D1&refused=true",
     )
+    assert "nothing was sent" in (await client.get(swapped.headers["hx-redirect"])).text
+    assert "nothing was sent" not in (await client.get(page.headers["location"])).text
     posted = await client.post("/account/language", data={"language": "de"}, headers={"accept": "text/html"})
-    assert (posted.status_code, posted.headers["location"]) == (303, "/login")
+    assert (posted.status_code, posted.headers["location"]) == (303, "/login?refused=true")
     own_page = {"accept": "text/html", "referer": f"http://{HOST}/account"}
     posted = await client.post("/account/language", data={"language": "de"}, headers=own_page)
-    assert posted.headers["location"] == "/login?next=/account"
+    assert posted.headers["location"] == "/login?next=/account&refused=true"
 
 
 @pytest.mark.parametrize(
