@@ -123,12 +123,20 @@ def _decimals(parameter: Parameter, decimals: int | None, follower: bool) -> int
 
 
 def _raw(text: str, decimals: int) -> int:
-    number = _NUMBER.fullmatch(text.strip())
+    text = text.strip()
+    number = _NUMBER.fullmatch(text)
     if number is None:
-        example = speed_text(1234, decimals)
-        raise CallerError(f"{text.strip()!r} is not a number; write it like {example}")
+        raise CallerError(_why_no_number(text, speed_text(1234, decimals)))
     whole, part = number[1], number[2] or ""
     if len(part) > decimals:
         allowed = f"at most {decimals}" if decimals else "no"
-        raise CallerError(f"{text.strip()} has {len(part)} decimals; this value has {allowed}")
+        raise CallerError(f"{text} has {len(part)} decimals; this value has {allowed}")
     return int(whole + part.ljust(decimals, "0"))
+
+
+def _why_no_number(text: str, example: str) -> str:
+    if not text:
+        return f"no number is given, and empty is not zero; write it like {example}"
+    if _NUMBER.fullmatch(text.replace("\N{MINUS SIGN}", "-").removeprefix("-")):
+        return f"{text} is below 0, the lowest there is"
+    return f"{text!r} is not a number; write it like {example}"

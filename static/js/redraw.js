@@ -1,6 +1,8 @@
 // Parts of a page that the server draws are drawn anew when the value that they are made from has changed.
 //   data-redraw="GROUP.FIELD" data-drawn-of="what it was when the part was drawn" hx-trigger="lineside:redraw"
-import { listen } from "./bind.js";
+// Where more than a part is made from it, the whole page is, once no review is open on it:
+//   data-reload="GROUP.FIELD" data-drawn-of="what it was when the page was drawn"
+import { listen, value } from "./bind.js";
 
 function follow(part) {
   const key = part.dataset.redraw;
@@ -14,6 +16,20 @@ function follow(part) {
   });
 }
 
+function followWhole(page) {
+  const key = page.dataset.reload;
+  const dot = key.indexOf(".");
+  const look = () => {
+    const present = value(key);
+    if (present === undefined || present === page.dataset.drawnOf) return;
+    if (!document.querySelector("dialog[open]")) location.reload();
+  };
+  listen(key.slice(0, dot), look);
+  document.addEventListener("lineside:done", look);
+}
+
 export function start() {
+  for (const page of document.querySelectorAll("[data-reload]")) followWhole(page);
+
   for (const part of document.querySelectorAll("[data-redraw]")) follow(part);
 }

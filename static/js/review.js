@@ -1,5 +1,5 @@
 // The review dialog: focus rests on Cancel, Enter does not execute, it lapses after 30 s, when the value has moved
-// or the unit has fallen silent, and nothing leaves while the server is not heard.
+// or the unit takes nothing from here any more, and nothing leaves while the server is not heard.
 import { listen, rebind, value } from "./bind.js";
 import * as clock from "./clock.js";
 import { giveBack } from "./focus.js";
@@ -40,16 +40,23 @@ function watch(form) {
   const bar = form.querySelector("[data-lapse]");
   bar?.animate([{ scale: "1 1" }, { scale: "0 1" }], { duration: LAPSE_MS, fill: "forwards" });
   endings.push(() => clearTimeout(timer));
-  const { watch: key, was } = form.dataset;
-  if (!key) return;
-  const group = key.slice(0, key.indexOf("."));
+  const { of: unit, watch: key, was } = form.dataset;
+  if (!unit) return;
   endings.push(
-    listen(group, () => {
-      const present = value(key);
-      if (value(`${group}.link`) !== "online") return end(form, word("fellSilent"));
-      if (present !== undefined && present !== was) end(form, word("moved", present));
+    listen(unit, (fields) => {
+      const present = key ? value(key) : undefined;
+      const moved = present !== undefined && present !== was ? word("moved", present) : "";
+      const reason = whyNot(fields) || moved;
+      if (reason) end(form, reason);
     }),
   );
+}
+
+/** Why a unit takes nothing from here any more; empty while it does. */
+function whyNot({ link, mode, blocked }) {
+  if (link !== "online") return word("fellSilent");
+  if (mode !== "remote") return word("leftRemote");
+  return blocked ? word("wasBlocked", blocked) : "";
 }
 
 /** A part of the page that is fetched as the page is opened or on its way, and not because somebody pressed. */
@@ -78,8 +85,8 @@ function dismiss() {
   close();
   const outcome = content.querySelector("[data-review-done]")?.dataset.reviewDone ?? "";
   if (dialog.open) dialog.close();
-  content.replaceChildren();
   document.dispatchEvent(new CustomEvent("lineside:done", { detail: outcome }));
+  content.replaceChildren();
   giveBack();
 }
 

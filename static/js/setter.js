@@ -1,11 +1,12 @@
 // The setpoint of a unit: the field follows what the unit says until a person touches it; the number pad; and on
 // the setpoints page the tools that fill in many fields at once. Nothing here sends anything.
 import { listen, value } from "./bind.js";
-import { language } from "./words.js";
+import { language, word } from "./words.js";
 
 const DECIMAL_SIGN = new Intl.NumberFormat(language)
   .formatToParts(1.5)
   .find((part) => part.type === "decimal").value;
+const UNDO_MS = 60_000;
 
 /** The number a person typed, comma or point, or NaN. Empty is not zero. */
 export function numberOf(text) {
@@ -24,7 +25,12 @@ function followUnit(input) {
     if (input.dataset.touched === undefined && said !== undefined && said !== "–") input.value = said;
   };
   listen(key.slice(0, key.indexOf(".")), say);
-  input.addEventListener("input", () => (input.dataset.touched = ""));
+  input.addEventListener("input", () => {
+    input.dataset.touched = "";
+    // What was said of the last number is not said of this one.
+    const place = document.getElementById(input.getAttribute("aria-describedby"));
+    if (place && !place.querySelector("[data-undo]")) place.replaceChildren();
+  });
   // What is half typed is not selected again: the next digit goes on, it does not begin anew.
   input.addEventListener("focus", () => input.dataset.touched === undefined && input.select());
   const forget = () => {
@@ -46,6 +52,15 @@ function press(input, key) {
   input.dispatchEvent(new Event("input", { bubbles: true }));
 }
 
+/** The way back stays for a while after the dialog that offered it was closed. */
+function keepUndo() {
+  const undo = document.querySelector("#review-body [data-undo]");
+  const place = document.getElementById("setpoint-error");
+  if (!undo || !place) return;
+  place.replaceChildren(undo);
+  setTimeout(() => undo.remove(), UNDO_MS);
+}
+
 // --- many at once ----------------------------------------------------------------------------------------
 
 const TOOLS = {
@@ -61,13 +76,17 @@ function fillIn(form, tool) {
   const source = form.querySelector(`[data-together="${tool}"]`);
   const by = numberOf(source.value);
   source.setAttribute("aria-invalid", Number.isNaN(by) ? "true" : "false");
+  const fault = document.createElement("p");
+  fault.className = "field__error";
+  if (Number.isNaN(by)) fault.textContent = source.value.trim() ? word("noNumber", source.value) : word("empty");
+  form.querySelector("[role=status]").replaceChildren(...(fault.textContent ? [fault] : []));
   if (Number.isNaN(by)) return source.focus();
   for (const row of form.querySelectorAll("tr[data-unit]")) {
     const field = row.querySelector("[data-new]");
     if (!field?.dataset.new || !canBeSet(field) || !row.querySelector("[data-tick]")?.checked) continue;
     const present = numberOf(value(`${field.dataset.new}.commanded`) ?? "");
     if (tool !== "value" && Number.isNaN(present)) continue;
-    field.value = textOf(Math.max(0, TOOLS[tool](present, by)), Number(row.dataset.decimals || 0));
+    field.value = textOf(TOOLS[tool](present, by), Number(row.dataset.decimals || 0));
   }
 }
 
@@ -90,6 +109,7 @@ function forgetDone() {
 }
 
 export function start() {
+  document.addEventListener("lineside:done", keepUndo);
   forgetDone();
   for (const input of document.querySelectorAll("[data-follows]")) followUnit(input);
   document.addEventListener("click", (event) => {

@@ -48,10 +48,9 @@ def test_speed_raw(text: str, raw: int) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "",
-        " ",
-        "-1",
         "+1",
+        "--1",
+        "-",
         "1.2.3",
         "1,2,3",
         "1e3",
@@ -67,6 +66,15 @@ def test_speed_raw(text: str, raw: int) -> None:
 )
 def test_what_is_not_a_number(text: str) -> None:
     with pytest.raises(CallerError, match=r"is not a number; write it like 12\.34"):
+        speed_raw(text, 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("", "empty is not zero"), (" ", "empty is not zero"), ("-1", "below 0"), ("\N{MINUS SIGN}0,5", "below 0")],
+)
+def test_what_is_wrong_with_it_is_said(text: str, said: str) -> None:
+    with pytest.raises(CallerError, match=said):
         speed_raw(text, 2)
 
 

@@ -95,6 +95,7 @@ def test_undo_is_an_ordinary_command_with_a_review(site: Site, browser_page: Ope
     page.get_by_role("button", name="Set now").click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
+    page.get_by_role("button", name="Close").click()
     page.get_by_role("button", name=re.compile("Undo")).click()
     act = page.locator("[data-review-act]")
     expect(act).to_have_text(re.compile(re.escape(former) + "$"))
@@ -125,7 +126,9 @@ def test_out_of_range_is_refused_with_the_nearest(site: Site, browser_page: Open
     expect(page.locator("#setpoint")).to_have_value("200.0")
     page.locator("#setpoint").fill("")
     page.get_by_role("button", name="Set now").click()
-    expect(page.locator("#setpoint-error")).not_to_be_empty()
+    expect(page.locator("#setpoint-error")).to_contain_text("empty is not zero")
+    page.locator("#setpoint").fill("1")
+    expect(page.locator("#setpoint-error")).to_be_empty()
     assert writes(site) == before
 
 
@@ -237,8 +240,13 @@ def test_an_output_is_switched_behind_a_review(site: Site, browser_page: OpensPa
 
 def test_a_unit_in_local_takes_the_controls_away_and_says_why(site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=PANEL), "/units/line/1")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("[data-review-act]")).to_be_visible()
     site.line.remote.do("mode", unit=1, to="local")
     try:
+        expect(page.locator("[data-review-end]")).to_contain_text("has left REMOTE")
+        expect(page.locator("[data-review-act]")).to_have_count(0)
+        page.get_by_role("button", name="Close").click()
         expect(page.locator(".by-mode__not")).to_be_visible()
         expect(page.locator("#setpoint")).to_be_hidden()
         expect(page.get_by_role("button", name="Switch output 1")).to_be_hidden()
@@ -270,6 +278,13 @@ def test_scaling_fills_in_what_is_ticked(browser_page: OpensPages) -> None:
     page.locator('[data-together-do="scale"]').click()
     expect(page.locator('[name="new-2"]')).to_have_value(f"{commanded / 2:.1f}")
     expect(page.locator('[name="new-3"]')).to_have_value("")
+    page.locator('[data-together="offset"]').fill("x")
+    page.locator('[data-together-do="offset"]').click()
+    expect(page.locator("#setpoints-error-line")).to_contain_text("x is not a number")
+    page.locator('[data-together="offset"]').fill("-999")
+    page.locator('[data-together-do="offset"]').click()
+    page.get_by_role("button", name="Review the change").click()
+    expect(page.locator("#setpoints-error-line")).to_contain_text("below 0")
 
 
 def test_a_parameter_is_written_and_its_row_shows_it(site: Site, browser_page: OpensPages) -> None:
@@ -308,11 +323,15 @@ def test_the_line_is_two_presses_from_zero_on_every_page(browser_page: OpensPage
     page.get_by_role("button", name="Cancel").click()
 
 
-def test_a_block_is_said_and_lifted(browser_page: OpensPages) -> None:
+def test_a_block_is_said_and_lifted(site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=PANEL), "/units/line/7")
-    page.locator("summary").click()
-    page.locator("#reason").fill("belt off since 14:20")
-    page.get_by_role("button", name=re.compile("^Block ")).click()
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("[data-review-act]")).to_be_visible()
+    with site.api("engineer") as client:
+        client.post("/buses/line/units/7/block", json={"reason": "belt off since 14:20"})
+    expect(page.locator("[data-review-end]")).to_contain_text("belt off since 14:20")
+    page.get_by_role("button", name="Close").click()
+    expect(page.locator("#setpoint")).to_have_count(0)
     expect(page.locator(".plate__set")).to_contain_text("belt off since 14:20")
     opened(page, "/")
     expect(page.locator("[data-strip]")).to_contain_text("belt off since 14:20")
