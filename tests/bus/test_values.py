@@ -71,7 +71,12 @@ def test_what_is_not_a_number(text: str) -> None:
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("", "empty is not zero"), (" ", "empty is not zero"), ("-1", "below 0"), ("\N{MINUS SIGN}0,5", "below 0")],
+    [
+        ("", "empty is not zero"),
+        (" ", "empty is not zero"),
+        ("-1", "below 0"),
+        ("\N{MINUS SIGN}0,5", "below 0"),
+    ],
 )
 def test_what_is_wrong_with_it_is_said(text: str, said: str) -> None:
     with pytest.raises(CallerError, match=said):
