@@ -201,8 +201,8 @@ byId("trend-exact").addEventListener("submit", (event) => {
   event.preventDefault();
   const { from, to } = event.target.elements;
   const [start, end] = [fromField(from.value), fromField(to.value)];
-  to.setCustomValidity(end > start ? "" : to.validationMessage || "←");
   if (end > start) view.show(start, end);
+  byId("trend-fault").textContent = end > start ? "" : words.backwards;
 });
 byId("trend-scale").addEventListener("change", ({ target }) => view.change({ scale: target.value }));
 byId("trend-marks").addEventListener("change", ({ target }) => view.change({ marks: target.checked }));
@@ -212,7 +212,8 @@ byId("trend-add").addEventListener("submit", (event) => {
   if (view.series.length >= MOST_VALUES) byId("trend-fault").textContent = words.full;
   else view.add(`${unit.value}/${value.value}`);
 });
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", recolour);
+for (const media of ["(prefers-color-scheme: dark)", "(forced-colors: active)", "print"])
+  matchMedia(media).addEventListener("change", recolour);
 new MutationObserver(recolour).observe(document.documentElement, { attributeFilter: ["data-theme"] });
 
 function recolour() {

@@ -1,0 +1,33 @@
+"""What the tokens promise to who prints or has colours of their own."""
+
+from __future__ import annotations
+
+import re
+
+from app.web.assets import static_dir
+
+TOKENS = (static_dir() / "css" / "tokens.css").read_text(encoding="utf-8")
+BASE = (static_dir() / "css" / "base.css").read_text(encoding="utf-8")
+SYSTEM = re.compile(r"\b(Canvas|CanvasText|ButtonText|ButtonFace|Highlight|HighlightText|Mark|MarkText)\b")
+WITHOUT_PAINT = {"--shadow"}
+
+
+def declared(css: str) -> dict[str, str]:
+    return dict(re.findall(r"(--[\w-]+): ([^;]+);", css))
+
+
+def test_each_colour_gives_way_to_a_persons_own() -> None:
+    usual, _, forced = TOKENS.partition("@media (forced-colors: active)")
+    colours = {name for name, value in declared(usual).items() if re.search(r"#|rgb\(", value)}
+    given = declared(forced)
+    assert len(colours) > 20
+    assert colours - WITHOUT_PAINT - given.keys() == set()
+    assert [name for name, value in given.items() if not SYSTEM.search(value)] == []
+
+
+def test_paper_is_light_also_where_the_dark_theme_was_chosen() -> None:
+    chosen = re.findall(r"^(:root\S*) \{\n  color-scheme: dark", TOKENS, re.MULTILINE)
+    printed = re.findall(r"^  (:root\S*) \{\n    color-scheme: light", BASE, re.MULTILINE)
+    assert (chosen, printed) == ([':root[data-theme="dark"]'], [":root:root"]), (
+        "the later of equal weight holds"
+    )
