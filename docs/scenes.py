@@ -112,7 +112,7 @@ def _plan(page: Page) -> None:
 def _restored(page: Page) -> None:
     _plan(page)
     page.locator("form[action$='/start'] [type=submit]").click()
-    page.wait_for_selector("h2:has-text('Proof'), h2:has-text('Beweis')", timeout=60_000)
+    page.wait_for_selector("h2:has-text('Proof'), h2:has-text('Nachweis')", timeout=60_000)
 
 
 def _taking(page: Page) -> None:

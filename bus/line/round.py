@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Collection, Iterable
 
 KEPT_OF_A_TURN = 2 / 3
@@ -15,7 +16,8 @@ class Round:
     """Units in floor order, each with its turn; a watched one has more turns than the others.
 
     Each unit has a *pass*; the lowest is next and moves on by the inverse of its share (stride
-    scheduling), so nobody starves and equal units take exact turns.
+    scheduling), so nobody starves and equal units take exact turns. Whenever shares change the passes are
+    spread evenly, or a watched unit would have all its turns together, between two rounds of the others.
     """
 
     def __init__(self, floor_order: Iterable[int], poll_s: float) -> None:
@@ -34,9 +36,9 @@ class Round:
         return unit in self._passes
 
     def join(self, unit: int) -> None:
-        """``unit`` takes part from the present turn on; what it missed is not made up for."""
+        """``unit`` takes part, last of all, for it has just answered; what it missed is not made up for."""
         if unit not in self._passes:
-            self._put(unit, self._present)
+            self._passes[unit] = math.inf
             self._weigh()
 
     def leave(self, unit: int) -> None:
@@ -45,32 +47,41 @@ class Round:
             self._weigh()
 
     def watch(self, units: Collection[int]) -> None:
-        """These, where they take part, are polled more often from now on."""
+        """These, where they take part, are polled at once, and more often from now on."""
         self._watched = frozenset(units)
         self._weigh()
 
     def take(self) -> int | None:
         """The unit whose turn it is; None when nobody takes part."""
-        while self._queue:
-            turn, _, unit = heapq.heappop(self._queue)
-            if self._passes.get(unit) == turn:
-                self._present = turn
-                self._put(unit, turn + self._strides[unit])
-                return unit
-        return None
+        if not self._queue:
+            return None
+        self._present, place, unit = self._queue[0]
+        turn = self._passes[unit] = self._present + self._strides[unit]
+        heapq.heapreplace(self._queue, (turn, place, unit))
+        return unit
 
     def share_of(self, unit: int) -> float:
         """The part of all polls that ``unit`` gets, 0 to 1."""
         return 1.0 / (len(self) * self._strides[unit]) if unit in self._passes else 0.0
 
-    def _put(self, unit: int, turn: float) -> None:
-        self._passes[unit] = turn
-        heapq.heappush(self._queue, (turn, self._place.get(unit, len(self._place)), unit))
-
     def _weigh(self) -> None:
-        watched = self._watched & self._passes.keys()
+        waiting = [unit for _, _, unit in sorted(self._entry(unit) for unit in self._passes)]
+        watched = [unit for unit in waiting if unit in self._watched]
+        others = [unit for unit in waiting if unit not in self._watched]
         extra, plain = _strides(len(self), len(watched), self._poll_s)
-        self._strides = {unit: extra if unit in watched else plain for unit in self._passes}
+        self._spread(watched, extra)
+        self._spread(others, plain)
+        self._queue = [self._entry(unit) for unit in waiting]
+        heapq.heapify(self._queue)
+
+    def _spread(self, units: list[int], stride: float) -> None:
+        """Evenly over one stride from the present turn on, in the order in which they wait."""
+        for rank, unit in enumerate(units):
+            self._strides[unit] = stride
+            self._passes[unit] = self._present + stride * rank / len(units)
+
+    def _entry(self, unit: int) -> tuple[float, int, int]:
+        return self._passes[unit], self._place.get(unit, len(self._place)), unit
 
 
 def _strides(units: int, watched: int, poll_s: float) -> tuple[float, float]:

@@ -132,6 +132,36 @@ def test_a_watched_unit_never_takes_more_than_its_share(units: int, watched: int
             assert count >= KEPT_OF_A_TURN * equal - 2
 
 
+@pytest.mark.parametrize("opened", [3, 250])
+def test_a_unit_that_somebody_opens_is_polled_at_once_and_steadily(opened: int) -> None:
+    turns = Round(range(1, 256), POLL_S)
+    for unit in range(1, 256):
+        turns.join(unit)
+    for _ in range(255 + 200):
+        turns.take()
+    turns.watch({opened})
+    taken = [turns.take() for _ in range(1000)]
+    places = [-1, *(place for place, unit in enumerate(taken) if unit == opened)]
+    steps = [later - earlier for earlier, later in pairwise(places)]
+    assert max(steps) <= 5
+    assert min(steps[1:]) >= 3, "the turns of the others lie between its own"
+    assert set(taken) == set(range(1, 256))
+
+
+def test_who_comes_and_goes_takes_nobodys_turn() -> None:
+    turns = Round(range(1, 41), POLL_S)
+    for unit in range(1, 41):
+        turns.join(unit)
+    taken = []
+    for _ in range(400):
+        turns.leave(40)
+        turns.join(40)
+        turns.watch({2} if turns.share_of(2) < 0.1 else ())
+        taken += [turns.take() for _ in range(3)]
+    counts = Counter(taken)
+    assert min(counts[unit] for unit in range(1, 40)) >= 10
+
+
 def test_one_watched_unit_of_eight_is_polled_at_most_ten_times_a_second() -> None:
     line = line_of(8)
     line.schedule.watch({3}, anybody=True)
