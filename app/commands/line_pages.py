@@ -13,7 +13,7 @@ from starlette.responses import Response
 from app.commands.bodies import Quantity
 from app.commands.fate import Fate
 from app.commands.forms import TIMEOUT_S, Desks, Desktop
-from app.commands.ramp import Change, change_of, present_setpoint
+from app.commands.ramp import Change, change_of, present_setpoint, sensible_bounds
 from app.commands.speed_pages import refuse_outside
 from app.commands.typed import Typed
 from app.commands.words import shown_setpoint
@@ -52,8 +52,11 @@ def _line_of(desk: Desktop, name: str, bus: BusLive, number: int) -> dict[str, o
     live = bus.units[number]
     present = present_setpoint(bus, live)
     decimals = 4 if follower(live) else live.parameter_raw(DECIMALS)
+    low, high = sensible_bounds(live, desk.guards.limits.of(name, number))
+    limits = {"low": shown_setpoint(low, live), "high": shown_setpoint(high, live)}
     return {
         "unit": desk.shown(name, number),
+        "limits": {end: desk.voice.formats.point(text) for end, text in limits.items()},
         "present_raw": "" if present is None else present,
         "decimals": "" if decimals is None else decimals,
         "follower": bool(follower(live)),

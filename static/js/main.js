@@ -2,6 +2,7 @@
 import "../vendor/htmx.min.js";
 import { draw, drawAll, rebind } from "./bind.js";
 import * as focus from "./focus.js";
+import * as keypad from "./keypad.js";
 import * as kiosk from "./kiosk.js";
 import * as live from "./live.js";
 import * as minutes from "./minutes.js";
@@ -27,6 +28,7 @@ setter.start();
 trace.start();
 people.start();
 redraw.start();
+keypad.start();
 kiosk.start();
 minutes.start();
 live.follow([

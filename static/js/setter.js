@@ -46,7 +46,8 @@ function press(input, key) {
   const untouched = input.dataset.follows !== undefined && input.dataset.touched === undefined;
   const fresh = untouched || whole;
   if (key === "erase") input.value = fresh ? "" : input.value.slice(0, -1);
-  else if (key.length === 1 && (fresh ? "" : input.value).length < input.maxLength)
+  else if (key === "-") input.value = input.value.startsWith("-") ? input.value.slice(1) : `-${input.value}`;
+  else if (key.length === 1 && (input.maxLength < 0 || (fresh ? "" : input.value).length < input.maxLength))
     input.value = (fresh ? "" : input.value) + key;
   input.setSelectionRange(input.value.length, input.value.length);
   input.dispatchEvent(new Event("input", { bubbles: true }));

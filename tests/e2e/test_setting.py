@@ -193,6 +193,26 @@ def test_the_pad_by_touch_erases_and_never_grows_beyond_the_field(
     assert (min(boxes) >= 48, writes(site)) == (True, before)
 
 
+def test_by_touch_every_number_has_a_pad_that_names_it_and_its_limits(browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport={"width": 360, "height": 780}, has_touch=True), "/setpoints")
+    field, pad = page.locator('[name="new-8"]'), page.locator(".keypad")
+    field.tap()
+    expect(pad).to_contain_text("0.0 to 200.0")
+    assert field.get_attribute("inputmode") == "none", "the device's own keyboard would cover the pad"
+    covered = "field => field.getBoundingClientRect().bottom > document.querySelector('.keypad').offsetTop"
+    assert not field.evaluate(covered)
+    for key in ("1", "0", "1", ".", "5", "erase", "7"):
+        pad.locator(f'[data-pad="{key}"]').tap()
+    expect(field).to_have_value("101.7")
+    expect(field).to_be_focused()
+    pad.get_by_role("button", name="Done").tap()
+    expect(pad).to_be_hidden()
+    page.locator('[data-together="offset"]').tap()
+    for key in ("5", "-"):
+        pad.locator(f'[data-pad="{key}"]').tap()
+    expect(page.locator('[data-together="offset"]')).to_have_value("-5")
+
+
 def test_what_is_refused_at_a_parameter_offers_the_nearest(browser_page: OpensPages) -> None:
     page = opened(browser_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     row = page.locator("#parameter-6")
