@@ -21,7 +21,7 @@ function build() {
     if (target.closest("[data-keypad-done]")) field.blur();
     else if (target.closest("[data-keypad-next]")) goOn();
   });
-  document.body.append(pad);
+  document.getElementById("main").append(pad);
 }
 
 function open(input) {
