@@ -54,7 +54,8 @@ function cell(row, content, head = "") {
 /** One row for each value; `on`: remove(name), choose(place). */
 export function drawRows(body, answers, names, on) {
   const heads = body.parentElement.tHead.rows[0].cells;
-  const focused = body.contains(document.activeElement) ? document.activeElement.dataset.key : null;
+  const focused = body.contains(document.activeElement) ? document.activeElement : null;
+  const place = focused?.closest("tr").sectionRowIndex;
   body.replaceChildren(
     ...answers.map((answer, place) => {
       const row = document.createElement("tr");
@@ -84,7 +85,15 @@ export function drawRows(body, answers, names, on) {
       return row;
     }),
   );
-  if (focused) [...body.querySelectorAll("button")].find((button) => button.dataset.key === focused)?.focus();
+  if (focused) twinOf(focused, body, place).focus();
+}
+
+/** Where the focus goes when rows are drawn anew: to the same button, else (its value was taken away) to the one
+ * that came in its place, at last to where a value is added. */
+function twinOf(button, body, place) {
+  const same = [...body.querySelectorAll("button")].find(({ dataset }) => dataset.key === button.dataset.key);
+  const next = body.rows[Math.min(place, body.rows.length - 1)]?.querySelector("button[aria-label]");
+  return same ?? next ?? byId("trend-add").elements.unit;
 }
 
 /** What the cursor and A and B read; B − A where both are set. */
@@ -118,6 +127,10 @@ export function inWords(answers) {
   return lines.join("; ");
 }
 
+/** What every value reads at a moment. */
+export const readInWords = (answers, at) =>
+  [say(at), ...answers.map((answer) => `${answer.name} ${text(answer, valueAt(answer, at))}`)].join("; ");
+
 /** How fine the picture is. */
 export const fineness = (answers) => {
   const bucket = Math.max(0, ...answers.map((answer) => answer.bucket_s));
@@ -126,6 +139,7 @@ export const fineness = (answers) => {
 
 /** What happened: a press puts the cursor there. */
 export function drawMarks(list, marks, more, put) {
+  const focused = list.contains(document.activeElement) ? document.activeElement.textContent : null;
   byId("trend-events-count").textContent = marks.length + (more ? ` – ${words.more}` : "");
   list.replaceChildren(
     ...marks.map((mark) => {
@@ -141,4 +155,5 @@ export function drawMarks(list, marks, more, put) {
       return item;
     }),
   );
+  if (focused) [...list.querySelectorAll("button")].find(({ textContent }) => textContent === focused)?.focus();
 }

@@ -2,7 +2,7 @@
 import { exportAddress, fetchMarks, fetchSeries } from "./trends-data.js";
 import { gestures } from "./trends-gestures.js";
 import { Picture } from "./trends-plot.js";
-import { drawCursors, drawMarks, drawRows, fineness, inWords } from "./trends-table.js";
+import { drawCursors, drawMarks, drawRows, fineness, inWords, readInWords } from "./trends-table.js";
 import { fromField, length, say, toField } from "./trends-time.js";
 import { MOST_VALUES, View } from "./trends-view.js";
 
@@ -45,7 +45,7 @@ class Catalogue {
 const catalogue = new Catalogue();
 const view = new View(catalogue);
 const body = byId("trend-values");
-const cursor = { at: null, put: (seconds) => picture.point(seconds) };
+const cursor = { at: null, put };
 let answers = [];
 let names = [];
 let marks = [];
@@ -59,6 +59,12 @@ const picture = new Picture(
   { cursor: moved, selected: (from, to) => view.show(from, to) },
   () => ({ marks: view.marks ? marks : [], a: view.a, b: view.b }),
 );
+
+/** Where a person has put the cursor by a key or a press on what happened, which is also said aloud. */
+function put(seconds) {
+  picture.point(seconds);
+  byId("trend-said").textContent = readInWords(answers, seconds);
+}
 
 function moved(at) {
   cursor.at = at;

@@ -195,6 +195,19 @@ def test_the_axis_of_a_value_is_chosen_by_keyboard_and_keeps_the_focus(browser_p
     expect(page.locator("#trend-values th button").nth(1)).to_be_focused()
 
 
+def test_a_value_is_taken_away_by_keyboard_and_the_cursor_said_aloud(browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=OFFICE), "?s=line/1/actual&s=line/2/actual")
+    rows = page.locator("#trend-values tr")
+    page.locator("#trend-values button[aria-label]").first.press("Enter")
+    expect(rows).to_have_count(1)
+    expect(page.locator("#trend-values button[aria-label]")).to_be_focused()
+    page.locator("#trend-picture").press("ArrowLeft")
+    expect(page.locator("#trend-said")).to_contain_text("actual")
+    page.locator("#trend-values button[aria-label]").press("Enter")
+    expect(rows).to_have_count(0)
+    expect(page.locator("#trend-add [name=unit]")).to_be_focused()
+
+
 def test_gaps_are_gaps_and_a_band_is_drawn_between_least_and_greatest(browser_page: OpensPages) -> None:
     """What uPlot is given is what the history answered; the colours are read from its canvas."""
     page = browser_page("viewer", viewport=OFFICE)
