@@ -11,8 +11,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
-from app.commands.fate import Fate
 from app.commands.forms import TIMEOUT_S, Desks, Desktop
+from app.commands.line_change import proven, reviewed
 from app.commands.ramp import Change, change_of, present_setpoint, sensible_bounds
 from app.commands.speed_pages import refuse_outside
 from app.commands.typed import Typed
@@ -22,7 +22,7 @@ from app.errors import Problem
 from app.live.state import BusLive, follower
 from app.live.view import DECIMALS
 from app.web.access import Operator, Person, Viewer
-from bus.contract import Result, SetLine
+from bus.contract import SetLine
 from bus.errors import CallerError
 
 router = APIRouter(include_in_schema=False)
@@ -124,58 +124,8 @@ async def set_setpoints(
     title = desk.voice.t("Setpoints")
     try:
         desk.refuse_lapsed(reviewed_at)
-        setpoints = _reviewed(live, form)
+        setpoints = reviewed(live, form)
         result = await desk.ask(person, bus, SetLine(setpoints=setpoints), id, timeout_s(len(setpoints)))
     except Problem as problem:
         return desk.refused(problem, title)
-    proofs = _proofs(desk, live, setpoints, result)
-    return desk.render(
-        "setpoints/_done.html",
-        title=title,
-        fate=_fate_of_all(desk, result, proofs),
-        proofs=proofs,
-        skew=None if result.skew_s is None else desk.voice.formats.number(result.skew_s * 1000),
-    )
-
-
-def _reviewed(live: BusLive, form: FormData) -> dict[int, int]:
-    setpoints = {}
-    for number, unit in live.units.items():
-        text = str(form.get(f"raw-{number}", ""))
-        if not text:
-            continue
-        if not text.isdecimal() or len(text) > 6:
-            raise Problem(422, "invalid", "this is not what was reviewed; nothing was sent")
-        present = present_setpoint(live, unit)
-        if str(form.get(f"was-{number}", "")) != ("" if present is None else str(present)):
-            moved = f"{unit.settings.name}: the setpoint has moved since it was reviewed; nothing was sent"
-            raise Problem(409, "moved", moved)
-        setpoints[number] = int(text)
-    return setpoints
-
-
-def _fate_of_all(desk: Desktop, result: Result, proofs: list[tuple[str, str, Fate]]) -> Fate:
-    """The whole change in one sentence: how many of its units are proven."""
-    fate = desk.fate(result)
-    if result.outcome == "verified":
-        return Fate("good", desk.voice.t("verified at each of {n} units", n=len(proofs)))
-    if result.outcome != "unverified":
-        return fate
-    proven = sum(unit.outcome == "verified" for unit in result.units)
-    counted = desk.voice.t("{n} of {units} units verified", n=proven, units=len(proofs))
-    return Fate(fate.tone, f"{counted}; {fate.text}")
-
-
-def _proofs(
-    desk: Desktop, live: BusLive, setpoints: dict[int, int], result: Result
-) -> list[tuple[str, str, Fate]]:
-    """(name, asked, fate) of each unit, in floor order."""
-    said = {outcome.unit: outcome for outcome in result.units}
-    return [
-        (
-            live.units[number].settings.name,
-            shown_setpoint(raw, live.units[number]),
-            desk.fate(said.get(number, result), live.units[number]),
-        )
-        for number, raw in setpoints.items()
-    ]
+    return proven(desk, bus, title, setpoints, result, form)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import uuid
 from typing import Annotated
 
 from fastapi import APIRouter, Form, Request, Response
 
+from app.commands.forms import Desks
+from app.commands.line_change import proven, reviewed
+from app.commands.ramp import present_setpoint
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404
@@ -74,21 +76,37 @@ async def one_page(request: Request, person: Viewer, book: Book, recipe_id: int)
 
 
 @router.get("/recipes/{recipe_id}/review")
-async def review(request: Request, person: Operator, book: Book, recipe_id: int) -> Response:
+async def review(person: Operator, desk: Desks, book: Book, recipe_id: int) -> Response:
     """The second step before loading."""
     recipe = await recipe_or_404(book, recipe_id)
     run = book.try_out(person, recipe)
-    return render(request, "recipes/_review.html", recipe=recipe, run=run, command_id=uuid.uuid4().hex)
+    bus = desk.bus(recipe.bus)
+    was = {number: present_setpoint(bus, unit) for number, unit in bus.units.items()}
+    return desk.review("recipes/_review.html", recipe=recipe, run=run, was=was)
 
 
 @router.post("/recipes/{recipe_id}/load")
 async def load(
-    request: Request, person: Operator, book: Book, recipe_id: int, id: Annotated[str, Form(min_length=8)]
+    request: Request,
+    person: Operator,
+    desk: Desks,
+    book: Book,
+    recipe_id: int,
+    id: Annotated[str, Form(min_length=8)],
+    reviewed_at: Annotated[float, Form()],
 ) -> Response:
     """Stage every unit, broadcast once, prove each."""
     recipe = await recipe_or_404(book, recipe_id)
-    result = await book.load(person, recipe, confirm=True, command_id=id)
-    return render(request, "recipes/_loaded.html", recipe=recipe, result=result)
+    bus, form = desk.bus(recipe.bus), await request.form()
+    try:
+        desk.refuse_lapsed(reviewed_at)
+        setpoints = reviewed(bus, form)
+        if setpoints != {one.unit: one.raw for one in recipe.setpoints if one.unit in bus.units}:
+            raise Problem(422, "invalid", "this is not what was reviewed; nothing was sent")
+        result = await book.load(person, recipe, confirm=True, command_id=id)
+    except Problem as problem:
+        return desk.refused(problem, recipe.name)
+    return proven(desk, recipe.bus, recipe.name, setpoints, result, form)
 
 
 @router.post("/recipes/retire")

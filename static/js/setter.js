@@ -56,8 +56,8 @@ function press(input, key) {
 /** The way back stays for a while after the dialog that offered it was closed. */
 function keepUndo() {
   const undo = document.querySelector("#review-body [data-undo]");
-  const place = document.getElementById("setpoint-error");
-  if (!undo || !place) return;
+  const place = undo && document.querySelector(undo.dataset.undo);
+  if (!place) return;
   place.replaceChildren(undo);
   setTimeout(() => undo.remove(), UNDO_MS);
 }

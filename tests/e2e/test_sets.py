@@ -214,7 +214,9 @@ def test_a_recipe_is_saved_tried_out_and_loaded_as_one_change(site: Site, browse
     expect(page.locator("#review")).to_be_visible()
     assert len(writes(site, 0x82)) == staged
     page.get_by_role("button", name="Set 3 units to Kraft 80").click()
-    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    done = page.locator("[data-review-done=good]")
+    expect(done.locator("tbody tr").nth(1)).to_contain_text("Infeed nip")
+    expect(done.locator("tbody tr").nth(1)).to_contain_text("verified: reads 100.5")
     assert len(writes(site, 0x82)) == staged + 3
     assert len(writes(site, 0x83)) == executed + 3
     assert [site.unit(number)["commanded_raw"] for number in (1, 2, 3)] == [1000, 1005, 1010]

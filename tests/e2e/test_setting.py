@@ -279,6 +279,7 @@ def test_a_unit_in_local_takes_the_controls_away_and_says_why(site: Site, browse
 def test_several_units_are_one_change(site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=PANEL), "/setpoints")
     before = writes(site)
+    former = [state(site, unit)["setpoint"] for unit in (3, 4)]
     for unit, text in ((3, "70.0"), (4, "71.0")):
         page.locator(f'[name="new-{unit}"]').fill(text)
     page.get_by_role("button", name="Review the change").click()
@@ -288,6 +289,11 @@ def test_several_units_are_one_change(site: Site, browser_page: OpensPages) -> N
     act.click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("reads 71.0")
     assert (state(site, 3)["setpoint"], state(site, 4)["setpoint"]) == (700, 710)
+    page.get_by_role("button", name="Close").click()
+    page.get_by_role("button", name=re.compile("Undo")).click()
+    act.click()
+    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    assert [state(site, unit)["setpoint"] for unit in (3, 4)] == former
 
 
 def test_scaling_fills_in_what_is_ticked(browser_page: OpensPages) -> None:

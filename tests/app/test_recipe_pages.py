@@ -1,0 +1,45 @@
+"""Loading a recipe on its page: only what was reviewed, and only while that holds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from app.web.access import Role
+from bus.contract import ParameterValue
+from tests.app.played_desk import ANNA
+from tests.app.whole_app import House, whole_app
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+async def load(client: httpx.AsyncClient, **changed: str) -> httpx.Response:
+    form = {"id": "c" * 32, "reviewed_at": str(time.time()), "raw-1": "700", "was-1": "", **changed}
+    return await client.post("/recipes/1/load", data=form, headers={"Origin": str(client.base_url)})
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"reviewed_at": "1"}, "lapsed"),
+        ({"was-1": "690"}, "moved since it was reviewed"),
+        ({"raw-1": "710"}, "not what was reviewed"),
+        ({"raw-1": ""}, "not what was reviewed"),
+        ({}, "cannot be loaded now"),
+    ],
+)
+async def test_only_what_was_reviewed_is_loaded(house: House, changed: dict[str, str], said: str) -> None:
+    unit_1 = [ParameterValue(unit=1, number=number, at=1, raw=raw) for number, raw in ((3, 1), (8, 0))]
+    house.services.live.apply("dry-end", list(unit_1))
+    await house.services.recipes.save(ANNA, "dry-end", "Board", "", {1: 700})
+    answer = await load(await house.signed_in(Role.OPERATOR), **changed)
+    assert said in answer.text
+    assert 'data-review-done="bad"' in answer.text
