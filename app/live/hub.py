@@ -13,12 +13,12 @@ from collections.abc import Callable, Sequence
 from app.live.age import scan_s_of
 from app.live.browser import Browser
 from app.live.fields import Voice, health_fields, unit_key
-from app.live.frames import frame_fields
 from app.live.motions import motions_for, watch_motions
 from app.live.readers import Readers
 from app.live.screen import WHOLE_LINE, Block, Drift, Drifted, Groups, Recipe, Screen
 from app.live.state import LiveState
 from app.live.totals import holders
+from app.live.trace_frames import frame_fields
 from app.web.templating import Templates
 from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
 

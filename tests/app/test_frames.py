@@ -1,112 +1,114 @@
-"""What frames say, in the language of the page."""
+"""The short way out of a WebSocket, on real sockets: uvicorn, its protocol of our own, and a client."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 
 import pytest
+import uvicorn
+from starlette.types import Receive, Scope, Send
+from starlette.websockets import WebSocket
+from uvicorn.server import ServerState
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosedError
+from websockets.frames import Frame, Opcode
+from websockets.streams import StreamReader
 
-from app.live.frames import frame_fields
-from app.web.languages import Languages
-from bus.clauses import Clause
-from bus.contract import Frame
-from bus.errors import UnitErrorCode
-from bus.line.trace import HIDDEN
-from bus.settings import Dialect
-from bus.wire.bodies import encode_reply, encode_request
-from bus.wire.commands import (
-    Ack,
-    ExecuteSpeed,
-    Nak,
-    ParameterReply,
-    ReadParameter,
-    ReadStatus,
-    Request,
-    SetAndExecuteSpeed,
-    StageSpeed,
-    StatusReply,
-    WriteAnalogOutput,
-    WriteOutput,
-    WriteParameter,
-)
-from bus.wire.describe import describe_bytes
-from bus.wire.framing import Fault
-from tests.app.screens import voice
+from app.cli.frames import FramesProtocol
+from app.web.frames import Outlet, outlet_of, text_frame
 
-PLAIN = Dialect()
-REQUESTS: list[Request] = [
-    ReadStatus(3),
-    StageSpeed(3, 500),
-    ExecuteSpeed(0),
-    SetAndExecuteSpeed(3, 500),
-    ReadParameter(3, 6),
-    ReadParameter(3, 99),
-    WriteParameter(3, 6, 50),
-    WriteParameter(3, 21, 4711),
-    WriteOutput(3, 2, on=True),
-    WriteOutput(3, 2, on=False),
-    WriteAnalogOutput(3, 99),
-]
-ALIKE = {"remote", "NAK"}
-"""Said the same in both languages."""
+PATIENCE_S = 30.0
 
 
-def clauses_of(*frames: bytes) -> list[Clause]:
-    return [clause for item in describe_bytes(b"".join(frames), PLAIN) for clause in item.clauses]
+@pytest.mark.parametrize("size", [0, 1, 125, 126, 65_535, 65_536])
+def test_a_frame_says_its_whole_payload(size: int) -> None:
+    reader = StreamReader()
+    reader.feed_data(text_frame(b"x" * size))
+    parsing = Frame.parse(reader.read_exact, mask=False, max_size=None)
+    with pytest.raises(StopIteration) as parsed:
+        next(parsing)
+    frame: Frame = parsed.value.value
+    assert (frame.fin, frame.opcode, bytes(frame.data)) == (True, Opcode.TEXT, b"x" * size)
+    assert reader.buffer == b""
 
 
-def asked_and_answered() -> Iterable[Clause]:
-    every_bit = StatusReply(3, 500, 499, 12, 0xFF, 0xFF)
-    no_bit = StatusReply(3, 500, 499, 12, 0, 0)
-    for request in REQUESTS:
-        asked = encode_request(request, PLAIN)
-        yield from clauses_of(asked)
-        yield from clauses_of(asked, encode_reply(Ack(3), PLAIN))
-        yield from clauses_of(asked, encode_reply(Ack(3, b"\x00\x32"), PLAIN))
-        for code in (*UnitErrorCode, 0x99):
-            yield from clauses_of(asked, encode_reply(Nak(3, code), PLAIN))
-    for answer in (every_bit, no_bit, ParameterReply(3, 50, 2), Ack(3), Ack(3, b"123"), Nak(3, 0x80)):
-        yield from clauses_of(encode_reply(answer, PLAIN))
-    yield from clauses_of(
-        encode_request(ReadParameter(3, 6), PLAIN), encode_reply(ParameterReply(3, 50, 2), PLAIN)
-    )
+def test_without_the_server_s_offer_nothing_goes_the_short_way() -> None:
+    assert not outlet_of({"type": "websocket"}).write(text_frame(b"x"))
 
 
-def rubbish() -> Iterable[Clause]:
-    yield from clauses_of(b"\x55\xaa")
-    yield from clauses_of(bytes.fromhex("10 02 04 82 00 00 02 10 10 10 03 67"))
-    for body in ("01 99", "01 87 01 07", "01 85 AA"):
-        content = bytes.fromhex(body)
-        yield from clauses_of(b"\x10\x02" + content + b"\x10\x03" + bytes((-sum(content) & 0xFF,)))
-    yield from (Clause(fault.value) for fault in Fault)
-    yield HIDDEN
+class Echo:
+    """An app of one socket, which a test holds in its hands."""
+
+    def __init__(self) -> None:
+        self.opened = asyncio.Event()
+        self.closed = asyncio.Event()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        self.socket = WebSocket(scope, receive, send)
+        await self.socket.accept()
+        self.opened.set()
+        while (await self.socket.receive())["type"] != "websocket.disconnect":
+            pass
+        self.closed.set()
+
+    @property
+    def outlet(self) -> Outlet:
+        return outlet_of(self.socket.scope)
 
 
-def english_words(clause: Clause) -> Iterable[str]:
-    """The text and the words among its values, without the manual's names of parameters."""
-    yield clause.text
-    for value in clause.values.values():
-        if isinstance(value, str) and re.search("[a-z]{2}", value) and not re.match(r"#\d+ [A-Z]", value):
-            yield value
+@asynccontextmanager
+async def held() -> AsyncIterator[tuple[Echo, ClientConnection]]:
+    app, state = Echo(), ServerState()
+    config = uvicorn.Config(app, ws_per_message_deflate=False, log_level="critical")
+    config.load()
+    loop = asyncio.get_running_loop()
+    async with await loop.create_server(lambda: FramesProtocol(config, state, {}), "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        async with connect(f"ws://127.0.0.1:{port}", compression=None, max_queue=1) as client:
+            await app.opened.wait()
+            yield app, client
 
 
-@pytest.mark.parametrize("language", [each.tag for each in Languages() if each.tag != "en"])
-def test_whatever_a_frame_says_is_said_in_every_language(language: str) -> None:
-    t = Languages()[language].t
-    texts = {text for clause in (*asked_and_answered(), *rubbish()) for text in english_words(clause)}
-    assert len(texts) > 40
-    assert {text for text in texts if t(text) == text} - ALIKE == set()
+async def test_both_ways_out_keep_their_order() -> None:
+    async with held() as (app, client), asyncio.timeout(PATIENCE_S):
+        assert app.outlet.write(text_frame(b"1"))
+        await app.socket.send_text("2")
+        assert app.outlet.write(text_frame("drei \N{EURO SIGN}".encode()))
+        assert [await client.recv() for _ in range(3)] == ["1", "2", "drei \N{EURO SIGN}"]
 
 
-def test_a_frame_in_german() -> None:
-    (asked,) = describe_bytes(encode_request(WriteParameter(3, 6, 50), PLAIN), PLAIN)
-    frame = Frame(at=100.1234, direction="out", data=asked.wire, clauses=list(asked.clauses))
-    assert frame_fields(frame, voice("de")) == {
-        "at": 100.1234,
-        "direction": "out",
-        "hex": "10 02 03 86 06 00 00 00 32 10 03 3F",
-        "meaning": "Regler 3: Parameter #6 Acceleration Ramp Rate = 50 schreiben",
-        "valid": True,
-    }
-    assert frame.meaning == "unit 3: write parameter #6 Acceleration Ramp Rate = 50"
+async def test_a_client_that_does_not_read_is_not_written_to() -> None:
+    async with held() as (app, client), asyncio.timeout(PATIENCE_S):
+        client.transport.pause_reading()
+        frame, sent = text_frame(b"x" * 100_000), 0
+        while app.outlet.write(frame):
+            sent += 1
+        protocol = app.outlet
+        assert isinstance(protocol, FramesProtocol)
+        assert 0 < protocol.transport.get_write_buffer_size() <= len(frame)
+        assert not app.outlet.write(text_frame(b"late")), "nothing more is kept for it"
+        later = asyncio.create_task(app.socket.send_text("the present"))
+        client.transport.resume_reading()
+        assert {len(await client.recv()) for _ in range(sent)} == {100_000}
+        assert await client.recv() == "the present"
+        await later
+        assert app.outlet.write(frame)
+
+
+async def test_nothing_is_said_after_the_close() -> None:
+    async with held() as (app, client), asyncio.timeout(PATIENCE_S):
+        assert app.outlet.write(text_frame(b"1"))
+        await app.socket.close(4401)
+        assert not app.outlet.write(text_frame(b"2"))
+        assert await client.recv() == "1"
+        with pytest.raises(ConnectionClosedError, match="4401"):
+            await client.recv()
+
+
+async def test_nothing_is_said_to_who_has_gone() -> None:
+    async with held() as (app, client), asyncio.timeout(PATIENCE_S):
+        client.transport.abort()
+        await app.closed.wait()
+        assert not app.outlet.write(text_frame(b"1"))
