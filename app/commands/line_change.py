@@ -16,7 +16,7 @@ from app.commands.forms import Desktop
 from app.commands.ramp import present_setpoint
 from app.commands.words import shown_setpoint
 from app.errors import Problem
-from app.live.state import BusLive
+from app.live.state import BusLive, follower
 from bus.contract import Result
 
 Proof = tuple[str, str, Fate]
@@ -38,6 +38,11 @@ def reviewed(live: BusLive, form: FormData) -> dict[int, int]:
             raise Problem(409, "moved", moved)
         setpoints[number] = int(text)
     return setpoints
+
+
+def followers_of(live: BusLive) -> set[int]:
+    """The units of whose setpoint, a ratio, the screen says no live value."""
+    return {number for number, unit in live.units.items() if follower(unit)}
 
 
 def proven(

@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from app.commands.bodies import Quantity
 from app.commands.forms import TIMEOUT_S, Desks, Desktop
-from app.commands.line_change import proven, reviewed
+from app.commands.line_change import followers_of, proven, reviewed
 from app.commands.ramp import Change, change_of, present_setpoint, sensible_bounds
 from app.commands.speed_pages import refuse_outside
 from app.commands.typed import Typed
@@ -81,6 +81,7 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
         bus=bus,
         changes=changes,
         obstacles=_obstacles(desk, live, changes),
+        followers=followers_of(live),
         longest_s=2 * timeout_s(len(changes)),
     )
 

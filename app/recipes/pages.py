@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 
 from app.commands.forms import Desks
-from app.commands.line_change import proven, reviewed
+from app.commands.line_change import followers_of, proven, reviewed
 from app.commands.ramp import present_setpoint
 from app.errors import Problem
 from app.live.api import Live
@@ -82,7 +82,7 @@ async def review(person: Operator, desk: Desks, book: Book, recipe_id: int) -> R
     run = book.try_out(person, recipe)
     bus = desk.bus(recipe.bus)
     was = {number: present_setpoint(bus, unit) for number, unit in bus.units.items()}
-    return desk.review("recipes/_review.html", recipe=recipe, run=run, was=was)
+    return desk.review("recipes/_review.html", recipe=recipe, run=run, was=was, followers=followers_of(bus))
 
 
 @router.post("/recipes/{recipe_id}/load")

@@ -40,14 +40,20 @@ function watch(form) {
   const bar = form.querySelector("[data-lapse]");
   bar?.animate([{ scale: "1 1" }, { scale: "0 1" }], { duration: LAPSE_MS, fill: "forwards" });
   endings.push(() => clearTimeout(timer));
-  const { of: unit, watch: key, was } = form.dataset;
-  if (!unit) return;
+  for (const part of [form, ...form.querySelectorAll("[data-watch]")]) watchUnit(form, part);
+}
+
+/** Of one unit the form says which it is; of several a row each, with the name. */
+function watchUnit(form, part) {
+  const { of: unit, watch: key, was, name } = part.dataset;
+  const group = unit ?? key?.slice(0, key.indexOf("."));
+  if (!group) return;
   endings.push(
-    listen(unit, (fields) => {
+    listen(group, (fields) => {
       const present = key ? value(key) : undefined;
       const moved = present !== undefined && present !== was ? word("moved", present) : "";
-      const reason = whyNot(fields) || moved;
-      if (reason) end(form, reason);
+      const reason = (unit ? whyNot(fields) : "") || moved;
+      if (reason) end(form, name ? `${name}: ${reason}` : reason);
     }),
   );
 }
@@ -65,7 +71,8 @@ const isByItself = (source) => source.hasAttribute("hx-trigger");
 /** The review is over without a command: the button is gone and the reason stays. */
 function end(form, reason) {
   close();
-  if (form.dataset.asked !== undefined) return;
+  if (form.dataset.asked !== undefined || form.dataset.ended !== undefined) return;
+  form.dataset.ended = "";
   const words = form.querySelector("[data-review-end]");
   words.textContent = reason;
   words.hidden = false;

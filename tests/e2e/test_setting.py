@@ -291,6 +291,12 @@ def test_several_units_are_one_change(site: Site, browser_page: OpensPages) -> N
     assert (state(site, 3)["setpoint"], state(site, 4)["setpoint"]) == (700, 710)
     page.get_by_role("button", name="Close").click()
     page.get_by_role("button", name=re.compile("Undo")).click()
+    expect(act).to_be_visible()
+    with site.api("operator") as client:
+        assert client.post("/buses/line/units/4/speed", json={"value": "72.0"}).status_code == 200
+    expect(page.locator("[data-review-end]")).to_contain_text("Dryer 1: The value has moved to 72.0")
+    page.get_by_role("button", name="Close").click()
+    page.get_by_role("button", name=re.compile("Undo")).click()
     act.click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
     assert [state(site, unit)["setpoint"] for unit in (3, 4)] == former
