@@ -9,6 +9,7 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -34,8 +35,11 @@ from app.history.status import Status
 from app.live.api import router as live_router
 from app.live.state import LiveState
 from app.pipeline import Pipeline
+from app.settings import Site
 from app.web.access import Person, Role
+from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
+from app.web.templating import Templates
 from bus.contract import (
     CONTRACT_VERSION,
     AppMessage,
@@ -185,6 +189,11 @@ async def find(name: str) -> tuple[str, Role] | None:
     return (name, PEOPLE[name]) if name in PEOPLE else None
 
 
+@cache
+def _templates() -> Templates:
+    return Templates(templates_dir(), Assets(static_dir()), Site())
+
+
 class Stage:
     """Everything between the browser and the worker. ``http`` asks as a role."""
 
@@ -209,6 +218,7 @@ class Stage:
             history=self.history,
             hub=SimpleNamespace(block=self.guards.block_reason),
             settings=SimpleNamespace(site=SimpleNamespace(name="Test line")),
+            templates=_templates(),
         )
         for router in (
             *(live_router, commands_router, safeguards_router),
