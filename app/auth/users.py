@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Iterable
+from collections.abc import Awaitable
 
 from fastapi import APIRouter
 from starlette.requests import Request
@@ -12,7 +12,7 @@ from app.auth import rules
 from app.auth.accounts import Accounts
 from app.auth.pages import Keeping, Text, address_of
 from app.errors import Problem
-from app.web.access import PEOPLE_ROLES, Admin, Person, Role, Viewer
+from app.web.access import PEOPLE_ROLES, Admin, Person, Role, Viewer, role_named
 from app.web.problems import is_fragment
 from app.web.templating import render
 from bus.errors import CallerError
@@ -46,7 +46,7 @@ async def add_user(
 
     async def add() -> None:
         rules.check_password(password)
-        await accounts.add_user(name.strip(), _role(role), password, by=person.name, origin=origin)
+        await accounts.add_user(name.strip(), role_named(role), password, by=person.name, origin=origin)
 
     return await _did(request, accounts, add())
 
@@ -63,7 +63,8 @@ async def add_panel(
 ) -> Response:
     """A panel on the wall, by PIN; it only looks unless it is given more."""
     by, origin = person.name, address_of(request)
-    add = accounts.add_panel(panel.strip(), _role(panel_role), pin, home.strip() or "/", by=by, origin=origin)
+    role, begins = role_named(panel_role), home.strip() or "/"
+    add = accounts.add_panel(panel.strip(), role, pin, begins, by=by, origin=origin)
     return await _did(request, accounts, add)
 
 
@@ -72,7 +73,7 @@ async def set_role(
     request: Request, person: Admin, accounts: Keeping, name: str, role: Text = ""
 ) -> Response:
     """What somebody may do from now on."""
-    change = accounts.set_role(name, _role(role), by=person.name, origin=address_of(request))
+    change = accounts.set_role(name, role_named(role), by=person.name, origin=address_of(request))
     return await _did(request, accounts, change)
 
 
@@ -118,7 +119,7 @@ async def create_token(
 ) -> HTMLResponse:
     """The token is on this one answer and nowhere else."""
     try:
-        chosen = _role(token_role, Role)
+        chosen = role_named(token_role, Role)
         secret = await accounts.create_token(
             token.strip(), chosen, by=person.name, origin=address_of(request)
         )
@@ -158,13 +159,6 @@ async def _reset(accounts: Accounts, person: Person, name: str, password: str, o
     user = next((user for user in await accounts.users() if user.name == name), None)
     (rules.check_pin if user and user.panel else rules.check_password)(password)
     await accounts.set_password(name, password, by=person.name, origin=origin)
-
-
-def _role(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
-    roles = list(among)
-    if word not in roles:
-        raise CallerError(f"there is no role {word!r}; take one of {', '.join(roles)}")
-    return Role(word)
 
 
 async def _page(

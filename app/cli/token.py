@@ -10,8 +10,7 @@ import typer
 from app.cli.accounts import ORIGIN, who_calls, with_accounts
 from app.cli.ending import ending
 from app.cli.serve import Config
-from app.web.access import Role
-from bus.errors import CallerError
+from app.web.access import Role, role_named
 
 LINESIDE_TOML = Path("lineside.toml")
 tokens = typer.Typer(help="Keys for programs.", no_args_is_help=True)
@@ -32,7 +31,7 @@ def create(
 ) -> None:
     """Create a bearer token and print it, this once."""
     with ending():
-        chosen = _role(role)
+        chosen = role_named(role, Role)
         typer.echo(
             with_accounts(
                 config, lambda accounts: accounts.create_token(name, chosen, by=who_calls(), origin=ORIGIN)
@@ -53,9 +52,3 @@ def revoke(name: Name, config: Config = LINESIDE_TOML) -> None:
     """Refuse a token from now on."""
     with ending():
         with_accounts(config, lambda accounts: accounts.revoke_token(name, by=who_calls(), origin=ORIGIN))
-
-
-def _role(word: str) -> Role:
-    if word not in list(Role):
-        raise CallerError(f"there is no role {word!r}; take one of {', '.join(Role)}")
-    return Role(word)

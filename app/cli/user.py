@@ -12,7 +12,7 @@ from app.auth.rules import LONGEST_PASSWORD, SHORTEST_PASSWORD
 from app.cli.accounts import ORIGIN, who_calls, with_accounts
 from app.cli.ending import ending
 from app.cli.serve import Config
-from app.web.access import PEOPLE_ROLES, Role
+from app.web.access import PEOPLE_ROLES, role_named
 from bus.errors import CallerError
 
 LINESIDE_TOML = Path("lineside.toml")
@@ -36,7 +36,7 @@ def add(
 ) -> None:
     """Add somebody."""
     with ending():
-        chosen, password = role_of(role), _password(password_stdin)
+        chosen, password = role_named(role), _password(password_stdin)
         with_accounts(
             config, lambda accounts: accounts.add_user(name, chosen, password, by=who_calls(), origin=ORIGIN)
         )
@@ -66,13 +66,6 @@ def remove(name: Name, config: Config = LINESIDE_TOML) -> None:
     """Remove somebody; what they did stays in the events."""
     with ending():
         with_accounts(config, lambda accounts: accounts.remove_user(name, by=who_calls(), origin=ORIGIN))
-
-
-def role_of(word: str) -> Role:
-    """A person's role. Raises CallerError."""
-    if word not in PEOPLE_ROLES:
-        raise CallerError(f"there is no role {word!r}; take one of {', '.join(PEOPLE_ROLES)}")
-    return Role(word)
 
 
 def _password(from_input: bool) -> str:

@@ -46,35 +46,32 @@ class FrameShown(TypedDict):
     valid: bool
 
 
-class UnitFateShown(TypedDict):
-    """The fate at one unit, with the times of its frames."""
-
-    unit: int
+class _Told(TypedDict):
     outcome: Outcome
     code: Outcome
     message: str
     read_back: int | None
     unit_error: int | None
     unit_error_name: str | None
+
+
+class UnitFateShown(_Told):
+    """The fate at one unit, with the times of its frames."""
+
+    unit: int
     sent_at: str | None
     acknowledged_at: str | None
     proven_at: str | None
     attempts: int
 
 
-class FateShown(TypedDict):
+class FateShown(_Told):
     """The one fate of a command; where it is about one unit, also that unit's times."""
 
     id: str
     at: str
     bus: str
     unit: int | None
-    outcome: Outcome
-    code: Outcome
-    message: str
-    read_back: int | None
-    unit_error: int | None
-    unit_error_name: str | None
     skew_s: float | None
     units: dict[str, UnitFateShown]
     frames: list[FrameShown]
@@ -107,12 +104,7 @@ def fate_json(
         "at": iso(result.at),
         "bus": bus.settings.name,
         "unit": unit,
-        "outcome": result.outcome,
-        "code": result.outcome,
-        "message": in_words(result),
-        "read_back": None if secret else result.read_back,
-        "unit_error": result.unit_error,
-        "unit_error_name": _error_name(result.unit_error),
+        **_told(result, in_words(result), secret),
         "skew_s": result.skew_s,
         "units": fates,
         "frames": [] if secret else [frame_json(frame) for frame in result.frames],
@@ -142,16 +134,22 @@ def frame_json(frame: Frame) -> dict[str, Any]:
 def _unit_json(fate: UnitOutcome, secret: bool) -> dict[str, Any]:
     return {
         "unit": fate.unit,
-        "outcome": fate.outcome,
-        "code": fate.outcome,
-        "message": fate.message or _WORDS[fate.outcome],
-        "read_back": None if secret else fate.read_back,
-        "unit_error": fate.unit_error,
-        "unit_error_name": _error_name(fate.unit_error),
+        **_told(fate, fate.message or _WORDS[fate.outcome], secret),
         "sent_at": _moment(fate.sent_at),
         "acknowledged_at": _moment(fate.acknowledged_at),
         "proven_at": _moment(fate.proven_at),
         "attempts": fate.attempts,
+    }
+
+
+def _told(fate: Result | UnitOutcome, message: str, secret: bool) -> _Told:
+    return {
+        "outcome": fate.outcome,
+        "code": fate.outcome,
+        "message": message,
+        "read_back": None if secret else fate.read_back,
+        "unit_error": fate.unit_error,
+        "unit_error_name": _error_name(fate.unit_error),
     }
 
 

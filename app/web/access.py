@@ -6,6 +6,7 @@ not start otherwise (`app.web.routes`). The person is put into the ASGI scope by
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Literal
@@ -14,6 +15,7 @@ from fastapi import Depends
 from starlette.requests import HTTPConnection
 
 from app.errors import Problem
+from bus.errors import CallerError
 
 Via = Literal["session", "token", "worker", "demo"]
 
@@ -32,12 +34,20 @@ class Role(StrEnum):
         other = Role(other)
         if Role.WORKER in (self, other):
             return self is other or self in (Role.ENGINEER, Role.ADMIN)
-        return _ORDER.index(self) >= _ORDER.index(other)
+        return PEOPLE_ROLES.index(self) >= PEOPLE_ROLES.index(other)
 
 
-_ORDER = (Role.VIEWER, Role.OPERATOR, Role.ENGINEER, Role.ADMIN)
-PEOPLE_ROLES = _ORDER
+PEOPLE_ROLES = (Role.VIEWER, Role.OPERATOR, Role.ENGINEER, Role.ADMIN)
+"""In the order of what they may do; each may what those before it may."""
 _TOKEN = " (token)"
+
+
+def role_named(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
+    """Raises CallerError for a word that is none of these."""
+    roles = list(among)
+    if word not in roles:
+        raise CallerError(f"there is no role {word!r}; take one of {', '.join(roles)}")
+    return Role(word)
 
 
 @dataclass(frozen=True)

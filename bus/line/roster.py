@@ -148,21 +148,15 @@ class Roster:
 
     def port_closed(self, at: float, cause: str) -> list[Update]:
         """No unit can be asked: whoever was online is stale from now on."""
-        return [
-            update
-            for record in self._records.values()
-            if record.link.link == "online"
-            for update in self._link(record, "stale", at, cause)
-        ]
+        return self._all("online", "stale", at, cause)
 
     def port_stays_closed(self, at: float, cause: str) -> list[Update]:
         """It has lasted: whoever was stale counts as lost."""
-        return [
-            update
-            for record in self._records.values()
-            if record.link.link == "stale"
-            for update in self._link(record, "offline", at, cause)
-        ]
+        return self._all("stale", "offline", at, cause)
+
+    def _all(self, was: UnitLinkState, becomes: UnitLinkState, at: float, cause: str) -> list[Update]:
+        records = [record for record in self._records.values() if record.link.link == was]
+        return [update for record in records for update in self._link(record, becomes, at, cause)]
 
     def _answered(self, record: UnitRecord, at: float) -> list[Update]:
         record.misses, record.answered_at = 0, at
