@@ -161,6 +161,17 @@ def test_a_panel_is_cleaned_without_setting_anything(browser_page: OpensPages) -
     expect(page.locator(".cover")).to_have_count(0)
 
 
+def test_a_screen_reader_hears_which_lamps_are_lit_and_what_a_number_is(
+    site: Site, browser_page: OpensPages
+) -> None:
+    eventually(lambda: site.unit(1)["inputs"]["run"], "the run input seen")
+    page = opened(browser_page("viewer", viewport=PANEL), "/?view=tiles")
+    aloud = page.locator('[data-unit="line/1"]').aria_snapshot()
+    assert "actual" in aloud
+    assert "Run input on" in aloud
+    assert "Preset input" not in aloud
+
+
 def test_a_viewer_sees_no_control(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PANEL), "/units/line/1")
     expect(page.locator(".main [data-command]")).to_have_count(0)
