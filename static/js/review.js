@@ -15,11 +15,15 @@ function opened() {
   close();
   if (!content.firstElementChild) return;
   if (!content.querySelector("[data-review-cancel]")) content.append(closer());
-  if (!dialog.open) dialog.showModal();
+  show();
   const form = content.querySelector("[data-review]");
+  if (form) watch(form);
+}
+
+function show() {
+  if (!dialog.open) dialog.showModal();
   dialog.classList.toggle("dialog--wide", Boolean(content.querySelector(".review--wide")));
   content.querySelector("[data-review-cancel]")?.focus();
-  if (form) watch(form);
 }
 
 /** For an answer that brings no button of its own, for example a refusal by the server. */
@@ -107,6 +111,30 @@ function asked(form) {
   form.querySelector("[data-lapse]")?.parentElement.remove();
 }
 
+/** What was asked has no answer, and none is made up: whether it was done is not known. */
+function unanswered(form) {
+  delete form.dataset.asked;
+  form.dataset.unanswered = "";
+  for (const button of form.querySelectorAll("button")) button.disabled = false;
+  end(form, word("fateUnknown"));
+}
+
+/** Of a press that had no review. */
+function sayUnanswered() {
+  const words = document.createElement("p");
+  words.className = "field__error";
+  words.textContent = word("fateUnknown");
+  document.getElementById("setpoint-error")?.replaceChildren(words);
+}
+
+/** A review is over with its server; what was asked comes back with it, to say that its fate is not known. */
+function lost() {
+  const form = content.querySelector("[data-asked]");
+  if (!form) return dismiss();
+  unanswered(form);
+  dialog.close();
+}
+
 /** A form that the browser sends by itself: not while the server is not heard, and with the moment of the press,
  * so that one that is held up on the way is refused (app/web/late.py). */
 function submitted(event) {
@@ -145,7 +173,10 @@ export function start() {
     if (typed)
       content.querySelector("[data-review-act]").disabled = typed.value.trim() !== typed.dataset.typed;
   });
-  document.addEventListener("lineside:lost", dismiss);
+  document.addEventListener("lineside:lost", lost);
+  document.addEventListener("lineside:found", () => {
+    if (!dialog.open && content.querySelector("[data-unanswered]")) show();
+  });
   document.addEventListener("lineside:idle", () => {
     if (!content.querySelector("[data-asked]")) dismiss();
   });
@@ -174,11 +205,9 @@ export function start() {
     else if (target?.matches("[role=status]") && target.firstElementChild && !isByItself(event.detail.ctx.sourceElement))
       target.scrollIntoView({ block: "nearest" });
   });
-  document.addEventListener("htmx:error", () => {
+  document.addEventListener("htmx:error", (event) => {
     const form = content.querySelector("[data-asked]");
-    if (!form) return;
-    delete form.dataset.asked;
-    for (const button of form.querySelectorAll("button")) button.disabled = false;
-    end(form, word("fateUnknown"));
+    if (form) unanswered(form);
+    else if (event.detail.ctx?.sourceElement.matches("[data-once]")) sayUnanswered();
   });
 }

@@ -116,6 +116,25 @@ def test_a_review_ends_when_the_value_has_moved(site: Site, browser_page: OpensP
     assert state(site, 6)["setpoint"] == 500
 
 
+@pytest.mark.provokes("ERR_FAILED", "fetch")
+def test_a_press_without_an_answer_has_an_unknown_fate(site: Site, browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/units/line/6")
+    before = writes(site)
+    page.route("**/speed", lambda _: None)
+    page.route("**/nudge", lambda route: route.abort())
+    page.get_by_role("button", name="Set now").click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-fate]")).to_be_visible()
+    page.evaluate("document.dispatchEvent(new CustomEvent('lineside:lost'))")
+    expect(page.locator("dialog[open]")).to_have_count(0)
+    page.evaluate("document.dispatchEvent(new CustomEvent('lineside:found'))")
+    expect(page.locator("[data-review-end]")).to_contain_text("whether it was done is not known")
+    page.get_by_role("button", name="Close").click()
+    page.locator(".nudges button").first.click()
+    expect(page.locator("#setpoint-error")).to_contain_text("whether it was done is not known")
+    assert writes(site) == before
+
+
 def test_out_of_range_is_refused_with_the_nearest(site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=PANEL), "/units/line/3")
     before = writes(site)
