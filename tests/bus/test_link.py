@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,7 +9,6 @@ from msgspec.structs import replace
 
 from bus.errors import WireError
 from bus.line.asking import Heard
-from bus.line.clock import Alarm
 from bus.line.link import MARGIN_S, Link
 from bus.line.port_pace import PortPace
 from bus.line.roster import Roster
@@ -28,6 +25,7 @@ from bus.wire.commands import (
     SetAndExecuteSpeed,
     StatusReply,
 )
+from tests.bus.played_clock import PlayedClock
 
 PLAIN = Dialect()
 BYTE_S = 10 / 9600
@@ -35,15 +33,11 @@ TURNAROUND_S = 0.050
 STATUS = StatusReply(1, 500, 498, 77, 0xC0, 0x03)
 
 
-Entry = tuple[float, Callable[[], None]]
-
-
-class Wires:
+class Wires(PlayedClock):
     """Clock, alarms and port in one; time goes on only by ``pass_time``."""
 
     def __init__(self) -> None:
-        self.time = 100.0
-        self.alarms: list[Entry] = []
+        super().__init__()
         self.written: list[bytes] = []
         self.dropped = 0
         self.listens = True
@@ -54,21 +48,6 @@ class Wires:
         self.link = Link(PLAIN, 9600, TURNAROUND_S, self, self.roster, self.trace)
         self.link.done = lambda heard, _began, ended: self.heard.append((heard, ended))
         self.link.attach(self, 9600)
-
-    # the clock
-    def now(self) -> float:
-        return self.time
-
-    def epoch(self, now: float) -> float:
-        return now
-
-    def settle(self) -> None:
-        """Not needed here."""
-
-    def call_at(self, when: float, callback: Callable[[], None]) -> Alarm:
-        entry = (when, callback)
-        self.alarms.append(entry)
-        return _Cancel(self.alarms, entry)
 
     # the port
     def write(self, data: bytes) -> None:
@@ -95,13 +74,7 @@ class Wires:
 
     # time
     def pass_time(self, seconds: float) -> None:
-        until = self.time + seconds
-        while self.alarms and min(self.alarms, key=lambda alarm: alarm[0])[0] <= until:
-            alarm = min(self.alarms, key=lambda each: each[0])
-            self.alarms.remove(alarm)
-            self.time = max(self.time, alarm[0])
-            alarm[1]()
-        self.time = until
+        self.pass_to(self.time + seconds)
 
     def receive(self, data: bytes) -> None:
         """Byte by byte, each in its time."""
@@ -116,17 +89,6 @@ class Wires:
         """As a unit would: after the request has left."""
         self.pass_time(len(self.written[-1]) * BYTE_S + after_s)
         self.receive(encode_reply(reply, PLAIN))
-
-
-class _Cancel:
-    def __init__(
-        self, alarms: list[tuple[float, Callable[[], None]]], entry: tuple[float, Callable[[], None]]
-    ) -> None:
-        self._alarms, self._entry = alarms, entry
-
-    def cancel(self) -> None:
-        if self._entry in self._alarms:
-            self._alarms.remove(self._entry)
 
 
 @pytest.fixture

@@ -2,39 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from bus.line.clock import Alarm
 from bus.line.window import LATE_S, LOOK_ONCE_MORE_S, Window
+from tests.bus.played_clock import PlayedClock
 
 BYTE_S = 0.001
 QUIET_S = 0.005
 
 
-class Bench:
+class Bench(PlayedClock):
     """A clock whose alarms may ring late, a port that only notes whether it is heard."""
 
     def __init__(self) -> None:
-        self.time = 100.0
-        self.alarms: list[tuple[float, Callable[[], None]]] = []
+        super().__init__()
         self.listening: list[tuple[float, bool]] = []
         self.over: list[float] = []
         self.window = Window(self, self.over.append)
         self.window.attach(self, BYTE_S)
-
-    def now(self) -> float:
-        return self.time
-
-    def epoch(self, now: float) -> float:
-        return now
-
-    def settle(self) -> None:
-        """Not needed here."""
-
-    def call_at(self, when: float, callback: Callable[[], None]) -> Alarm:
-        entry = (when, callback)
-        self.alarms.append(entry)
-        return _Cancel(lambda: self.alarms.remove(entry))
 
     def listen(self, *, now: bool) -> None:
         self.listening.append((round(self.time - 100.0, 4), now))
@@ -56,20 +39,10 @@ class Bench:
 
     def pass_time(self, until: float, stalled_until: float = 0.0) -> None:
         """To ``until``; no alarm rings before ``stalled_until``. Seconds from the beginning."""
-        while self.alarms and min(self.alarms)[0] <= 100.0 + until:
-            alarm = min(self.alarms)
-            self.alarms.remove(alarm)
-            self.time = max(self.time, alarm[0], 100.0 + stalled_until)
-            alarm[1]()
-        self.time = max(self.time, 100.0 + until)
+        self.pass_to(100.0 + until, 100.0 + stalled_until)
 
     def ended_at(self) -> list[float]:
         return [round(when - 100.0, 4) for when in self.over]
-
-
-class _Cancel:
-    def __init__(self, cancel: Callable[[], None]) -> None:
-        self.cancel = cancel
 
 
 def test_it_ends_at_its_end_once() -> None:
