@@ -10,6 +10,7 @@ import pty
 import socket
 import sys
 from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,17 @@ def line(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[LineServer]
         yield server
 
 
+@contextmanager
+def terminal() -> Iterator[str]:
+    """The name of a pseudo-terminal at whose other end nobody reads."""
+    master, slave = pty.openpty()
+    try:
+        yield os.ttyname(slave)
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
 @on_both_loops
 async def test_bytes_go_and_come(line: LineServer) -> None:
     ear = Ear()
@@ -124,18 +136,14 @@ async def test_a_pulled_port_is_told_once_and_found_again(line: LineServer) -> N
 
 @on_both_loops
 async def test_closing_never_waits_for_bytes_nobody_takes() -> None:
-    master, slave = pty.openpty()
-    try:
-        port = await open_port(os.ttyname(slave), 300, Ear())
+    with terminal() as name:
+        port = await open_port(name, 300, Ear())
         with pytest.raises(WireError, match=r"handshake|took"):
             _fill(port)
         began = asyncio.get_running_loop().time()
         port.close()
         await asyncio.sleep(0.01)
         assert asyncio.get_running_loop().time() - began < 1.0
-    finally:
-        os.close(master)
-        os.close(slave)
 
 
 @on_both_loops
@@ -162,59 +170,48 @@ async def test_what_comes_while_nobody_listens_gathers_and_a_lost_port_is_notice
 
 @on_both_loops
 async def test_a_port_that_takes_half_a_request_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    master, slave = pty.openpty()
-    try:
-        port = await open_port(os.ttyname(slave), 9600, Ear())
+    with terminal() as name:
+        port = await open_port(name, 9600, Ear())
         monkeypatch.setattr(os, "write", lambda _fd, data: len(data) // 2)
         with pytest.raises(PartlySent, match="3 of 7"):
             port.write(POLL)
         monkeypatch.undo()
         port.close()
         await asyncio.sleep(0.01)
-    finally:
-        os.close(master)
-        os.close(slave)
 
 
 @on_both_loops
 async def test_another_baud_rate_without_opening_anew() -> None:
-    master, slave = pty.openpty()
-    try:
-        port = await open_port(os.ttyname(slave), 9600, Ear())
+    with terminal() as name:
+        port = await open_port(name, 9600, Ear())
         port.retune(4800)
-        with serial.Serial(os.ttyname(slave)) as other:
+        with serial.Serial(name) as other:
             assert other.is_open
         port.close()
         await asyncio.sleep(0.01)
-    finally:
-        os.close(master)
-        os.close(slave)
 
 
 @on_both_loops
 async def test_a_taken_port_is_named_with_its_holder() -> None:
-    master, slave = pty.openpty()
-    name = os.ttyname(slave)
-    holder = await asyncio.create_subprocess_exec(
-        *(
-            sys.executable,
-            "-c",
-            f"import serial\nheld = serial.Serial({name!r}, exclusive=True)\ninput('held')",
-        ),
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
-    )
-    try:
-        assert holder.stdout is not None
-        await holder.stdout.readexactly(4)
-        assert [name for name in holders_of(name) if str(holder.pid) in name]
-        with pytest.raises(PortUnavailable, match=rf"in use by .*\(process {holder.pid}\)"):
-            await open_port(name, 9600, Ear())
-    finally:
-        holder.kill()
-        await holder.communicate()
-        os.close(master)
-        os.close(slave)
+    with terminal() as name:
+        holder = await asyncio.create_subprocess_exec(
+            *(
+                sys.executable,
+                "-c",
+                f"import serial\nheld = serial.Serial({name!r}, exclusive=True)\ninput('held')",
+            ),
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+        )
+        try:
+            assert holder.stdout is not None
+            await holder.stdout.readexactly(4)
+            assert [name for name in holders_of(name) if str(holder.pid) in name]
+            with pytest.raises(PortUnavailable, match=rf"in use by .*\(process {holder.pid}\)"):
+                await open_port(name, 9600, Ear())
+        finally:
+            holder.kill()
+            await holder.communicate()
 
 
 @pytest.mark.parametrize(
