@@ -163,7 +163,10 @@ async def nudge(
     try:
         if present is None:
             raise Problem(409, "unknown", "the present setpoint is not known; nothing was sent")
-        raw = max(0, present + step)
+        raw = present + step
+        if raw < 0:
+            reason = "the step is larger than the setpoint, which cannot go below 0; nothing was sent"
+            raise Problem(422, "invalid", reason, nearest=0)
         if not _is_small(desk, bus, live, step):
             return _review(person, desk, bus, live, raw, execute=True)
         result = await desk.ask(person, bus, SetSpeed(unit=unit, raw=raw), id)

@@ -399,3 +399,9 @@ def test_the_line_goes_to_zero(site: Site, browser_page: OpensPages) -> None:
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("8 units took speed 0")
     assert {state(site, unit)["setpoint"] for unit in range(1, 9)} == {0}
+    opened(page, "/units/line/1")
+    expect(page.locator("#setpoint")).to_have_value("0.0")
+    page.locator(".nudges button").first.click()
+    expect(page.locator("#setpoint-error")).to_contain_text("cannot go below 0")
+    page.get_by_role("button", name="Use 0.0").click()
+    expect(page.locator("#setpoint")).to_have_value("0.0")
