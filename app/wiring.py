@@ -115,7 +115,6 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     news = HistoryNews()
     history = History(settings, on_clock_step=news.clock_stepped, on_damage=news.damaged)
     pipeline = Pipeline(live, history, events)
-    news.pipeline = pipeline
     workers = Workers([bus.name for bus in settings.bus], pipeline)
     accounts = Accounts(database, passwords, events)
     control = settings.site.control
@@ -124,25 +123,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     reader = ParameterReader(live, desk)
     local_time = partial(datetime.now, zone(settings.site.time_zone))
     sets = SetKeeper(live, reader, SetStore(database), events)
-    first_writes = FirstWrites(live, sets, local_time)
-    desk.before_write = first_writes.before
-    accounts.on_rights_changed(safeguards.release_all_of)
-    sign_in = SignIn(database, passwords, events, worker_token)
-    sign_in.on_gone = safeguards.release_all_of
-    hub = Hub(live, templates, time)
-    hub.block, hub.drift, hub.watch = safeguards.block_reason, sets.drifts.told, workers.watch
-    sets.drifts.on_change = hub.refresh_unit
-    hub.holder = safeguards.holder
-    hub.memory = lambda voice, now: sentence(history.status, voice.t, voice.formats, now)
-    safeguards.on_block(hub.refresh_unit)
-    restores, swaps = (
-        RestoreDesk(reader, desk, events, RestoreStore(database)),
-        SwapDesk(events, SwapStore(database), time),
-    )
-    restores.on_end = swaps.ended
-    recipes = RecipeBook(live, desk, RecipeStore(database), events)
-    hub.recipe = recipes.loaded_words
-    return Services(
+    services = Services(
         settings=settings,
         assets=assets,
         templates=templates,
@@ -150,25 +131,43 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         events=events,
         passwords=passwords,
         accounts=accounts,
-        sign_in=sign_in,
+        sign_in=SignIn(database, passwords, events, worker_token),
         live=live,
         history=history,
         history_news=news,
         pipeline=pipeline,
         workers=workers,
-        hub=hub,
+        hub=Hub(live, templates, time),
         safeguards=safeguards,
         desk=desk,
         parameter_reader=reader,
         sets=sets,
         set_schedule=SetSchedule(live, sets, events, local_time),
-        first_writes=first_writes,
+        first_writes=FirstWrites(live, sets, local_time),
         takings=Takings(sets),
-        restores=restores,
-        swaps=swaps,
-        recipes=recipes,
+        restores=RestoreDesk(reader, desk, events, RestoreStore(database)),
+        swaps=SwapDesk(events, SwapStore(database), time),
+        recipes=RecipeBook(live, desk, RecipeStore(database), events),
         counts=Counts(events),
     )
+    _connect(services)
+    return services
+
+
+def _connect(services: Services) -> None:
+    """Who hears or asks whom, beyond what each was made with."""
+    history, hub, safeguards = services.history, services.hub, services.safeguards
+    services.history_news.pipeline = services.pipeline
+    services.desk.before_write = services.first_writes.before
+    services.restores.on_end = services.swaps.ended
+    services.accounts.on_rights_changed(safeguards.release_all_of)
+    services.sign_in.on_gone = safeguards.release_all_of
+    services.sets.drifts.on_change = hub.refresh_unit
+    safeguards.on_block(hub.refresh_unit)
+    hub.block, hub.holder = safeguards.block_reason, safeguards.holder
+    hub.drift, hub.recipe = services.sets.drifts.told, services.recipes.loaded_words
+    hub.watch = services.workers.watch
+    hub.memory = lambda voice, now: sentence(history.status, voice.t, voice.formats, now)
 
 
 @asynccontextmanager
