@@ -62,6 +62,11 @@ class Step:
     words: str = ""
 
     @property
+    def is_configured(self) -> bool:
+        """Whether ``name`` is one that people have given."""
+        return self.obstacle != NOT_CONFIGURED
+
+    @property
     def sentence(self) -> str:
         """What will happen, in English."""
         seconds = "" if self.ramp_s is None else f"{self.ramp_s:.1f}"

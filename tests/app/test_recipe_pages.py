@@ -43,3 +43,13 @@ async def test_only_what_was_reviewed_is_loaded(house: House, changed: dict[str,
     answer = await load(await house.signed_in(Role.OPERATOR), **changed)
     assert said in answer.text
     assert 'data-review-done="bad"' in answer.text
+
+
+async def test_the_name_of_a_unit_is_no_word_of_the_page(house: House) -> None:
+    unit = house.services.live.buses["dry-end"].units[1]
+    house.services.live.apply("dry-end", [ParameterValue(unit=1, number=8, at=1, raw=0)])
+    object.__setattr__(unit.settings, "name", "Line")
+    recipe = await house.services.recipes.save(ANNA, "dry-end", "Board", "", {1: 700})
+    viewer = await house.signed_in(Role.VIEWER)
+    page = await viewer.get(f"/recipes/{recipe.id}", headers={"Accept-Language": "de"})
+    assert '<th scope="row">Line</th>' in page.text
