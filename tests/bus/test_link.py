@@ -317,6 +317,14 @@ def _paced() -> Wires:
     return line
 
 
+def _followed() -> Wires:
+    """A request is on its way, and the next one ready to leave by itself after its answer."""
+    line = _paced()
+    line.link.send(ReadStatus(1))
+    line.link.prepare(ReadStatus(2))
+    return line
+
+
 def test_what_was_prepared_leaves_before_the_answer_is_told() -> None:
     line = _paced()
     written: list[int] = []
@@ -338,18 +346,14 @@ def test_what_was_prepared_leaves_before_the_answer_is_told() -> None:
 
 
 def test_what_follows_stands_after_the_answer_in_the_trace() -> None:
-    line = _paced()
-    line.link.send(ReadStatus(1))
-    line.link.prepare(ReadStatus(2))
+    line = _followed()
     line.answer()
     ways = [passed.direction for passed in line.trace.since(0.0)]
     assert ways == ["out", "in", "out", "in", "out"]
 
 
 def test_nothing_follows_by_itself_where_more_came_than_the_answer() -> None:
-    line = _paced()
-    line.link.send(ReadStatus(1))
-    line.link.prepare(ReadStatus(2))
+    line = _followed()
     line.pass_time(25 * BYTE_S)
     line.link.data_received(encode_reply(STATUS, PLAIN) + encode_reply(replace(STATUS, unit=7), PLAIN))
     assert line.heard[-1][0].reply == STATUS
@@ -359,9 +363,7 @@ def test_nothing_follows_by_itself_where_more_came_than_the_answer() -> None:
 
 
 def test_nothing_follows_a_leftover_a_silence_or_second_thoughts() -> None:
-    line = _paced()
-    line.link.send(ReadStatus(1))
-    line.link.prepare(ReadStatus(2))
+    line = _followed()
     line.gathered = encode_reply(STATUS, PLAIN)
     line.pass_time(1.0)
     assert len(line.written) == 2
@@ -375,9 +377,7 @@ def test_nothing_follows_a_leftover_a_silence_or_second_thoughts() -> None:
 
 
 def test_a_port_that_takes_nothing_tells_so_at_the_next_request() -> None:
-    line = _paced()
-    line.link.send(ReadStatus(1))
-    line.link.prepare(ReadStatus(2))
+    line = _followed()
 
     def broken(data: bytes) -> None:
         raise WireError(f"{len(data)} bytes are not taken: it is gone")
