@@ -62,6 +62,12 @@ def every_unit(connection: Connection) -> list[int]:
     return [row[0] for row in connection.execute("SELECT id FROM unit")]
 
 
+def name_of(connection: Connection, unit: int) -> str:
+    """A unit's key in words: ``bus/number``."""
+    row = connection.execute("SELECT bus, number FROM unit WHERE id = ?", (unit,)).fetchone()
+    return "" if row is None else f"{row[0]}/{row[1]}"
+
+
 # --- the journal -------------------------------------------------------------------------------
 
 
@@ -221,12 +227,6 @@ def move_damaged(connection: Connection, block: Block, now: int) -> None:
 def damaged_since(connection: Connection, since: int) -> int:
     """How often damage was found from a time on, µs."""
     return int(connection.execute("SELECT count(*) FROM damaged WHERE found >= ?", (since,)).fetchone()[0])
-
-
-def name_of(connection: Connection, unit: int) -> str:
-    """A unit's key in words: ``bus/number``."""
-    row = connection.execute("SELECT bus, number FROM unit WHERE id = ?", (unit,)).fetchone()
-    return "" if row is None else f"{row[0]}/{row[1]}"
 
 
 # --- bits --------------------------------------------------------------------------------------
