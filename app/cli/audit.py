@@ -10,7 +10,7 @@ import typer
 from app.audit.chain import Verdict
 from app.audit.store import prove
 from app.cli.ending import ending
-from app.cli.serve import Config
+from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
 from app.database.words import in_words
 from app.errors import StoreError
@@ -30,7 +30,7 @@ def audit() -> None:
 
 
 @audits.command()
-def verify(config: Config = Path("lineside.toml")) -> None:
+def verify(config: Config = LINESIDE_TOML) -> None:
     """Walk the whole log. Exit 0 when it is whole, 1 naming the first entry that is not."""
     with ending():
         store = load(config).server.store

@@ -21,13 +21,12 @@ from typing import Annotated
 import typer
 
 from app.cli.ending import ending
-from app.cli.serve import Config
+from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import load
 
-LINESIDE_TOML = Path("lineside.toml")
 MANIFEST = "manifest.json"
 ASIDE = ".before-restore"
 _COMPANIONS = ("-wal", "-shm")

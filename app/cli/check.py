@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from app.cli.ending import ending
-from app.cli.serve import Config
+from app.cli.serve import LINESIDE_TOML, Config
 from app.settings import load
 
 
@@ -16,7 +16,7 @@ def register(cli: typer.Typer) -> None:
     cli.command()(check)
 
 
-def check(config: Config = Path("lineside.toml")) -> None:
+def check(config: Config = LINESIDE_TOML) -> None:
     """Read the configuration and say what is wrong, by file and line. Exit 0 or 1."""
     with ending():
         settings = load(config)

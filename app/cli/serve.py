@@ -11,6 +11,7 @@ from app.cli.ending import ending
 from app.settings import load
 
 Config = Annotated[Path, typer.Option(help="The configuration, lineside.toml.")]
+LINESIDE_TOML = Path("lineside.toml")
 
 
 def register(cli: typer.Typer) -> None:
@@ -18,7 +19,7 @@ def register(cli: typer.Typer) -> None:
     cli.command()(serve)
 
 
-def serve(config: Config = Path("lineside.toml")) -> None:
+def serve(config: Config = LINESIDE_TOML) -> None:
     """Serve the dashboard and work every bus, until Ctrl-C or SIGTERM."""
     with ending():
         settings = load(config)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from app.cli.accounts import ORIGIN, who_calls, with_accounts
 from app.cli.ending import ending
-from app.cli.serve import Config
+from app.cli.serve import LINESIDE_TOML, Config
 from app.web.access import Role, role_named
 
-LINESIDE_TOML = Path("lineside.toml")
 tokens = typer.Typer(help="Keys for programs.", no_args_is_help=True)
 
 Name = Annotated[str, typer.Argument(help="What the token is for; unique.")]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -11,11 +10,10 @@ import typer
 from app.auth.rules import LONGEST_PASSWORD, SHORTEST_PASSWORD
 from app.cli.accounts import ORIGIN, who_calls, with_accounts
 from app.cli.ending import ending
-from app.cli.serve import Config
+from app.cli.serve import LINESIDE_TOML, Config
 from app.web.access import PEOPLE_ROLES, role_named
 from bus.errors import CallerError
 
-LINESIDE_TOML = Path("lineside.toml")
 users = typer.Typer(help="Who may sign in.", no_args_is_help=True)
 
 Name = Annotated[str, typer.Argument(help="The name to sign in with.")]
