@@ -13,6 +13,7 @@ import * as review from "./review.js";
 import * as setter from "./setter.js";
 import * as sight from "./sight.js";
 import * as strip from "./strip.js";
+import * as told from "./told.js";
 import * as trace from "./trace.js";
 
 // On a phone the rail is longer than the window: where one is stands in sight.
@@ -28,6 +29,7 @@ setter.start();
 trace.start();
 people.start();
 redraw.start();
+told.start();
 keypad.start();
 kiosk.start();
 minutes.start();

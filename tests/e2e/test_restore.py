@@ -80,12 +80,12 @@ def cancel(site: Site, page: Page) -> None:
 
 
 def pull_the_cable(site: Site, page: Page) -> None:
-    expect(page.locator("#restore [role=status]")).to_be_visible()
+    expect(page.locator("#restore .fate")).to_be_visible()
     site.line.remote.do("unplug")
 
 
 def cut_the_drop(site: Site, page: Page) -> None:
-    expect(page.locator("#restore [role=status]")).to_be_visible()
+    expect(page.locator("#restore .fate")).to_be_visible()
     site.line.remote.do("fault", kind="dead", rate=1, unit=2)
 
 
@@ -127,7 +127,7 @@ def test_stopped_half_way_it_says_what_is_done_and_again_finishes_the_rest(
     eventually(lambda: asked_again(page, left), "the unit answers again")
     assert set(fates(page)) == {number for number in wanted if parameter(site, number) != wanted[number]}
     left.click()
-    expect(page.get_by_text("proven by a full read")).to_be_visible()
+    expect(page.locator("#restore").get_by_text("proven by a full read")).to_be_visible()
     assert {number: parameter(site, number) for number in wanted} == wanted
 
 
@@ -157,7 +157,7 @@ def test_by_keyboard_alone_to_the_proof_which_prints(
     assert as_it_should_be(page, axe) == []
     tab_to(page, f"Write {len(NUMBERS)} rows to unit 2")
     page.keyboard.press("Enter")
-    expect(page.get_by_text("proven by a full read")).to_be_visible()
+    expect(page.locator("#restore").get_by_text("proven by a full read")).to_be_visible()
     assert as_it_should_be(page, axe) == []
     page.emulate_media(media="print")
     proof = page.get_by_role("table", name="Proof")

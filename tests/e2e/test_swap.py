@@ -194,7 +194,7 @@ def test_a_server_killed_in_the_midst_of_a_restore_says_what_was_done(
     expect(page.locator(".gone")).to_be_visible()
     site.line.remote.do("clear")
     site.start()
-    expect(page.get_by_text("It ended early: the server ended while it was under way")).to_be_visible()
+    expect(page.locator("#restore").get_by_text("It ended early: the server ended")).to_be_visible()
     done = page.get_by_role("cell", name="verified", exact=True).count()
     assert 1 <= done < len(GOOD)
     assert done + page.get_by_role("cell", name=re.compile("not written|unverified")).count() == len(GOOD)
@@ -204,7 +204,7 @@ def test_a_server_killed_in_the_midst_of_a_restore_says_what_was_done(
     expect(left).to_be_visible()
     assert len(GOOD) - done - 1 <= int(left.inner_text().split()[1]) <= len(GOOD) - done
     left.click()
-    expect(page.get_by_text("proven by a full read")).to_be_visible()
+    expect(page.locator("#restore").get_by_text("proven by a full read")).to_be_visible()
     assert {number: parameter(site, number) for number in GOOD} == GOOD
     page.goto("/units/line/3/restore")
     expect(page.get_by_role("row", name=re.compile("ended early"))).to_have_count(1)
