@@ -142,7 +142,7 @@ def test_refusals_are_said_in_the_language_of_the_page(browser_page: OpensPages)
     page = opened(browser_page("operator", viewport=PANEL, locale="de-DE"), "/units/line/1")
     page.locator("#setpoint").fill("55,0")
     page.get_by_role("button", name="Jetzt stellen").click()
-    expect(page.locator("#setpoint-error")).to_contain_text("admin-program (token) hat die Bedienung")
+    expect(page.locator("#setpoint-error")).to_contain_text("admin-program (Schlüssel) hat die Bedienung")
     opened(page, "/bus/line")
     expect(page.locator("[data-people]")).to_contain_text("operator · Bediener")
 
