@@ -1,6 +1,6 @@
 // The picture: curves with their bands above, bits as lanes below, one time axis for both.
 import { joined } from "./trends-data.js";
-import { axisLabels } from "./trends-time.js";
+import { axisLabels, axisNumbers } from "./trends-time.js";
 
 const CURVES = 8;
 const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
@@ -109,6 +109,7 @@ export class Picture {
     const gutter = bits.length && this.elements.plot.clientWidth > NARROW ? GUTTER_WIDE : GUTTER;
     const axes = scales.map((scale, i) => ({
       ...axis(),
+      values: axisNumbers,
       scale,
       side: i ? 1 : 3,
       show: shown === null || shown === scale,

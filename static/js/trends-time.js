@@ -92,6 +92,14 @@ export function axisLabels(_plot, splits, _axis, _space, increment) {
   });
 }
 
+/** The numbers at an axis in the language of the page, not of the browser, each with the digits of its step. */
+export function axisNumbers(_plot, splits, _axis, _space, step) {
+  const digits = (String(step).split(".")[1] ?? "").length;
+  const shape = { minimumFractionDigits: digits, maximumFractionDigits: digits, useGrouping: false };
+  const number = new Intl.NumberFormat(language, shape);
+  return splits.map((split) => number.format(split));
+}
+
 /** 0.2 s, 30 s, 5 min, 8 h, 3 d. */
 export function length(seconds) {
   const number = new Intl.NumberFormat(language, { maximumFractionDigits: seconds < 10 ? 3 : 1 });

@@ -208,6 +208,25 @@ def test_a_value_is_taken_away_by_keyboard_and_the_cursor_said_aloud(browser_pag
     expect(page.locator("#trend-add [name=unit]")).to_be_focused()
 
 
+def test_an_axis_is_in_the_language_of_the_page_whatever_the_browser_speaks(
+    site: Site, browser_page: OpensPages
+) -> None:
+    page = browser_page("viewer", viewport=OFFICE, locale="en-GB")
+    page.request.post("/account/language", form={"language": "de"}, headers={"Origin": site.url})
+    try:
+        opened(page)
+        said = page.evaluate(
+            """async () => {
+                const trends = document.querySelector("script[type=module][src$='/trends.js']").src;
+                const { axisNumbers } = await import(trends.replace("trends.js", "trends-time.js"));
+                return axisNumbers(null, [1200, 1200.5], 0, 0, 0.5);
+            }"""
+        )
+    finally:
+        page.request.post("/account/language", form={"language": ""}, headers={"Origin": site.url})
+    assert said == ["1200,0", "1200,5"]
+
+
 def test_gaps_are_gaps_and_a_band_is_drawn_between_least_and_greatest(browser_page: OpensPages) -> None:
     """What uPlot is given is what the history answered; the colours are read from its canvas."""
     page = browser_page("viewer", viewport=OFFICE)
