@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import httpx
@@ -86,7 +86,9 @@ def opened(page: Page, path: str) -> Page:
 # --- control --------------------------------------------------------------------------------------
 
 
-def test_control_is_taken_seen_handed_over_and_given_back(site: Site, browser_page: OpensPages) -> None:
+def test_control_is_taken_seen_handed_over_and_given_back(
+    site: Site, browser_page: OpensPages, axe: Callable[[Page], list[str]]
+) -> None:
     anna = opened(browser_page("operator", viewport=PANEL), "/bus/line")
     anna.evaluate("document.addEventListener('htmx:after:swap', () => document.body.dataset.swapped = '')")
     ben = opened(browser_page("engineer", viewport=PANEL), "/bus/line")
@@ -101,6 +103,7 @@ def test_control_is_taken_seen_handed_over_and_given_back(site: Site, browser_pa
     expect(ben.locator("[data-control]")).to_contain_text("operator holds control since")
     expect(ben.get_by_role("button", name="Take control")).to_have_count(0)
     expect(looks.locator("[data-live='whole_line.holder']")).to_have_text("operator")
+    assert axe(looks) == []
 
     anna.get_by_label("Hand over to").select_option("engineer")
     anna.get_by_role("button", name="Hand over").click()
