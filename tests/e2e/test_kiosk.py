@@ -118,7 +118,7 @@ def tap(page: Page, selector: str) -> None:
 
 def test_a_panel_only_looks_unless_it_is_given_more(panel: Callable[..., Page]) -> None:
     wall = panel("wall", HOME)
-    expect(wall.locator("[data-command]")).to_have_count(0)
+    expect(wall.locator(".main [data-command]")).to_have_count(0)
     assert wall.request.post("/units/line/2/nudge", form={"step": "1", "id": "x" * 32}).status == 403
     desk = panel("desk", HOME)
     expect(desk.locator("#setpoint")).to_be_visible()
