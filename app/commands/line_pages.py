@@ -60,7 +60,6 @@ def _line_of(desk: Desktop, name: str, bus: BusLive, number: int) -> dict[str, o
         "present_raw": "" if present is None else present,
         "decimals": "" if decimals is None else decimals,
         "follower": bool(follower(live)),
-        "blocked": desk.guards.block_reason(name, number),
     }
 
 

@@ -405,3 +405,24 @@ def test_the_line_goes_to_zero(site: Site, browser_page: OpensPages) -> None:
     expect(page.locator("#setpoint-error")).to_contain_text("cannot go below 0")
     page.get_by_role("button", name="Use 0.0").click()
     expect(page.locator("#setpoint")).to_have_value("0.0")
+
+
+def test_a_unit_that_is_blocked_meanwhile_has_no_field_among_the_setpoints(
+    site: Site, browser_page: OpensPages
+) -> None:
+    page = opened(browser_page(viewport=PANEL), "/setpoints")
+    field = page.locator("[name=new-2]")
+    expect(field).to_be_visible()
+    with site.api("operator") as client:
+        client.post("/buses/line/units/2/block", json={"reason": "belt off"}).raise_for_status()
+        try:
+            expect(field).to_be_hidden()
+            expect(page.locator('[data-unit="line/2"] .by-block__why')).to_have_text(
+                "blocked: belt off (operator-program)"
+            )
+            page.get_by_role("button", name="Tick all").click()
+            expect(page.locator('[data-unit="line/1"] [data-tick]')).to_be_checked()
+            expect(page.locator('[data-unit="line/2"] [data-tick]')).not_to_be_checked()
+        finally:
+            client.delete("/buses/line/units/2/block").raise_for_status()
+    expect(field).to_be_visible()
