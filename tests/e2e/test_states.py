@@ -113,7 +113,7 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
         expect(page.locator(f"[name=new-{unit}]:visible")).to_have_count(0)
     page.locator("[data-together-do=all]").click()
     expect(page.locator("[data-tick]:checked")).to_have_count(2)
-    page.locator("[name=new-1]").fill("50")
+    page.locator(".setpoints__new[name=new-1]").fill("50")
     page.evaluate("document.querySelector('[name=new-3]').value = '51'")
     page.get_by_role("button", name="Review the change").click()
     expect(page.locator("#review .notice:visible")).to_contain_text("not in REMOTE")
@@ -122,14 +122,14 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     expect(page.locator(".proofs")).to_contain_text("nothing was sent to it")
     assert judged(page, axe) == []
     page.get_by_role("button", name="Close").click()
-    expect(page.locator("[name=new-1]")).to_have_value("50")
+    expect(page.locator(".setpoints__new[name=new-1]")).to_have_value("50")
     page.evaluate("document.querySelector('[name=new-3]').value = ''")
     page.locator("[name=new-2]").fill("52")
     page.get_by_role("button", name="Review the change").click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("verified at each of 2 units")
     page.get_by_role("button", name="Close").click()
-    expect(page.locator("[name=new-1]")).to_have_value("")
+    expect(page.locator(".setpoints__new[name=new-1]")).to_have_value("")
     expect(page.locator("[data-tick]:checked")).to_have_count(0)
 
 
