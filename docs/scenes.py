@@ -247,7 +247,7 @@ def one_unit_off_speed(site: Site) -> None:
     with site.api("operator") as client:
         client.post("/buses/line/units/7/speed", json={"value": "60.0"}).raise_for_status()
     do("input", unit=5, input="run", on=False)
-    eventually(lambda: site.unit(5)["actual_raw"] < 1000, "a section that creeps away")
+    eventually(lambda: site.unit(5)["actual_raw"] < 150, "a section that creeps away")
 
 
 def long_names(site: Site) -> None:

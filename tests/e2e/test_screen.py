@@ -53,6 +53,15 @@ def test_a_page_fits_its_window(browser_page: OpensPages, path: str, viewport: d
     expect(page.locator(".rail__item[aria-current]")).to_be_in_viewport(ratio=1)
 
 
+def test_a_cell_of_the_board_draws_what_its_unit_is_off_by(browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/?view=board")
+    expect(page.locator(".cell__pointer:not([data-step=''])")).to_have_count(8)
+    drawn = page.locator(".cell__pointer").evaluate_all(
+        "pointers => pointers.map(pointer => getComputedStyle(pointer).backgroundImage)"
+    )
+    assert all("gradient" in image for image in drawn), drawn
+
+
 def test_how_units_answer_are_cards_on_a_phone_and_their_links_large_enough_for_gloves(
     browser_page: OpensPages,
 ) -> None:
