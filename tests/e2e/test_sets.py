@@ -131,6 +131,7 @@ def test_the_list_of_drift_is_drawn_anew_by_itself_and_keeps_the_focus(
 def test_a_change_of_baud_is_typed_and_every_unit_proven(site: Site, browser_page: OpensPages) -> None:
     page = browser_page("engineer", viewport=OFFICE)
     page.goto("/bus/line")
+    expect(page.locator("body[data-link=live]")).to_be_attached()
     page.get_by_label("New baud rate").select_option("4800")
     page.get_by_role("button", name="Review the change").click()
     verb = page.get_by_role("button", name="Change 3 units to 4800 baud")
@@ -143,6 +144,7 @@ def test_a_change_of_baud_is_typed_and_every_unit_proven(site: Site, browser_pag
     switch_off_and_on(site)
     expect(page.get_by_text("of what 4800 baud can carry"), "told, and not only when loaded").to_be_attached()
     page.goto("/bus/line")
+    expect(page.locator("body[data-link=live]")).to_be_attached()
     expect(page.get_by_text("of what 4800 baud can carry")).to_be_visible()
     page.get_by_label("New baud rate").select_option("9600")
     page.get_by_role("button", name="Review the change").click()
