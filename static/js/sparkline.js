@@ -61,6 +61,16 @@ const sight = new IntersectionObserver((entries) => {
   if (!asked) refresh();
 });
 
+/** Null where the server did not answer, or was cut off while it did: the lines stay as they are. */
+async function fetchSparks(query) {
+  try {
+    const response = await fetch(`/api/v1/history/sparks?${query}`);
+    return response.ok ? await response.json() : null;
+  } catch {
+    return null;
+  }
+}
+
 async function refresh() {
   if (document.hidden || !inSight.size) return;
   asked = true;
@@ -71,9 +81,8 @@ async function refresh() {
     to: new Date(to * 1000).toISOString(),
   });
   for (const name of new Set([...inSight].map((spark) => spark.series))) query.append("series", name);
-  const response = await fetch(`/api/v1/history/sparks?${query}`).catch(() => null);
-  if (!response?.ok) return;
-  const found = await response.json();
+  const found = await fetchSparks(query);
+  if (!found) return;
   for (const spark of inSight) if (found[spark.series]) spark.draw(found[spark.series], from, to);
 }
 

@@ -407,9 +407,9 @@ def test_a_screen_reader_hears_the_verdict_and_no_figures(
         eventually(
             lambda: any("look" in text for text in page.evaluate("window.said")), "the verdict was said"
         )
+        said = page.evaluate("window.said")
     finally:
         site.line.remote.do("mode", unit=3, to="remote")
-    said = page.evaluate("window.said")
     assert not any(re.search(r"\d\.\d|ramping", text) for text in said), said
 
 
