@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from bus.errors import LinesideError
@@ -16,19 +17,29 @@ class DamagedStoreError(StoreError):
 
 
 class Problem(LinesideError):
-    """A refusal that goes to whoever asked: problem+json for programs, a page or a fragment for people.
+    """A refusal that goes to the client: problem+json for programs, a page or a fragment for people.
 
-    ``code`` is the machine's word for it, ``detail`` the sentence; ``extra`` are further members of the
+    ``code`` is the reason for programs. ``detail`` says it in English; with ``params`` it is a template whose
+    ``{names}`` they fill in. Text that comes from a request belongs in ``params``: the template is looked up in
+    the catalog of the reader's language, and request text must never be. ``extra`` are further members of the
     answer (RFC 9457, 3.2).
     """
 
-    def __init__(self, status: int, code: str, detail: str, **extra: Any) -> None:
-        super().__init__(detail)
+    def __init__(
+        self, status: int, code: str, detail: str, *, params: Mapping[str, object] | None = None, **extra: Any
+    ) -> None:
+        self.template = detail
+        self.params = params
+        self.detail = detail if params is None else detail.format(**params)
+        super().__init__(self.detail)
         self.status = status
         self.code = code
-        self.detail = detail
         self.extra = extra
         self.headers: dict[str, str] = {}
+
+    def text(self, t: Callable[..., str]) -> str:
+        """The detail in the language whose translation function is ``t``."""
+        return t(self.template) if self.params is None else t(self.template, **self.params)
 
     def with_headers(self, **headers: str) -> Problem:
         """The same refusal with response headers; an underscore in a name stands for a hyphen."""

@@ -8,7 +8,7 @@ import uuid
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from app.audit.log import EventLog
 from app.commands.control import ControlledError
@@ -219,7 +219,7 @@ def _steps(action: Action, live: BusLive) -> dict[int, int]:
 
 
 def _problem(objection: ObjectionError) -> Problem:
-    extra: dict[str, object] = {"outcome": objection.code, "unit": objection.unit}
+    extra: dict[str, Any] = {"outcome": objection.code, "unit": objection.unit}
     if objection.nearest is not None:
         extra["nearest"] = objection.nearest
     detail = f"{objection}; nothing was sent"

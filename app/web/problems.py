@@ -25,6 +25,12 @@ log = structlog.get_logger()
 
 _CODES = {401: "unauthorized", 403: "forbidden", 404: "not_found", 405: "method_not_allowed", 422: "invalid"}
 
+_HTTP_DETAILS = {
+    404: ("there is nothing at {path}", ("path",)),
+    405: ("{method} is not for {path}; nothing was done", ("method", "path")),
+}
+"""By status the template of the detail, and what of the request it names."""
+
 _WORDS = {
     "model_attributes_type": 'it must be a JSON object, {"…": …}, sent as Content-Type: application/json',
     "extra_forbidden": "there is no such field",
@@ -55,6 +61,7 @@ def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
         "status": problem.status,
         "code": problem.code,
         "detail": detail or problem.detail,
+        **({} if problem.params is None else {"params": dict(problem.params)}),
         **problem.extra,
     }
     return JSONResponse(content, problem.status, problem.headers, "application/problem+json")
@@ -84,7 +91,7 @@ def _detail(request: Request, problem: Problem) -> str:
         return problem.detail
     templates = templates_of(request)
     language = templates.language_of(request)
-    return templates.formats(language.tag).sentence(language.t(problem.detail))
+    return templates.formats(language.tag).sentence(problem.text(language.t))
 
 
 def _place(location: Sequence[int | str]) -> str:
@@ -121,12 +128,10 @@ async def _on_http(request: Request, error: Exception) -> Response:
         return respond(request, error.__cause__)
     if error.status_code == 400:
         return respond(request, Problem(422, "invalid", "the body cannot be read; nothing was sent"))
-    detail = str(error.detail)
-    if error.status_code == 404:
-        detail = f"there is nothing at {request.url.path}"
-    if error.status_code == 405:
-        detail = f"{request.method} is not for {request.url.path}; nothing was done"
-    problem = Problem(error.status_code, _CODES.get(error.status_code, "refused"), detail)
+    code = _CODES.get(error.status_code, "refused")
+    template, names = _HTTP_DETAILS.get(error.status_code, (str(error.detail), ()))
+    asked = {"path": request.url.path, "method": request.method}
+    problem = Problem(error.status_code, code, template, params={name: asked[name] for name in names})
     problem.headers.update(error.headers or {})
     if error.status_code == 405:
         problem.with_headers(Allow=", ".join(_methods(request)))
