@@ -19,10 +19,10 @@ class DamagedStoreError(StoreError):
 class Problem(LinesideError):
     """A refusal that goes to the client: problem+json for programs, a page or a fragment for people.
 
-    ``code`` is the reason for programs. ``detail`` says it in English; with ``params`` it is a template whose
-    ``{names}`` they fill in. Text that comes from a request belongs in ``params``: the template is looked up in
-    the catalog of the reader's language, and request text must never be. ``extra`` are further members of the
-    answer (RFC 9457, 3.2).
+    ``code`` is the reason for programs. ``detail`` says it in English; with ``params`` it is a template
+    whose ``{names}`` they fill in. Request text belongs in ``params``: the template is looked up in the
+    catalog of the reader's language, where request text must never go. ``extra`` are members of the answer
+    (RFC 9457, 3.2).
     """
 
     def __init__(
