@@ -18,6 +18,10 @@ from bus.text import OneLine
 __all__ = ["ConfigurationError", "Server", "Settings", "Site", "load"]
 
 
+KEY_SUFFIX = ".audit.key"
+"""``lineside.toml`` has its key in ``lineside.audit.key``."""
+
+
 class Site(Strict):
     """The plant as people call it."""
 
@@ -71,13 +75,29 @@ class History(Strict):
     """Those, and the bits as intervals."""
 
 
+class Audit(Strict):
+    """What makes the audit log provable. Both are relative to the file; absolute once loaded."""
+
+    key_file: Path | None = None
+    """The keys that seal the log, made at the first start; when absent, beside the file."""
+    anchor: Path | None = None
+    """Where the head of the log is noted every minute and at every stop; when absent, nowhere."""
+
+
 class Settings(Strict):
     """The whole configuration."""
 
     site: Site = Site()
     server: Server = Server()
     history: History = History()
+    audit: Audit = Audit()
     bus: tuple[BusSettings, ...] = ()
+
+    @property
+    def key_file(self) -> Path:
+        """The keys of the audit log; beside the data folder where the configuration is not from a file."""
+        data = self.server.data
+        return self.audit.key_file or data.with_name(f"{data.name}{KEY_SUFFIX}")
 
     @field_validator("bus")
     @classmethod
@@ -106,5 +126,21 @@ def _same_device(port: str) -> str:
 def load(path: Path) -> Settings:
     """Read the file. Raises ConfigurationError naming file, line and what would be right."""
     settings = configuration.load(path, Settings)
-    data = (path.resolve().parent / settings.server.data.expanduser()).resolve()
-    return settings.model_copy(update={"server": settings.server.model_copy(update={"data": data})})
+    folder, audit = path.resolve().parent, settings.audit
+    data = (folder / settings.server.data.expanduser()).resolve()
+    if audit.key_file is not None and _absolute(folder, audit.key_file).resolve().is_relative_to(data):
+        raise ConfigurationError(
+            f"{path}: audit.key_file = {str(audit.key_file)!r} lies in the data folder: whoever writes the "
+            "log there could seal it; name a file elsewhere"
+        )
+    key_file = _absolute(folder, audit.key_file or Path(f"{path.stem}{KEY_SUFFIX}"))
+    anchor = None if audit.anchor is None else _absolute(folder, audit.anchor)
+    absolute = {
+        "server": settings.server.model_copy(update={"data": data}),
+        "audit": Audit(key_file=key_file, anchor=anchor),
+    }
+    return settings.model_copy(update=absolute)
+
+
+def _absolute(folder: Path, path: Path) -> Path:
+    return folder / path.expanduser()

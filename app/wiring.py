@@ -12,8 +12,12 @@ from time import time
 
 import structlog
 
+from app.audit.anchoring import AT_END_S, Anchoring
 from app.audit.configuration import change_since_last
+from app.audit.degraded import anchor_notice
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
+from app.audit.store import head_of
 from app.auth.accounts import Accounts
 from app.auth.passwords import Passwords
 from app.auth.signin import SignIn
@@ -24,6 +28,7 @@ from app.feed.workers import Workers
 from app.history.service import History
 from app.history.status import sentence
 from app.history.warming import warm
+from app.live.fields import Voice
 from app.live.hub import Hub
 from app.live.state import LiveState
 from app.metrics.counts import Counts
@@ -82,6 +87,7 @@ class Services:
     templates: Templates
     database: Database
     events: EventLog
+    anchoring: Anchoring | None
     passwords: Passwords
     accounts: Accounts
     sign_in: SignIn
@@ -107,7 +113,8 @@ class Services:
 def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     """Open the stores and connect everything. Raises StoreError in words."""
     database = Database(settings.server.store)
-    events, passwords = EventLog(database), Passwords()
+    keys = open_keys(settings.key_file, database.path, database.read_now(head_of))
+    events, passwords = EventLog(database, keys=keys), Passwords()
     assets = Assets(static_dir())
     compiled = settings.server.data / "compiled"
     templates = Templates(templates_dir(), assets, settings.site, demo=demo, kept_in=compiled)
@@ -129,6 +136,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         templates=templates,
         database=database,
         events=events,
+        anchoring=None if settings.audit.anchor is None else Anchoring(events, settings.audit.anchor),
         passwords=passwords,
         accounts=accounts,
         sign_in=SignIn(database, passwords, events, worker_token),
@@ -156,7 +164,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
 
 def _connect(services: Services) -> None:
     """Who hears or asks whom, beyond what each was made with."""
-    history, hub, safeguards = services.history, services.hub, services.safeguards
+    hub, safeguards = services.hub, services.safeguards
     services.history_news.pipeline = services.pipeline
     services.desk.before_write = services.first_writes.before
     services.restores.on_end = services.swaps.ended
@@ -167,7 +175,15 @@ def _connect(services: Services) -> None:
     hub.block, hub.holder = safeguards.block_reason, safeguards.holder
     hub.drift, hub.recipe = services.sets.drifts.told, services.recipes.loaded_words
     hub.watch = services.workers.watch
-    hub.memory = lambda voice, now: sentence(history.status, voice.t, voice.formats, now)
+    hub.memory = partial(_notices, services)
+
+
+def _notices(services: Services, voice: Voice, now: float) -> str:
+    """What of the records is not well, in the reader's language; mostly nothing."""
+    found = [sentence(services.history.status, voice.t, voice.formats, now)]
+    if services.anchoring is not None:
+        found.append(anchor_notice(services.anchoring.status, voice.t, voice.formats, now))
+    return " ".join(filter(None, found))
 
 
 @asynccontextmanager
@@ -175,6 +191,8 @@ async def running(services: Services) -> AsyncIterator[None]:
     """From the first request to the last: what was left open is closed, and the rest goes on by itself."""
     await _begin(services)
     works = (
+        *((services.anchoring.follow,) if services.anchoring else ()),
+        services.events.tell_counts_each_minute,
         services.pipeline.record,
         services.hub.beat,
         services.history.inspect_daily,
@@ -204,6 +222,8 @@ async def _begin(services: Services) -> None:
     if steps:
         await services.events.record(kind="server", what=f"the store was brought up to date: {steps}")
     await services.events.record(kind="server", what="server started")
+    if services.settings.key_file.resolve().is_relative_to(services.settings.server.data.resolve()):
+        await services.events.record(kind="audit", what="the audit key lies in the data folder")
     changed = await asyncio.to_thread(
         change_since_last, services.settings.server.data, services.settings.model_dump(mode="json")
     )
@@ -221,7 +241,12 @@ async def _end(services: Services) -> None:
     await services.first_writes.close()
     await services.sets.drifts.close()
     await services.restores.close()
+    await services.events.tell_counts(all_of_them=True)
     await services.events.record(kind="server", what="server ended")
+    if services.anchoring is not None:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(AT_END_S):
+                await services.anchoring.export(AT_END_S)
     await asyncio.to_thread(services.history.close)
     services.passwords.close()
     await asyncio.to_thread(services.database.close)

@@ -113,16 +113,19 @@ async def list_events(
 
 
 class Proof(BaseModel):
-    """Whether the log is whole; ``broken`` is the first entry that is not, ``fault`` says how."""
+    """Whether the log is whole; ``broken`` is the first entry that is not, ``fault`` says how. ``unsealed``:
+    entries up to this one are older than the key; ``anchored``: the newest that the anchor names."""
 
     entries: int
     broken: int | None
     fault: str
+    unsealed: int
+    anchored: int
 
 
 @router.get("/events/proof")
 async def prove_events(_: Admin, events: Events) -> Proof:
-    """Walk the whole log as ``lineside audit verify`` does."""
+    """Walk the whole log as ``lineside audit verify`` does, without the anchor."""
     return Proof.model_validate(vars(await events.prove()))
 
 

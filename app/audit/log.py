@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import asyncio
 import sqlite3
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -12,20 +12,27 @@ import structlog
 
 from app.audit import store
 from app.audit.chain import Verdict
+from app.audit.entry import Event as Event
+from app.audit.entry import is_moment, new_entry
+from app.audit.keys import Keys, passing_keys
 from app.audit.kinds import Kind
+from app.audit.proof import LogProof
 from app.audit.store import Filter
+from app.audit.tally import WINDOW_S, Counted, Tally
 from app.database import Database
 from bus.contract import Frame, Outcome
 
 log = structlog.get_logger()
 
-Event = dict[str, Any]
-"""One event with its fate, as `app.audit.store.select` gives it."""
+_Said = tuple[Kind, str, str, str, str]
+"""Kind, what, who, origin and message of what is counted."""
 Subscriber = Callable[[Event], None]
 Also = Callable[[sqlite3.Connection], None]
 """What else is written in the transaction of an event."""
 
 CHUNK = 1000
+MANY = "many addresses"
+"""The origin of what is counted for more places than are told apart."""
 ENDED_BEFORE = "the server stopped before the fate was known"
 
 
@@ -34,12 +41,18 @@ def _nothing(_: sqlite3.Connection) -> None:
 
 
 class EventLog:
-    """Append-only. Whatever returns from here is on disk."""
+    """Append-only. Whatever returns from here is on disk. Without ``keys``, what seals the entries ends with
+    the process: nothing that is kept may be written so."""
 
-    def __init__(self, database: Database, clock: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self, database: Database, clock: Callable[[], float] = time.time, keys: Keys | None = None
+    ) -> None:
+        self.keys = keys or passing_keys()
+        self.proof = LogProof(database, self.keys)
         self._database = database
         self._clock = clock
         self._subscribers: list[Subscriber] = []
+        self._tally: Tally[_Said] = Tally()
 
     def subscribe(self, subscriber: Subscriber) -> Callable[[], None]:
         """Hear of each event, and of a command again with its fate. Returns what ends it."""
@@ -62,17 +75,18 @@ class EventLog:
     ) -> int:
         """What is about to be asked, on disk before it is. Returns the event's number for `conclude`."""
         said = {"bus": bus, "unit": unit, "old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
-        return await self._append(kind=kind, who=who, origin=origin, what=what, **said)
+        entry = self._entry(kind, who=who, origin=origin, what=what, **said)
+        return (await self._append_all([entry]))[0]
 
     async def intend_together(self, intents: Sequence[Mapping[str, Any]], also: Also = _nothing) -> list[int]:
         """Several intents (each with the words of `intend`) in one transaction, and ``also`` what belongs to
         them; their numbers in order."""
-        return await self._append_all([self._entry(kind="command", **intent) for intent in intents], also)
+        return await self._append_all([self._entry("command", **intent) for intent in intents], also)
 
     async def conclude_together(self, fates: Mapping[int, tuple[Outcome, str]]) -> None:
         """By event number the outcome and message of each, in one transaction."""
         entries = [
-            self._entry(kind="fate", about=event, outcome=outcome, message=message)
+            self._entry("fate", about=event, outcome=outcome, message=message)
             for event, (outcome, message) in fates.items()
         ]
         await self._write_all(entries)
@@ -88,8 +102,7 @@ class EventLog:
         also: Also = _nothing,
     ) -> None:
         """The one fate of what was intended; ``frames`` carried it. ``also``: in the same transaction."""
-        shown = [_frame(frame) for frame in frames]
-        entry = self._entry(kind="fate", about=event, outcome=outcome, message=message, frames=shown)
+        entry = self._entry("fate", about=event, outcome=outcome, message=message, frames=frames)
         await self._write_all([entry], also)
         await self._tell(event)
 
@@ -109,14 +122,48 @@ class EventLog:
         outcome: str | None = None,
         message: str = "",
         at: float | None = None,
+        count: int = 1,
     ) -> int:
-        """Something that happened, whole; ``at`` when, if not just now. Returns the event's number."""
-        said: dict[str, Any] = {"bus": bus, "unit": unit}
-        said |= {"old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
-        words = {"what": what, "outcome": outcome, "message": message}
-        if at is not None:
-            said["time"] = at
-        return await self._append(kind=kind, who=who, origin=origin, **words, **said)
+        """Something that happened, whole; ``at`` when, if not just now, and ``count`` how often. Returns the
+        event's number."""
+        entry = self._entry(
+            kind,
+            who=who,
+            origin=origin,
+            bus=bus,
+            unit=unit,
+            what=what,
+            old=old,
+            new=new,
+            old_raw=old_raw,
+            new_raw=new_raw,
+            outcome=outcome,
+            message=message,
+            count=count if count > 1 else None,
+            **({} if at is None or not is_moment(at) else {"time": at}),
+        )
+        return (await self._append_all([entry]))[0]
+
+    async def count(
+        self, kind: Kind, what: str, *, who: str = "", origin: str = "", message: str = ""
+    ) -> None:
+        """Something that a stranger can cause as often as they like: an event at once for the first of its
+        kind, person, place and message, then one a minute that says how often it happened since."""
+        told = self._tally.note(kind, (kind, what, who, origin, message), self._clock())
+        if told is not None:
+            await self._record_counted(told)
+
+    async def tell_counts_each_minute(self) -> None:
+        """`tell_counts`, without end."""
+        while True:
+            await asyncio.sleep(WINDOW_S / 4)
+            await self.tell_counts()
+
+    async def tell_counts(self, *, all_of_them: bool = False) -> None:
+        """Record what was counted in minutes that are over, or everything before the server ends."""
+        now = self._clock()
+        for told in self._tally.rest(now) if all_of_them else self._tally.due(now):
+            await self._record_counted(told)
 
     async def close_open_intents(self) -> int:
         """At start: what was open when the server ended is unverified. Returns how many there were."""
@@ -143,32 +190,33 @@ class EventLog:
         """Every kind there is an event of."""
         return await self._database.read(store.kinds)
 
-    async def prove(self) -> Verdict:
-        """Whether the log is whole."""
-        return await self._database.read(store.prove)
+    async def prove(self, anchors: Mapping[int, str] | None = None) -> Verdict:
+        """Whether the log is whole, and holds the hashes that ``anchors`` names by entry."""
+        return await self.proof.whole(anchors)
 
-    async def _append(self, **said: Any) -> int:
-        entry = self._entry(**said)
-        return (await self._append_all([entry]))[0]
+    async def _record_counted(self, told: Counted[_Said]) -> None:
+        kind, what, who, origin, message = told.said
+        if told.is_many:
+            who, origin, message = "", MANY, ""
+        await self.record(
+            kind=kind, what=what, who=who, origin=origin, message=message, at=told.last, count=told.count
+        )
 
     async def _append_all(self, entries: Sequence[Event], also: Also = _nothing) -> list[int]:
         numbers = await self._write_all(entries, also)
         for number, entry in zip(numbers, entries, strict=True):
-            self._say({**entry, "id": number, "concluded_at": None})
+            self._say({**entry, "id": number, "concluded_at": None, "unreadable": False})
         return numbers
 
     async def _write_all(self, entries: Sequence[Event], also: Also = _nothing) -> list[int]:
         def append(connection: sqlite3.Connection) -> list[int]:
             also(connection)
-            return [store.append(connection, entry) for entry in entries]
+            return [store.append(connection, entry, self.keys) for entry in entries]
 
         return await self._database.write(append)
 
-    def _entry(self, **said: Any) -> dict[str, Any]:
-        nothing = dict.fromkeys(("about", "bus", "unit", "old", "new", "old_raw", "new_raw", "outcome"))
-        words = {"who": "", "origin": "", "what": "", "message": ""}
-        frames = json.dumps(said.pop("frames", []), separators=(",", ":"), ensure_ascii=False)
-        return {**nothing, **words, "time": self._clock(), **said, "frames": frames}
+    def _entry(self, kind: str, **said: Any) -> dict[str, Any]:
+        return new_entry(**{"time": self._clock(), "kind": kind, **said})
 
     async def _tell(self, number: int) -> None:
         if not self._subscribers:
@@ -183,12 +231,3 @@ class EventLog:
                 subscriber(event)
             except Exception:
                 log.exception("subscriber of events failed", event_id=event["id"])
-
-
-def _frame(frame: Frame) -> dict[str, Any]:
-    return {
-        "at": frame.at,
-        "direction": frame.direction,
-        "data": frame.data.hex(" ").upper(),
-        "meaning": frame.meaning,
-    }

@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from app.audit.chain import FIELDS, Head, Verdict, entry_hash, verify
+from app.audit.chain import FIELDS, Head, Verdict, Walk, remark_on, sealed_entry, sealed_head
+from app.audit.entry import new_entry
+from app.audit.keyring import KeyRing
+from app.audit.keys import Keys
+from app.audit.reading import readable
 
-_INSERT = (
-    f"INSERT INTO events ({', '.join(FIELDS)}, previous, hash) VALUES ({', '.join('?' * (len(FIELDS) + 2))})"
-)
+_COLUMNS = (*FIELDS, "count", "key", "previous", "hash", "seal")
+_INSERT = f"INSERT INTO events ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
 _NOTE_HEAD = (
-    "INSERT INTO events_head (only, id, hash) VALUES (1, ?, ?) "
-    "ON CONFLICT (only) DO UPDATE SET id = excluded.id, hash = excluded.hash"
+    "INSERT INTO events_head (only, id, hash, key, seal) VALUES (1, ?, ?, ?, ?) "
+    "ON CONFLICT (only) DO UPDATE SET id = excluded.id, hash = excluded.hash, key = excluded.key, "
+    "seal = excluded.seal"
 )
+LOWEST_ID = -(2**63)
+"""Where a walk begins: an entry that was added before the first must be seen too."""
+CHUNK = 500
+"""Entries that are verified at a stretch: a few milliseconds."""
 _FOLDED = """
 SELECT e.id, e.time, e.kind, e.who, e.origin, e.bus, e.unit, e.what, e.old, e.new, e.old_raw, e.new_raw,
        COALESCE(f.outcome, e.outcome) AS outcome, COALESCE(f.message, e.message) AS message,
-       COALESCE(f.frames, e.frames) AS frames, f.time AS concluded_at
+       COALESCE(f.frames, e.frames) AS frames, e.count, f.time AS concluded_at
 FROM events e LEFT JOIN events f ON f.about = e.id
 WHERE e.about IS NULL
 """
@@ -67,31 +75,53 @@ def _pattern(text: str) -> str:
 
 def head_of(connection: sqlite3.Connection) -> Head:
     """The newest entry as noted apart."""
-    row = connection.execute("SELECT id, hash FROM events_head").fetchone()
-    return Head(row["id"], row["hash"]) if row else Head()
+    row = connection.execute("SELECT * FROM events_head").fetchone()
+    return _head(dict(row)) if row else Head()
 
 
-def append(connection: sqlite3.Connection, entry: Mapping[str, Any]) -> int:
-    """Add an entry (all of `FIELDS` but ``id``); its number."""
+def _head(row: Mapping[str, Any]) -> Head:
+    """A store of an earlier version has no key and no seal."""
+    return Head(row["id"], row["hash"], row.get("key", ""), row.get("seal", ""))
+
+
+def append(connection: sqlite3.Connection, entry: Mapping[str, Any], keys: Keys) -> int:
+    """Add an entry without its id; gives that. Where the log before it cannot be vouched for, an entry that
+    says so comes first."""
+    head = _end_of(connection)
+    ring = keys.knowing(head.key)
+    if remark := remark_on(head, ring):
+        head = _insert(connection, head, new_entry(kind="audit", time=entry["time"], what=remark), ring)
+    return _insert(connection, head, entry, ring).id
+
+
+def _end_of(connection: sqlite3.Connection) -> Head:
+    """The newest entry as noted apart, or one that is there behind it and cannot have been written so."""
     head = head_of(connection)
-    whole = {**entry, "id": head.id + 1}
-    digest = entry_hash(head.hash, whole)
-    connection.execute(_INSERT, [*(whole[name] for name in FIELDS), head.hash, digest])
-    connection.execute(_NOTE_HEAD, (whole["id"], digest))
-    return head.id + 1
+    row = connection.execute(
+        "SELECT id, hash, key FROM events WHERE id > ? ORDER BY id DESC", (head.id,)
+    ).fetchone()
+    return Head(*row) if row else head
+
+
+def _insert(connection: sqlite3.Connection, head: Head, entry: Mapping[str, Any], ring: KeyRing) -> Head:
+    sealed = sealed_entry(head.hash, {**entry, "id": head.id + 1}, ring)
+    connection.execute(_INSERT, [sealed.get(name) for name in _COLUMNS])
+    new = sealed_head(sealed, ring)
+    connection.execute(_NOTE_HEAD, (new.id, new.hash, new.key, new.seal))
+    return new
 
 
 def select(connection: sqlite3.Connection, wanted: Filter, limit: int) -> list[dict[str, Any]]:
     """Events newest first, each command with its fate."""
     conditions, values = wanted.conditions()
     query = f"{_FOLDED} {conditions} ORDER BY e.id DESC LIMIT ?"
-    return [dict(row) for row in connection.execute(query, [*values, limit])]
+    return [readable(dict(row)) for row in connection.execute(query, [*values, limit])]
 
 
 def one(connection: sqlite3.Connection, number: int) -> dict[str, Any] | None:
     """One event with its fate."""
     row = connection.execute(f"{_FOLDED} AND e.id = ?", (number,)).fetchone()
-    return dict(row) if row else None
+    return readable(dict(row)) if row else None
 
 
 def kinds(connection: sqlite3.Connection) -> list[str]:
@@ -109,15 +139,32 @@ def open_intents(connection: sqlite3.Connection) -> list[dict[str, Any]]:
     return [dict(row) for row in connection.execute(query)]
 
 
-def _entries(connection: sqlite3.Connection) -> Iterator[dict[str, Any]]:
-    for row in connection.execute("SELECT * FROM events ORDER BY id"):
-        yield dict(row)
+def extent(connection: sqlite3.Connection) -> tuple[Head, int]:
+    """What is noted as the newest entry, and the number of the last that there is, at one instant."""
+    row = connection.execute(
+        "SELECT head.*, (SELECT max(id) FROM events) AS last FROM (SELECT 1) LEFT JOIN events_head AS head"
+    ).fetchone()
+    head = Head() if row["id"] is None else _head(dict(row))
+    return head, row["last"] or 0
 
 
-def prove(connection: sqlite3.Connection) -> Verdict:
-    """Walk the whole log, in one read transaction so that it stands still meanwhile."""
-    connection.execute("BEGIN")
-    try:
-        return verify(_entries(connection), head_of(connection))
-    finally:
-        connection.execute("ROLLBACK")
+def link_of(connection: sqlite3.Connection, number: int) -> Head | None:
+    """One entry as the next one continues it."""
+    row = connection.execute("SELECT id, hash, key FROM events WHERE id = ?", (number,)).fetchone()
+    return Head(*row) if row else None
+
+
+def entries_from(connection: sqlite3.Connection, number: int, until: int) -> list[dict[str, Any]]:
+    """The entries from ``number`` on as they are stored, at most `CHUNK` of them, none beyond ``until``."""
+    query = "SELECT * FROM events WHERE id >= ? AND id <= ? ORDER BY id LIMIT ?"
+    return [dict(row) for row in connection.execute(query, (number, until, CHUNK))]
+
+
+def prove(connection: sqlite3.Connection, ring: KeyRing, anchors: Mapping[int, str]) -> Verdict:
+    """Walk the whole log, chunk by chunk: what is added meanwhile is left for the next time."""
+    head, last = extent(connection)
+    walk, number = Walk(ring, anchors), LOWEST_ID
+    while walk.broken is None and (chunk := entries_from(connection, number, last)):
+        walk.follow(chunk)
+        number = chunk[-1]["id"] + 1
+    return walk.end(head)

@@ -8,7 +8,9 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import TypeVar
 
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
+from app.audit.store import head_of
 from app.auth.accounts import Accounts
 from app.auth.passwords import Passwords
 from app.database import Database
@@ -33,7 +35,8 @@ def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:
     passwords = Passwords()
 
     async def run() -> T:
-        return await work(Accounts(database, passwords, EventLog(database)))
+        keys = open_keys(settings.key_file, database.path, await database.read(head_of))
+        return await work(Accounts(database, passwords, EventLog(database, keys=keys)))
 
     try:
         return asyncio.run(run())

@@ -1,22 +1,34 @@
-"""``lineside audit verify``: proof that no entry of the event log was changed, removed or cut off."""
+"""``lineside audit``: proof that no entry of the event log was changed, removed or cut off; a newer key."""
 
 from __future__ import annotations
 
+import asyncio
 from contextlib import closing
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
-from app.audit.chain import Verdict
-from app.audit.store import prove
+from app.audit.anchor import Anchors, read_anchor_file
+from app.audit.chain import Head, Verdict
+from app.audit.key_file import read_key_file
+from app.audit.keyring import KeyRing, Origin
+from app.audit.keys import open_keys, owners_of
+from app.audit.log import EventLog
+from app.audit.store import head_of, prove
+from app.cli.accounts import ORIGIN, who_calls
 from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
+from app.database import Database
 from app.database.connection import open_for_reading
 from app.database.words import in_words
 from app.errors import StoreError
-from app.settings import load
+from app.settings import Settings, load
 
 audits = typer.Typer(help="The event log.", no_args_is_help=True)
+AnchorFile = Annotated[
+    Path | None, typer.Option(help="The file with its anchors; without it, the one of the configuration.")
+]
 
 
 def register(cli: typer.Typer) -> None:
@@ -30,21 +42,80 @@ def audit() -> None:
 
 
 @audits.command()
-def verify(config: Config = LINESIDE_TOML) -> None:
-    """Walk the whole log. Exit 0 when it is whole, 1 naming the first entry that is not."""
+def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
+    """Walk the whole log: chain, seals and anchors. Exit 0 when it is whole, 1 naming the first entry that is
+    not. Without an anchor it cannot be seen that an earlier copy of the whole store was put in its place."""
     with ending():
-        store = load(config).server.store
-        verdict = _verdict(store)
+        settings = load(config)
+        verdict, anchors = _verdict(settings, anchor or settings.audit.anchor)
         if verdict.broken is not None:
             raise StoreError(
                 f"the audit log is broken at entry {verdict.broken}: {verdict.fault}; compare a backup"
             )
     typer.echo(f"the audit log is whole: {verdict.entries} entries")
+    for remark in _remarks(verdict, anchors, settings.key_file):
+        typer.echo(remark)
 
 
-def _verdict(store: Path) -> Verdict:
-    """From the file as it is: nothing is brought up to date, nothing is written."""
+@audits.command(name="rotate-key")
+def rotate_key(config: Config = LINESIDE_TOML) -> None:
+    """Seal what is written from now on with a newer key, also while the dashboard runs. The older keys stay
+    in the file: they prove what they have sealed."""
+    with ending():
+        settings = load(config)
+        database = Database(settings.server.store, checkpoints=False)
+        try:
+            asyncio.run(_rotate(database, settings))
+        finally:
+            database.close()
+    typer.echo(f"{settings.key_file}: the log is sealed with a newer key; back this file up")
+
+
+async def _rotate(database: Database, settings: Settings) -> None:
+    head = await database.read(head_of)
+    keys = open_keys(settings.key_file, database.path, head)
+    keys.rotate()
+    # Sealed with the newer key: from here on a log that ends before it is seen to have been cut off.
+    await EventLog(database, keys=keys).record(
+        kind="audit", what="audit key rotated", who=who_calls(), origin=ORIGIN
+    )
+
+
+def _verdict(settings: Settings, anchor: Path | None) -> tuple[Verdict, Anchors]:
+    """From the files as they are: nothing is brought up to date, nothing is written."""
+    store = settings.server.store
     if not store.exists():
         raise StoreError(f"there is no store {store}; nothing was served with this configuration yet")
     with in_words(store), closing(open_for_reading(store)) as connection:
-        return prove(connection)
+        ring = _ring(settings.key_file, store, head_of(connection))
+        anchors = read_anchor_file(anchor, ring) if anchor else Anchors()
+        if anchors.forged is not None:
+            raise StoreError(
+                f"line {anchors.forged} of {anchor} was not written with the key; compare a copy"
+            )
+        return prove(connection, ring, anchors.heads), anchors
+
+
+def _ring(path: Path, store: Path, head: Head) -> KeyRing:
+    ring = read_key_file(path, owners_of(store))
+    if ring is None and head.key:
+        raise StoreError(f"there is no audit key {path}, and the log is sealed; restore your copy of it")
+    return ring or KeyRing((), Origin(head.id, head.hash))
+
+
+def _remarks(verdict: Verdict, anchors: Anchors, key_file: Path) -> list[str]:
+    """What the proof does not cover."""
+    remarks = []
+    if verdict.unsealed:
+        remarks.append(
+            f"entries 1 to {verdict.unsealed} are older than the key {key_file}: they are as they were when "
+            "it was made, which proves nothing of the time before"
+        )
+    if anchors.heads:
+        remarks.append(
+            f"{len(anchors.heads)} anchors hold, the newest names entry {verdict.anchored}: of later entries "
+            "nothing proves that none was cut off"
+        )
+    if anchors.unreadable:
+        remarks.append(f"{anchors.unreadable} lines of the anchor cannot be read and prove nothing")
+    return remarks

@@ -8,6 +8,7 @@ from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_l
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from app.audit.anchoring import AnchorStatus
 from app.live.hub import Hub
 from app.live.state import BusLive, LiveState
 from app.metrics.counts import Counts
@@ -26,8 +27,9 @@ _COUNTED = {
 class _Line(Collector):
     """One reading of everything."""
 
-    def __init__(self, live: LiveState, hub: Hub, counts: Counts) -> None:
+    def __init__(self, live: LiveState, hub: Hub, counts: Counts, anchor: AnchorStatus) -> None:
         self._live = live
+        self._anchor = anchor
         self._hub = hub
         self._counts = counts
 
@@ -40,6 +42,9 @@ class _Line(Collector):
         for outcome, count in self._counts.commands.items():
             commands.add_metric([outcome], count)
         yield commands
+        degraded = 1 if self._anchor.altered or self._anchor.unwritten else 0
+        words = "1 while the audit log is not anchored, or was altered after it was"
+        yield GaugeMetricFamily("lineside_audit_degraded", words, value=degraded)
 
 
 def _figures(bus: BusLive) -> Iterable[UnitFigures]:
@@ -72,8 +77,8 @@ def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
     yield from (is_open, scan, use)
 
 
-def text(live: LiveState, hub: Hub, counts: Counts) -> bytes:
+def text(live: LiveState, hub: Hub, counts: Counts, anchor: AnchorStatus) -> bytes:
     """All of it, as Prometheus reads it."""
     registry = CollectorRegistry()
-    registry.register(_Line(live, hub, counts))
+    registry.register(_Line(live, hub, counts, anchor))
     return generate_latest(registry)

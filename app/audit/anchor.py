@@ -1,0 +1,131 @@
+"""The anchor: heads of the audit log in a file that whoever can write the store cannot change.
+
+One line of JSON for each head, only ever appended: the file may be append-only or on write-once media.
+
+``{"id":812,"hash":"3fa9…","time":"2026-11-21T02:01:33Z","key":"91c2…","seal":"77ab…"}``
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+
+from app.audit.chain import Head
+from app.audit.keyring import KeyRing
+from app.errors import StoreError
+
+_TAIL_BYTES, _TAIL_LINES = 4096, 5
+"""Where the newest line of a file is, however long that is."""
+
+
+class AnchorError(StoreError):
+    """The anchor cannot be read or written; ``why`` in short."""
+
+    def __init__(self, path: Path, cause: OSError | str) -> None:
+        self.why = cause if isinstance(cause, str) else _reason(cause)
+        super().__init__(f"the anchor {path} cannot be used: {self.why}; check anchor in [audit]")
+
+
+class _Line(msgspec.Struct):
+    id: int
+    hash: str
+    time: str
+    key: str
+    seal: str
+
+
+def _reason(error: OSError) -> str:
+    return "it is a link" if error.errno == errno.ELOOP else error.strerror or str(error)
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """What a file of anchors says. ``heads``: hash by entry. ``forged``: the first line that was not written
+    with the key; ``unreadable``: lines that say nothing, as one that a power failure cut off."""
+
+    heads: dict[int, str] = field(default_factory=dict)
+    newest: int = 0
+    forged: int | None = None
+    unreadable: int = 0
+
+
+def anchor_line(head: Head, at: float, ring: KeyRing) -> bytes:
+    """A head as a line of the file. ``at``: Unix time in seconds."""
+    time = datetime.fromtimestamp(at, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    seal = ring.seal("anchor", str(head.id), head.hash, time)
+    return msgspec.json.encode(_Line(head.id, head.hash, time, ring.newest, seal)) + b"\n"
+
+
+def read_anchors(lines: Iterable[bytes], ring: KeyRing) -> Anchors:
+    """What the lines say. Two that name different hashes of one entry cannot both be right: the second
+    counts as forged."""
+    heads: dict[int, str] = {}
+    newest = unreadable = 0
+    for number, text in enumerate(lines, start=1):
+        if not text.strip():
+            continue
+        try:
+            line = msgspec.json.decode(text, type=_Line)
+        except (msgspec.MsgspecError, UnicodeError):
+            unreadable += 1
+            continue
+        sealed = ring.confirms(line.seal, line.key, "anchor", str(line.id), line.hash, line.time)
+        if not sealed or heads.setdefault(line.id, line.hash) != line.hash:
+            return Anchors(heads, newest, forged=number, unreadable=unreadable)
+        newest = line.id
+    return Anchors(heads, newest, unreadable=unreadable)
+
+
+def read_anchor_file(path: Path, ring: KeyRing) -> Anchors:
+    """The same of a file. Raises AnchorError."""
+    try:
+        with path.open("rb") as file:
+            return read_anchors(file, ring)
+    except OSError as error:
+        raise AnchorError(path, error) from error
+
+
+def newest_anchor(path: Path, ring: KeyRing) -> Head | None:
+    """The head that a file names last, None where there is no file yet, or none in it. Raises AnchorError."""
+    try:
+        with path.open("rb") as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - _TAIL_BYTES))
+            anchors = read_anchors(file.read().splitlines()[-_TAIL_LINES:], ring)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise AnchorError(path, error) from error
+    return Head(anchors.newest, anchors.heads[anchors.newest]) if anchors.newest else None
+
+
+def append_line(path: Path, line: bytes) -> None:
+    """Add a line to the file, on disk when this returns; the file is made where there is none. Raises
+    AnchorError."""
+    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
+    try:
+        descriptor = os.open(path, flags, 0o600)
+        try:
+            _append(descriptor, line)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise AnchorError(path, error) from error
+
+
+def _append(descriptor: int, line: bytes) -> None:
+    found = os.fstat(descriptor)
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(errno.EINVAL, "it is not a file")
+    # What a power failure cut off must not take the new line with it.
+    cut_off = found.st_size > 0 and os.pread(descriptor, 1, found.st_size - 1) != b"\n"
+    data = b"\n" + line if cut_off else line
+    while data:
+        data = data[os.write(descriptor, data) :]
+    os.fsync(descriptor)

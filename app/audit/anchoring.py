@@ -1,0 +1,118 @@
+"""Brings the head of the audit log to the anchor every minute, and notices when the log was altered."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import structlog
+
+from app.audit.anchor import AnchorError, anchor_line, append_line, newest_anchor
+from app.audit.chain import Head, not_anchored
+from app.audit.detached import Detached
+from app.audit.log import EventLog
+from app.errors import StoreError
+
+EVERY_S = 60.0
+WITHIN_S = 10.0
+"""What the medium is given for one line, which on a network may be long."""
+AT_END_S = 1.0
+"""The same while the server ends, which as a whole has five seconds."""
+T = TypeVar("T")
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True, slots=True)
+class AnchorStatus:
+    """``altered``: how the log is not what was anchored, which stays said until the server starts again;
+    ``unwritten``: why the anchor is behind, ``since`` when (Unix time in seconds). Both mostly empty."""
+
+    altered: str = ""
+    unwritten: str = ""
+    since: float = 0.0
+
+
+class Anchoring:
+    """Exports the head of ``events`` to a file. Never raises for what the medium does."""
+
+    def __init__(self, events: EventLog, path: Path, clock: Callable[[], float] = time.time) -> None:
+        self.status = AnchorStatus()
+        self._events = events
+        self._path = path
+        self._clock = clock
+        self._exported: Head | None = None
+        self._one_at_a_time = asyncio.Lock()
+        self._thread = Detached("audit-anchor")
+
+    async def follow(self) -> None:
+        """Export every minute, without end."""
+        while True:
+            await self.export()
+            await asyncio.sleep(EVERY_S)
+
+    async def export(self, within_s: float = WITHIN_S) -> None:
+        """Write the head if it is another than the last time. What fails is an event and :attr:`status`, and
+        is tried again."""
+        async with self._one_at_a_time:
+            try:
+                await self._export(within_s)
+            except AnchorError as error:
+                await self._failed(error.why)
+            except StoreError as error:
+                log.error("audit log not anchored", why=str(error))
+
+    async def _export(self, within_s: float) -> None:
+        if self._exported is None:
+            self._exported = await self._begin(within_s)
+        head, _ = await self._events.proof.extent()
+        if self.status.altered or (head.id, head.hash) == (self._exported.id, self._exported.hash):
+            return
+        verdict = await self._events.proof.since(self._exported)
+        if verdict.fault:
+            await self._found_altered(verdict.fault)
+            return
+        line = anchor_line(head, self._clock(), self._events.keys.ring)
+        await self._in_thread(lambda: append_line(self._path, line), within_s)
+        self._exported = head
+        if self.status.unwritten:
+            self.status = AnchorStatus(self.status.altered)
+            await self._record("audit anchor written again")
+
+    async def _begin(self, within_s: float) -> Head:
+        """The head that the anchor names last, as the log has it; where it has another, that is said."""
+        ring = self._events.keys.ring
+        anchored = await self._in_thread(lambda: newest_anchor(self._path, ring), within_s)
+        if anchored is None:
+            return Head()
+        there = await self._events.proof.link(anchored.id)
+        if there is None or there.hash != anchored.hash:
+            await self._found_altered(not_anchored(anchored.id))
+            return anchored
+        return there
+
+    async def _found_altered(self, fault: str) -> None:
+        self.status = AnchorStatus(fault, self.status.unwritten, self.status.since)
+        log.error("audit log altered", why=fault)
+        await self._record("audit log altered", "lineside audit verify names the entry")
+
+    async def _failed(self, why: str) -> None:
+        if self.status.unwritten:
+            return
+        self.status = AnchorStatus(self.status.altered, why, self._clock())
+        log.error("audit anchor not written", path=str(self._path), why=why)
+        await self._record("audit anchor not written", why)
+
+    async def _record(self, what: str, message: str = "") -> None:
+        with suppress(StoreError):
+            await self._events.record(kind="audit", what=what, message=message)
+
+    async def _in_thread(self, work: Callable[[], T], within_s: float) -> T:
+        try:
+            return await self._thread.run(work, within_s)
+        except TimeoutError as error:
+            raise AnchorError(self._path, "it does not respond") from error

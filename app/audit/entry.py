@@ -1,0 +1,48 @@
+"""An entry of the log before it is chained: every field in the type in which the store gives it back, for the
+hash is made of what is written and compared with what is read. Pure."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from bus.contract import Frame
+
+Event = dict[str, Any]
+"""One event with its result, as `app.audit.reading.readable` gives it."""
+
+LATEST = 253_370_764_800.0
+"""The year 9999: no date of the screen or of ISO 8601 goes further. Unix time in seconds."""
+_OPTIONAL = ("about", "bus", "unit", "old", "new", "old_raw", "new_raw", "outcome", "count")
+_TEXTS = ("who", "origin", "what", "message")
+
+
+def new_entry(*, kind: str, time: float, frames: Iterable[Frame] = (), **given: Any) -> dict[str, Any]:
+    """All fields of an entry but its id. ``time``: Unix time in seconds; ``frames`` carried the command."""
+    shown = json.dumps([_frame(frame) for frame in frames], separators=(",", ":"), ensure_ascii=False)
+    entry = {**dict.fromkeys(_OPTIONAL), **dict.fromkeys(_TEXTS, ""), **given, "kind": kind, "frames": shown}
+    # SQLite has no negative zero.
+    return {name: _stored(value) for name, value in entry.items()} | {"time": float(time) + 0.0}
+
+
+def is_moment(time: float) -> bool:
+    """Whether a Unix time in seconds can be shown as a date."""
+    return math.isfinite(time) and 0 <= time < LATEST
+
+
+def _stored(value: Any) -> Any:
+    if isinstance(value, str):
+        # Half a character, which JSON can escape, is not UTF-8.
+        return str(value).encode("utf-8", "backslashreplace").decode()
+    return int(value) if isinstance(value, bool) else value
+
+
+def _frame(frame: Frame) -> dict[str, Any]:
+    return {
+        "at": frame.at,
+        "direction": frame.direction,
+        "data": frame.data.hex(" ").upper(),
+        "meaning": frame.meaning,
+    }

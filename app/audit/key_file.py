@@ -1,0 +1,144 @@
+"""The file with the keys of the audit log: outside the data folder, for the server's user alone."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import stat
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+
+from app.audit.keyring import KEY_BYTES, KeyRing, Origin
+from app.errors import StoreError
+
+_MOST_BYTES = 65_536
+_Hex = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
+
+
+class KeyFileError(StoreError):
+    """The key file cannot be used; nothing was written into the log."""
+
+
+class _Log(msgspec.Struct):
+    id: Annotated[int, msgspec.Meta(ge=0)]
+    hash: _Hex
+
+
+class _Content(msgspec.Struct):
+    log: _Log
+    keys: Annotated[list[_Hex], msgspec.Meta(min_length=1)]
+
+
+def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
+    """The keys, None where there is no file. Raises KeyFileError for one that others could have read or made,
+    and for one that holds no keys. ``owners``: the users that it may belong to."""
+    try:
+        # A FIFO or a device would keep the start waiting for ever.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        reason = "it is a link, name the file itself" if path.is_symlink() else error.strerror
+        raise KeyFileError(
+            f"the audit key {path} cannot be read: {reason}; run this as the server's user"
+        ) from error
+    with os.fdopen(descriptor, "rb") as file:
+        _check_access(path, os.fstat(descriptor), owners)
+        return _ring(path, file.read(_MOST_BYTES))
+
+
+def make_key_file(path: Path, origin: Origin) -> KeyRing | None:
+    """Make the file with a first key, for a log that ends at ``origin``; None where another process was
+    faster. Raises KeyFileError."""
+    ring = KeyRing((secrets.token_bytes(KEY_BYTES),), origin)
+    try:
+        fresh = _written(path, ring)
+        try:
+            # Unlike a rename this never takes the place of a key that another process has made and used.
+            path.hardlink_to(fresh)
+        finally:
+            fresh.unlink()
+        _sync_folder(path)
+    except FileExistsError:
+        return None
+    except OSError as error:
+        raise KeyFileError(
+            f"the audit key {path} cannot be made: {error.strerror}; give the server's user write access to "
+            "that folder for the first start, or name another place as key_file in [audit]"
+        ) from error
+    return ring
+
+
+def replace_key_file(path: Path, ring: KeyRing) -> None:
+    """Put a ring with a newer key in the place of the file; its owner stays. Raises KeyFileError."""
+    try:
+        owner = path.stat()
+        fresh = _written(path, ring)
+        if (owner.st_uid, owner.st_gid) != (os.geteuid(), os.getegid()):
+            os.chown(fresh, owner.st_uid, owner.st_gid)
+        fresh.replace(path)
+        _sync_folder(path)
+    except OSError as error:
+        raise KeyFileError(f"the audit key {path} cannot be replaced: {error.strerror}") from error
+
+
+def _written(path: Path, ring: KeyRing) -> Path:
+    """A new file beside ``path``, on disk."""
+    fresh = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    content = _Content(_Log(ring.origin.id, ring.origin.hash), [key.hex() for key in ring.keys])
+    descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(msgspec.json.format(msgspec.json.encode(content), indent=1) + b"\n")
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError:
+        with suppress(OSError):
+            fresh.unlink()
+        raise
+    return fresh
+
+
+def _sync_folder(path: Path) -> None:
+    """Have the name on disk too: a key that a power failure takes away proves nothing any more."""
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def _check_access(path: Path, found: os.stat_result, owners: frozenset[int]) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        raise KeyFileError(f"the audit key {path} is not a file; name one as key_file in [audit]")
+    if found.st_uid not in owners:
+        raise KeyFileError(
+            f"the audit key {path} belongs to another user, who can read and replace it; "
+            "move it away, then start again: a new one is made"
+        )
+    if found.st_mode & 0o077:
+        raise KeyFileError(
+            f"the audit key {path} can be read or written by others, who may know it now; "
+            f"chmod 600 {path}, then lineside audit rotate-key"
+        )
+    folder = path.parent.stat().st_mode
+    if folder & stat.S_IWOTH and not folder & stat.S_ISVTX:
+        raise KeyFileError(
+            f"everybody can replace the audit key {path}; chmod o-w {path.parent}, "
+            "or name another place as key_file in [audit]"
+        )
+
+
+def _ring(path: Path, content: bytes) -> KeyRing:
+    try:
+        decoded = msgspec.json.decode(content, type=_Content)
+    except msgspec.MsgspecError as error:
+        raise KeyFileError(
+            f"the audit key {path} is damaged ({error}); restore it from your backup of it, or move it away: "
+            "then a new one is made, and what was sealed with the old one is only as good as it is now"
+        ) from error
+    origin = Origin(decoded.log.id, decoded.log.hash)
+    return KeyRing(tuple(bytes.fromhex(key) for key in decoded.keys), origin)

@@ -1,0 +1,43 @@
+"""An event as it is read from the store: whatever the row holds, the result can be shown. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from app.audit.entry import Event, is_moment
+
+
+class FrameRecord(msgspec.Struct):
+    """One frame that carried a command. ``at``: Unix time in seconds; ``data``: hexadecimal."""
+
+    at: float
+    direction: str
+    data: str
+    meaning: str
+
+
+def readable(row: Mapping[str, Any]) -> Event:
+    """The row as an event. Where its time or its frames cannot be, ``unreadable`` is true, the time 0 and the
+    frames left out."""
+    has_time, frames = is_moment(row["time"]), frames_of(row["frames"])
+    event = {**row, "unreadable": not has_time or frames is None}
+    concluded_at = row["concluded_at"]
+    if concluded_at is not None and not is_moment(concluded_at):
+        event |= {"concluded_at": None, "unreadable": True}
+    if not has_time:
+        event["time"] = 0.0
+    if frames is None:
+        event["frames"] = "[]"
+    return event
+
+
+def frames_of(text: str) -> list[FrameRecord] | None:
+    """The frames in the JSON of an entry; None where they are none."""
+    try:
+        frames = msgspec.json.decode(text, type=list[FrameRecord])
+    except (msgspec.MsgspecError, UnicodeError, RecursionError):
+        return None
+    return frames if all(is_moment(frame.at) for frame in frames) else None

@@ -1,0 +1,219 @@
+"""The anchor: the head of the log on a medium of the site, and what is said while it is not there."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import threading
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.audit import anchoring as module
+from app.audit.anchor import AnchorError, anchor_line, append_line, newest_anchor, read_anchors
+from app.audit.anchoring import Anchoring
+from app.audit.chain import Head
+from app.audit.keyring import KeyRing
+from app.audit.log import EventLog
+from app.audit.store import Filter
+from app.database import Database
+
+RING = KeyRing((b"k" * 32,))
+
+
+class Scene:
+    """A log and its anchor."""
+
+    def __init__(self, folder: Path) -> None:
+        self.database = Database(folder / "lineside.db")
+        self.events = EventLog(self.database)
+        self.path = folder / "anchor"
+        self.anchoring = self.started()
+
+    def started(self) -> Anchoring:
+        """The anchoring of a server that starts now."""
+        return Anchoring(self.events, self.path, clock=lambda: 1_700_000_000.0)
+
+    async def happen(self, times: int = 1) -> None:
+        for _ in range(times):
+            await self.events.record(kind="estop", what="e-stop")
+
+    def lines(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.path.read_bytes().splitlines()]
+
+    async def said(self) -> list[tuple[str, str]]:
+        """The events about the audit itself, oldest first."""
+        found, _ = await self.events.page(Filter(kind="audit"), 100)
+        return [(event["what"], event["message"]) for event in reversed(found)]
+
+    async def attack(self, statement: str) -> None:
+        def work(connection: Any) -> None:
+            for (name,) in connection.execute(
+                "SELECT name FROM sqlite_master WHERE type = 'trigger'"
+            ).fetchall():
+                connection.execute(f"DROP TRIGGER {name}")
+            connection.execute(statement)
+
+        await self.database.write(work)
+
+
+@pytest.fixture
+async def scene(tmp_path: Path) -> AsyncIterator[Scene]:
+    made = Scene(tmp_path)
+    yield made
+    made.database.close()
+
+
+async def test_the_head_is_added_when_it_changed(scene: Scene) -> None:
+    await scene.happen(3)
+    for _ in range(2):
+        await scene.anchoring.export()
+    await scene.happen()
+    await scene.anchoring.export()
+    assert [(line["id"], line["time"]) for line in scene.lines()] == [
+        (3, "2023-11-14T22:13:20Z"),
+        (4, "2023-11-14T22:13:20Z"),
+    ]
+    assert scene.path.stat().st_mode & 0o777 == 0o600
+    anchors = read_anchors(scene.path.read_bytes().splitlines(), scene.events.keys.ring)
+    assert (await scene.events.prove(anchors.heads)).anchored == 4
+
+
+async def test_a_file_that_can_only_be_added_to_is_enough(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is opened for appending, never cut, never replaced."""
+    flags: list[int] = []
+    opening = os.open
+
+    def watch(path: Any, wanted: int, *rest: Any) -> int:
+        if path == scene.path:
+            flags.append(wanted)
+        return opening(path, wanted, *rest)
+
+    monkeypatch.setattr(os, "open", watch)
+    await scene.happen()
+    await scene.anchoring.export()
+    first = scene.path.stat().st_ino
+    await scene.happen()
+    await scene.anchoring.export()
+    assert scene.path.stat().st_ino == first
+    assert len(flags) == 2
+    assert all(wanted & os.O_APPEND and not wanted & os.O_TRUNC for wanted in flags)
+
+
+async def test_an_export_that_fails_is_said_once_and_made_up_for(scene: Scene) -> None:
+    await scene.happen()
+    scene.path.mkdir()
+    for _ in range(3):
+        await scene.anchoring.export()
+    assert scene.anchoring.status.unwritten == "Is a directory"
+    assert await scene.said() == [("audit anchor not written", "Is a directory")]
+    scene.path.rmdir()
+    await scene.anchoring.export()
+    assert scene.anchoring.status.unwritten == ""
+    assert (await scene.said())[-1] == ("audit anchor written again", "")
+    assert scene.lines()[-1]["id"] == 2
+
+
+async def test_a_medium_that_hangs_holds_nothing_up(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    released = threading.Event()
+    monkeypatch.setattr(module, "append_line", lambda *_: released.wait())
+    await scene.happen()
+    for _ in range(2):
+        await asyncio.wait_for(scene.anchoring.export(within_s=0.01), 30)
+    assert scene.anchoring.status.unwritten == "it does not respond"
+    released.set()
+    monkeypatch.undo()
+    while scene.anchoring.status.unwritten:
+        await scene.anchoring.export()
+    assert scene.lines()[-1]["id"] == 2
+
+
+async def test_a_link_is_not_followed(scene: Scene, tmp_path: Path) -> None:
+    scene.path.symlink_to(tmp_path / "elsewhere")
+    await scene.happen()
+    await scene.anchoring.export()
+    assert scene.anchoring.status.unwritten == "it is a link"
+    assert not (tmp_path / "elsewhere").exists()
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE events SET what = 'nothing happened' WHERE id = 4",
+        "DELETE FROM events WHERE id = 4",
+        "UPDATE events_head SET id = 4, hash = (SELECT hash FROM events WHERE id = 4)",
+    ],
+)
+async def test_a_log_that_was_altered_is_not_anchored(scene: Scene, statement: str) -> None:
+    await scene.happen(2)
+    await scene.anchoring.export()
+    await scene.happen(3)
+    await scene.attack(statement)
+    for _ in range(2):
+        await scene.anchoring.export()
+    assert scene.anchoring.status.altered
+    assert [line["id"] for line in scene.lines()] == [2]
+    assert ("audit log altered", "lineside audit verify names the entry") in await scene.said()
+
+
+async def test_a_server_that_starts_compares_the_log_with_its_anchor(scene: Scene) -> None:
+    await scene.happen(5)
+    await scene.anchoring.export()
+    again = scene.started()
+    await again.export()
+    assert not again.status.altered
+    await scene.attack("DELETE FROM events WHERE id = 5")
+    again = scene.started()
+    await again.export()
+    assert again.status.altered == "entry 5 is not the one that the anchor names"
+
+
+async def test_a_long_log_is_proved_without_holding_up_the_event_loop(scene: Scene) -> None:
+    """In chunks: between two of them others have their turn, and the store can be written."""
+    await scene.happen(1)
+    for _ in range(3):
+        await scene.events.intend_together(
+            [{"who": "a", "origin": "api", "bus": "b", "unit": 1, "what": "x"} for _ in range(700)]
+        )
+    proving = asyncio.create_task(scene.events.prove())
+    turns = 0
+    while not proving.done():
+        await scene.happen()
+        turns += 1
+    verdict = await proving
+    assert (verdict.broken, verdict.entries >= 2101) == (None, True)
+    assert turns > 1
+
+
+def test_lines_that_a_power_failure_cut_off_take_no_others_with_them(tmp_path: Path) -> None:
+    path = tmp_path / "anchor"
+    whole = anchor_line(Head(1, "a" * 64), 1.0, RING)
+    path.write_bytes(whole + whole[:40])
+    append_line(path, anchor_line(Head(2, "b" * 64), 2.0, RING))
+    anchors = read_anchors(path.read_bytes().splitlines(), RING)
+    assert anchors.heads == {1: "a" * 64, 2: "b" * 64}
+    assert (anchors.unreadable, anchors.forged) == (1, None)
+    newest = newest_anchor(path, RING)
+    assert newest is not None
+    assert newest.id == 2
+
+
+def test_a_line_of_somebody_without_the_key_is_named() -> None:
+    good = anchor_line(Head(1, "a" * 64), 1.0, RING)
+    for forged in (
+        good.replace(b'"id":1', b'"id":2'),
+        anchor_line(Head(2, "b" * 64), 2.0, KeyRing((b"s" * 32,))),
+        anchor_line(Head(1, "b" * 64), 2.0, RING),
+    ):
+        assert read_anchors([good, forged], RING).forged == 2
+
+
+def test_something_that_is_no_file_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    with pytest.raises(AnchorError, match="it is not a file"):
+        append_line(tmp_path / "fifo", b"x\n")

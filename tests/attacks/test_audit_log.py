@@ -1,0 +1,259 @@
+"""Somebody who can write the store, but cannot read the key, rewrites the log: `audit verify` sees it."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from app.audit.anchoring import Anchoring
+from app.audit.chain import END_ALTERED, OTHER_KEY, SEALED_FROM_HERE, Head, entry_hash
+from app.audit.keyring import BEGINNING
+from app.audit.keys import open_keys
+from app.audit.log import EventLog
+from app.audit.store import head_of
+from app.cli import cli
+from app.database import Database
+from app.database.migrating import MIGRATIONS
+
+Row = dict[str, Any]
+ENTRIES = 9
+WITHOUT_ANCHOR = ("--anchor", "/dev/null")
+
+
+class Plant:
+    """A store with a log, its configuration, and the two who have to do with it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.config = folder / "lineside.toml"
+        self.store = folder / "data" / "lineside.db"
+        self.key = folder / "lineside.audit.key"
+        self.anchor = folder / "anchor"
+        self.config.write_text('[server]\ndata = "data"\n[audit]\nanchor = "anchor"\n')
+
+    def work(self, entries: int = ENTRIES) -> None:
+        """The server writes so many entries, and anchors the last."""
+        asyncio.run(self._work(entries))
+
+    async def _work(self, entries: int) -> None:
+        database = Database(self.store)
+        try:
+            keys = open_keys(self.key, self.store, await database.read(head_of))
+            log = EventLog(database, keys=keys)
+            for number in range(entries):
+                await log.record(kind="estop", what=f"e-stop {number}", bus="dry-end", unit=1)
+            await Anchoring(log, self.anchor).export()
+        finally:
+            database.close()
+
+    def attack(self, *statements: str) -> None:
+        """Write the store past every trigger."""
+        with closing(sqlite3.connect(self.store)) as connection:
+            for (name,) in connection.execute(
+                "SELECT name FROM sqlite_master WHERE type = 'trigger'"
+            ).fetchall():
+                connection.execute(f"DROP TRIGGER {name}")
+            for statement in statements:
+                connection.execute(statement)
+            connection.commit()
+
+    def rebuild(self, change: Callable[[list[Row]], list[Row]], *, key: str | None = None) -> None:
+        """Replace the log by a changed one in which every hash fits; ``key``: what it says of its key."""
+        with closing(sqlite3.connect(self.store)) as connection:
+            connection.row_factory = sqlite3.Row
+            rows = change([dict(row) for row in connection.execute("SELECT * FROM events ORDER BY id")])
+            previous = BEGINNING
+            self.attack("DELETE FROM events")
+            for number, row in enumerate(rows, start=1):
+                row |= {"id": number, "previous": previous, "key": row["key"] if key is None else key}
+                previous = row["hash"] = entry_hash(previous, row)
+                marks = ", ".join("?" * len(row))
+                connection.execute(f"INSERT INTO events ({', '.join(row)}) VALUES ({marks})", [*row.values()])
+            connection.execute("UPDATE events_head SET id = ?, hash = ?", (len(rows), previous))
+            if key is not None:
+                connection.execute("UPDATE events_head SET key = ?, seal = ''", (key,))
+            connection.commit()
+
+    def verify(self, *options: str) -> tuple[int, str]:
+        """The exit code of ``audit verify``, and all that it says."""
+        done = CliRunner().invoke(cli, ["audit", "verify", "--config", str(self.config), *options])
+        return done.exit_code, done.output
+
+    def broken_at(self, *options: str) -> str:
+        """What is wrong with the log, which something must be."""
+        code, said = self.verify(*options)
+        assert code == 1, said
+        return said.removeprefix("lineside: the audit log is broken at entry ")
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> Plant:
+    made = Plant(tmp_path)
+    made.work()
+    assert made.verify()[0] == 0
+    return made
+
+
+def changed(rows: list[Row]) -> list[Row]:
+    rows[3]["what"] = "nothing happened"
+    return rows
+
+
+def test_an_entry_is_changed_and_every_hash_made_to_fit(plant: Plant) -> None:
+    plant.rebuild(changed)
+    assert plant.broken_at().startswith("4: ")
+
+
+def test_an_entry_is_removed_and_the_rest_moved_up(plant: Plant) -> None:
+    plant.rebuild(lambda rows: rows[:3] + rows[4:])
+    assert plant.broken_at().startswith("4: ")
+
+
+def test_an_entry_is_put_in(plant: Plant) -> None:
+    plant.rebuild(lambda rows: [*rows[:3], dict(rows[0]), *rows[3:]])
+    assert plant.broken_at().startswith("4: ")
+
+
+def test_the_log_is_rebuilt_as_one_from_before_there_was_a_key(plant: Plant) -> None:
+    plant.rebuild(changed, key="")
+    assert plant.broken_at().startswith("1: ")
+    plant.work()
+    assert plant.broken_at().startswith("1: "), "the server has sealed what was forged"
+
+
+def test_the_newest_entries_are_cut_off(plant: Plant) -> None:
+    plant.attack(
+        "DELETE FROM events WHERE id > 5",
+        "UPDATE events_head SET id = 5, hash = (SELECT hash FROM events WHERE id = 5)",
+    )
+    assert "the log ends at entry 5" in plant.broken_at()
+
+
+def test_the_newest_entries_are_cut_off_and_the_server_goes_on(plant: Plant) -> None:
+    """The anchor is not even needed: the server notes in the log itself that the end had no seal."""
+    plant.attack(
+        "DELETE FROM events WHERE id > 5",
+        "UPDATE events_head SET id = 5, hash = (SELECT hash FROM events WHERE id = 5)",
+    )
+    plant.work(1)
+    with closing(sqlite3.connect(plant.store)) as connection:
+        (what,) = connection.execute("SELECT what FROM events WHERE id = 6").fetchone()
+    assert what == END_ALTERED
+    assert plant.broken_at(*WITHOUT_ANCHOR).startswith("6: ")
+
+
+def test_an_earlier_copy_of_the_store_is_put_in_its_place(plant: Plant, tmp_path: Path) -> None:
+    """Whole in itself: only the anchor tells."""
+    earlier = tmp_path / "earlier.db"
+    with closing(sqlite3.connect(plant.store)) as connection:
+        connection.execute("VACUUM INTO ?", (str(earlier),))
+    plant.work()
+    for companion in ("-wal", "-shm"):
+        plant.store.with_name(plant.store.name + companion).unlink(missing_ok=True)
+    shutil.copy(earlier, plant.store)
+    assert "but the anchor names entry 18" in plant.broken_at()
+    plant.work(12)
+    assert "is not the one that the anchor names" in plant.broken_at()
+
+
+def test_the_store_is_removed_and_begun_anew(plant: Plant) -> None:
+    for path in plant.store.parent.glob("lineside.db*"):
+        path.unlink()
+    plant.work(20)
+    assert "entry 9 is not the one that the anchor names" in plant.broken_at()
+
+
+def test_entries_before_the_first_are_added(plant: Plant) -> None:
+    plant.attack("INSERT INTO events SELECT -1 AS id, " + _columns_but_id() + " FROM events WHERE id = 1")
+    assert "entry 1 is missing; after 0 comes -1" in plant.broken_at()
+
+
+def _columns_but_id() -> str:
+    with closing(sqlite3.connect(":memory:")) as connection:
+        for step in ("0002_events.sql", "0031_audit_seals.sql"):
+            connection.executescript((MIGRATIONS / step).read_text())
+        return ", ".join(row[1] for row in connection.execute("PRAGMA table_info(events)") if row[1] != "id")
+
+
+def test_a_column_is_put_in_or_a_text_is_no_text(plant: Plant) -> None:
+    plant.attack("UPDATE events SET what = CAST(x'ff00fe' AS TEXT) WHERE id = 3")
+    assert plant.broken_at().startswith("3: ")
+
+
+def test_a_line_of_the_anchor_is_forged(plant: Plant) -> None:
+    plant.anchor.write_text(plant.anchor.read_text().replace('"id":9', '"id":8'))
+    code, said = plant.verify()
+    assert (code, "line 1 of" in said) == (1, True)
+
+
+def test_the_anchor_is_gone(plant: Plant) -> None:
+    plant.anchor.unlink()
+    code, said = plant.verify()
+    assert (code, "No such file" in said) == (1, True)
+
+
+def test_the_key_is_gone(plant: Plant) -> None:
+    plant.key.unlink()
+    code, said = plant.verify()
+    assert (code, "there is no audit key" in said) == (1, True)
+
+
+def test_a_new_key_vouches_for_the_log_from_then_on_only(plant: Plant) -> None:
+    """As after a move to another machine without the key. That there is another one is in the log."""
+    plant.key.unlink()
+    plant.anchor.unlink()
+    plant.work(2)
+    code, said = plant.verify()
+    assert code == 0
+    assert "entries 1 to 9 are older than the key" in said
+    with closing(sqlite3.connect(plant.store)) as connection:
+        assert connection.execute("SELECT what FROM events WHERE id = 10").fetchone() == (OTHER_KEY,)
+    plant.attack("UPDATE events SET what = 'nothing happened' WHERE id = 4")
+    assert plant.broken_at().startswith("4: ")
+
+
+def test_a_store_from_before_the_key_is_sealed_as_it_is(tmp_path: Path) -> None:
+    plant = Plant(tmp_path)
+    plant.work()
+    plant.rebuild(lambda rows: rows, key="")
+    plant.key.unlink()
+    plant.anchor.unlink()
+    assert plant.verify(*WITHOUT_ANCHOR)[0] == 0, "nothing has been sealed yet"
+    plant.work(1)
+    code, said = plant.verify()
+    assert (code, "entries 1 to 9 are older than the key" in said) == (0, True)
+    with closing(sqlite3.connect(plant.store)) as connection:
+        assert connection.execute("SELECT what FROM events WHERE id = 10").fetchone() == (SEALED_FROM_HERE,)
+    plant.rebuild(changed)
+    assert plant.broken_at().startswith("9: ")
+
+
+def test_after_a_rotation_the_older_key_forges_nothing(plant: Plant) -> None:
+    older = plant.key.read_bytes()
+    rotated = CliRunner().invoke(cli, ["audit", "rotate-key", "--config", str(plant.config)])
+    assert rotated.exit_code == 0, rotated.output
+    plant.work(2)
+    assert plant.verify()[0] == 0
+    assert plant.key.stat().st_mode & 0o777 == 0o600
+    newer = plant.key.read_bytes()
+    assert older != newer
+    # Whoever has the older key can seal any end of the log, and goes on from before the rotation.
+    plant.attack("DELETE FROM events WHERE id > 9", "DELETE FROM events_head")
+    plant.key.write_bytes(older)
+    ring = open_keys(plant.key, plant.store, Head()).ring
+    with closing(sqlite3.connect(plant.store)) as connection:
+        (digest,) = connection.execute("SELECT hash FROM events WHERE id = 9").fetchone()
+        end = (1, 9, digest, ring.newest, ring.seal("head", "9", digest))
+        connection.execute("INSERT INTO events_head (only, id, hash, key, seal) VALUES (?, ?, ?, ?, ?)", end)
+        connection.commit()
+    plant.work(2)
+    assert plant.verify(*WITHOUT_ANCHOR)[0] == 0, "to the older key alone all is well"
+    plant.key.write_bytes(newer)
+    assert "the log ends before that key" in plant.broken_at(*WITHOUT_ANCHOR)
