@@ -88,7 +88,7 @@ class SignIn:
         if is_use:
             await self._note_use(hash_, session, now)
         user = session.user
-        return Person(user.name, user.role, "session", user.language, user.panel, user.home)
+        return Person(user.name, user.role, "session", user.language, user.panel, user.home, user.created_at)
 
     async def by_token(self, bearer: str) -> Person | None:
         """Who a bearer token stands for."""
@@ -102,7 +102,7 @@ class SignIn:
         if token.used_at is None or now - token.used_at > rules.USE_NOTED_EVERY_S:
             number = token.id
             await self._note(lambda connection: store.note_token_used(connection, number, now))
-        return Person(token.name, token.role, "token")
+        return Person(token.name, token.role, "token", created_at=token.created_at)
 
     async def _verified(self, name: str, secret: str, panel: bool) -> User | None:
         found = await self._database.read(lambda connection: store.user(connection, name))

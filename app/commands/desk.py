@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import time
-import uuid
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import msgspec
+
 from app.audit.log import EventLog
 from app.commands.control import ControlledError
-from app.commands.idempotency import command_of
 from app.commands.moves import Moves
 from app.commands.objection import Circumstances, ObjectionError
 from app.commands.record import Record
 from app.commands.rules import check, is_write, setpoints_of, units_named, units_written
 from app.commands.safeguards import Safeguards
 from app.commands.setpoints import commanded_setpoint
-from app.commands.wish import Wish, time_for
+from app.commands.wish import Wish, time_for, without_secret
 from app.database import Database
 from app.errors import Problem
 from app.feed.channel import Channel, ProgressListener
+from app.live.command_ids import new_command_id
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state import BusLive, LiveState
 from app.web.access import Person
@@ -43,7 +44,8 @@ class BeforeWrite(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
-    who: str
+    """A command that is under way or done."""
+
     bus: str
     action: Action
     fate: asyncio.Task[Result]
@@ -67,7 +69,9 @@ class Desk:
         self._guards = guards
         self._now = now
         self._moves = Moves()
-        self._kept: OrderedDict[str, _Kept] = OrderedDict()
+        self._kept: OrderedDict[tuple[str, str], _Kept] = OrderedDict()
+        """By sender and key."""
+        self._under_way: set[asyncio.Task[Result]] = set()
         self.before_write: BeforeWrite | None = None
         """Who wants to keep what a unit was, before it is written to."""
 
@@ -83,7 +87,8 @@ class Desk:
         origin: str = "api",
         listener: ProgressListener | None = None,
     ) -> Result:
-        """Carry out ``action`` and give its one fate; the same ``id`` again gives the same fate.
+        """Carry out ``action`` and give its one fate; the same ``id`` again gives the same fate. It is the
+        sender's own: what others ask with the same one is another command.
 
         ``timeout_s``: how long a write may wait for the wire; :func:`time_for` it when None.
 
@@ -93,21 +98,26 @@ class Desk:
         live = bus_or_404(self._live, bus)
         for unit in units_named(action):
             unit_or_404(self._live, bus, unit)
-        kept = self._kept.get(id) if id is not None else None
+        id = id or None
+        kept = self._find(person, id)
         if kept is None and id is not None:
-            earlier = await self._record.earlier(id)
-            kept = self._kept.get(id)
+            earlier = await self._record.earlier(person.sender, id)
+            kept = self._find(person, id)
             if kept is None and earlier is not None:
-                _refuse_other(id, earlier.command == command_of(person.account, bus, action))
-                return earlier.fate
+                _refuse_other(id, self._record.is_same(earlier, bus, action))
+                return msgspec.structs.replace(earlier.result, id=id)
         if kept is None:
             time_s = time_for(action, live.settings) if timeout_s is None else timeout_s
             deadline = self._now() + time_s
-            wish = Wish(id or uuid.uuid4().hex, person, bus, action, deadline, origin, listener)
+            wish = Wish(new_command_id(id), person, bus, action, deadline, origin, listener, id)
             await self._check(wish, live, confirm)
             kept = self._start(wish, live)
-        _refuse_other(id, (kept.who, kept.bus, kept.action) == (person.account, bus, action))
-        return await asyncio.shield(kept.fate)
+        _refuse_other(id, (kept.bus, kept.action) == (bus, action))
+        result = await asyncio.shield(kept.fate)
+        return result if id is None else msgspec.structs.replace(result, id=id)
+
+    def _find(self, person: Person, key: str | None) -> _Kept | None:
+        return None if key is None else self._kept.get((person.sender, key))
 
     async def reserve(self, bus: str) -> None:
         """Somebody who may is about to ask for a write: the next turn of the wire is left to it."""
@@ -153,7 +163,7 @@ class Desk:
         )
 
     def _start(self, wish: Wish, live: BusLive) -> _Kept:
-        already = self._kept.get(wish.id)
+        already = self._find(wish.person, wish.key)
         if already is not None:
             return already
         # Noted before anybody else can be checked: two at once must not both pass the limit of a minute.
@@ -161,10 +171,24 @@ class Desk:
         for unit, step in steps.items():
             self._moves.note(wish.bus, unit, step, at)
         fate = asyncio.create_task(self._follow(wish, live, steps, at), name=f"command {wish.id}")
-        kept = self._kept[wish.id] = _Kept(wish.person.account, wish.bus, wish.action, fate)
+        self._under_way.add(fate)
+        fate.add_done_callback(self._under_way.discard)
+        kept = _Kept(wish.bus, wish.action, fate)
+        if wish.key is not None:
+            self._keep((wish.person.sender, wish.key), kept)
+        return kept
+
+    def _keep(self, key: tuple[str, str], kept: _Kept) -> None:
+        self._kept[key] = kept
         while len(self._kept) > REMEMBERED and next(iter(self._kept.values())).fate.done():
             self._kept.popitem(last=False)
-        return kept
+
+        def forget_failed(fate: asyncio.Task[Result]) -> None:
+            # It has no result to give again: what was sent, if anything was, is on disk.
+            if fate.cancelled() or fate.exception() is not None:
+                self._kept.pop(key, None)
+
+        kept.fate.add_done_callback(forget_failed)
 
     async def _follow(self, wish: Wish, live: BusLive, steps: dict[int, int], at: float) -> Result:
         """Carry it out; its steps, which were noted for ``at``, count no more when no unit acted."""
@@ -185,7 +209,7 @@ class Desk:
             units = units_written(wish.action, live)
             await self.before_write(wish.person, wish.bus, units, parameters=parameters)
         intent = await self._record.intend(wish, live)
-        result = await self._send(wish, live)
+        result = without_secret(wish.action, await self._send(wish, live))
         await self._record.conclude(intent, wish, result)
         return result
 

@@ -1,64 +1,93 @@
-"""Commands that were asked with an id, on disk: given again, also after a restart, it gives the same fate.
+"""Commands that were asked with a key, on disk: asked again with it, also after a restart, they give the same
+result and nothing is sent.
 
-What is stored goes into the transaction of the command's own event, so an id is known exactly when the
-intent is, which is before anything is sent. No HTTP.
+What is stored goes into the transaction of the command's own event, so a key is known exactly when the intent
+is, which is before anything is sent. A key belongs to its sender: what others call their commands is theirs.
 """
 
 from __future__ import annotations
 
-import hashlib
+import json
 import sqlite3
 from dataclasses import dataclass
 
 import msgspec
 
+from app.audit.keyring import KeyRing
 from app.audit.log import ENDED_BEFORE
-from app.commands.wish import Wish, writes_secret
-from bus.contract import Action, Result, WriteParameter
+from app.commands.wish import Wish
+from bus.contract import Action, Result
 
 KEPT_S = 7 * 86_400.0
-"""Nobody asks again with an id of last week."""
+"""How long a key is remembered."""
+MOST_OF_A_SENDER = 2000
+"""How many keys of one sender are remembered; the oldest are forgotten first."""
+_FROM_BEFORE = ""
+"""The sender of keys that an earlier version has stored without one."""
+_FORGET_OLD = "DELETE FROM idempotency WHERE requested_at < ?"
+_FORGET_MANY = """
+DELETE FROM idempotency WHERE sender = :sender AND result IS NOT NULL AND requested_at < (
+    SELECT requested_at FROM idempotency WHERE sender = :sender
+    ORDER BY requested_at DESC LIMIT 1 OFFSET :others
+)
+"""
+_INSERT = "INSERT INTO idempotency (sender, key, requested_at, command) VALUES (?, ?, ?, ?)"
 
 
 @dataclass(frozen=True, slots=True)
 class Earlier:
-    """What an id stood for. ``command``: as :func:`command_of` gives it."""
+    """What a key stands for. ``command``: the digest of what was asked."""
 
     command: str
-    fate: Result
+    result: Result
 
 
-def command_of(who: str, bus: str, action: Action) -> str:
-    """Who asks what, so that two can be told apart: an id is its giver's own.
-
-    Of a secret (#21) only that it is one.
-    """
-    if isinstance(action, WriteParameter) and writes_secret(action):
-        action = msgspec.structs.replace(action, raw=0)
-    return hashlib.sha256(f"{who}\0{bus}\0".encode() + msgspec.json.encode(action)).hexdigest()
+def digest(ring: KeyRing, bus: str, action: Action) -> str:
+    """What is stored of a command, so that it is told from another one. Made with the key of the server: a
+    password of few digits (#21) could be found from a plain hash by trying all."""
+    return ring.seal("command", *_parts(bus, action))
 
 
-def begin(connection: sqlite3.Connection, wish: Wish, now: float) -> None:
-    """Its fate is open from here on; what is older than :data:`KEPT_S` is forgotten."""
-    connection.execute("DELETE FROM asked WHERE asked_at < ?", (now - KEPT_S,))
-    row = (wish.id, now, command_of(wish.person.account, wish.bus, wish.action))
-    connection.execute("INSERT INTO asked (id, asked_at, command) VALUES (?, ?, ?)", row)
+def is_digest_of(command: str, ring: KeyRing, bus: str, action: Action) -> bool:
+    """Whether ``command`` was made of this one, with any key that the server ever had."""
+    return ring.confirms_by_any(command, "command", *_parts(bus, action))
+
+
+def _parts(bus: str, action: Action) -> tuple[str, str]:
+    asked = msgspec.to_builtins(action, str_keys=True)
+    return json.dumps(bus), json.dumps(asked, sort_keys=True)
+
+
+def begin(connection: sqlite3.Connection, wish: Wish, ring: KeyRing, now: float) -> None:
+    """The result of a command with a key is open from here on. Raises sqlite3.IntegrityError for a key that
+    its sender has used."""
+    if wish.key is None:
+        return
+    sender = wish.person.sender
+    connection.execute(_FORGET_OLD, (now - KEPT_S,))
+    connection.execute(_FORGET_MANY, {"sender": sender, "others": MOST_OF_A_SENDER - 2})
+    connection.execute(_INSERT, (sender, wish.key, now, digest(ring, wish.bus, wish.action)))
 
 
 def end(connection: sqlite3.Connection, wish: Wish, result: Result) -> None:
-    """Its fate, without the frames, which stand in the events."""
-    told = msgspec.structs.replace(result, frames=[])
-    if writes_secret(wish.action):
-        told = msgspec.structs.replace(told, read_back=None)
-    connection.execute("UPDATE asked SET fate = ? WHERE id = ?", (msgspec.json.encode(told), wish.id))
+    """Its result, without the frames, which are in the events."""
+    if wish.key is None:
+        return
+    stored = msgspec.json.encode(msgspec.structs.replace(result, frames=[]))
+    where = (wish.person.sender, wish.key)
+    connection.execute("UPDATE idempotency SET result = ? WHERE sender = ? AND key = ?", (stored, *where))
 
 
-def find(connection: sqlite3.Connection, id: str) -> Earlier | None:
-    """What became of it; what nobody knows any more, as the server ended meanwhile, is unverified."""
-    row = connection.execute("SELECT asked_at, command, fate FROM asked WHERE id = ?", (id,)).fetchone()
+def find(connection: sqlite3.Connection, sender: str, key: str) -> Earlier | None:
+    """What a key of this sender stands for. The result of a command that was open when the server ended is
+    unverified."""
+    row = connection.execute(
+        "SELECT requested_at, command, result FROM idempotency WHERE sender IN (?, ?) AND key = ?",
+        (sender, _FROM_BEFORE, key),
+    ).fetchone()
     if row is None:
         return None
-    asked_at, command, fate = row
-    if fate is None:
-        return Earlier(command, Result(id, asked_at, "unverified", ENDED_BEFORE))
-    return Earlier(command, msgspec.json.decode(fate, type=Result))
+    requested_at, command, result = row
+    if result is None:
+        return Earlier(command, Result(key, requested_at, "unverified", ENDED_BEFORE))
+    return Earlier(command, msgspec.json.decode(result, type=Result))

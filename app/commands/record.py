@@ -14,12 +14,12 @@ import structlog
 
 from app.audit.log import EventLog
 from app.commands import idempotency
-from app.commands.wish import Wish, writes_secret
+from app.commands.wish import Wish
 from app.commands.words import Wording, wording, wordings_by_unit
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.live.state import BusLive
-from bus.contract import Outcome, Result
+from bus.contract import Action, Outcome, Result
 
 log = structlog.get_logger()
 
@@ -40,27 +40,30 @@ class Record:
         self._database = database
         self._now = now
 
-    async def earlier(self, id: str) -> idempotency.Earlier | None:
-        """What became of a command asked with this id, before a restart too."""
-        return await self._database.read(lambda connection: idempotency.find(connection, id))
+    async def earlier(self, sender: str, key: str) -> idempotency.Earlier | None:
+        """What became of a command that this sender asked with this key, before a restart too."""
+        return await self._database.read(lambda connection: idempotency.find(connection, sender, key))
+
+    def is_same(self, earlier: idempotency.Earlier, bus: str, action: Action) -> bool:
+        """Whether ``earlier`` is this command."""
+        return idempotency.is_digest_of(earlier.command, self._events.keys.ring, bus, action)
 
     async def intend(self, wish: Wish, live: BusLive) -> Intent:
         """On disk when this returns. Raises StoreError, and then nothing may be sent."""
         by_unit = wordings_by_unit(wish.action, live)
         whole = _entry(wish, wish.unit, wording(wish.action, live))
         parts = [_entry(wish, unit, words) for unit, words in by_unit.items()]
-        remember = partial(idempotency.begin, wish=wish, now=self._now())
+        remember = partial(idempotency.begin, wish=wish, ring=self._events.keys.ring, now=self._now())
         event, *others = await self._events.intend_together([whole, *parts], remember)
         return Intent(event, dict(zip(by_unit, others, strict=True)))
 
     async def conclude(self, intent: Intent, wish: Wish, result: Result) -> None:
         """The fate of what was intended. A store that fails now changes nothing of the fate."""
-        frames = [] if writes_secret(wish.action) else result.frames
         try:
             if intent.parts:
                 await self._events.conclude_together(_fates(intent, result))
             remember = partial(idempotency.end, wish=wish, result=result)
-            await self._events.conclude(intent.event, result.outcome, result.message, frames, remember)
+            await self._events.conclude(intent.event, result.outcome, result.message, result.frames, remember)
         except StoreError as error:
             log.error("fate not stored", command=wish.id, outcome=result.outcome, error=str(error))
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from msgspec.structs import replace
+
 from app.feed.channel import ProgressListener
 from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import Action, SetLine, WriteParameter
+from bus.contract import Action, Result, SetLine, UnitOutcome, WriteParameter
 from bus.settings import BITS_PER_BYTE, BusSettings
 
 DEFAULT_TIMEOUT_S = 2.0
 """How long a write may wait for the wire."""
+SECRET_DIFFERS = "the unit reads another value, which is not shown"
 STAGE_BYTES = 11 + 4 + 7
 """82h with four data bytes, were every one of them doubled, and its acknowledgement (manual, 82h)."""
 
@@ -27,6 +30,8 @@ class Wish:
     deadline: float
     origin: str
     listener: ProgressListener | None = None
+    key: str | None = None
+    """What its sender calls it, to be told its result again; a sender's keys are its own."""
 
     @property
     def unit(self) -> int | None:
@@ -45,3 +50,17 @@ def time_for(action: Action, bus: BusSettings) -> float:
 def writes_secret(action: Action) -> bool:
     """Whether the frames of this action carry what is not to be shown (#21)."""
     return isinstance(action, WriteParameter) and PARAMETERS[action.number].secret
+
+
+def without_secret(action: Action, result: Result) -> Result:
+    """``result`` as it may be stored and shown: of a secret not what was read back, nor the frames, nor words
+    that may name it."""
+    if not writes_secret(action):
+        return result
+    units = [replace(unit, read_back=None, message=_masked(unit)) for unit in result.units]
+    return replace(result, read_back=None, message=_masked(result), units=units, values=[], frames=[])
+
+
+def _masked(result: Result | UnitOutcome) -> str:
+    is_told = result.message and result.read_back is not None and str(result.read_back) in result.message
+    return SECRET_DIFFERS if is_told else result.message

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 
 from app.live.age import scan_s_of
 from app.live.browser import Browser
+from app.live.command_ids import key_of
 from app.live.fields import Voice, health_fields, unit_key
 from app.live.motions import motions_for, watch_motions
 from app.live.readers import Readers
@@ -170,7 +171,7 @@ class Hub:
 
     def _show_progress(self, bus: str, progress: Progress) -> None:
         """Of a search everybody who looks at the bus is told; it has no review whose page knows its id."""
-        group, field = f"command/{progress.id}", "stage"
+        group, field = f"command/{key_of(progress.id)}", "stage"
         if progress.stage == "searching":
             group, field = bus, "searched"
         for readers in self._read():

@@ -60,11 +60,18 @@ class Person:
     language: str = ""
     panel: bool = False
     home: str = "/"
+    created_at: float = 0.0
+    """When the account was made, Unix time in seconds: a later one of the same name is another."""
 
     @property
     def account(self) -> str:
         """Who it is, told from all others."""
         return account_of(self.name, token=self.via == "token")
+
+    @property
+    def sender(self) -> str:
+        """The account, told from an earlier one of the same name too."""
+        return f"{self.account} {self.created_at!r}"
 
 
 def account_of(name: str, *, token: bool) -> str:

@@ -66,9 +66,11 @@ async def test_progress_is_told_and_a_change_can_be_given_up(stage: Stage, worke
     asked = asyncio.create_task(stage.desk.ask(ANNA, "dry-end", WISH, id="mine", listener=heard.append))
     command = await worker.hear(Command)
     assert isinstance(command, Command)
-    await worker.update(Progress(id="mine", at=1.0, stage="sent"), Progress(id="other", at=1.0, stage="sent"))
-    await stage.desk.cancel("dry-end", "mine")
-    assert await worker.hear(Cancel) == Cancel(id="mine")
+    await worker.update(
+        Progress(id=command.id, at=1.0, stage="sent"), Progress(id="mine", at=1.0, stage="sent")
+    )
+    await stage.desk.cancel("dry-end", command.id)
+    assert await worker.hear(Cancel) == Cancel(id=command.id)
     await worker.update(fate(command, "not_sent", message="given up"))
     assert (await asked).outcome == "not_sent"
     assert [progress.stage for progress in heard] == ["sent"]

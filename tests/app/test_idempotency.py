@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import sqlite3
 
+import msgspec
 import pytest
 
+from app.audit.keyring import KeyRing
 from app.audit.log import ENDED_BEFORE
 from app.commands import idempotency
 from app.commands.desk import Desk
-from app.commands.wish import Wish
-from app.errors import Problem
+from app.commands.wish import Wish, without_secret
+from app.errors import Problem, StoreError
+from app.live.command_ids import key_of
 from app.web.access import Person, Role
-from bus.contract import Action, Command, Result, SetSpeed, WriteParameter
+from bus.contract import Action, Command, Result, SetLine, SetSpeed, UnitOutcome, WriteParameter
 from tests.app.stage import PlayedWorker, Stage, answering, fate
 
 ANNA = Person("anna", Role.ENGINEER, "token")
@@ -70,38 +75,153 @@ async def test_what_was_refused_before_it_was_sent_may_be_asked_again(
     assert len(worker.commands) == 1
 
 
-async def test_an_id_is_its_givers_own(stage: Stage, worker: PlayedWorker) -> None:
+BEN = Person("ben", Role.ENGINEER, "session")
+SENDERS = [
+    BEN,
+    Person("anna", Role.ENGINEER, "session"),
+    Person("anna", Role.ENGINEER, "token", created_at=5.0),
+]
+"""Others than ANNA, a token: another name, a user of the same name, and a later token of that name."""
+
+
+@pytest.mark.parametrize("other", SENDERS)
+async def test_a_key_is_its_senders_own(stage: Stage, worker: PlayedWorker, other: Person) -> None:
+    """Two who count their commands from 1 neither hinder each other nor see what became of the other's."""
     worker.play = answering("verified", read_back=5)
     await stage.desk.ask(ANNA, "dry-end", WISH, id="1")
+    worker.play = answering("refused", unit_error=129)
     for desk in (stage.desk, restarted(stage)):
-        with pytest.raises(Problem, match="was used for another command"):
-            await desk.ask(Person("ben", Role.ENGINEER, "token"), "dry-end", WISH, id="1")
+        first = await desk.ask(other, "dry-end", SetSpeed(unit=2, raw=7), id="1")
+        assert (first.id, first.outcome, first.read_back) == ("1", "refused", None)
+        mine = await desk.ask(ANNA, "dry-end", WISH, id="1")
+        assert (mine.id, mine.outcome, mine.read_back) == ("1", "verified", 5)
+    assert len(worker.commands) == 2
+
+
+async def test_no_two_commands_have_the_same_id_at_the_worker(stage: Stage, worker: PlayedWorker) -> None:
+    """It repeats the result of an id that it knows: of somebody else's, or of last week's."""
+    worker.play = answering("verified")
+    for person in (ANNA, *SENDERS):
+        await stage.desk.ask(person, "dry-end", WISH, id="1")
+    await stage.database.write(lambda connection: connection.execute("DELETE FROM idempotency"))
+    await restarted(stage).ask(ANNA, "dry-end", WISH, id="1")
+    assert len({command.id for command in worker.commands}) == len(SENDERS) + 2
+    assert {key_of(command.id) for command in worker.commands} == {"1"}
+
+
+async def test_two_requests_with_one_key_at_once_are_one_command(stage: Stage, worker: PlayedWorker) -> None:
+    worker.play = answering("verified", read_back=5)
+    asked = [stage.desk.ask(ANNA, "dry-end", WISH, id="mine") for _ in range(5)]
+    other = stage.desk.ask(ANNA, "dry-end", SetSpeed(unit=1, raw=6), id="mine")
+    *same, refused = await asyncio.gather(*asked, other, return_exceptions=True)
+    assert {result.read_back for result in same if isinstance(result, Result)} == {5}
+    assert len(same) == 5
+    assert isinstance(refused, Problem)
+    assert refused.status == 422
     assert len(worker.commands) == 1
 
 
-async def test_ids_are_forgotten_in_the_end(stage: Stage) -> None:
-    def wish(id: str) -> Wish:
-        return Wish(id, ANNA, "dry-end", WISH, deadline=0.0, origin="api")
+async def test_what_could_not_be_written_down_may_be_asked_again(
+    stage: Stage, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def full(*_: object, **__: object) -> list[int]:
+        raise StoreError("the disk is full")
 
-    await stage.database.write(lambda connection: idempotency.begin(connection, wish("old"), 0.0))
-    await stage.database.write(
-        lambda connection: idempotency.begin(connection, wish("new"), idempotency.KEPT_S + 1)
-    )
-    assert await stage.database.read(lambda connection: idempotency.find(connection, "old")) is None
-    assert await stage.database.read(lambda connection: idempotency.find(connection, "new")) is not None
+    worker.play = answering("verified")
+    monkeypatch.setattr(stage.events, "intend_together", full)
+    with pytest.raises(StoreError):
+        await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")
+    monkeypatch.undo()
+    assert (await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")).outcome == "verified"
+    assert len(worker.commands) == 1
+
+
+async def test_the_order_of_the_setpoints_is_not_part_of_the_command(
+    stage: Stage, worker: PlayedWorker
+) -> None:
+    worker.play = answering("verified")
+    await stage.desk.ask(ANNA, "dry-end", SetLine(setpoints={1: 5, 2: 6}), id="mine")
+    await restarted(stage).ask(ANNA, "dry-end", SetLine(setpoints={2: 6, 1: 5}), id="mine")
+    assert len(worker.commands) == 1
+
+
+def wish(key: str | None, action: Action = WISH) -> Wish:
+    return Wish("id", ANNA, "dry-end", action, deadline=0.0, origin="api", key=key)
+
+
+class Table:
+    """The table, at a time of the test's."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._database = stage.database
+        self._ring = stage.events.keys.ring
+
+    async def begin(self, wish: Wish, now: float, *, ends: bool = True) -> None:
+        result = Result("id", now, "verified", read_back=17, units=[UnitOutcome(1, "verified", read_back=17)])
+
+        def work(connection: sqlite3.Connection) -> None:
+            idempotency.begin(connection, wish, self._ring, now)
+            if ends:
+                idempotency.end(connection, wish, without_secret(wish.action, result))
+
+        await self._database.write(work)
+
+    async def knows(self, key: str) -> bool:
+        found = await self._database.read(lambda c: idempotency.find(c, ANNA.sender, key))
+        return found is not None
+
+    async def rows(self) -> list[tuple[object, ...]]:
+        return await self._database.read(
+            lambda c: [tuple(row) for row in c.execute("SELECT * FROM idempotency")]
+        )
+
+
+async def test_keys_are_forgotten_in_the_end(stage: Stage) -> None:
+    table = Table(stage)
+    await table.begin(wish("old"), 0.0)
+    await table.begin(wish("new"), idempotency.KEPT_S + 1)
+    assert not await table.knows("old")
+    assert await table.knows("new")
+
+
+async def test_a_sender_with_many_keys_forgets_its_own_oldest(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(idempotency, "MOST_OF_A_SENDER", 10)
+    table = Table(stage)
+    others = Wish("id", BEN, "dry-end", WISH, deadline=0.0, origin="api", key="first")
+    await table.begin(others, 0.0)
+    await table.begin(wish("open"), 0.5, ends=False)
+    for number in range(20):
+        await table.begin(wish(str(number)), 1.0 + number)
+    assert [await table.knows(str(number)) for number in (8, 9, 10, 19)] == [False, False, True, True]
+    assert await table.knows("open"), "it may be under way"
+    assert len(await table.rows()) == 12
+
+
+async def test_a_command_without_a_key_is_not_kept(stage: Stage, worker: PlayedWorker) -> None:
+    worker.play = answering("verified")
+    for key in (None, ""):
+        for _ in range(2):
+            await stage.desk.ask(ANNA, "dry-end", WISH, id=key)
+    assert len(worker.commands) == 4
+    assert await Table(stage).rows() == []
 
 
 async def test_nothing_of_a_secret_is_stored(stage: Stage) -> None:
-    def secret(raw: int) -> Action:
-        return WriteParameter(unit=1, number=21, raw=raw)
+    table = Table(stage)
+    await table.begin(wish("mine", WriteParameter(unit=1, number=21, raw=17)), 1.0)
+    [(_, _, _, command, result)] = await table.rows()
+    assert isinstance(result, bytes)
+    assert b"17" not in result
+    plain = hashlib.sha256(msgspec.json.encode(WriteParameter(unit=1, number=21, raw=17))).hexdigest()
+    assert command != plain
+    assert command != idempotency.digest(KeyRing((b"x" * 32,)), "dry-end", WriteParameter(1, 21, 17))
 
-    assert idempotency.command_of("anna", "dry-end", secret(17)) == idempotency.command_of(
-        "anna", "dry-end", secret(42)
-    )
-    wish = Wish("mine", ANNA, "dry-end", secret(17), deadline=0.0, origin="api")
-    result = Result("mine", 1.0, "verified", read_back=17)
-    await stage.database.write(lambda connection: idempotency.begin(connection, wish, 1.0))
-    await stage.database.write(lambda connection: idempotency.end(connection, wish, result))
-    found = await stage.database.read(lambda connection: idempotency.find(connection, "mine"))
-    assert found is not None
-    assert found.fate.read_back is None
+
+async def test_a_newer_key_of_the_log_forgets_no_command(stage: Stage, worker: PlayedWorker) -> None:
+    worker.play = answering("verified")
+    await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")
+    stage.events.keys.rotate()
+    assert (await restarted(stage).ask(ANNA, "dry-end", WISH, id="mine")).outcome == "verified"
+    assert len(worker.commands) == 1

@@ -1,0 +1,24 @@
+"""What a command is called on its way to the bus worker and back.
+
+The worker carries out an id once and repeats its result when it is asked again. For that no id is ever used
+twice: what a sender calls a command, which another sender or a later day may use as well, is only a part of
+it, by which a page finds the progress of its own command.
+"""
+
+from __future__ import annotations
+
+import uuid
+
+_MARK = "#"
+
+
+def new_command_id(key: str | None = None) -> str:
+    """An id that no other command has or will have; ``key``: what its sender calls it."""
+    unique = uuid.uuid4().hex
+    return unique if key is None else f"{key}{_MARK}{unique}"
+
+
+def key_of(command_id: str) -> str:
+    """What its sender calls a command; its id where the sender gave it no key."""
+    key, _, unique = command_id.rpartition(_MARK)
+    return key or unique

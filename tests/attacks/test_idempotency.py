@@ -1,0 +1,43 @@
+"""A program asks with a key that was used: it must never be told that something was written which was not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app.commands.desk import Desk
+from app.errors import Problem
+from app.web.access import Person, Role
+from bus.contract import Result, WriteParameter
+from tests.app.stage import Stage, answering, staged
+
+ANNA = Person("anna", Role.ENGINEER, "token")
+
+
+def password(raw: int) -> WriteParameter:
+    return WriteParameter(unit=1, number=21, raw=raw)
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+async def test_another_password_with_the_same_key_is_not_verified(tmp_path: Path, restarts: bool) -> None:
+    """The value of #21 was left out of what was compared after a restart: it was *verified*, unwritten."""
+    async with staged(tmp_path) as stage:
+        worker = await stage.worker()
+        worker.play = answering("verified", read_back=1234)
+        assert (await _ask(stage.desk, 1234)).outcome == "verified"
+        desk = _restarted(stage) if restarts else stage.desk
+        with pytest.raises(Problem) as refused:
+            await _ask(desk, 4321)
+        assert (refused.value.status, refused.value.code) == (422, "invalid")
+        again = await _ask(desk, 1234)
+        assert (again.outcome, again.read_back) == ("verified", None)
+        assert [command.action for command in worker.commands] == [password(1234)]
+
+
+async def _ask(desk: Desk, raw: int) -> Result:
+    return await desk.ask(ANNA, "dry-end", password(raw), id="mine")
+
+
+def _restarted(stage: Stage) -> Desk:
+    return Desk(stage.live, stage.workers.channels, stage.events, stage.database, stage.guards)
