@@ -14,6 +14,7 @@ from pydantic import AwareDatetime, BaseModel
 from starlette.requests import HTTPConnection
 from starlette.responses import StreamingResponse
 
+from app.audit.entry import is_moment
 from app.audit.kinds import Kind
 from app.audit.log import Event, EventLog
 from app.audit.store import Filter
@@ -29,7 +30,7 @@ MOST = 1000
 _NUMBER = re.compile(r"-?[\d.,]+")
 COLUMNS = (
     *("id", "time", "kind", "who", "origin", "bus", "unit", "what"),
-    *("old", "new", "old_raw", "new_raw", "outcome", "message"),
+    *("old", "new", "old_raw", "new_raw", "outcome", "message", "count"),
 )
 
 
@@ -43,10 +44,11 @@ class FrameShown(BaseModel):
 
 
 class EventShown(BaseModel):
-    """One event; ``outcome`` of a command is null until its fate is known."""
+    """One event; ``outcome`` of a command is null until its fate is known. ``count``: how often it happened.
+    ``unreadable``: its time (then null) or its frames are not what the server wrote."""
 
     id: int
-    time: str
+    time: str | None
     kind: str
     who: str
     origin: str
@@ -60,6 +62,8 @@ class EventShown(BaseModel):
     outcome: str | None
     message: str
     frames: list[FrameShown]
+    count: int
+    unreadable: bool
 
 
 class EventPage(BaseModel):
@@ -100,7 +104,15 @@ Wanted = Annotated[Filter, Depends(wanted_events)]
 def shown(event: Event) -> dict[str, Any]:
     """An event as the API gives it."""
     said = {name: event[name] for name in COLUMNS}
-    return {**said, "time": iso(event["time"]), "frames": json.loads(event["frames"])}
+    time = iso(event["time"]) if is_moment(event["time"]) else None
+    frames = json.loads(event["frames"])
+    return {
+        **said,
+        "time": time,
+        "count": event["count"] or 1,
+        "frames": frames,
+        "unreadable": event["unreadable"],
+    }
 
 
 @router.get("/events")

@@ -28,8 +28,8 @@ def new_entry(*, kind: str, time: float, frames: Iterable[Frame] = (), **given: 
 
 
 def is_moment(time: float) -> bool:
-    """Whether a Unix time in seconds can be shown as a date."""
-    return math.isfinite(time) and 0 <= time < LATEST
+    """Whether a Unix time in seconds can be shown as a date; 0 stands for a time that is unknown."""
+    return math.isfinite(time) and 0 < time < LATEST
 
 
 def _stored(value: Any) -> Any:

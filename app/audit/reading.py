@@ -20,8 +20,8 @@ class FrameRecord(msgspec.Struct):
 
 
 def readable(row: Mapping[str, Any]) -> Event:
-    """The row as an event. Where its time or its frames cannot be, ``unreadable`` is true, the time 0 and the
-    frames left out."""
+    """The row as an event. Where its time or its frames cannot be, ``unreadable`` is true, the time 0, which
+    no event has, and the frames left out."""
     has_time, frames = is_moment(row["time"]), frames_of(row["frames"])
     event = {**row, "unreadable": not has_time or frames is None}
     concluded_at = row["concluded_at"]

@@ -12,6 +12,10 @@ import string
 from collections.abc import Callable, Mapping
 
 MOST_REMEMBERED = 2000
+LONGEST = 400
+"""Characters of a sentence that is looked for: the patterns backtrack, and a stored text may be hostile."""
+DEEPEST = 12
+"""So many sentences in one another; what is in the innermost one stays as it is."""
 AS_TYPED = frozenset({"called", "typed"})
 """In a pattern, the braces of a name that people have given and of what they have written."""
 
@@ -25,6 +29,7 @@ class Sentences:
     def __init__(self, patterns: Mapping[str, str] | None = None) -> None:
         self._patterns = [(_expression(text), said) for text, said in (patterns or {}).items()]
         self._known: dict[str, str] = {}
+        self._depth = 0
 
     def say(self, sentence: str, t: Callable[[str], str]) -> str:
         """The sentence in this language, each value in it by ``t``; as it is where no pattern fits."""
@@ -36,13 +41,17 @@ class Sentences:
         return known
 
     def _find(self, sentence: str, t: Callable[[str], str]) -> str:
-        if " " not in sentence:
+        if " " not in sentence or len(sentence) > LONGEST or self._depth == DEEPEST:
             return sentence
-        for expression, said in self._patterns:
-            found = expression.fullmatch(sentence)
-            if found:
-                values = found.groupdict().items()
-                return said.format(**{name: _value(name, value, t) for name, value in values})
+        self._depth += 1
+        try:
+            for expression, said in self._patterns:
+                found = expression.fullmatch(sentence)
+                if found:
+                    values = found.groupdict().items()
+                    return said.format(**{name: _value(name, value, t) for name, value in values})
+        finally:
+            self._depth -= 1
         return sentence
 
 

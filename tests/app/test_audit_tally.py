@@ -1,0 +1,115 @@
+"""What strangers can cause as often as they like makes a bounded number of events, and none of it is lost."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.audit.log import MANY, EventLog
+from app.audit.store import Filter
+from app.audit.tally import MOST_KEYS, WINDOW_S, Tally
+from app.database import Database
+from tests.app.whole_app import whole_app
+
+
+class Scene:
+    """A log and its clock."""
+
+    def __init__(self, folder: Path) -> None:
+        self.now = 1000.0
+        self.database = Database(folder / "lineside.db")
+        self.events = EventLog(self.database, lambda: self.now)
+
+    async def refuse(self, times: int = 1, origin: str = "192.0.2.7") -> None:
+        for _ in range(times):
+            await self.events.count("login_refused", "sign-in refused", who="unknown name", origin=origin)
+
+    async def said(self) -> list[tuple[str, int, float]]:
+        """Origin, count and time of each event, oldest first."""
+        found, _ = await self.events.page(Filter(kind="login_refused"), 1000)
+        return [(event["origin"], event["count"] or 1, event["time"]) for event in reversed(found)]
+
+
+@pytest.fixture
+async def scene(tmp_path: Path) -> AsyncIterator[Scene]:
+    made = Scene(tmp_path)
+    yield made
+    made.database.close()
+
+
+async def test_the_first_is_an_event_at_once_and_the_rest_one_a_minute(scene: Scene) -> None:
+    await scene.refuse(500)
+    await scene.events.tell_counts()
+    assert await scene.said() == [("192.0.2.7", 1, 1000.0)]
+    scene.now += 30
+    await scene.refuse()
+    scene.now += WINDOW_S
+    await scene.events.tell_counts()
+    assert await scene.said() == [("192.0.2.7", 1, 1000.0), ("192.0.2.7", 500, 1030.0)]
+
+
+async def test_who_goes_on_has_one_event_a_minute(scene: Scene) -> None:
+    for _ in range(10):
+        await scene.refuse(100)
+        scene.now += WINDOW_S
+        await scene.events.tell_counts()
+    said = await scene.said()
+    assert len(said) == 11
+    assert sum(count for _, count, _ in said) == 1000
+
+
+async def test_who_comes_back_later_is_an_event_at_once_again(scene: Scene) -> None:
+    await scene.refuse()
+    scene.now += WINDOW_S
+    await scene.events.tell_counts()
+    scene.now += WINDOW_S
+    await scene.refuse()
+    assert len(await scene.said()) == 2
+
+
+async def test_the_end_of_the_server_loses_no_count(tmp_path: Path) -> None:
+    async with whole_app(tmp_path) as house:
+        for _ in range(7):
+            await house.services.events.count("login_refused", "sign-in refused")
+    async with whole_app(tmp_path) as house:
+        assert [event["count"] for event in await house.events("login_refused")] == [6, None]
+
+
+async def test_many_addresses_are_told_apart_only_so_far(scene: Scene) -> None:
+    for number in range(1000):
+        await scene.refuse(2, origin=f"2001:db8::{number:x}")
+    scene.now += WINDOW_S
+    await scene.events.tell_counts()
+    said = await scene.said()
+    assert len(said) == 2 * MOST_KEYS + 2
+    assert sum(count for _, count, _ in said) == 2000
+    assert (MANY, 2 * (1000 - MOST_KEYS) - 1) in [(origin, count) for origin, count, _ in said]
+
+
+async def test_the_count_is_part_of_what_is_proven(scene: Scene) -> None:
+    await scene.refuse(5)
+    await scene.events.tell_counts(all_of_them=True)
+    await scene.database.write(lambda connection: connection.execute("DROP TRIGGER events_stay_as_written"))
+    assert (await scene.events.prove()).broken is None
+    await scene.database.write(
+        lambda connection: connection.execute("UPDATE events SET count = 2 WHERE count = 4")
+    )
+    assert (await scene.events.prove()).broken == 2
+
+
+@given(st.lists(st.tuples(st.integers(0, 60), st.floats(-100, 100)), max_size=60))
+def test_nothing_is_lost_or_told_twice_whatever_the_clock_does(steps: list[tuple[int, float]]) -> None:
+    tally: Tally[int] = Tally()
+    now, told, happened = 1000.0, 0, 0
+    for key, step in steps:
+        now += step
+        happened += 1
+        first = tally.note("x", key, now)
+        told += first.count if first else 0
+        told += sum(counted.count for counted in tally.due(now))
+    told += sum(counted.count for counted in tally.rest(now))
+    assert told == happened
