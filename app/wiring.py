@@ -24,6 +24,7 @@ from app.auth.signin import SignIn
 from app.commands.desk import Desk
 from app.commands.safeguards import Safeguards
 from app.database import Database
+from app.database.private import make_private
 from app.feed.workers import Workers
 from app.history.service import History
 from app.history.status import sentence
@@ -112,6 +113,7 @@ class Services:
 
 def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     """Open the stores and connect everything. Raises StoreError in words."""
+    make_private(settings.server.data)
     database = Database(settings.server.store)
     keys = open_keys(settings.key_file, database.path, database.read_now(head_of))
     events, passwords = EventLog(database, keys=keys), Passwords()

@@ -21,6 +21,7 @@ WRONG_USE = 2
 
 def main(arguments: list[str] | None = None) -> int:
     """Gives the exit code: 0 told to leave, 2 wrong use."""
+    os.umask(0o077)
     asked = _parser().parse_args(arguments)
     token = asked.token or os.environ.pop(TOKEN_VARIABLE, "")
     if not token:

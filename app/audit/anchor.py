@@ -11,6 +11,7 @@ import errno
 import os
 import stat
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +20,7 @@ import msgspec
 
 from app.audit.chain import Head
 from app.audit.keyring import KeyRing
+from app.database.private import restrict
 from app.errors import StoreError
 
 _TAIL_BYTES, _TAIL_LINES = 4096, 5
@@ -93,7 +95,10 @@ def read_anchor_file(path: Path, ring: KeyRing) -> Anchors:
 
 
 def newest_anchor(path: Path, ring: KeyRing) -> Head | None:
-    """The head that a file names last, None where there is no file yet, or none in it. Raises AnchorError."""
+    """The head that a file names last, None where there is no file yet, or none in it; the file becomes
+    readable by its user alone. Raises AnchorError."""
+    with suppress(OSError, StoreError):
+        restrict(path)
     try:
         with path.open("rb") as file:
             file.seek(max(0, os.fstat(file.fileno()).st_size - _TAIL_BYTES))

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from app.database.private import write_file
+
 FILE = "configuration.json"
 """What the server ran with last; beside the store."""
 
@@ -48,7 +50,7 @@ def change_since_last(folder: Path, now: dict[str, Any]) -> str:
         before = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         before = None
-    file.write_text(json.dumps(now, ensure_ascii=False, indent=1), encoding="utf-8")
+    write_file(file, json.dumps(now, ensure_ascii=False, indent=1))
     if before is None:
         return ""
     return "; ".join(differences(before, now))

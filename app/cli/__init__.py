@@ -85,6 +85,8 @@ def main() -> None:
     from app.cli.tether import tie_to_parent
 
     tie_to_parent()
+    # Everything that any command writes is for its user alone.
+    os.umask(0o077)
     # Pydantic would read the metadata of everything installed for plugins of its own; we want none.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     cli(prog_name="lineside")

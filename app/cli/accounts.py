@@ -14,6 +14,7 @@ from app.audit.store import head_of
 from app.auth.accounts import Accounts
 from app.auth.passwords import Passwords
 from app.database import Database
+from app.database.private import make_private
 from app.settings import load
 
 T = TypeVar("T")
@@ -31,6 +32,7 @@ def who_calls() -> str:
 def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:
     """Run ``work`` on the accounts. Raises ConfigurationError, StoreError, CallerError in words."""
     settings = load(config)
+    make_private(settings.server.data)
     database = Database(settings.server.store, checkpoints=False)
     passwords = Passwords()
 

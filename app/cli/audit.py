@@ -21,6 +21,7 @@ from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database import Database
 from app.database.connection import open_for_reading
+from app.database.private import make_private
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import Settings, load
@@ -63,6 +64,7 @@ def rotate_key(config: Config = LINESIDE_TOML) -> None:
     in the file: they prove what they have sealed."""
     with ending():
         settings = load(config)
+        make_private(settings.server.data)
         database = Database(settings.server.store, checkpoints=False)
         try:
             asyncio.run(_rotate(database, settings))

@@ -12,6 +12,7 @@ import typer
 
 from app.cli.dashboard import Dashboard, DashboardError, dashboard
 from app.cli.ending import ending
+from app.database.private import write_file
 from app.sets.document import write_document
 from app.sets.model import ParameterSet, UnitRows
 from bus.errors import CallerError
@@ -45,17 +46,10 @@ def backup(
         wanted = [unit] if unit is not None else list(there.units(bus))
         read, missing = _read(there, bus, wanted)
         if read:
-            _write(out, write_document(_set(bus, read, missing)))
+            write_file(out, write_document(_set(bus, read, missing)))
         _tell(out, read, missing, as_json)
         if missing:
             raise typer.Exit(1)
-
-
-def _write(out: Path, text: str) -> None:
-    """All of it or nothing: what is broken off leaves the file of the day before."""
-    fresh = out.with_name(f".{out.name}.new")
-    fresh.write_text(text, encoding="utf-8")
-    fresh.replace(out)
 
 
 def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows], dict[int, str]]:

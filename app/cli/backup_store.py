@@ -23,6 +23,7 @@ import typer
 from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
+from app.database.private import make_file, make_private, restrict
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import load
@@ -73,6 +74,7 @@ def write_backup(data: Path, file: Path) -> list[str]:
     with in_words(file), tempfile.TemporaryDirectory(dir=file.absolute().parent) as folder:
         copies = [_copy(store, Path(folder)) for store in stores]
         whole = Path(folder) / "whole.tar"
+        make_file(whole)
         with tarfile.open(whole, "w") as archive:
             _add_text(archive, MANIFEST, _manifest(copies))
             for copy in copies:
@@ -83,6 +85,7 @@ def write_backup(data: Path, file: Path) -> list[str]:
 
 def _copy(store: Path, folder: Path) -> Path:
     copy = folder / store.name
+    make_file(copy)
     with in_words(store), closing(open_for_reading(store)) as live, closing(sqlite3.connect(copy)) as target:
         live.backup(target)
     return copy
@@ -108,7 +111,7 @@ def _add_text(archive: tarfile.TarFile, name: str, text: str) -> None:
 def read_backup(file: Path, data: Path) -> list[str]:
     """Put the stores of a backup into a data folder; gives their names. Raises StoreError; then all is as
     it was: every store of the backup is proved before the first is put in its place."""
-    data.mkdir(parents=True, exist_ok=True)
+    make_private(data)
     with in_words(file), tempfile.TemporaryDirectory(dir=data) as folder:
         proved = _unpack(file, Path(folder))
         for store in sorted(data.glob("*.db")):
@@ -125,6 +128,7 @@ def _unpack(file: Path, folder: Path) -> list[Path]:
         stores: dict[str, str] = json.loads(manifest.read())["stores"]
         for name in stores:
             archive.extract(archive.getmember(name), folder, filter="data")
+            restrict(folder / name)
     for name, digest in stores.items():
         _prove(folder / name, digest, file)
     return [folder / name for name in sorted(stores)]

@@ -20,6 +20,7 @@ import uvloop
 from app.auth.rules import new_secret
 from app.cli.loading import loading
 from app.cli.workers import Workers
+from app.database.private import make_folder
 from app.settings import Server, Settings
 from bus.errors import LinesideError
 from bus.worker.log import configure_log
@@ -82,8 +83,8 @@ def only_one(data: Path) -> Iterator[None]:
 
 def _lock_file(data: Path) -> int:
     try:
-        data.mkdir(parents=True, exist_ok=True)
-        return os.open(data / "lock", os.O_RDWR | os.O_CREAT, 0o600)
+        make_folder(data)
+        return os.open(data / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     except OSError as error:
         raise HostingError(
             f"nothing can be written to {data}: {error.strerror}; give the server's user write access to it, "

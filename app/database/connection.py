@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal, TypeVar
 
 from app.database.migrating import MIGRATIONS, Migration, alone, bring_up_to_date
+from app.database.private import make_file, make_folder, refuse_link
 from app.database.words import in_words
 from app.errors import StoreError
 
@@ -23,7 +24,8 @@ BUSY_S = 5.0
 
 def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> sqlite3.Connection:
     """The one connection that writes (and checkpoints). Autocommit: transactions are begun by hand."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
+    make_file(path)
     connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
     connection.row_factory = sqlite3.Row
     connection.execute("PRAGMA journal_mode = WAL")
@@ -33,7 +35,8 @@ def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> sqlite3.C
 
 
 def open_for_reading(path: Path) -> sqlite3.Connection:
-    """A connection that cannot write."""
+    """A connection that cannot write. Raises StoreError for a link."""
+    refuse_link(path)
     uri = f"{path.absolute().as_uri()}?mode=ro"
     connection = sqlite3.connect(uri, uri=True, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
     connection.row_factory = sqlite3.Row

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from app.database.private import make_file, make_folder
 from app.errors import StoreError
 
 MIGRATIONS = Path(__file__).parent / "migrations"
@@ -42,8 +43,10 @@ def migrations_in(folder: Path) -> list[Migration]:
 @contextmanager
 def alone(path: Path) -> Iterator[None]:
     """Hold off whoever else opens the store: two commands on a new one would take its first step twice."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.with_name(f"{path.name}.opening").open("a") as lock:
+    make_folder(path.parent)
+    held = path.with_name(f"{path.name}.opening")
+    make_file(held)
+    with held.open("a") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 
@@ -82,6 +85,7 @@ def copy_name(path: Path, step: Migration) -> Path:
 def _copy(connection: sqlite3.Connection, path: Path, step: Migration) -> None:
     copy = copy_name(path, step)
     copy.unlink(missing_ok=True)
+    make_file(copy)
     connection.execute("VACUUM INTO ?", (str(copy),))
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from app.database.connection import Database
+from app.database.private import make_file, make_folder
 from app.history import store
 from app.history.damage import DamagedBlock
 from app.history.disk import Reserve, Space, space
@@ -103,7 +104,8 @@ def prepare(path: Path) -> None:
     """A new store gives space back to the disk when readings are given up; it must be said first."""
     if path.exists():
         return
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
+    make_file(path)
     connection = sqlite3.connect(path)
     connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
     connection.execute("VACUUM")

@@ -17,7 +17,7 @@ class Compiled(FileSystemBytecodeCache):
 
     def __init__(self, folder: Path) -> None:
         with suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(0o700, parents=True, exist_ok=True)
         super().__init__(str(folder))
 
     def load_bytecode(self, bucket: Bucket) -> None:
