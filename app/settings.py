@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 from zoneinfo import available_timezones
 
-from pydantic import Field, StrictBool, field_validator
+from pydantic import Field, PrivateAttr, StrictBool, field_validator
 from pydantic_core import PydanticCustomError
 
 from bus import configuration
@@ -79,7 +79,7 @@ class Audit(Strict):
     """What makes the audit log provable. Both are relative to the file; absolute once loaded."""
 
     key_file: Path | None = None
-    """The keys that seal the log, made at the first start; when absent, beside the file."""
+    """The keys that seal the log, made at the first start; when absent, see `Settings.key_files`."""
     anchor: Path | None = None
     """Where the head of the log is noted every minute and at every stop; when absent, nowhere."""
 
@@ -92,12 +92,20 @@ class Settings(Strict):
     history: History = History()
     audit: Audit = Audit()
     bus: tuple[BusSettings, ...] = ()
+    _file: Path | None = PrivateAttr(None)
+    """The configuration file, where it was read from one."""
 
     @property
-    def key_file(self) -> Path:
-        """The keys of the audit log; beside the data folder where the configuration is not from a file."""
+    def key_files(self) -> tuple[Path, ...]:
+        """Where the keys of the audit log are or, in this order, may be made. Where none is configured, the
+        place beside the configuration comes first; a service may be unable to write there, and in the end to
+        anything but its data folder."""
+        if self.audit.key_file is not None:
+            return (self.audit.key_file,)
         data = self.server.data
-        return self.audit.key_file or data.with_name(f"{data.name}{KEY_SUFFIX}")
+        name = f"{self._file.stem if self._file else data.name}{KEY_SUFFIX}"
+        folders = (*((self._file.parent,) if self._file else ()), data.parent, data)
+        return tuple(dict.fromkeys(folder / name for folder in folders))
 
     @field_validator("bus")
     @classmethod
@@ -128,19 +136,20 @@ def load(path: Path) -> Settings:
     settings = configuration.load(path, Settings)
     folder, audit = path.resolve().parent, settings.audit
     data = (folder / settings.server.data.expanduser()).resolve()
-    if audit.key_file is not None and _absolute(folder, audit.key_file).resolve().is_relative_to(data):
+    key_file = _absolute(folder, audit.key_file)
+    if key_file is not None and key_file.resolve().is_relative_to(data):
         raise ConfigurationError(
             f"{path}: audit.key_file = {str(audit.key_file)!r} lies in the data folder: whoever writes the "
             "log there could seal it; name a file elsewhere"
         )
-    key_file = _absolute(folder, audit.key_file or Path(f"{path.stem}{KEY_SUFFIX}"))
-    anchor = None if audit.anchor is None else _absolute(folder, audit.anchor)
     absolute = {
         "server": settings.server.model_copy(update={"data": data}),
-        "audit": Audit(key_file=key_file, anchor=anchor),
+        "audit": Audit(key_file=key_file, anchor=_absolute(folder, audit.anchor)),
     }
-    return settings.model_copy(update=absolute)
+    loaded = settings.model_copy(update=absolute)
+    loaded._file = path.resolve()
+    return loaded
 
 
-def _absolute(folder: Path, path: Path) -> Path:
-    return folder / path.expanduser()
+def _absolute(folder: Path, path: Path | None) -> Path | None:
+    return None if path is None else folder / path.expanduser()

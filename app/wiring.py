@@ -115,7 +115,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     """Open the stores and connect everything. Raises StoreError in words."""
     make_private(settings.server.data)
     database = Database(settings.server.store)
-    keys = open_keys(settings.key_file, database.path, database.read_now(head_of))
+    keys = open_keys(settings.key_files, database.path, database.read_now(head_of))
     events, passwords = EventLog(database, keys=keys), Passwords()
     assets = Assets(static_dir())
     compiled = settings.server.data / "compiled"
@@ -224,7 +224,8 @@ async def _begin(services: Services) -> None:
     if steps:
         await services.events.record(kind="server", what=f"the store was brought up to date: {steps}")
     await services.events.record(kind="server", what="server started")
-    if services.settings.key_file.resolve().is_relative_to(services.settings.server.data.resolve()):
+    key_file = services.events.keys.path
+    if key_file is not None and key_file.is_relative_to(services.settings.server.data):
         await services.events.record(kind="audit", what="the audit key lies in the data folder")
     changed = await asyncio.to_thread(
         change_since_last, services.settings.server.data, services.settings.model_dump(mode="json")

@@ -50,9 +50,9 @@ def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
         return _ring(path, file.read(_MOST_BYTES))
 
 
-def make_key_file(path: Path, origin: Origin) -> KeyRing | None:
-    """Make the file with a first key, for a log that ends at ``origin``; None where another process was
-    faster. Raises KeyFileError."""
+def make_key_file(path: Path, origin: Origin) -> None:
+    """Make the file with a first key, for a log that ends at ``origin``, unless another process was faster.
+    Raises KeyFileError."""
     ring = KeyRing((secrets.token_bytes(KEY_BYTES),), origin)
     try:
         fresh = _written(path, ring)
@@ -63,13 +63,12 @@ def make_key_file(path: Path, origin: Origin) -> KeyRing | None:
             fresh.unlink()
         _sync_folder(path)
     except FileExistsError:
-        return None
+        return
     except OSError as error:
         raise KeyFileError(
             f"the audit key {path} cannot be made: {error.strerror}; give the server's user write access to "
             "that folder for the first start, or name another place as key_file in [audit]"
         ) from error
-    return ring
 
 
 def replace_key_file(path: Path, ring: KeyRing) -> None:

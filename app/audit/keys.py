@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import secrets
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from app.audit.chain import Head
@@ -16,7 +18,7 @@ class Keys:
 
     def __init__(self, ring: KeyRing, path: Path | None = None, owners: frozenset[int] = frozenset()) -> None:
         self.ring = ring
-        self._path = path
+        self.path = path
         self._owners = owners
 
     def knowing(self, key_id: str) -> KeyRing:
@@ -24,8 +26,8 @@ class Keys:
 
         Raises KeyFileError when the file cannot be used any more.
         """
-        if key_id and self.ring.rank(key_id) is None and self._path is not None:
-            self.ring = read_key_file(self._path, self._owners) or self.ring
+        if key_id and self.ring.rank(key_id) is None and self.path is not None:
+            self.ring = read_key_file(self.path, self._owners) or self.ring
         return self.ring
 
     def rotate(self) -> None:
@@ -34,8 +36,8 @@ class Keys:
         Raises KeyFileError.
         """
         ring = self.ring.with_key(secrets.token_bytes(KEY_BYTES))
-        if self._path is not None:
-            replace_key_file(self._path, ring)
+        if self.path is not None:
+            replace_key_file(self.path, ring)
         self.ring = ring
 
 
@@ -44,17 +46,32 @@ def passing_keys() -> Keys:
     return Keys(KeyRing((secrets.token_bytes(KEY_BYTES),)))
 
 
-def open_keys(path: Path, store: Path, head: Head) -> Keys:
-    """The keys in the file ``path`` of the log in ``store``, whose newest entry is ``head``; the file is made
-    where there is none. Raises KeyFileError."""
+def open_keys(paths: Sequence[Path], store: Path, head: Head) -> Keys:
+    """The keys of the log in ``store``, whose newest entry is ``head``, from the first of the files that is
+    there. Where none is, the first that can be made is made. Raises KeyFileError."""
     owners = owners_of(store)
-    ring = read_key_file(path, owners) or make_key_file(path, Origin(head.id, head.hash))
-    ring = ring or read_key_file(path, owners)
+    path = find_key_file(paths) or _made(paths, Origin(head.id, head.hash))
+    ring = read_key_file(path, owners)
     if ring is None:
         raise KeyFileError(f"the audit key {path} was removed while it was read; start again")
     return Keys(ring, path, owners)
 
 
+def find_key_file(paths: Sequence[Path]) -> Path | None:
+    """The first of the files that there is; a link to nowhere is one, which is refused when it is read."""
+    return next((path for path in paths if os.path.lexists(path)), None)
+
+
 def owners_of(store: Path) -> frozenset[int]:
     """The users to whom the key of a store may belong: ours, root, and the one whose store it is."""
     return frozenset({os.geteuid(), 0, store.stat().st_uid})
+
+
+def _made(paths: Sequence[Path], origin: Origin) -> Path:
+    *others, last = paths
+    for path in others:
+        with suppress(KeyFileError):
+            make_key_file(path, origin)
+            return path
+    make_key_file(last, origin)
+    return last

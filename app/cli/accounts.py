@@ -37,7 +37,7 @@ def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:
     passwords = Passwords()
 
     async def run() -> T:
-        keys = open_keys(settings.key_file, database.path, await database.read(head_of))
+        keys = open_keys(settings.key_files, database.path, await database.read(head_of))
         return await work(Accounts(database, passwords, EventLog(database, keys=keys)))
 
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +14,7 @@ from app.audit.anchor import Anchors, read_anchor_file
 from app.audit.chain import Head, Verdict
 from app.audit.key_file import read_key_file
 from app.audit.keyring import KeyRing, Origin
-from app.audit.keys import open_keys, owners_of
+from app.audit.keys import find_key_file, open_keys, owners_of
 from app.audit.log import EventLog
 from app.audit.store import head_of, prove
 from app.cli.accounts import ORIGIN, who_calls
@@ -54,7 +55,7 @@ def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
                 f"the audit log is broken at entry {verdict.broken}: {verdict.fault}; compare a backup"
             )
     typer.echo(f"the audit log is whole: {verdict.entries} entries")
-    for remark in _remarks(verdict, anchors, settings.key_file):
+    for remark in _remarks(verdict, anchors):
         typer.echo(remark)
 
 
@@ -67,20 +68,20 @@ def rotate_key(config: Config = LINESIDE_TOML) -> None:
         make_private(settings.server.data)
         database = Database(settings.server.store, checkpoints=False)
         try:
-            asyncio.run(_rotate(database, settings))
+            path = asyncio.run(_rotate(database, settings))
         finally:
             database.close()
-    typer.echo(f"{settings.key_file}: the log is sealed with a newer key; back this file up")
+    typer.echo(f"{path}: the log is sealed with a newer key; back this file up")
 
 
-async def _rotate(database: Database, settings: Settings) -> None:
-    head = await database.read(head_of)
-    keys = open_keys(settings.key_file, database.path, head)
+async def _rotate(database: Database, settings: Settings) -> Path | None:
+    keys = open_keys(settings.key_files, database.path, await database.read(head_of))
     keys.rotate()
     # Sealed with the newer key: from here on a log that ends before it is seen to have been cut off.
     await EventLog(database, keys=keys).record(
         kind="audit", what="audit key rotated", who=who_calls(), origin=ORIGIN
     )
+    return keys.path
 
 
 def _verdict(settings: Settings, anchor: Path | None) -> tuple[Verdict, Anchors]:
@@ -89,7 +90,7 @@ def _verdict(settings: Settings, anchor: Path | None) -> tuple[Verdict, Anchors]
     if not store.exists():
         raise StoreError(f"there is no store {store}; nothing was served with this configuration yet")
     with in_words(store), closing(open_for_reading(store)) as connection:
-        ring = _ring(settings.key_file, store, head_of(connection))
+        ring = _ring(settings.key_files, store, head_of(connection))
         anchors = read_anchor_file(anchor, ring) if anchor else Anchors()
         if anchors.forged is not None:
             raise StoreError(
@@ -98,20 +99,21 @@ def _verdict(settings: Settings, anchor: Path | None) -> tuple[Verdict, Anchors]
         return prove(connection, ring, anchors.heads), anchors
 
 
-def _ring(path: Path, store: Path, head: Head) -> KeyRing:
-    ring = read_key_file(path, owners_of(store))
+def _ring(paths: Sequence[Path], store: Path, head: Head) -> KeyRing:
+    path = find_key_file(paths)
+    ring = read_key_file(path, owners_of(store)) if path else None
     if ring is None and head.key:
-        raise StoreError(f"there is no audit key {path}, and the log is sealed; restore your copy of it")
+        raise StoreError(f"there is no audit key {paths[0]}, and the log is sealed; restore your copy of it")
     return ring or KeyRing((), Origin(head.id, head.hash))
 
 
-def _remarks(verdict: Verdict, anchors: Anchors, key_file: Path) -> list[str]:
+def _remarks(verdict: Verdict, anchors: Anchors) -> list[str]:
     """What the proof does not cover."""
     remarks = []
     if verdict.unsealed:
         remarks.append(
-            f"entries 1 to {verdict.unsealed} are older than the key {key_file}: they are as they were when "
-            "it was made, which proves nothing of the time before"
+            f"entries 1 to {verdict.unsealed} are older than the key: they are as they were when it was "
+            "made, which proves nothing of the time before"
         )
     if anchors.heads:
         remarks.append(

@@ -122,7 +122,10 @@ async def _write(
     unit, number = live.settings.id, parameter.number
     result = await desk.ask(person, bus, WriteParameter(unit=unit, number=number, raw=raw), id)
     fate = desk.fate(result, live)
-    if result.read_back is not None:
+    if parameter.secret and result.outcome == "unverified":
+        # Why, in words: the value that was read back is not here.
+        fate = Fate(fate.tone, desk.voice.t(result.message))
+    elif result.read_back is not None:
         reads = desk.voice.formats.point(text_of(parameter, result.read_back, live))
         said = "verified: reads {value}" if result.outcome == "verified" else "reads {value} instead"
         fate = Fate(fate.tone, desk.voice.t(said, value=reads))

@@ -164,8 +164,9 @@ def _check_range(number: int, raw: int | None, where: str) -> None:
     parameter = PARAMETERS[number]
     if raw is None or parameter.minimum <= raw <= parameter.maximum:
         return
+    shown = "hidden" if parameter.secret else raw
     raise DocumentError(
-        f"{where}: parameter {number} ({parameter.name}): {raw} is outside "
+        f"{where}: parameter {number} ({parameter.name}): {shown} is outside "
         f"{parameter.minimum} to {parameter.maximum}"
     )
 

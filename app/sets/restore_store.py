@@ -9,7 +9,10 @@ from app.database import Database
 from app.sets.model import Row, UnitRows
 from app.sets.plan import LeftOut, RestorePlan, Write
 from app.sets.restore_record import UNDER_WAY, Restore, RowResult
+from bus.catalogue.parameters import PARAMETERS
 
+NOT_KEPT = -1
+"""Stands for a secret (#21), which is kept in parameter sets alone: no raw value is negative."""
 ENDED_MEANWHILE = "the server ended before its fate was known; it may have been written"
 
 
@@ -84,7 +87,7 @@ def _insert(connection: sqlite3.Connection, restore: Restore) -> None:
     connection.executemany(
         "INSERT INTO restore_row VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
         [
-            (restore.id, place, row.write.number, row.write.present, row.write.wanted, *_fate(row))
+            (restore.id, place, row.write.number, *_stored_values(row.write), *_fate(row))
             for place, row in enumerate(restore.rows)
         ],
     )
@@ -101,12 +104,25 @@ def _insert_values(
 ) -> None:
     connection.executemany(
         "INSERT OR REPLACE INTO restore_value VALUES (?, ?, ?, ?, ?, ?)",
-        [(restore_id, side, row.number, row.raw, row.available, row.read_at) for row in rows.values()],
+        [
+            (restore_id, side, row.number, _unless_secret(row.number, row.raw), row.available, row.read_at)
+            for row in rows.values()
+        ],
     )
 
 
+def _stored_values(write: Write) -> tuple[int, int]:
+    if PARAMETERS[write.number].secret:
+        return NOT_KEPT, NOT_KEPT
+    return write.present, write.wanted
+
+
+def _unless_secret(number: int, raw: int | None) -> int | None:
+    return None if PARAMETERS[number].secret else raw
+
+
 def _fate(row: RowResult) -> tuple[str | None, str, int | None]:
-    return row.outcome, row.message, row.read_back
+    return row.outcome, row.message, _unless_secret(row.write.number, row.read_back)
 
 
 def _update_row(connection: sqlite3.Connection, restore_id: str, place: int, row: RowResult) -> None:

@@ -81,11 +81,15 @@ def check_writable_value(parameter: Parameter, raw: int) -> None:
         raise CallerError(f"#{parameter.number} {parameter.name} cannot be changed over the link")
     nearest = nearest_legal(parameter, raw)
     if nearest != raw:
-        raise IllegalValue(
-            f"#{parameter.number} {parameter.name} cannot be {raw}: it takes {_legal_values(parameter)}; "
-            f"the nearest is {nearest}",
-            nearest,
-        )
+        raise IllegalValue(_refusal(parameter, raw, nearest), nearest)
+
+
+def _refusal(parameter: Parameter, raw: int, nearest: int) -> str:
+    legal = _legal_values(parameter)
+    if parameter.secret:
+        # The sentence goes into the log, and what was typed may be the secret but for one digit too many.
+        return f"#{parameter.number} {parameter.name} takes {legal}"
+    return f"#{parameter.number} {parameter.name} cannot be {raw}: it takes {legal}; the nearest is {nearest}"
 
 
 def nearest_legal(parameter: Parameter, raw: int) -> int:

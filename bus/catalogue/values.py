@@ -97,6 +97,10 @@ def parameter_raw(parameter: Parameter, text: str, decimals: int | None, *, foll
     for raw, name in parameter.choices.items():
         if text.strip().casefold() == name.casefold():
             return raw
+    typed = text.strip()
+    if parameter.secret and not (typed.isascii() and typed.isdecimal()):
+        # An ordinary refusal repeats what was typed.
+        raise CallerError("this is not a number; write it like 1234")
     places = _decimals(parameter, decimals, follower)
     if places is None:
         raise CallerError("the unit's decimals (#3) have not been read yet; give the raw number")

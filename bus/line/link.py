@@ -14,6 +14,7 @@ there, and all else that is to be done about that answer is done after.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from bus.contract import Direction
@@ -38,6 +39,8 @@ MARGIN_S = 0.010
 UNHEARD = 0.93
 """So long a part of the least time bytes are left to gather, as each few that are heard alone cost as much as
 an answer; less than ``port_pace.EARLY``."""
+SECRET_LINGERS_S = 5.0
+"""For so long after an exchange with a secret (#21) whatever is no answer may be a piece of it, or a copy."""
 AHEAD_S = 0.002
 """So long before an answer can be complete they are heard in any case: a loop's timers count milliseconds."""
 
@@ -61,6 +64,7 @@ class Link:
         self._next: Exchange | None = None
         """What leaves as soon as the answer to ``_current`` is there."""
         self._pace = PortPace()
+        self._secret_until = -math.inf
         self._forget()
         self.done: Callable[[Heard, float, float], None] = _nobody
         """Called with what was heard and when the exchange began and ended."""
@@ -163,7 +167,7 @@ class Link:
         exchange = current.exchange if current is not None else self._idle
         if exchange is None:
             self._tally.wire.noise_bytes += len(data)
-            self._note(now, "in", data, None, valid=False)
+            self._note_stray(now, data, None, valid=False)
             return
         events = exchange.receive(data, now)
         followed_at = self._follow(current, events, now) if current is not None and self._next else None
@@ -220,7 +224,7 @@ class Link:
         if isinstance(event, Noise | DoubledChecksum):
             if isinstance(event, Noise):
                 self._take_noise(event, exchange.request.unit, now)
-            self._note(now, "in", event.data, exchange, valid=False)
+            self._note_stray(now, event.data, exchange, valid=False)
             return
         if isinstance(event, Answered):
             self._take_answer(event.frame.wire, now)
@@ -228,7 +232,10 @@ class Link:
             self._tally.no_answer(event, exchange.request.unit, self._doubts)
         if self._current is not None and isinstance(event, Unexpected | Foreign):
             self._current.strange = True
-        self._note(now, "in", event.frame.wire, exchange)
+        if isinstance(event, Answered):
+            self._note(now, "in", event.frame.wire, exchange)
+        else:
+            self._note_stray(now, event.frame.wire, exchange, unit=event.frame.body[0])
 
     def _take_noise(self, noise: Noise, asked: int, now: float) -> None:
         """After an answer with a wrong checksum no other will come, so only quiet is waited for."""
@@ -271,11 +278,20 @@ class Link:
         current.exchange.give_up()
         self._finish(current, now)
 
-    def _note(
-        self, now: float, way: Direction, data: bytes, exchange: Exchange | None, *, valid: bool = True
+    def _note(self, now: float, way: Direction, data: bytes, exchange: Exchange) -> None:
+        """Keep what is known to belong to ``exchange``."""
+        hidden = exchange.prepared.secret
+        if hidden:
+            self._secret_until = now + SECRET_LINGERS_S
+        self._trace.add(Passed(self._clock.epoch(now), way, data, hidden=hidden))
+
+    def _note_stray(
+        self, now: float, data: bytes, exchange: Exchange | None, *, unit: int = 0, valid: bool = True
     ) -> None:
-        hidden = exchange is not None and exchange.prepared.secret
-        self._trace.add(Passed(self._clock.epoch(now), way, data, valid, hidden))
+        """Keep what is no answer, but not its bytes while it may be a late answer with a secret (#21)."""
+        secret = exchange is not None and exchange.prepared.secret
+        hidden = secret or now < self._secret_until or self._doubts.may_hold_secret(unit)
+        self._trace.add(Passed(self._clock.epoch(now), "in", data, valid, hidden))
 
 
 def _nobody(_heard: Heard, _began: float, _ended: float) -> None:

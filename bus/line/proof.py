@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass
 
+from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, output_is_on, status_bits
 from bus.line.roster import UnitRecord
 from bus.line.steps import Answer, Ask, Step, Wait
@@ -135,7 +136,8 @@ def prove_parameter(unit: int, number: int, raw: int) -> Proving:
         shown, answer = yield from read_parameter(unit, number)
         if answer.reply is None:
             return Proof(False, proof.read_back, proof.at, "it did not answer the read-back")
-        proof = Proof(shown == raw, shown, answer.answered_at, f"it reads {shown}")
+        reads = "another value" if PARAMETERS[number].secret else shown
+        proof = Proof(shown == raw, shown, answer.answered_at, f"it reads {reads}")
         if proof.shown:
             return proof
     return proof

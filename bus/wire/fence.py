@@ -35,6 +35,7 @@ from bus.catalogue.parameters import OWN_ADDRESS
 from bus.errors import UnitErrorCode
 from bus.settings import Dialect
 from bus.wire.commands import ReadParameter, ReadStatus, Request, is_write
+from bus.wire.describe import is_secret
 from bus.wire.framing import ACK, NAK
 from bus.wire.lengths import acknowledged_lengths
 
@@ -154,6 +155,12 @@ class Doubt(msgspec.Struct, frozen=True):
                 return Doubt(self.unit, self.dialect, self.outstanding[ended:], answer, self.fading)
         return self
 
+    @property
+    def may_hold_secret(self) -> bool:
+        """Whether an answer that still may come carries what is not to be kept or shown (#21)."""
+        last = () if self.last is None else (self.last.request,)
+        return any(is_secret(request) for request in (*self.outstanding, *last))
+
     def moved_on(self) -> Doubt:
         """The bus has asked another unit since; the last answer cannot come again."""
         if self.last is None and self.fading is None:
@@ -233,6 +240,11 @@ class Doubts:
     def fence_before(self, request: Request) -> Request | None:
         """What to ask before ``request``; None where it may follow at once."""
         return self.about(request.unit).fence_before(request) if request.unit else None
+
+    def may_hold_secret(self, unit: int) -> bool:
+        """Whether a late or second answer of ``unit`` may carry what is not to be kept or shown (#21)."""
+        doubt = self._units.get(unit)
+        return doubt is not None and doubt.may_hold_secret
 
     def after(self, doubt: Doubt) -> None:
         """An exchange is over; ``doubt`` is what it left."""

@@ -7,19 +7,37 @@ import json
 import os
 import threading
 from collections.abc import AsyncIterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 
 from app.audit import anchoring as module
-from app.audit.anchor import AnchorError, anchor_line, append_line, newest_anchor, read_anchors
-from app.audit.anchoring import Anchoring
+from app.audit.anchor import (
+    AnchorError,
+    anchor_line,
+    append_line,
+    newest_anchor,
+    read_anchor_file,
+    read_anchors,
+)
+from app.audit.anchoring import Anchoring, AnchorStatus
 from app.audit.chain import Head
+from app.audit.degraded import anchor_notice
 from app.audit.keyring import KeyRing
 from app.audit.log import EventLog
 from app.audit.store import Filter
 from app.database import Database
+from app.database.connection import open_for_reading
+from app.main import create_app
+from app.settings import Audit
+from app.web.access import Role
+from app.web.formats import Formats
+from app.web.languages import Languages
+from app.wiring import running
+from tests.app.whole_app import settings_in
 
 RING = KeyRing((b"k" * 32,))
 
@@ -217,3 +235,38 @@ def test_something_that_is_no_file_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo")
     with pytest.raises(AnchorError, match="it is not a file"):
         append_line(tmp_path / "fifo", b"x\n")
+
+
+async def test_the_server_anchors_its_last_entry_when_it_ends(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path).model_copy(update={"audit": Audit(anchor=tmp_path / "anchor")})
+    services = create_app(settings).state.services
+    async with running(services):
+        ring = services.events.keys.ring
+    anchors = read_anchor_file(tmp_path / "anchor", ring)
+    with closing(open_for_reading(settings.server.store)) as connection:
+        what, last = connection.execute("SELECT what, id FROM events ORDER BY id DESC").fetchone()
+    assert (what, last) == ("server ended", anchors.newest)
+
+
+async def test_what_is_not_well_is_on_the_page_and_in_the_metrics(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path).model_copy(update={"audit": Audit(anchor=tmp_path)})
+    app = create_app(settings)
+    services = app.state.services
+    async with running(services):
+        await services.anchoring.export()
+        token = await services.accounts.create_token("plc", Role.VIEWER, by="test", origin="test")
+        headers = {"Authorization": f"Bearer {token}"}
+        transport = httpx.ASGITransport(app)
+        async with httpx.AsyncClient(transport=transport, base_url="http://plant", headers=headers) as client:
+            metrics = (await client.get("/metrics")).text
+            page = (await client.get("/", headers={"Accept-Language": "de"})).text
+    assert "lineside_audit_degraded 1.0" in metrics
+    assert "ist das Audit-Protokoll nicht verankert. Der Grund: Is a directory" in page
+
+
+def test_a_log_that_was_altered_is_said_before_all_else() -> None:
+    language = Languages()["en"]
+    formats = Formats(language.locale, "UTC")
+    status = AnchorStatus("entry 5 was changed", "No space left on device", 1_700_000_000.0)
+    assert "was altered" in anchor_notice(status, language.t, formats, 1_700_000_100.0)
+    assert anchor_notice(AnchorStatus(), language.t, formats, 1_700_000_100.0) == ""

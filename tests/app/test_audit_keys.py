@@ -32,14 +32,14 @@ def path(tmp_path: Path) -> Path:
 
 
 def opened(path: Path, store: Path) -> Keys:
-    return open_keys(path, store, HEAD)
+    return open_keys([path], store, HEAD)
 
 
 def test_it_is_made_once_and_read_by_its_user_alone(path: Path, store: Path) -> None:
     made = opened(path, store).ring
     assert path.stat().st_mode & 0o777 == 0o600
     assert made.origin == Origin(7, "a" * 64)
-    assert open_keys(path, store, Head(9, "b" * 64)).ring == made
+    assert open_keys([path], store, Head(9, "b" * 64)).ring == made
     assert sorted(entry.name for entry in path.parent.iterdir()) == [path.name, store.name]
 
 
@@ -151,12 +151,25 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_where_key_and_anchor_are(tmp_path: Path) -> None:
-    settings = load(written(tmp_path, '[server]\ndata = "d"\n'))
-    assert (settings.key_file, settings.audit.anchor) == (tmp_path / "plant.audit.key", None)
+    settings = load(written(tmp_path, '[server]\ndata = "/var/lib/x"\n'))
+    name = "plant.audit.key"
+    assert settings.key_files == (tmp_path / name, Path("/var/lib") / name, Path("/var/lib/x") / name)
+    assert settings.audit.anchor is None
     text = '[audit]\nkey_file = "keys/a.key"\nanchor = "/mnt/worm/a"\n'
     settings = load(written(tmp_path, text))
-    assert (settings.key_file, settings.audit.anchor) == (tmp_path / "keys" / "a.key", Path("/mnt/worm/a"))
-    assert Settings.model_validate({"server": {"data": "/x/data"}}).key_file == Path("/x/data.audit.key")
+    assert settings.key_files == (tmp_path / "keys" / "a.key",)
+    assert settings.audit.anchor == Path("/mnt/worm/a")
+    settings = Settings.model_validate({"server": {"data": "/x/data"}})
+    assert settings.key_files[0] == Path("/x/data.audit.key")
+
+
+def test_a_service_that_can_write_to_its_data_folder_alone_has_its_key_there(store: Path) -> None:
+    """Worse than elsewhere, and said at every start, but no reason to leave a machine without a dashboard."""
+    nowhere = [store.parent / "nowhere" / "key", store.parent / "neither" / "key"]
+    keys = open_keys([*nowhere, store.parent / "key"], store, HEAD)
+    assert keys.path == store.parent / "key"
+    nowhere[0].parent.mkdir()
+    assert open_keys([*nowhere, store.parent / "key"], store, HEAD).ring == keys.ring, "the key that there is"
 
 
 @pytest.mark.parametrize("key_file", ["data/a.key", "data/deep/a.key", "here/a.key"])
@@ -174,5 +187,5 @@ def test_the_data_of_another_configuration_comes_without_its_key(tmp_path: Path)
     (first / "lineside.db").touch()
     opened(tmp_path / "one.key", first / "lineside.db")
     shutil.copytree(first, second)
-    other = open_keys(tmp_path / "two.key", second / "lineside.db", Head(3, "c" * 64))
+    other = open_keys([tmp_path / "two.key"], second / "lineside.db", Head(3, "c" * 64))
     assert other.ring.origin == Origin(3, "c" * 64)

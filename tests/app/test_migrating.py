@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 
+from app.commands import idempotency
 from app.database import Database, StoreError
 from app.database.migrating import MIGRATIONS, migrations_in
 
@@ -74,3 +76,30 @@ def test_our_own_steps_have_numbers_of_their_own() -> None:
     numbers = [step.number for step in migrations_in(MIGRATIONS)]
     assert numbers[:2] == [1, 2]
     assert len(set(numbers)) == len(numbers)
+
+
+def test_what_was_kept_of_a_secret_is_overwritten(tmp_path: Path) -> None:
+    """Results by key and rows of restores held #21; the keys themselves stay refused to everybody."""
+    before = tmp_path / "before"
+    before.mkdir()
+    for step in MIGRATIONS.glob("00[0-2]*.sql"):
+        shutil.copy(step, before)
+    path, kept = tmp_path / "lineside.db", b'{"is":"result","units":[{"unit":1,"read_back":73195}]}'
+    with closing(Database(path, before)) as old:
+        old.write_now(lambda c: c.execute("INSERT INTO asked VALUES ('mine', 1.0, 'x', ?)", (kept,)))
+        for row in (
+            "restore VALUES ('r', 'b', 1, 'u', 'w', 1.0, 0, 'equal', '')",
+            "restore_row VALUES ('r', 0, 21, 73195, 73196, 'verified', '', 73196)",
+            "restore_row VALUES ('r', 1, 6, 50, 51, 'verified', '', 51)",
+            "restore_value VALUES ('r', 'wanted', 21, 73196, 1, NULL)",
+        ):
+            old.write_now(lambda c, row=row: c.execute(f"INSERT INTO {row}"))  # type: ignore[misc]
+    with closing(Database(path)) as new:
+        rows = new.read_now(lambda c: [tuple(row)[2:5] for row in c.execute("SELECT * FROM restore_row")])
+        values = new.read_now(lambda c: [row["raw"] for row in c.execute("SELECT * FROM restore_value")])
+        known = new.read_now(lambda c: idempotency.find(c, "anna 0.0", "mine"))
+    assert rows == [(21, -1, -1), (6, 50, 51)]
+    assert values == [None]
+    assert known is not None
+    assert (known.command, known.result.outcome) == ("", "unverified")
+    assert b"73195" not in path.read_bytes(), "nor in a free page"

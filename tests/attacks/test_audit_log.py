@@ -45,7 +45,7 @@ class Plant:
     async def _work(self, entries: int) -> None:
         database = Database(self.store)
         try:
-            keys = open_keys(self.key, self.store, await database.read(head_of))
+            keys = open_keys([self.key], self.store, await database.read(head_of))
             log = EventLog(database, keys=keys)
             for number in range(entries):
                 await log.record(kind="estop", what=f"e-stop {number}", bus="dry-end", unit=1)
@@ -247,7 +247,7 @@ def test_after_a_rotation_the_older_key_forges_nothing(plant: Plant) -> None:
     # Whoever has the older key can seal any end of the log, and goes on from before the rotation.
     plant.attack("DELETE FROM events WHERE id > 9", "DELETE FROM events_head")
     plant.key.write_bytes(older)
-    ring = open_keys(plant.key, plant.store, Head()).ring
+    ring = open_keys([plant.key], plant.store, Head()).ring
     with closing(sqlite3.connect(plant.store)) as connection:
         (digest,) = connection.execute("SELECT hash FROM events WHERE id = 9").fetchone()
         end = (1, 9, digest, ring.newest, ring.seal("head", "9", digest))

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from bus.errors import WireError
 from bus.line.asking import Heard
-from bus.line.link import MARGIN_S, Link
+from bus.line.link import MARGIN_S, SECRET_LINGERS_S, Link
 from bus.line.port_pace import PortPace
 from bus.line.roster import Roster
 from bus.line.trace import HIDDEN, Interpreter, Passed, Trace
@@ -22,8 +22,10 @@ from bus.wire.commands import (
     ReadParameter,
     ReadStatus,
     Reply,
+    Request,
     SetAndExecuteSpeed,
     StatusReply,
+    WriteParameter,
 )
 from tests.bus.played_clock import PlayedClock
 
@@ -250,6 +252,75 @@ def test_a_secret_passes_without_its_bytes(wires: Wires) -> None:
         assert passed.data == b""
         assert Interpreter(PLAIN).frame(passed).meaning == HIDDEN.text
     assert wires.heard[0][0].frame == b""
+
+
+SECRET = ParameterReply(1, 9876)
+SECRET_BYTES = (9876).to_bytes(4, "big")
+"""Without a 10h, which is doubled on the wire."""
+
+
+def kept(wires: Wires) -> bytes:
+    """All bytes in the trace."""
+    return b"".join(passed.data for passed in wires.trace.since(0.0))
+
+
+def timed_out(wires: Wires, request: Request) -> None:
+    """Nothing answers in time."""
+    wires.link.send(request)
+    wires.pass_time(1.0)
+    assert wires.heard[-1][0].reply is None
+
+
+@pytest.mark.parametrize("request_", [ReadParameter(1, 21), WriteParameter(1, 21, 9876)])
+@pytest.mark.parametrize("later_s", [0.0, 600.0])
+def test_a_secret_that_comes_late_is_kept_without_its_bytes(
+    wires: Wires, request_: Request, later_s: float
+) -> None:
+    timed_out(wires, request_)
+    wires.pass_time(later_s)
+    wires.link.send(ReadStatus(1))
+    wires.answer(SECRET)
+    wires.answer()
+    assert wires.heard[-1][0].reply == STATUS
+    assert SECRET_BYTES not in kept(wires)
+    assert kept(wires).endswith(encode_reply(STATUS, PLAIN)), "an answer that is none is kept as ever"
+
+
+@pytest.mark.parametrize("asked", [1, 2])
+def test_a_secret_that_comes_twice_is_kept_without_its_bytes(wires: Wires, asked: int) -> None:
+    wires.link.send(ReadParameter(1, 21))
+    wires.answer(SECRET)
+    wires.receive(encode_reply(SECRET, PLAIN))
+    wires.link.send(ReadStatus(asked))
+    wires.answer(SECRET)
+    wires.answer(replace(STATUS, unit=asked))
+    assert SECRET_BYTES not in kept(wires)
+
+
+def test_a_piece_of_a_secret_is_kept_without_its_bytes(wires: Wires) -> None:
+    """The port is lost in the middle of it, or its checksum is."""
+    wires.link.send(ReadParameter(1, 21))
+    spoilt = bytearray(encode_reply(SECRET, PLAIN))
+    spoilt[-1] ^= 0xFF
+    wires.pass_time(0.02)
+    wires.receive(bytes(spoilt))
+    wires.pass_time(1.0)
+    wires.link.detach()
+    wires.link.attach(wires, 9600)
+    wires.receive(encode_reply(SECRET, PLAIN))
+    assert SECRET_BYTES not in kept(wires)
+
+
+def test_what_is_no_answer_is_kept_as_ever_while_no_secret_can_come(wires: Wires) -> None:
+    wires.link.send(ReadParameter(1, 21))
+    wires.answer(SECRET)
+    wires.link.send(ReadStatus(1))
+    wires.answer()
+    wires.pass_time(SECRET_LINGERS_S)
+    wires.link.send(ReadStatus(1))
+    wires.answer(ParameterReply(1, 777))
+    wires.pass_time(1.0)
+    assert (777).to_bytes(4, "big") in kept(wires)
 
 
 def test_the_trace_is_bounded_by_time_and_by_bytes() -> None:

@@ -423,15 +423,15 @@ def test_a_unit_that_stays_silent_ends_its_reading() -> None:
 
 def test_a_secret_is_read_but_its_frames_are_not_kept() -> None:
     async def scene(line: VirtualLine) -> None:
-        line.plant.unit(1).memory[21] = 4242
+        line.plant.unit(1).memory[21] = 9876
         await settled(line)
         fate = await line.ask(ReadParameters(1, [21]))
-        assert fate.values[0].raw == 4242
+        assert fate.values[0].raw == 9876
         assert fate.values[0].frame == b""
         assert all(frame.data == b"" for frame in fate.frames if "secret" in frame.meaning)
         assert any("secret" in frame.meaning for frame in fate.frames)
         kept = b"".join(passed.data for passed in line.worker.poller.trace.since(0.0))
-        assert (4242).to_bytes(4, "big") not in kept
+        assert (9876).to_bytes(4, "big") not in kept, "a value without a 10h, which is doubled on the wire"
 
     run(scene, 2)
 
