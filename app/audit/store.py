@@ -14,6 +14,7 @@ from app.audit.keys import Keys
 from app.audit.reading import readable
 
 _COLUMNS = (*FIELDS, "count", "key", "previous", "hash", "seal")
+"""A further column must allow NULL and stand here; the hash covers it wherever it is not NULL."""
 _INSERT = f"INSERT INTO events ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
 _NOTE_HEAD = (
     "INSERT INTO events_head (only, id, hash, key, seal) VALUES (1, ?, ?, ?, ?) "
@@ -104,7 +105,9 @@ def _end_of(connection: sqlite3.Connection) -> Head:
 
 
 def _insert(connection: sqlite3.Connection, head: Head, entry: Mapping[str, Any], ring: KeyRing) -> Head:
-    sealed = sealed_entry(head.hash, {**entry, "id": head.id + 1}, ring)
+    # Exactly what the row will hold: the hash of anything else would not be confirmed by it.
+    row = {name: entry.get(name) for name in _COLUMNS} | {"id": head.id + 1}
+    sealed = sealed_entry(head.hash, row, ring)
     connection.execute(_INSERT, [sealed.get(name) for name in _COLUMNS])
     new = sealed_head(sealed, ring)
     connection.execute(_NOTE_HEAD, (new.id, new.hash, new.key, new.seal))
