@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from app.live.browser import Browser
+from app.live.command_ids import key_of, new_command_id
 from app.live.hub import Hub
 from app.live.state import LiveState
 from app.settings import Site
@@ -118,6 +119,18 @@ async def test_how_far_a_command_is_goes_to_the_pages_and_is_not_kept(world: Wor
     (diff,) = await told(browser)
     assert diff["f"] == {"command/x1": {"stage": "gesendet"}}
     assert "command/x1" not in world.hub.screen("de").shown
+
+
+async def test_a_page_finds_its_command_by_the_key_that_it_gave(world: World) -> None:
+    browser = world.join("bernd", "de")
+    await told(browser)
+    command_id = new_command_id("form#7")
+    assert command_id != new_command_id("form#7")
+    world.live.apply("dry", [Progress(id=command_id, at=100.1, stage="sent")])
+    (diff,) = await told(browser)
+    assert diff["f"] == {"command/form#7": {"stage": "gesendet"}}
+    unnamed = new_command_id()
+    assert key_of(unnamed) == unnamed
 
 
 async def test_how_far_a_search_is_goes_to_whoever_looks_at_the_bus(world: World) -> None:
