@@ -22,6 +22,7 @@ KEPT_S = 7 * 86_400.0
 """How long a key is remembered."""
 MOST_OF_A_SENDER = 2000
 """How many keys of one sender are remembered; the oldest are forgotten first."""
+UNREADABLE = "its result was stored and cannot be read: whether the unit acted is not known"
 _FROM_BEFORE = ""
 """The sender of keys that an earlier version has stored without one."""
 _FORGET_OLD = "DELETE FROM idempotency WHERE requested_at < ?"
@@ -90,4 +91,7 @@ def find(connection: sqlite3.Connection, sender: str, key: str) -> Earlier | Non
     requested_at, command, result = row
     if result is None:
         return Earlier(command, Result(key, requested_at, "unverified", ENDED_BEFORE))
-    return Earlier(command, msgspec.json.decode(result, type=Result))
+    try:
+        return Earlier(command, msgspec.json.decode(result, type=Result))
+    except msgspec.MsgspecError:
+        return Earlier(command, Result(key, requested_at, "unverified", UNREADABLE))

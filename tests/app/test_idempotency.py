@@ -219,6 +219,15 @@ async def test_nothing_of_a_secret_is_stored(stage: Stage) -> None:
     assert command != idempotency.digest(KeyRing((b"x" * 32,)), "dry-end", WriteParameter(1, 21, 17))
 
 
+async def test_a_result_that_cannot_be_read_is_unverified(stage: Stage, worker: PlayedWorker) -> None:
+    worker.play = answering("verified")
+    await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")
+    await stage.database.write(lambda c: c.execute("UPDATE idempotency SET result = x'7b'"))
+    again = await restarted(stage).ask(ANNA, "dry-end", WISH, id="mine")
+    assert (again.outcome, again.message) == ("unverified", idempotency.UNREADABLE)
+    assert len(worker.commands) == 1
+
+
 async def test_a_newer_key_of_the_log_forgets_no_command(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("verified")
     await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")
