@@ -194,7 +194,7 @@ async def running(services: Services) -> AsyncIterator[None]:
     await _begin(services)
     works = (
         *((services.anchoring.follow,) if services.anchoring else ()),
-        services.events.tell_counts_each_minute,
+        services.events.repeated.follow,
         services.pipeline.record,
         services.hub.beat,
         services.history.inspect_daily,
@@ -244,7 +244,7 @@ async def _end(services: Services) -> None:
     await services.first_writes.close()
     await services.sets.drifts.close()
     await services.restores.close()
-    await services.events.tell_counts(all_of_them=True)
+    await services.events.repeated.tell_rest()
     await services.events.record(kind="server", what="server ended")
     if services.anchoring is not None:
         with suppress(TimeoutError):

@@ -13,9 +13,10 @@ from typing import TypeVar
 import structlog
 
 from app.audit.anchor import AnchorError, anchor_line, append_line, newest_anchor
-from app.audit.chain import Head, not_anchored
+from app.audit.chain import Head
 from app.audit.detached import Detached
 from app.audit.log import EventLog
+from app.audit.walk import not_anchored
 from app.errors import StoreError
 
 EVERY_S = 60.0

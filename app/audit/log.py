@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import sqlite3
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -11,28 +10,24 @@ from typing import Any
 import structlog
 
 from app.audit import store
-from app.audit.chain import Verdict
 from app.audit.entry import Event as Event
 from app.audit.entry import is_moment, new_entry
 from app.audit.keys import Keys, passing_keys
 from app.audit.kinds import Kind
 from app.audit.proof import LogProof
+from app.audit.repeated import RepeatedEvents
 from app.audit.store import Filter
-from app.audit.tally import WINDOW_S, Counted, Tally
+from app.audit.walk import Verdict
 from app.database import Database
 from bus.contract import Frame, Outcome
 
 log = structlog.get_logger()
 
-_Said = tuple[Kind, str, str, str, str]
-"""Kind, what, who, origin and message of what is counted."""
 Subscriber = Callable[[Event], None]
 Also = Callable[[sqlite3.Connection], None]
 """What else is written in the transaction of an event."""
 
 CHUNK = 1000
-MANY = "many addresses"
-"""The origin of what is counted for more places than are told apart."""
 ENDED_BEFORE = "the server stopped before the fate was known"
 
 
@@ -49,10 +44,10 @@ class EventLog:
     ) -> None:
         self.keys = keys or passing_keys()
         self.proof = LogProof(database, self.keys)
+        self.repeated = RepeatedEvents(self.record, clock)
         self._database = database
         self._clock = clock
         self._subscribers: list[Subscriber] = []
-        self._tally: Tally[_Said] = Tally()
 
     def subscribe(self, subscriber: Subscriber) -> Callable[[], None]:
         """Hear of each event, and of a command again with its fate. Returns what ends it."""
@@ -147,23 +142,8 @@ class EventLog:
     async def count(
         self, kind: Kind, what: str, *, who: str = "", origin: str = "", message: str = ""
     ) -> None:
-        """Something that a stranger can cause as often as they like: an event at once for the first of its
-        kind, person, place and message, then one a minute that says how often it happened since."""
-        told = self._tally.note(kind, (kind, what, who, origin, message), self._clock())
-        if told is not None:
-            await self._record_counted(told)
-
-    async def tell_counts_each_minute(self) -> None:
-        """`tell_counts`, without end."""
-        while True:
-            await asyncio.sleep(WINDOW_S / 4)
-            await self.tell_counts()
-
-    async def tell_counts(self, *, all_of_them: bool = False) -> None:
-        """Record what was counted in minutes that are over, or everything before the server ends."""
-        now = self._clock()
-        for told in self._tally.rest(now) if all_of_them else self._tally.due(now):
-            await self._record_counted(told)
+        """Something that a stranger can cause as often as they like: see `RepeatedEvents`."""
+        await self.repeated.count(kind, what, who=who, origin=origin, message=message)
 
     async def close_open_intents(self) -> int:
         """At start: what was open when the server ended is unverified. Returns how many there were."""
@@ -193,14 +173,6 @@ class EventLog:
     async def prove(self, anchors: Mapping[int, str] | None = None) -> Verdict:
         """Whether the log is whole, and holds the hashes that ``anchors`` names by entry."""
         return await self.proof.whole(anchors)
-
-    async def _record_counted(self, told: Counted[_Said]) -> None:
-        kind, what, who, origin, message = told.said
-        if told.is_many:
-            who, origin, message = "", MANY, ""
-        await self.record(
-            kind=kind, what=what, who=who, origin=origin, message=message, at=told.last, count=told.count
-        )
 
     async def _append_all(self, entries: Sequence[Event], also: Also = _nothing) -> list[int]:
         numbers = await self._write_all(entries, also)

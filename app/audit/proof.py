@@ -7,8 +7,9 @@ import sqlite3
 from collections.abc import Mapping
 
 from app.audit import store
-from app.audit.chain import Head, Verdict, Walk
+from app.audit.chain import Head
 from app.audit.keys import Keys
+from app.audit.walk import Verdict, Walk
 from app.database import Database
 
 

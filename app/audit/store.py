@@ -7,11 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from app.audit.chain import FIELDS, Head, Verdict, Walk, remark_on, sealed_entry, sealed_head
+from app.audit.chain import FIELDS, Head, remark_on, sealed_entry, sealed_head
 from app.audit.entry import new_entry
 from app.audit.keyring import KeyRing
 from app.audit.keys import Keys
 from app.audit.reading import readable
+from app.audit.walk import Verdict, Walk
 
 _COLUMNS = (*FIELDS, "count", "key", "previous", "hash", "seal")
 """A further column must allow NULL and stand here; the hash covers it wherever it is not NULL."""

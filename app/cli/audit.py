@@ -11,12 +11,13 @@ from typing import Annotated
 import typer
 
 from app.audit.anchor import Anchors, read_anchor_file
-from app.audit.chain import Head, Verdict
+from app.audit.chain import Head
 from app.audit.key_file import read_key_file
 from app.audit.keyring import KeyRing, Origin
 from app.audit.keys import find_key_file, open_keys, owners_of
 from app.audit.log import EventLog
 from app.audit.store import head_of, prove
+from app.audit.walk import Verdict
 from app.cli.accounts import ORIGIN, who_calls
 from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.audit.chain import FIELDS, Head, entry_hash, sealed_entry, sealed_head
-from app.audit.chain import verify as verify_with
 from app.audit.entry import new_entry
 from app.audit.keyring import BEGINNING, KeyRing, Origin
+from app.audit.walk import verify as verify_with
 
 Log = list[dict[str, Any]]
 RING = KeyRing((b"k" * 32,))

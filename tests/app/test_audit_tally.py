@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.audit.log import MANY, EventLog
+from app.audit.log import EventLog
+from app.audit.repeated import MANY
 from app.audit.store import Filter
 from app.audit.tally import MOST_KEYS, WINDOW_S, Tally
 from app.database import Database
@@ -43,12 +44,12 @@ async def scene(tmp_path: Path) -> AsyncIterator[Scene]:
 
 async def test_the_first_is_an_event_at_once_and_the_rest_one_a_minute(scene: Scene) -> None:
     await scene.refuse(500)
-    await scene.events.tell_counts()
+    await scene.events.repeated.tell_due()
     assert await scene.said() == [("192.0.2.7", 1, 1000.0)]
     scene.now += 30
     await scene.refuse()
     scene.now += WINDOW_S
-    await scene.events.tell_counts()
+    await scene.events.repeated.tell_due()
     assert await scene.said() == [("192.0.2.7", 1, 1000.0), ("192.0.2.7", 500, 1030.0)]
 
 
@@ -56,7 +57,7 @@ async def test_who_goes_on_has_one_event_a_minute(scene: Scene) -> None:
     for _ in range(10):
         await scene.refuse(100)
         scene.now += WINDOW_S
-        await scene.events.tell_counts()
+        await scene.events.repeated.tell_due()
     said = await scene.said()
     assert len(said) == 11
     assert sum(count for _, count, _ in said) == 1000
@@ -65,7 +66,7 @@ async def test_who_goes_on_has_one_event_a_minute(scene: Scene) -> None:
 async def test_who_comes_back_later_is_an_event_at_once_again(scene: Scene) -> None:
     await scene.refuse()
     scene.now += WINDOW_S
-    await scene.events.tell_counts()
+    await scene.events.repeated.tell_due()
     scene.now += WINDOW_S
     await scene.refuse()
     assert len(await scene.said()) == 2
@@ -83,7 +84,7 @@ async def test_many_addresses_are_told_apart_only_so_far(scene: Scene) -> None:
     for number in range(1000):
         await scene.refuse(2, origin=f"2001:db8::{number:x}")
     scene.now += WINDOW_S
-    await scene.events.tell_counts()
+    await scene.events.repeated.tell_due()
     said = await scene.said()
     assert len(said) == 2 * MOST_KEYS + 2
     assert sum(count for _, count, _ in said) == 2000
@@ -92,7 +93,7 @@ async def test_many_addresses_are_told_apart_only_so_far(scene: Scene) -> None:
 
 async def test_the_count_is_part_of_what_is_proven(scene: Scene) -> None:
     await scene.refuse(5)
-    await scene.events.tell_counts(all_of_them=True)
+    await scene.events.repeated.tell_rest()
     await scene.database.write(lambda connection: connection.execute("DROP TRIGGER events_stay_as_written"))
     assert (await scene.events.prove()).broken is None
     await scene.database.write(

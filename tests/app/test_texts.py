@@ -28,7 +28,7 @@ FILLED = "X1"
 SQL = re.compile(r"\s*(SELECT|INSERT|UPDATE|DELETE|CREATE|PRAGMA|WITH|ALTER|DROP|FROM|WHERE|AND|ORDER|JOIN) ")
 FOR_PROGRAMS = (
     *("app/cli", "app/metrics", "app/settings.py", "app/web/schema.py"),
-    *("app/audit/chain.py", "app/audit/key_file.py", "app/audit/keys.py", "app/audit/anchor.py"),
+    *("app/audit/walk.py", "app/audit/key_file.py", "app/audit/keys.py", "app/audit/anchor.py"),
     "app/database/private.py",
     *("app/feed/ingest.py", "app/feed/socket.py", "bus/configuration.py", "bus/settings.py"),
     *("bus/simulator", "bus/wire", "bus/worker/uplink.py", "bus/__main__.py", "app/web/routes.py"),

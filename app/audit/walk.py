@@ -1,0 +1,125 @@
+"""Following a log from entry to entry, to say whether it is whole. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from app.audit.chain import END_ALTERED, Head, confirms_head, entry_hash
+from app.audit.keyring import KeyRing
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a log is whole; ``broken`` is the first entry that is not, ``fault`` says how.
+
+    ``unsealed``: the entries from 1 up to this one are older than the key. They are proven to be as they
+    were when it was made, and no further back. ``anchored``: the newest entry that an anchor names.
+    """
+
+    entries: int
+    broken: int | None = None
+    fault: str = ""
+    unsealed: int = 0
+    anchored: int = 0
+
+
+class Walk:
+    """Follows a log entry by entry, from its beginning or from an entry that is known to be good, and stops
+    at the first that is broken. ``anchors``: hashes, by the id of the entry, that were noted elsewhere."""
+
+    def __init__(self, ring: KeyRing, anchors: Mapping[int, str] | None = None, start: Head | None = None):
+        self._ring = ring
+        self._anchors = anchors or {}
+        self._start = start or Head()
+        self.last = self._start
+        self.broken: Verdict | None = None
+
+    def follow(self, entries: Iterable[Mapping[str, Any]]) -> None:
+        """The next entries, in order. After the first that is broken nothing more is looked at."""
+        for entry in entries:
+            if self.broken is not None:
+                return
+            fault = self._fault(entry)
+            if fault:
+                self._break(self.last.id + 1, fault)
+            else:
+                self.last = Head(entry["id"], entry["hash"], entry.get("key") or "")
+
+    def end(self, head: Head | None) -> Verdict:
+        """The verdict once every entry was followed; ``head`` is what was noted apart as the newest."""
+        if self.broken is None:
+            self._check_end(head or Head())
+        if self.broken is not None:
+            return self.broken
+        unsealed = min(self.last.id, self._ring.origin.id)
+        return Verdict(self.last.id, unsealed=unsealed, anchored=max(self._anchors, default=0))
+
+    def _fault(self, entry: Mapping[str, Any]) -> str:
+        number = entry["id"]
+        if number != self.last.id + 1:
+            return f"entry {self.last.id + 1} is missing; after {self.last.id} comes {number}"
+        if entry.get("previous") != self.last.hash:
+            return f"entry {number} does not continue the one before it"
+        if entry.get("hash") != entry_hash(self.last.hash, entry):
+            return f"entry {number} was changed after it was written"
+        if number in self._anchors and entry["hash"] != self._anchors[number]:
+            return not_anchored(number)
+        return self._fault_of_seal(entry)
+
+    def _fault_of_seal(self, entry: Mapping[str, Any]) -> str:
+        number, key, origin = entry["id"], entry.get("key") or "", self._ring.origin
+        if number < origin.id:
+            return ""
+        if number == origin.id:
+            noted = entry["hash"] == origin.hash
+            return "" if noted else f"entry {number} is not the one that was there when the key was made"
+        rank, before = self._ring.rank(key), self._ring.rank(self.last.key)
+        if rank is None:
+            return f"entry {number} is not sealed with a key of the key file"
+        if before is not None and rank < before:
+            return f"entry {number} is sealed with an older key than the entry before it"
+        if not self._ring.confirms(entry.get("seal") or "", key, "entry", entry["hash"]):
+            return f"the seal of entry {number} does not hold: it was not written with the key"
+        if (entry["kind"], entry["what"]) == ("audit", END_ALTERED):
+            return f"entry {number} notes that the end of the log was altered before it"
+        return ""
+
+    def _check_end(self, head: Head) -> None:
+        last, origin = self.last, self._ring.origin
+        if last.id < head.id:
+            self._break(last.id + 1, f"the log ends at entry {last.id}, but {head.id} were written")
+        elif (last.id, last.hash) != (head.id, head.hash):
+            self._break(last.id, f"entry {last.id} is not the one that was noted as the newest")
+        elif last.id < origin.id:
+            self._break(
+                last.id + 1,
+                f"the log ends at entry {last.id}, but {origin.id} were there when the key was made",
+            )
+        elif (cut := max(self._anchors, default=0)) > last.id:
+            self._break(last.id + 1, f"the log ends at entry {last.id}, but the anchor names entry {cut}")
+        elif last.id > origin.id and not confirms_head(head, self._ring):
+            self._break(last.id, f"the log ends at entry {last.id}, but what notes that end is not sealed")
+        elif last.id > origin.id and last.key != self._ring.newest:
+            self._break(last.id + 1, "no entry is sealed with the newest key: the log ends before that key")
+
+    def _break(self, number: int, fault: str) -> None:
+        self.broken = Verdict(self.last.id, number, fault)
+
+
+def not_anchored(number: int) -> str:
+    """The fault of an entry that has another hash than the anchor names."""
+    return f"entry {number} is not the one that the anchor names"
+
+
+def verify(
+    entries: Iterable[Mapping[str, Any]],
+    head: Head | None,
+    ring: KeyRing,
+    anchors: Mapping[int, str] | None = None,
+) -> Verdict:
+    """Walk a log from its beginning and compare its end with what was noted apart."""
+    walk = Walk(ring, anchors)
+    walk.follow(entries)
+    return walk.end(head)
