@@ -46,7 +46,6 @@ from app.swap import pages as swap_pages
 from app.web import pages as web_pages
 from app.web import problems, schema
 from app.web.head import HeadAsGet
-from app.web.late import NotTooLate
 from app.web.routes import refuse_undeclared
 from app.web.security import BoundedRequest, OwnPagesOnly, SecurityHeaders
 from app.wiring import Services, build, running
@@ -107,7 +106,6 @@ def create_app(settings: Settings, *, demo: bool = False, worker_token: str = ""
         app.router.routes.extend(feature.router.routes)
     problems.install(app)
     app.add_middleware(HeadAsGet)
-    app.add_middleware(NotTooLate)
     app.add_middleware(Identify, sign_in=services.sign_in, demo=demo)
     app.add_middleware(BoundedRequest)
     app.add_middleware(OwnPagesOnly)

@@ -19,14 +19,15 @@ from app.commands.record import Record
 from app.commands.rules import check, is_write, setpoints_of, units_named, units_written
 from app.commands.safeguards import Safeguards
 from app.commands.setpoints import commanded_setpoint
-from app.commands.wish import Wish, time_for
+from app.commands.wish import Wish, timeout_s_for
 from app.database import Database
 from app.errors import Problem
 from app.feed.channel import Channel, ProgressListener
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state import BusLive, LiveState
 from app.web.access import Person
-from bus.contract import Action, ChangeBaud, Command, Result, ScanBus, SetSpeed, WriteParameter
+from app.web.deadline import Deadline
+from bus.contract import Action, ChangeBaud, Command, Result, ScanBus, SetLine, SetSpeed, WriteParameter
 
 REMEMBERED = 1000
 """Fates kept for whoever asks with the same id again."""
@@ -77,6 +78,7 @@ class Desk:
         bus: str,
         action: Action,
         *,
+        deadline: Deadline | None = None,
         timeout_s: float | None = None,
         confirm: bool = False,
         id: str | None = None,
@@ -85,10 +87,12 @@ class Desk:
     ) -> Result:
         """Carry out ``action`` and give its one fate; the same ``id`` again gives the same fate.
 
-        ``timeout_s``: how long a write may wait for the wire; :func:`time_for` it when None.
+        ``deadline``: of a command that a request asks for. Without one it may wait ``timeout_s`` from now on,
+        or as long as :func:`timeout_s_for` says.
 
         Raises Problem for what is not asked of the worker at all: 404 for a unit or bus that is not
-        configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``.
+        configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``,
+        503 ``not_sent`` where its deadline has passed.
         """
         live = bus_or_404(self._live, bus)
         for unit in units_named(action):
@@ -101,8 +105,7 @@ class Desk:
                 _refuse_other(id, earlier.command == command_of(person.account, bus, action))
                 return earlier.fate
         if kept is None:
-            time_s = time_for(action, live.settings) if timeout_s is None else timeout_s
-            deadline = self._now() + time_s
+            deadline = deadline or Deadline.within(timeout_s or _timeout_s(action, live))
             wish = Wish(id or uuid.uuid4().hex, person, bus, action, deadline, origin, listener)
             await self._check(wish, live, confirm)
             kept = self._start(wish, live)
@@ -128,9 +131,11 @@ class Desk:
 
     async def _check(self, wish: Wish, live: BusLive, confirm: bool) -> None:
         try:
+            wish.deadline.refuse_passed()
             self._object(wish.person, wish.bus, wish.action, live, confirm)
         except Problem as problem:
-            await self._record.reject(wish, live, problem)
+            if is_write(wish.action):
+                await self._record.reject(wish, live, problem)
             raise
 
     def _object(self, person: Person, bus: str, action: Action, live: BusLive, confirm: bool) -> None:
@@ -193,13 +198,19 @@ class Desk:
         if live.link.link == "closed":
             message = f"{live.link.cause or 'the port is closed'}; nothing was sent"
             return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=message)
-        command = Command(id=wish.id, deadline=wish.deadline, action=wish.action)
+        # This clock first: whatever stops this process between the two makes the deadline earlier.
+        deadline = self._now() + wish.deadline.left_s
+        command = Command(id=wish.id, deadline=deadline, action=wish.action)
         return await self._channels[wish.bus].ask(command, wish.listener)
 
 
 def _refuse_other(id: str | None, same: bool) -> None:
     if not same:
         raise Problem(422, "invalid", f"the id {id!r} was used for another command; nothing was sent", id=id)
+
+
+def _timeout_s(action: Action, live: BusLive) -> float:
+    return timeout_s_for(live, len(action.setpoints) if isinstance(action, SetLine) else 0)
 
 
 def _is_a_search(action: Action) -> bool:

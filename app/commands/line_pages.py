@@ -11,11 +11,12 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
-from app.commands.forms import TIMEOUT_S, Desks, Desktop
+from app.commands.forms import Desks, Desktop
 from app.commands.line_change import followers_of, proven, reviewed
 from app.commands.ramp import Change, change_of, present_setpoint, sensible_bounds
 from app.commands.speed_pages import refuse_outside
 from app.commands.typed import Typed
+from app.commands.wish import timeout_s_for
 from app.commands.words import shown_setpoint
 from app.commands.zero import why_not_told
 from app.errors import Problem
@@ -26,13 +27,6 @@ from bus.contract import SetLine
 from bus.errors import CallerError
 
 router = APIRouter(include_in_schema=False)
-STAGE_S = 0.15
-"""Time allowed for each unit of a change, besides the two seconds of one."""
-
-
-def timeout_s(units: int) -> float:
-    """How long a change of so many units may wait for the wire, seconds."""
-    return TIMEOUT_S + STAGE_S * units
 
 
 # --- the setpoints page -----------------------------------------------------------------------------
@@ -81,7 +75,7 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
         changes=changes,
         obstacles=_obstacles(desk, live, changes),
         followers=followers_of(live),
-        longest_s=2 * timeout_s(len(changes)),
+        longest_s=2 * timeout_s_for(live, len(changes)),
     )
 
 
@@ -93,13 +87,14 @@ def _obstacles(desk: Desktop, live: BusLive, changes: list[Change]) -> list[tupl
 
 
 async def _changes(person: Person, desk: Desktop, bus: str, live: BusLive, form: FormData) -> list[Change]:
+    typed = {number: str(form.get(f"new-{number}", "")).strip() for number in live.units}
+    deadline = desk.deadline(live, sum(bool(text) for text in typed.values()))
     changes = []
     for number, unit in live.units.items():
-        text = str(form.get(f"new-{number}", "")).strip()
-        if not text:
+        if not (text := typed[number]):
             continue
         try:
-            raw = await Typed(desk.desk, person, bus, unit, TIMEOUT_S).setpoint(Quantity(value=text))
+            raw = await Typed(desk.desk, person, bus, unit, deadline).setpoint(Quantity(value=text))
             refuse_outside(desk, bus, unit, raw)
         except (CallerError, Problem) as error:
             raise CallerError(f"{unit.settings.name}: {desk.voice.t(str(error))}") from error
@@ -125,7 +120,9 @@ async def set_setpoints(
     try:
         desk.refuse_lapsed(reviewed_at)
         setpoints = reviewed(live, form)
-        result = await desk.ask(person, bus, SetLine(setpoints=setpoints), id, timeout_s(len(setpoints)))
+        result = await desk.ask(
+            person, bus, SetLine(setpoints=setpoints), id, desk.deadline(live, len(setpoints))
+        )
     except Problem as problem:
         return desk.refused(problem, title)
     return proven(desk, bus, title, setpoints, result, form)

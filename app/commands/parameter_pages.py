@@ -10,7 +10,7 @@ from starlette.responses import Response
 
 from app.commands.bodies import Quantity
 from app.commands.fate import Fate
-from app.commands.forms import TIMEOUT_S, Desks, Desktop
+from app.commands.forms import Desks, Desktop
 from app.commands.typed import Typed
 from app.commands.words import known_parameter_text, text_of
 from app.commands.writer import EngineeringWriter
@@ -76,7 +76,8 @@ async def review_parameter(
     """What was typed, judged and shown again: old → new, range, danger."""
     live, parameter = desk.unit(bus, unit), PARAMETERS[number]
     try:
-        raw = await Typed(desk.desk, person, bus, live, TIMEOUT_S).parameter(number, Quantity(value=value))
+        typed = Typed(desk.desk, person, bus, live, desk.deadline(desk.bus(bus)))
+        raw = await typed.parameter(number, Quantity(value=value))
         desk.desk.check(person, bus, WriteParameter(unit=unit, number=number, raw=raw), confirm=True)
     except (CallerError, Problem) as error:
         return _not_so(desk, live, parameter, error)

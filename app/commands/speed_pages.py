@@ -11,7 +11,7 @@ from fastapi import APIRouter, Form
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
-from app.commands.forms import TIMEOUT_S, Desks, Desktop
+from app.commands.forms import Desks, Desktop
 from app.commands.ramp import (
     change_of,
     nudges,
@@ -49,7 +49,8 @@ async def review_speed(
     """What was typed, judged and shown again: old → new, limits, ramp."""
     live = desk.unit(bus, unit)
     try:
-        raw = await Typed(desk.desk, person, bus, live, TIMEOUT_S).setpoint(Quantity(value=value))
+        typed = Typed(desk.desk, person, bus, live, desk.deadline(desk.bus(bus)))
+        raw = await typed.setpoint(Quantity(value=value))
         refuse_outside(desk, bus, live, raw)
         await _know_ramp(person, desk, bus, live)
         return _review(person, desk, bus, live, raw, execute=how == "now")
@@ -76,7 +77,7 @@ async def _know_ramp(person: Person, desk: Desktop, bus: str, live: UnitLive) ->
     missing = ramp_parameters_missing(live)
     if missing:
         action = ReadParameters(unit=live.settings.id, numbers=missing)
-        await desk.desk.ask(person, bus, action, timeout_s=TIMEOUT_S, origin="page")
+        await desk.desk.ask(person, bus, action, deadline=desk.deadline(desk.bus(bus)), origin="page")
 
 
 def _review(person: Person, desk: Desktop, bus: str, live: UnitLive, raw: int, *, execute: bool) -> Response:

@@ -5,8 +5,6 @@ Where those are not known yet they are read first, within the time of the comman
 
 from __future__ import annotations
 
-import time
-
 from app.commands.bodies import Quantity
 from app.commands.desk import Desk
 from app.commands.rules import COMMAND_RATIO
@@ -14,6 +12,7 @@ from app.errors import Problem
 from app.live.state import MODE, UnitLive
 from app.live.view import DECIMALS
 from app.web.access import Person
+from app.web.deadline import Deadline
 from bus.catalogue.parameter import Scale
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import parameter_raw, ratio_raw, speed_raw
@@ -23,22 +22,14 @@ _NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, MODE)}
 
 
 class Typed:
-    """Converts for one unit within one command's time, which ends at ``until`` on the monotonic clock.
+    """Converts for one unit within the time of the command. Raises CallerError for what is no number."""
 
-    Raises CallerError for what is no number.
-    """
-
-    def __init__(self, desk: Desk, person: Person, bus: str, unit: UnitLive, until: float) -> None:
+    def __init__(self, desk: Desk, person: Person, bus: str, unit: UnitLive, deadline: Deadline) -> None:
         self._desk = desk
         self._person = person
         self._bus = bus
         self._unit = unit
-        self._until = until
-
-    @property
-    def left_s(self) -> float:
-        """What is left of the command's time, seconds."""
-        return max(0.0, self._until - time.monotonic())
+        self._deadline = deadline
 
     async def setpoint(self, quantity: Quantity) -> int:
         """A speed in display units, or a follower's ratio."""
@@ -67,7 +58,7 @@ class Typed:
 
     async def _read(self, numbers: list[int]) -> dict[int, int | None]:
         action = ReadParameters(unit=self._unit.settings.id, numbers=numbers)
-        result = await self._desk.ask(self._person, self._bus, action, timeout_s=self.left_s)
+        result = await self._desk.ask(self._person, self._bus, action, deadline=self._deadline)
         values: dict[int, int | None] = {value.number: value.raw for value in result.values}
         if result.outcome == "bus_closed":
             raise Problem(503, "bus_closed", result.message, outcome="bus_closed")

@@ -103,7 +103,7 @@ async def load(
         setpoints = reviewed(bus, form)
         if setpoints != {one.unit: one.raw for one in recipe.setpoints if one.unit in bus.units}:
             raise Problem(422, "invalid", "this is not what was reviewed; nothing was sent")
-        result = await book.load(person, recipe, confirm=True, command_id=id)
+        result = await book.load(person, recipe, desk.made_at, confirm=True, command_id=id)
     except Problem as problem:
         return desk.refused(problem, recipe.name)
     return proven(desk, recipe.bus, recipe.name, setpoints, result, form)

@@ -6,18 +6,14 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from app.live.age import POLL_BYTES
 from app.live.state import BusLive, UnitLive
 from bus.catalogue.status import status_bits
 from bus.catalogue.values import ratio_text, speed_text
-from bus.settings import BITS_PER_BYTE
+from bus.contract.durations import change_s
 
 Kind = Literal["speed", "ratio"]
 
 _MAX_DISPLAY, _DECIMALS, _ACCELERATION, _DECELERATION, _MODE, _RATIO = 2, 3, 6, 7, 8, 37
-_STAGE_BYTES = 11 + 7
-"""82h with four data bytes and its ACK."""
-_EXECUTE_BYTES = 7
 NOT_CONFIGURED = "not in the configuration"
 
 
@@ -117,13 +113,7 @@ def dry_run(recipe: Recipe, bus: BusLive, refusal: Callable[[int, int], str]) ->
     """``refusal(unit, raw)`` says why the desk would refuse a setpoint now, empty when it would not."""
     steps = tuple(_step(setpoint, bus, refusal) for setpoint in recipe.setpoints)
     ramps = [step.ramp_s for step in steps if step.ramp_s is not None]
-    return DryRun(steps, wire_seconds(len(steps), bus), max(ramps, default=None))
-
-
-def wire_seconds(units: int, bus: BusLive) -> float:
-    """Stage each, one broadcast, read each: the bytes of it at the baud rate of the bus."""
-    total = units * (_STAGE_BYTES + POLL_BYTES) + _EXECUTE_BYTES
-    return total * BITS_PER_BYTE / bus.baud
+    return DryRun(steps, change_s(len(steps), bus.baud), max(ramps, default=None))
 
 
 def departures(recipe: Recipe, bus: BusLive, since: float = 0.0) -> list[Departure]:
