@@ -8,6 +8,7 @@ import uuid
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 from app.audit.log import EventLog
@@ -15,6 +16,7 @@ from app.commands.control import ControlledError
 from app.commands.idempotency import command_of
 from app.commands.moves import Moves
 from app.commands.objection import Circumstances, ObjectionError
+from app.commands.prior_read import read_ranges
 from app.commands.record import Record
 from app.commands.rules import check, is_write, setpoints_of, units_named, units_written
 from app.commands.safeguards import Safeguards
@@ -122,6 +124,14 @@ class Desk:
         bus_or_404(self._live, bus)
         await self._channels[bus].cancel(id)
 
+    async def read_ranges(self, person: Person, bus: str, action: Action, deadline: Deadline) -> None:
+        """Read what bounds the setpoints of ``action`` where it was never read, as :meth:`ask` does.
+
+        Raises Problem 503 or 504 where it cannot be had in time.
+        """
+        live, limits = bus_or_404(self._live, bus), partial(self._guards.limits.of, bus)
+        await read_ranges(self.ask, person, live, action, limits, deadline)
+
     def check(self, person: Person, bus: str, action: Action, *, confirm: bool = False) -> None:
         """The checks of :meth:`ask` alone, for a review. Raises the same Problems."""
         live = bus_or_404(self._live, bus)
@@ -132,6 +142,7 @@ class Desk:
     async def _check(self, wish: Wish, live: BusLive, confirm: bool) -> None:
         try:
             wish.deadline.refuse_passed()
+            await self.read_ranges(wish.person, wish.bus, wish.action, wish.deadline)
             self._object(wish.person, wish.bus, wish.action, live, confirm)
         except Problem as problem:
             if is_write(wish.action):
@@ -151,8 +162,8 @@ class Desk:
     def _circumstances(self, bus: str, live: BusLive, confirm: bool) -> Circumstances:
         return Circumstances(
             bus=live,
-            limits=lambda unit: self._guards.limits.of(bus, unit),
-            block=lambda unit: self._guards.blocks.of(bus, unit),
+            limits=partial(self._guards.limits.of, bus),
+            block=partial(self._guards.blocks.of, bus),
             moved=lambda unit: self._moves.within_a_minute(bus, unit, self._now()),
             confirm=confirm,
         )
@@ -233,5 +244,6 @@ def _problem(objection: ObjectionError) -> Problem:
     extra: dict[str, Any] = {"outcome": objection.code, "unit": objection.unit}
     if objection.nearest is not None:
         extra["nearest"] = objection.nearest
-    detail = f"{objection}; nothing was sent"
-    return Problem(STATUS_OF_OBJECTION[objection.code], objection.code, detail, **extra)
+    detail = f"{objection.template}; nothing was sent"
+    status = STATUS_OF_OBJECTION[objection.code]
+    return Problem(status, objection.code, detail, params=objection.params, **extra)

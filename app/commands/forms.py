@@ -27,6 +27,7 @@ from app.web.arrival import made_at, refuse_late
 from app.web.deadline import Deadline
 from app.web.templating import render, templates_of
 from bus.contract import Action, Result, UnitOutcome
+from bus.errors import LinesideError
 
 REVIEW_LASTS_S = 45.0
 """Thirty seconds on the screen, and something for the way."""
@@ -79,6 +80,10 @@ class Desktop:
         response.headers["HX-Retarget"] = place
         return response
 
+    def text_of(self, error: LinesideError) -> str:
+        """Why something is refused, in the reader's language."""
+        return error.text(self.voice.t) if isinstance(error, Problem) else self.voice.t(str(error))
+
     def refuse_lapsed(self, reviewed_at: float) -> None:
         """Raises Problem 409 for a review that is over. Nothing is sent."""
         if time.time() - reviewed_at > REVIEW_LASTS_S:
@@ -87,6 +92,15 @@ class Desktop:
     def deadline(self, bus: BusLive, staged_units: int = 0) -> Deadline:
         """Of the command that this request asks for. ``staged_units``: how many a change is of."""
         return Deadline(self.made_at, timeout_s_for(bus, staged_units))
+
+    async def judge(self, person: Person, bus: str, action: Action, deadline: Deadline | None = None) -> None:
+        """All checks of a command for its review; what they need to know of the units is read first.
+
+        Raises Problem for what would not be sent.
+        """
+        deadline = deadline or self.deadline(self.bus(bus))
+        await self.desk.read_ranges(person, bus, action, deadline)
+        self.desk.check(person, bus, action, confirm=True)
 
     async def ask(
         self, person: Person, bus: str, action: Action, id: str, deadline: Deadline | None = None

@@ -13,8 +13,8 @@ from starlette.responses import Response
 from app.commands.bodies import Quantity
 from app.commands.forms import Desks, Desktop
 from app.commands.line_change import followers_of, proven, reviewed
-from app.commands.ramp import Change, change_of, present_setpoint, sensible_bounds
-from app.commands.speed_pages import refuse_outside
+from app.commands.ramp import Change, change_of, present_setpoint
+from app.commands.setpoint_range import setpoint_range
 from app.commands.typed import Typed
 from app.commands.wish import timeout_s_for
 from app.commands.words import shown_setpoint
@@ -46,8 +46,8 @@ def _line_of(desk: Desktop, name: str, bus: BusLive, number: int) -> dict[str, o
     live = bus.units[number]
     present = present_setpoint(bus, live)
     decimals = 4 if follower(live) else live.parameter_raw(DECIMALS)
-    low, high = sensible_bounds(live, desk.guards.limits.of(name, number))
-    limits = {"low": shown_setpoint(low, live), "high": shown_setpoint(high, live)}
+    allowed = setpoint_range(live, desk.guards.limits.of(name, number))
+    limits = {"low": shown_setpoint(allowed.lowest, live), "high": shown_setpoint(allowed.highest, live)}
     return {
         "unit": desk.shown(name, number),
         "limits": {end: desk.voice.formats.point(text) for end, text in limits.items()},
@@ -64,11 +64,15 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
     bus = str(form.get("bus", ""))
     live = desk.bus(bus)
     try:
-        changes = await _changes(person, desk, bus, live, form)
-        setpoints = {change.unit: change.new_raw for change in changes}
-        desk.desk.check(person, bus, SetLine(setpoints=setpoints), confirm=True)
+        setpoints = await _typed_setpoints(person, desk, live, form)
+        deadline = desk.deadline(live, len(setpoints))
+        await desk.judge(person, bus, SetLine(setpoints=setpoints), deadline)
     except (CallerError, Problem) as error:
-        return desk.not_so(desk.voice.t(str(error)), f"#setpoints-error-{bus}")
+        return desk.not_so(desk.text_of(error), f"#setpoints-error-{bus}")
+    limits = desk.guards.limits
+    changes = [
+        change_of(live, live.units[unit], raw, limits.of(bus, unit)) for unit, raw in setpoints.items()
+    ]
     return desk.review(
         "setpoints/_review.html",
         bus=bus,
@@ -86,22 +90,21 @@ def _obstacles(desk: Desktop, live: BusLive, changes: list[Change]) -> list[tupl
     return [(change.name, desk.voice.t(reason)) for change, reason in reasons if reason]
 
 
-async def _changes(person: Person, desk: Desktop, bus: str, live: BusLive, form: FormData) -> list[Change]:
-    typed = {number: str(form.get(f"new-{number}", "")).strip() for number in live.units}
-    deadline = desk.deadline(live, sum(bool(text) for text in typed.values()))
-    changes = []
-    for number, unit in live.units.items():
-        if not (text := typed[number]):
-            continue
-        try:
-            raw = await Typed(desk.desk, person, bus, unit, deadline).setpoint(Quantity(value=text))
-            refuse_outside(desk, bus, unit, raw)
-        except (CallerError, Problem) as error:
-            raise CallerError(f"{unit.settings.name}: {desk.voice.t(str(error))}") from error
-        changes.append(change_of(live, unit, raw, desk.guards.limits.of(bus, number)))
-    if not changes:
+async def _typed_setpoints(person: Person, desk: Desktop, live: BusLive, form: FormData) -> dict[int, int]:
+    """Raw, by unit. Raises CallerError and Problem for what is no setpoint of its unit."""
+    fields = {unit: str(form.get(f"new-{unit}", "")).strip() for unit in live.units}
+    typed = {unit: text for unit, text in fields.items() if text}
+    if not typed:
         raise CallerError("no new setpoint is given; empty is not zero")
-    return changes
+    deadline, bus = desk.deadline(live, len(typed)), live.settings.name
+    setpoints = {}
+    for unit, text in typed.items():
+        try:
+            found = Typed(desk.desk, person, bus, live.units[unit], deadline)
+            setpoints[unit] = await found.setpoint(Quantity(value=text))
+        except CallerError as error:
+            raise CallerError(f"{live.units[unit].settings.name}: {desk.voice.t(str(error))}") from error
+    return setpoints
 
 
 @router.post("/setpoints")

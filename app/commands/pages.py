@@ -8,7 +8,8 @@ from fastapi import APIRouter
 from starlette.responses import Response
 
 from app.commands.forms import Desks, Desktop
-from app.commands.ramp import nudges, present_setpoint, sensible_bounds
+from app.commands.ramp import nudges, present_setpoint
+from app.commands.setpoint_range import setpoint_range
 from app.commands.words import shown_setpoint
 from app.live.state import UnitLive, follower
 from app.live.view import setpoint_text
@@ -26,7 +27,7 @@ async def unit_page(_: Viewer, desk: Desks, bus: str, unit: int) -> Response:
 
 def _faceplate(desk: Desktop, bus: str, live: UnitLive) -> dict[str, Any]:
     unit, limits = live.settings.id, desk.guards.limits.of(bus, live.settings.id)
-    lowest, highest = sensible_bounds(live, limits)
+    allowed = setpoint_range(live, limits)
     present = present_setpoint(desk.bus(bus), live)
     fine, coarse = nudges(live)
     return {
@@ -35,8 +36,8 @@ def _faceplate(desk: Desktop, bus: str, live: UnitLive) -> dict[str, Any]:
         "unit": desk.shown(bus, unit),
         "present": "" if present is None else desk.voice.formats.point(shown_setpoint(present, live)),
         "present_raw": "" if present is None else present,
-        "lowest": desk.voice.formats.point(shown_setpoint(lowest, live)),
-        "highest": desk.voice.formats.point(shown_setpoint(highest, live)),
+        "lowest": desk.voice.formats.point(shown_setpoint(allowed.lowest, live)),
+        "highest": desk.voice.formats.point(shown_setpoint(allowed.highest, live)),
         "bounds_unit": _unit_of_a_setpoint(live),
         "follower": bool(follower(live)),
         "nudges": [(sign * step, shown_setpoint(step, live), sign) for sign, step in _signed(fine, coarse)],

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from app.commands.limits import Limits
-from app.commands.setpoints import bounds, commanded_setpoint
+from app.commands.setpoint_range import COMMAND_RATIO, MAX_DISPLAY, setpoint_range
+from app.commands.setpoints import commanded_setpoint
 from app.commands.words import shown_setpoint
 from app.live.state import BusLive, UnitLive, follower
 from bus.catalogue.parameter import Parameter
 from bus.catalogue.parameters import PARAMETERS
 
-MAX_DISPLAY, COMMAND_RATIO = 2, 37
 RAMP_UP, RAMP_DOWN = 6, 7
 COARSE_STEPS, FINE_STEPS = 100, 1000
 """A nudge is about a hundredth or a thousandth of the full span."""
@@ -31,15 +31,12 @@ class Change:
     highest: str
     seconds: float | None
     ramp: Parameter
-    over_span: bool
-    """Above what #2 lets the unit show: it will refuse this itself."""
 
 
 def change_of(bus: BusLive, unit: UnitLive, new_raw: int, limits: Limits) -> Change:
     """What setting ``new_raw`` means for a unit."""
     old_raw = present_setpoint(bus, unit)
-    lowest, highest = sensible_bounds(unit, limits)
-    span = unit.parameter_raw(MAX_DISPLAY)
+    allowed = setpoint_range(unit, limits)
     ramp = RAMP_DOWN if old_raw is not None and new_raw < old_raw else RAMP_UP
     return Change(
         unit=unit.settings.id,
@@ -48,11 +45,10 @@ def change_of(bus: BusLive, unit: UnitLive, new_raw: int, limits: Limits) -> Cha
         new_raw=new_raw,
         old=shown_setpoint(old_raw, unit),
         new=shown_setpoint(new_raw, unit),
-        lowest=shown_setpoint(lowest, unit),
-        highest=shown_setpoint(highest, unit),
+        lowest=shown_setpoint(allowed.lowest, unit),
+        highest=shown_setpoint(allowed.highest, unit),
         seconds=_ramp_seconds(unit, old_raw, new_raw, ramp),
         ramp=PARAMETERS[ramp],
-        over_span=span is not None and not follower(unit) and new_raw > span,
     )
 
 
@@ -60,13 +56,6 @@ def present_setpoint(bus: BusLive, unit: UnitLive) -> int | None:
     """The commanded setpoint; of a follower that shows its speed, the command ratio as last read."""
     known = commanded_setpoint(unit, bus)
     return unit.parameter_raw(COMMAND_RATIO) if known is None and follower(unit) else known
-
-
-def sensible_bounds(unit: UnitLive, limits: Limits) -> tuple[int, int]:
-    """Lowest and highest setpoint to print: what may be sent, and no more than the unit can show (#2)."""
-    lowest, highest, _ = bounds(unit, limits)
-    span = unit.parameter_raw(MAX_DISPLAY)
-    return lowest, min(highest, span) if span and not follower(unit) else highest
 
 
 def ramp_parameters_missing(unit: UnitLive) -> list[int]:

@@ -17,9 +17,7 @@ from app.commands.ramp import (
     nudges,
     present_setpoint,
     ramp_parameters_missing,
-    sensible_bounds,
 )
-from app.commands.setpoints import bounds
 from app.commands.typed import Typed
 from app.commands.words import shown_setpoint
 from app.commands.writer import Writer
@@ -51,26 +49,9 @@ async def review_speed(
     try:
         typed = Typed(desk.desk, person, bus, live, desk.deadline(desk.bus(bus)))
         raw = await typed.setpoint(Quantity(value=value))
-        refuse_outside(desk, bus, live, raw)
-        await _know_ramp(person, desk, bus, live)
-        return _review(person, desk, bus, live, raw, execute=how == "now")
+        return await _review(person, desk, bus, live, raw, execute=how == "now")
     except (CallerError, Problem) as error:
         return _not_so(desk, live, error)
-
-
-def refuse_outside(desk: Desktop, bus: str, live: UnitLive, raw: int) -> None:
-    """Raises Problem 422 in the unit's own decimals for a setpoint outside its limits; 0 is never outside."""
-    limits = desk.guards.limits.of(bus, live.settings.id)
-    lowest, highest, _ = bounds(live, limits)
-    if lowest <= raw <= highest or raw == 0:
-        return
-    low, high = sensible_bounds(live, limits)
-    shown = {
-        name: desk.voice.formats.point(shown_setpoint(value, live))
-        for name, value in (("value", raw), ("low", low), ("high", high))
-    }
-    reason = desk.voice.t("{value} is outside {low} to {high}; nothing was sent", **shown)
-    raise Problem(422, "invalid", reason, nearest=min(max(raw, low), high))
 
 
 async def _know_ramp(person: Person, desk: Desktop, bus: str, live: UnitLive) -> None:
@@ -80,9 +61,12 @@ async def _know_ramp(person: Person, desk: Desktop, bus: str, live: UnitLive) ->
         await desk.desk.ask(person, bus, action, deadline=desk.deadline(desk.bus(bus)), origin="page")
 
 
-def _review(person: Person, desk: Desktop, bus: str, live: UnitLive, raw: int, *, execute: bool) -> Response:
+async def _review(
+    person: Person, desk: Desktop, bus: str, live: UnitLive, raw: int, *, execute: bool
+) -> Response:
     unit = live.settings.id
-    desk.desk.check(person, bus, SetSpeed(unit=unit, raw=raw, execute=execute), confirm=True)
+    await desk.judge(person, bus, SetSpeed(unit=unit, raw=raw, execute=execute))
+    await _know_ramp(person, desk, bus, live)
     return desk.review(
         "unit/_review_speed.html",
         unit=desk.shown(bus, unit),
@@ -95,7 +79,7 @@ def _review(person: Person, desk: Desktop, bus: str, live: UnitLive, raw: int, *
 def _not_so(desk: Desktop, live: UnitLive, error: CallerError | Problem) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     return desk.not_so(
-        desk.voice.t(str(error)),
+        desk.text_of(error),
         ERROR_PLACE,
         nearest="" if nearest is None else desk.voice.formats.point(shown_setpoint(nearest, live)),
         status=error.status if isinstance(error, Problem) else 422,
@@ -169,7 +153,7 @@ async def nudge(
             reason = "the step is larger than the setpoint, which cannot go below 0; nothing was sent"
             raise Problem(422, "invalid", reason, nearest=0)
         if not _is_small(desk, bus, live, step):
-            return _review(person, desk, bus, live, raw, execute=True)
+            return await _review(person, desk, bus, live, raw, execute=True)
         result = await desk.ask(person, bus, SetSpeed(unit=unit, raw=raw), id)
     except Problem as problem:
         return _not_so(desk, live, problem)
@@ -190,7 +174,7 @@ async def review_execute(person: Operator, desk: Desks, bus: str, unit: int) -> 
     try:
         if live.staged is None:
             raise Problem(409, "nothing_staged", "this unit has nothing staged; nothing was sent")
-        desk.desk.check(person, bus, ExecuteSpeed(unit=unit), confirm=True)
+        await desk.judge(person, bus, ExecuteSpeed(unit=unit))
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
     return desk.review(

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from app.commands.bodies import Quantity
 from app.commands.desk import Desk
-from app.commands.rules import COMMAND_RATIO
+from app.commands.prior_read import read_first
+from app.commands.setpoint_range import COMMAND_RATIO
 from app.errors import Problem
 from app.live.state import MODE, UnitLive
 from app.live.view import DECIMALS
@@ -16,7 +17,6 @@ from app.web.deadline import Deadline
 from bus.catalogue.parameter import Scale
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import parameter_raw, ratio_raw, speed_raw
-from bus.contract import ReadParameters
 
 _NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, MODE)}
 
@@ -57,24 +57,18 @@ class Typed:
         return known
 
     async def _read(self, numbers: list[int]) -> dict[int, int | None]:
-        action = ReadParameters(unit=self._unit.settings.id, numbers=numbers)
-        result = await self._desk.ask(self._person, self._bus, action, deadline=self._deadline)
-        values: dict[int, int | None] = {value.number: value.raw for value in result.values}
-        if result.outcome == "bus_closed":
-            raise Problem(503, "bus_closed", result.message, outcome="bus_closed")
-        if not values.keys() >= set(numbers):
-            raise self._unreadable(result.message)
-        return values
+        unit = self._unit.settings.id
+        return await read_first(self._desk.ask, self._person, self._bus, unit, numbers, self._deadline)
 
     def _decimals(self, known: dict[int, int | None]) -> int:
         decimals = known[DECIMALS]
         if decimals is None:
-            raise self._unreadable("the unit says it has none")
+            unit = self._unit.settings.id
+            raise Problem(
+                422,
+                "invalid",
+                "unit {unit} has no decimals (#3), so it shows no such value; give the raw number",
+                params={"unit": unit},
+                unit=unit,
+            )
         return decimals
-
-    def _unreadable(self, cause: str) -> Problem:
-        unit = self._unit.settings.id
-        detail = (
-            f"unit {unit}: its decimals (#3) and mode (#8) could not be read, so nothing was sent: {cause}"
-        )
-        return Problem(504, "unverified", detail, outcome="unverified", unit=unit)

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from app.commands.ramp import MAX_DISPLAY, RAMP_DOWN
+from app.commands.ramp import RAMP_DOWN
+from app.commands.setpoint_range import MAX_DISPLAY
 from app.live.age import unit_link_now
 from app.live.fields import bits_of
 from app.live.state import BusLive, UnitLive, follower

@@ -172,14 +172,6 @@ def _obstacle(setpoint: Setpoint, unit: UnitLive, bus: BusLive) -> str:
         return "whether it follows by ratio (#8) has not been read yet"
     if kind != setpoint.kind:
         return f"the recipe holds a {setpoint.kind}, the unit now takes a {kind} (#8)"
-    return _above_maximum(setpoint, unit)
-
-
-def _above_maximum(setpoint: Setpoint, unit: UnitLive) -> str:
-    maximum = unit.parameter_raw(_MAX_DISPLAY)
-    if setpoint.kind == "speed" and maximum is not None and setpoint.raw > maximum:
-        limit = setpoint_text(unit, Setpoint(setpoint.unit, maximum, "speed"))
-        return f"above the unit's maximum of {limit} (#2)"
     return ""
 
 

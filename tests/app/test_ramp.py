@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from app.commands.limits import Limits
-from app.commands.ramp import change_of, nudges, present_setpoint, ramp_parameters_missing, sensible_bounds
+from app.commands.ramp import change_of, nudges, present_setpoint, ramp_parameters_missing
 from bus.contract import ParameterValue
 from tests.app.screens import line, reading
 
@@ -23,18 +23,6 @@ def test_a_ramp_that_is_not_known_is_not_guessed() -> None:
     assert change_of(bus, bus.units[1], 1600, FREE).seconds is None
     del bus.units[1].parameters[6]
     assert ramp_parameters_missing(bus.units[1]) == [6]
-
-
-def test_above_the_span_is_said() -> None:
-    bus = line().buses["dry"]
-    assert change_of(bus, bus.units[1], 2500, FREE).over_span
-    assert not change_of(bus, bus.units[1], 2000, FREE).over_span
-
-
-def test_the_printed_bounds_are_the_narrowest() -> None:
-    unit = line().buses["dry"].units[1]
-    assert sensible_bounds(unit, FREE) == (0, 2000)
-    assert sensible_bounds(unit, Limits(lowest=100, highest=1500)) == (100, 1500)
 
 
 def test_a_follower_s_setpoint_is_its_ratio() -> None:
