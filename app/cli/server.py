@@ -69,7 +69,7 @@ def _config(app: Any, watch: LoopWatch) -> uvicorn.Config:
     return uvicorn.Config(
         app,
         loop="none",
-        http=cast(type[asyncio.Protocol], partial(StampingProtocol, watch)),
+        http=cast(type[asyncio.Protocol], partial(StampingProtocol, watch=watch)),
         ws=FramesProtocol,
         ws_per_message_deflate=False,
         ws_max_size=MOST_MESSAGE_BYTES,

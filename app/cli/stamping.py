@@ -19,7 +19,7 @@ class StampingProtocol(PatientProtocol):
     _arrivals: ConnectionArrivals
     _arrived_at = 0.0
 
-    def __init__(self, watch: LoopWatch, *args: Any, **more: Any) -> None:
+    def __init__(self, *args: Any, watch: LoopWatch, **more: Any) -> None:
         super().__init__(*args, **more)
         self._watch = watch
 

@@ -11,6 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.fate import Fate, fate_of, fate_of_problem
+from app.commands.risks import Remark
 from app.commands.safeguards import Safeguards
 from app.commands.safeguards_api import safeguards_of
 from app.commands.wish import timeout_s_for
@@ -80,6 +81,10 @@ class Desktop:
         response.headers["HX-Retarget"] = place
         return response
 
+    def remark(self, remark: Remark) -> str:
+        """What a review says of a unit, in the reader's language."""
+        return self.voice.t(remark.text, **dict(remark.params))
+
     def text_of(self, error: LinesideError) -> str:
         """Why something is refused, in the reader's language."""
         return error.text(self.voice.t) if isinstance(error, Problem) else self.voice.t(str(error))
@@ -92,15 +97,6 @@ class Desktop:
     def deadline(self, bus: BusLive, staged_units: int = 0) -> Deadline:
         """Of the command that this request asks for. ``staged_units``: how many a change is of."""
         return Deadline(self.made_at, timeout_s_for(bus, staged_units))
-
-    async def judge(self, person: Person, bus: str, action: Action, deadline: Deadline | None = None) -> None:
-        """All checks of a command for its review; what they need to know of the units is read first.
-
-        Raises Problem for what would not be sent.
-        """
-        deadline = deadline or self.deadline(self.bus(bus))
-        await self.desk.read_ranges(person, bus, action, deadline)
-        self.desk.check(person, bus, action, confirm=True)
 
     async def ask(
         self, person: Person, bus: str, action: Action, id: str, deadline: Deadline | None = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Annotated
 
 from fastapi import APIRouter, Form
@@ -13,12 +12,13 @@ from starlette.responses import Response
 from app.commands.bodies import Quantity
 from app.commands.forms import Desks, Desktop
 from app.commands.line_change import followers_of, proven, reviewed
-from app.commands.ramp import Change, change_of, present_setpoint
+from app.commands.ramp import present_setpoint
+from app.commands.reviewing import change, judge, keep_their_setpoint, know_ramps
+from app.commands.risks import by_remark
 from app.commands.setpoint_range import setpoint_range
 from app.commands.typed import Typed
 from app.commands.wish import timeout_s_for
 from app.commands.words import shown_setpoint
-from app.commands.zero import why_not_told
 from app.errors import Problem
 from app.live.state import BusLive, follower
 from app.live.view import DECIMALS
@@ -66,28 +66,23 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
     try:
         setpoints = await _typed_setpoints(person, desk, live, form)
         deadline = desk.deadline(live, len(setpoints))
-        await desk.judge(person, bus, SetLine(setpoints=setpoints), deadline)
+        await judge(desk, person, bus, SetLine(setpoints=setpoints), deadline)
     except (CallerError, Problem) as error:
         return desk.not_so(desk.text_of(error), f"#setpoints-error-{bus}")
-    limits = desk.guards.limits
-    changes = [
-        change_of(live, live.units[unit], raw, limits.of(bus, unit)) for unit, raw in setpoints.items()
-    ]
+    await know_ramps(desk, person, bus, setpoints)
+    changes = [change(desk, bus, unit, raw) for unit, raw in setpoints.items()]
+    left_out, unchanged = keep_their_setpoint(desk, bus, setpoints)
     return desk.review(
         "setpoints/_review.html",
         bus=bus,
         changes=changes,
-        obstacles=_obstacles(desk, live, changes),
+        obstacles=by_remark((each.name, each.obstacle) for each in changes if each.obstacle),
+        risks=by_remark((each.name, risk) for each in changes for risk in each.risks),
+        left_out=by_remark(left_out),
+        unchanged=unchanged,
         followers=followers_of(live),
         longest_s=2 * timeout_s_for(live, len(changes)),
     )
-
-
-def _obstacles(desk: Desktop, live: BusLive, changes: list[Change]) -> list[tuple[str, str]]:
-    """(name, reason) of each unit that will not take its part, so that nothing will be executed."""
-    now = time.time()
-    reasons = ((change, why_not_told(live, live.units[change.unit], False, now)) for change in changes)
-    return [(change.name, desk.voice.t(reason)) for change, reason in reasons if reason]
 
 
 async def _typed_setpoints(person: Person, desk: Desktop, live: BusLive, form: FormData) -> dict[int, int]:

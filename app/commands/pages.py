@@ -8,11 +8,11 @@ from fastapi import APIRouter
 from starlette.responses import Response
 
 from app.commands.forms import Desks, Desktop
+from app.commands.measure import measure_of_setpoint
 from app.commands.ramp import nudges, present_setpoint
 from app.commands.setpoint_range import setpoint_range
 from app.commands.words import shown_setpoint
 from app.live.state import UnitLive, follower
-from app.live.view import setpoint_text
 from app.web.access import Viewer
 
 router = APIRouter(include_in_schema=False)
@@ -38,7 +38,7 @@ def _faceplate(desk: Desktop, bus: str, live: UnitLive) -> dict[str, Any]:
         "present_raw": "" if present is None else present,
         "lowest": desk.voice.formats.point(shown_setpoint(allowed.lowest, live)),
         "highest": desk.voice.formats.point(shown_setpoint(allowed.highest, live)),
-        "bounds_unit": _unit_of_a_setpoint(live),
+        "bounds_unit": measure_of_setpoint(live),
         "follower": bool(follower(live)),
         "nudges": [(sign * step, shown_setpoint(step, live), sign) for sign, step in _signed(fine, coarse)],
         "limits": limits,
@@ -48,12 +48,6 @@ def _faceplate(desk: Desktop, bus: str, live: UnitLive) -> dict[str, Any]:
         "analog_high": live.parameter_raw(30),
         "analog_by_link": live.parameter_raw(28) == 2,
     }
-
-
-def _unit_of_a_setpoint(live: UnitLive) -> str:
-    """A ratio has none, and neither has a number on the wire whose decimals are not known yet."""
-    known = not follower(live) and setpoint_text(live, 0) is not None
-    return live.settings.labels.unit if known else ""
 
 
 _LIMIT_NAMES = ("lowest", "highest", "largest_step", "per_minute")

@@ -11,6 +11,9 @@ from starlette.responses import Response
 from app.commands.bodies import Quantity
 from app.commands.fate import Fate
 from app.commands.forms import Desks, Desktop
+from app.commands.measure import measure_of_value
+from app.commands.reviewing import facts, judge
+from app.commands.risks import obstacle_of, risks_of_writing
 from app.commands.setpoint_range import parameter_bounds
 from app.commands.typed import Typed
 from app.commands.words import known_parameter_text, text_of
@@ -81,7 +84,7 @@ async def review_parameter(
     try:
         typed = Typed(desk.desk, person, bus, live, desk.deadline(desk.bus(bus)))
         raw = await typed.parameter(number, Quantity(value=value))
-        await desk.judge(person, bus, WriteParameter(unit=unit, number=number, raw=raw))
+        await judge(desk, person, bus, WriteParameter(unit=unit, number=number, raw=raw))
     except (CallerError, Problem) as error:
         return _not_so(desk, live, parameter, error)
     lowest, highest = parameter_bounds(live, number, desk.guards.limits.of(bus, unit))
@@ -94,6 +97,9 @@ async def review_parameter(
         raw=raw,
         old=known_parameter_text(parameter, live),
         new=text_of(parameter, raw, live),
+        measure=measure_of_value(live, parameter, raw),
+        obstacle=obstacle_of(facts(desk, bus, unit)),
+        risks=risks_of_writing(number, raw),
         danger=danger_of_writing(parameter, raw),
         typed=CONFIRMING_WORD,
     )

@@ -11,10 +11,8 @@ from starlette.requests import HTTPConnection
 from app.commands.control import LAPSES_AFTER_S, Holding
 from app.commands.limits import HIGHEST_SETPOINT, Limits
 from app.commands.safeguards import Safeguards
-from app.commands.setpoint_range import Basis, SetpointKind, setpoint_range
 from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
-from app.live.view import setpoint_text
 from app.web.access import Engineer, Operator, Viewer, name_of
 from app.web.api_route import ApiRoute
 from app.web.services import looked_up
@@ -39,18 +37,6 @@ class LimitsBody(Strict):
         if self.lowest is not None and self.highest is not None and self.lowest > self.highest:
             raise ValueError("lowest is above highest, so no setpoint would be left")
         return self
-
-
-class SetpointRangeShown(Strict):
-    """What a setpoint of a unit may be, both ends included: raw, and as the unit shows it (null while its
-    decimals are not known). ``basis`` is what sets it: the protocol, #2, the ratio limits, or an engineer."""
-
-    kind: SetpointKind
-    lowest_raw: int
-    highest_raw: int
-    lowest: str | None
-    highest: str | None
-    basis: Basis
 
 
 class BlockBody(Strict):
@@ -98,23 +84,6 @@ async def put_limits(
     unit_or_404(live, bus, unit)
     await guards.set_limits(person, bus, unit, Limits(**body.model_dump()))
     return body
-
-
-@router.get("/units/{unit:int}/setpoint-range")
-async def get_setpoint_range(
-    _: Viewer, live: Live, guards: Guards, bus: str, unit: int
-) -> SetpointRangeShown:
-    """What a setpoint of this unit may be, as every page and every write holds it."""
-    found = unit_or_404(live, bus, unit)
-    allowed = setpoint_range(found, guards.limits.of(bus, unit))
-    return SetpointRangeShown(
-        kind=allowed.kind,
-        lowest_raw=allowed.lowest,
-        highest_raw=allowed.highest,
-        lowest=setpoint_text(found, allowed.lowest),
-        highest=setpoint_text(found, allowed.highest),
-        basis=allowed.basis,
-    )
 
 
 @router.get("/units/{unit:int}/block")

@@ -12,19 +12,15 @@ from starlette.responses import Response
 
 from app.commands.bodies import Quantity
 from app.commands.forms import Desks, Desktop
-from app.commands.ramp import (
-    change_of,
-    nudges,
-    present_setpoint,
-    ramp_parameters_missing,
-)
+from app.commands.ramp import nudges, present_setpoint
+from app.commands.reviewing import change, judge, know_ramps
 from app.commands.typed import Typed
 from app.commands.words import shown_setpoint
 from app.commands.writer import Writer
 from app.errors import Problem
 from app.live.state import UnitLive, follower
 from app.web.access import Operator, Person
-from bus.contract import ExecuteSpeed, ReadParameters, Result, SetSpeed
+from bus.contract import ExecuteSpeed, Result, SetSpeed
 from bus.errors import CallerError
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
@@ -54,23 +50,16 @@ async def review_speed(
         return _not_so(desk, live, error)
 
 
-async def _know_ramp(person: Person, desk: Desktop, bus: str, live: UnitLive) -> None:
-    missing = ramp_parameters_missing(live)
-    if missing:
-        action = ReadParameters(unit=live.settings.id, numbers=missing)
-        await desk.desk.ask(person, bus, action, deadline=desk.deadline(desk.bus(bus)), origin="page")
-
-
 async def _review(
     person: Person, desk: Desktop, bus: str, live: UnitLive, raw: int, *, execute: bool
 ) -> Response:
     unit = live.settings.id
-    await desk.judge(person, bus, SetSpeed(unit=unit, raw=raw, execute=execute))
-    await _know_ramp(person, desk, bus, live)
+    await judge(desk, person, bus, SetSpeed(unit=unit, raw=raw, execute=execute))
+    await know_ramps(desk, person, bus, [unit])
     return desk.review(
         "unit/_review_speed.html",
         unit=desk.shown(bus, unit),
-        change=change_of(desk.bus(bus), live, raw, desk.guards.limits.of(bus, unit)),
+        change=change(desk, bus, unit, raw),
         execute=execute,
         follower=bool(follower(live)),
     )
@@ -174,13 +163,14 @@ async def review_execute(person: Operator, desk: Desks, bus: str, unit: int) -> 
     try:
         if live.staged is None:
             raise Problem(409, "nothing_staged", "this unit has nothing staged; nothing was sent")
-        await desk.judge(person, bus, ExecuteSpeed(unit=unit))
+        await judge(desk, person, bus, ExecuteSpeed(unit=unit))
+        await know_ramps(desk, person, bus, [unit])
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
     return desk.review(
         "unit/_review_execute.html",
         unit=desk.shown(bus, unit),
-        change=change_of(desk.bus(bus), live, live.staged, desk.guards.limits.of(bus, unit)),
+        change=change(desk, bus, unit, live.staged),
     )
 
 

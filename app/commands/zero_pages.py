@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Form
@@ -11,6 +12,7 @@ from starlette.responses import Response
 
 from app.commands.fate import Fate, fate_of_problem
 from app.commands.forms import Desks, Desktop
+from app.commands.risks import by_remark
 from app.commands.wish import timeout_s_for
 from app.commands.words import shown_setpoint
 from app.commands.zero import ZeroPlan, plan_zero
@@ -37,6 +39,12 @@ async def review_zero(person: Viewer, desk: Desks) -> Response:
     return desk.review(
         "line/_review_zero.html",
         plans=plans,
+        risks=by_remark(
+            (_on_site(desk, plan.bus, name), risk) for plan in plans for name, risk in plan.risks
+        ),
+        left_out=by_remark(
+            (_on_site(desk, plan.bus, name), reason) for plan in plans for name, reason in plan.left_out
+        ),
         held={bus: objection for bus, objection in objections.items() if objection},
         many=len(desk.live.buses) > 1,
         longest_s=max((_longest_s(desk.bus(plan.bus), len(plan.units)) for plan in plans), default=0.0),
@@ -51,8 +59,7 @@ def _longest_s(bus: BusLive, units: int) -> float:
 def _plans(desk: Desktop) -> list[ZeroPlan]:
     now = time.time()
     return [
-        plan_zero(bus, lambda unit, name=name: bool(desk.guards.block_reason(name, unit)), now)  # type: ignore[misc]
-        for name, bus in desk.live.buses.items()
+        plan_zero(bus, partial(desk.guards.block_reason, name), now) for name, bus in desk.live.buses.items()
     ]
 
 
@@ -78,13 +85,16 @@ async def set_zero(
 
 
 async def _zero_bus(person: Person, desk: Desktop, plan: ZeroPlan, id: str) -> list[Proof]:
-    """Who is not told comes first, with the reason."""
-    t = desk.voice.t
-    not_told = [
-        (_on_site(desk, plan.bus, name), "", Fate("bad", f"{t('is not told')}: {t(reason)}"))
-        for name, reason in plan.left_out.items()
+    """What is left out comes first, with the reason."""
+    left_out = [
+        (
+            _on_site(desk, plan.bus, name),
+            "",
+            Fate("bad", f"{desk.voice.t('left out')}: {desk.remark(reason)}"),
+        )
+        for name, reason in plan.left_out
     ]
-    return not_told + (await _zero_units(person, desk, plan, id) if plan.units else [])
+    return left_out + (await _zero_units(person, desk, plan, id) if plan.units else [])
 
 
 async def _zero_units(person: Person, desk: Desktop, plan: ZeroPlan, id: str) -> list[Proof]:

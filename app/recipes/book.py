@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from functools import partial
 
 from app.audit.log import EventLog
 from app.commands.desk import Desk
@@ -73,7 +74,8 @@ class RecipeBook:
     def try_out(self, person: Person, recipe: Recipe) -> DryRun:
         """What loading it now would do; nothing is sent."""
         bus = self._bus(recipe)
-        return dry_run(recipe, bus, lambda unit, raw: self._refusal(person, recipe.bus, unit, raw))
+        refusal = partial(self._refusal, person, recipe.bus)
+        return dry_run(recipe, bus, refusal, time.time())
 
     async def load(
         self, person: Person, recipe: Recipe, made_at: Instant, *, confirm: bool, command_id: str | None

@@ -12,10 +12,10 @@ import pytest
 from app.commands.wish import timeout_s_for
 from app.web.access import Role
 from app.web.deadline import Deadline
-from bus.contract import BusLink, Reading, Result, SetLine
+from bus.contract import BusLink, Result, SetLine
 from bus.contract.durations import POLL_BYTES, change_s, longest_stage_s, stage_s
 from bus.settings import BAUDS
-from tests.app.played_desk import ANNA, HEALTHY, REMOTE, a_bus, answering
+from tests.app.played_desk import ANNA, a_bus, answering
 from tests.app.whole_app import House, whole_app
 
 
@@ -23,8 +23,6 @@ from tests.app.whole_app import House, whole_app
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     async with whole_app(tmp_path) as house:
         answering(house.services.live)
-        fresh = [Reading(unit, time.time(), 1000, 1000, 0, REMOTE, HEALTHY) for unit in (1, 2)]
-        house.services.live.apply("dry-end", fresh)
         yield house
 
 

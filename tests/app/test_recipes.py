@@ -79,7 +79,7 @@ async def test_the_dry_run_says_old_new_and_the_time_of_the_ramp(scene: Scene) -
     [
         (20001, True, 0, "maximum"),
         (95000, True, 0, "maximum"),
-        (100, False, 0, "LOCAL"),
+        (100, False, 0, "not in REMOTE"),
         (100, True, 1, "ratio"),
     ],
 )
@@ -101,7 +101,7 @@ async def test_a_silent_line_cannot_be_loaded(scene: Scene) -> None:
     scene.live.worker_went("dry-end", 5.0)
     run = scene.book.try_out(ANNA, recipe)
     assert not run.loadable
-    assert "worker" in run.steps[0].obstacle
+    assert run.steps[0].obstacle == "no link to the bus"
 
 
 async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None:

@@ -91,7 +91,9 @@ async def served(stamps: list[float], watch: LoopWatch) -> AsyncIterator[socket.
 
     config, state = uvicorn.Config(note, lifespan="off", log_level="critical"), ServerState()
     loop = asyncio.get_running_loop()
-    server = await loop.create_server(lambda: StampingProtocol(watch, config, state, {}), "127.0.0.1", 0)
+    server = await loop.create_server(
+        lambda: StampingProtocol(config, state, {}, watch=watch), "127.0.0.1", 0
+    )
     client = socket.create_connection(server.sockets[0].getsockname())
     await until(lambda: state.connections, "the connection accepted")
     try:
