@@ -16,7 +16,7 @@ from app.commands.control import ControlledError
 from app.commands.idempotency import command_of
 from app.commands.moves import Moves
 from app.commands.objection import Circumstances, ObjectionError
-from app.commands.prior_read import read_ranges
+from app.commands.prior_read import UnreadError, read_ranges
 from app.commands.record import Record
 from app.commands.rules import check, is_write, setpoints_of, units_named, units_written
 from app.commands.safeguards import Safeguards
@@ -109,7 +109,10 @@ class Desk:
         if kept is None:
             deadline = deadline or Deadline.within(timeout_s or _timeout_s(action, live))
             wish = Wish(id or uuid.uuid4().hex, person, bus, action, deadline, origin, listener)
-            await self._check(wish, live, confirm)
+            try:
+                await self._check(wish, live, confirm)
+            except UnreadError as unread:
+                return unread.result(wish.id, self._now(), units_named(action))
             kept = self._start(wish, live)
         _refuse_other(id, (kept.who, kept.bus, kept.action) == (person.account, bus, action))
         return await asyncio.shield(kept.fate)

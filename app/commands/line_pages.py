@@ -12,6 +12,7 @@ from starlette.responses import Response
 from app.commands.bodies import Quantity
 from app.commands.forms import Desks, Desktop
 from app.commands.line_change import followers_of, proven, reviewed
+from app.commands.measure import measure_of_setpoint
 from app.commands.ramp import present_setpoint
 from app.commands.reviewing import change, judge, keep_their_setpoint, know_ramps
 from app.commands.risks import by_remark
@@ -50,6 +51,7 @@ def _line_of(desk: Desktop, name: str, bus: BusLive, number: int) -> dict[str, o
     limits = {"low": shown_setpoint(allowed.lowest, live), "high": shown_setpoint(allowed.highest, live)}
     return {
         "unit": desk.shown(name, number),
+        "measure": measure_of_setpoint(live),
         "limits": {end: desk.voice.formats.point(text) for end, text in limits.items()},
         "present_raw": "" if present is None else present,
         "decimals": "" if decimals is None else decimals,

@@ -13,10 +13,20 @@ from app.errors import Problem
 from app.live.state import BusLive
 from app.web.access import Person
 from app.web.deadline import Deadline
-from bus.contract import Action, ReadParameters, Result
+from bus.contract import Action, Outcome, ReadParameters, Result, UnitOutcome
 
 _ROUNDS = 2
 """Which parameters bound a setpoint depends on the mode (#8), which may have to be read itself."""
+
+
+class UnreadError(Problem):
+    """What a command needs to know of a unit cannot be read: 503 ``bus_closed`` or 504 ``unverified``."""
+
+    def result(self, id: str, at: float, units: Sequence[int]) -> Result:
+        """The same as what became of a command for ``units`` of which nothing was sent."""
+        outcome: Outcome = "bus_closed" if self.code == "bus_closed" else "unverified"
+        parts = [UnitOutcome(unit, "not_sent", "nothing was sent to it") for unit in units]
+        return Result(id, at, outcome, self.detail, units=parts)
 
 
 class Ask(Protocol):
@@ -30,13 +40,13 @@ async def read_first(
 ) -> dict[int, int | None]:
     """The raw value of each, None where the unit does not have it.
 
-    Raises Problem 503 or 504 where it cannot be had in time; nothing was sent then.
+    Raises UnreadError where it cannot be had, and Problem 503 ``not_sent`` where the time is over.
     """
     action = ReadParameters(unit=unit, numbers=list(numbers))
     result = await ask(person, bus, action, deadline=deadline)
     values: dict[int, int | None] = {value.number: value.raw for value in result.values}
     if result.outcome == "bus_closed":
-        raise Problem(503, "bus_closed", result.message, outcome="bus_closed")
+        raise UnreadError(503, "bus_closed", result.message, outcome="bus_closed")
     if not values.keys() >= set(numbers):
         raise _unread(unit, numbers)
     return values
@@ -50,7 +60,7 @@ async def read_ranges(
     limits: Callable[[int], Limits],
     deadline: Deadline,
 ) -> None:
-    """Make known what bounds the setpoints of ``action``. Raises Problem 503 or 504, as above."""
+    """Make known what bounds the setpoints of ``action``. Raises as :func:`read_first`."""
     for _ in range(_ROUNDS):
         unread = _unread_by_unit(live, action, limits)
         if not unread:
@@ -72,8 +82,8 @@ def _unread_by_unit(
     return {unit: numbers for unit, numbers in unread.items() if numbers}
 
 
-def _unread(unit: int, numbers: Sequence[int]) -> Problem:
-    return Problem(
+def _unread(unit: int, numbers: Sequence[int]) -> UnreadError:
+    return UnreadError(
         504,
         "unverified",
         "unit {unit} did not give {numbers}, without which the command cannot be judged; nothing was sent. "

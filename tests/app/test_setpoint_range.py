@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -151,7 +152,7 @@ async def test_what_was_reviewed_below_a_maximum_that_has_sunk_since_is_refused(
     house.services.live.apply("dry-end", [ParameterValue(unit=1, number=2, at=2.0, raw=900)])
     browser = await house.signed_in(Role.OPERATOR)
     recipe = await house.services.recipes.save(ANNA, "dry-end", "Board", "", {1: 1000})
-    reviewed = {"id": "c" * 32, "reviewed_at": "9e9", "raw-1": "1000", "was-1": "1000"}
+    reviewed = {"id": "c" * 32, "reviewed_at": f"{time.time()}", "raw-1": "1000", "was-1": "1000"}
     for path, form in (
         ("/units/dry-end/1/speed", {"raw": "1000", "was": "1000", "how": "now"}),
         ("/setpoints", {"bus": "dry-end"}),
@@ -249,9 +250,17 @@ async def test_it_is_read_within_the_time_of_the_command(
 
 async def test_what_cannot_be_read_is_not_taken_for_unlimited(stage: Stage) -> None:
     worker = await unread(stage, {8: 0})
-    answer = await stage.ask("POST", "/units/1/speed", {"raw": 5})
-    assert (answer.status_code, answer.json()["code"]) == (504, "unverified")
-    assert "nothing was sent" in answer.json()["detail"]
+    for path, body in (
+        ("/units/1/speed", {"raw": 5}),
+        ("/speeds", {"setpoints": {"1": {"raw": 5}, "2": {"raw": 5}}}),
+        ("/units/1/parameters/20", {"raw": 5}),
+    ):
+        answer = await stage.ask("PUT" if "parameters" in path else "POST", path, body)
+        said = answer.json()
+        assert (answer.status_code, said["code"], said["outcome"]) == (504, "unverified", "unverified")
+        assert "unit 1 did not give #" in said["detail"]
+        assert {unit["outcome"] for unit in said["units"].values()} == {"not_sent"}
+        assert set(said["units"]) == ({"1", "2"} if path == "/speeds" else {"1"})
     assert all(isinstance(command.action, ReadParameters) for command in worker.commands)
 
 
