@@ -46,6 +46,7 @@ from app.settings import Settings
 from app.swap import pages as swap_pages
 from app.web import pages as web_pages
 from app.web import problems, schema
+from app.web.arrival import Begun
 from app.web.head import HeadAsGet
 from app.web.routes import refuse_undeclared
 from app.web.security import BoundedRequest, OwnPagesOnly, SecurityHeaders
@@ -113,6 +114,7 @@ def create_app(settings: Settings, *, demo: bool = False, worker_token: str = ""
     app.add_middleware(OwnPagesOnly)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(SecurityHeaders)
+    app.add_middleware(Begun)
     refuse_undeclared(app)
     return app
 

@@ -13,16 +13,33 @@ from contextlib import suppress
 from datetime import datetime
 
 from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.errors import Problem
 from app.web.deadline import DEFAULT_TIMEOUT_S, Deadline, Instant, instant_now
 
-ARRIVED_AT = "lineside.arrived_at"
-"""Key in the ``state`` of an ASGI scope; an Instant."""
+ARRIVED_AT, BEGUN_AT = "lineside.arrived_at", "lineside.begun_at"
+"""Keys in the ``state`` of an ASGI scope: the Instants at which the first byte of a request arrived and at
+which the app began with it."""
 SENT_AT = "lineside-sent-at"
 MOST_AHEAD_S = 5.0
 """How far a program's clock may be ahead of the server's."""
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+
+
+class Begun:
+    """Middleware: notes when the app begins with a request, before its body is read. A server that does not
+    say when the first byte arrived is taken to call the app at once."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http":
+            state = scope.setdefault("state", {})
+            state[BEGUN_AT] = instant_now()
+            state.setdefault(ARRIVED_AT, state[BEGUN_AT])
+        await self._app(scope, receive, send)
 
 
 def made_at(connection: HTTPConnection) -> Instant:
@@ -40,9 +57,11 @@ def made_at(connection: HTTPConnection) -> Instant:
 
 
 def refuse_late(connection: HTTPConnection) -> None:
-    """Raises Problem 503 for a write that was too long on its way. Reading is never late."""
+    """Raises Problem 503 for a write that was too long on its way: what a long body takes is not counted.
+    Reading is never late."""
     if not _only_reads(connection):
-        Deadline(made_at(connection), DEFAULT_TIMEOUT_S).refuse_passed()
+        begun_at = connection.scope.get("state", {}).get(BEGUN_AT)
+        Deadline(made_at(connection), DEFAULT_TIMEOUT_S).refuse_passed(begun_at)
 
 
 def _only_reads(connection: HTTPConnection) -> bool:

@@ -40,9 +40,9 @@ class Deadline:
         """Seconds until then; negative once it has passed."""
         return self.made_at + self.timeout_s - instant_now()
 
-    def refuse_passed(self) -> None:
-        """Raises Problem 503 ``not_sent`` once it has passed."""
-        left_s = self.left_s
+    def refuse_passed(self, now: Instant | None = None) -> None:
+        """Raises Problem 503 ``not_sent`` once it has passed, or had by ``now``."""
+        left_s = self.left_s if now is None else self.made_at + self.timeout_s - now
         if left_s > 0:
             return
         raise Problem(

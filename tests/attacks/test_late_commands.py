@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from app.web import arrival
 from app.web.access import Role
 from app.web.arrival import SAFE_METHODS
 from tests.app.played_desk import ANNA
@@ -168,6 +169,23 @@ async def test_other_writes_are_late_too(stage: Stage) -> None:
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     async with whole_app(tmp_path) as house:
         yield house
+
+
+async def test_a_long_body_makes_no_write_late(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file of parameter sets on a slow network: what counts is when it began to come."""
+    browser = await house.signed_in(Role.ENGINEER)
+    now = 5000.0
+    monkeypatch.setattr(arrival, "instant_now", lambda: now)
+
+    async def slowly() -> AsyncIterator[bytes]:
+        nonlocal now
+        yield b'{"lowest": 5, '
+        now += 60
+        yield b'"highest": 50}'
+
+    headers = {"Content-Type": "application/json"}
+    path = "/api/v1/buses/dry-end/units/1/limits"
+    assert (await browser.put(path, content=slowly(), headers=headers)).status_code == 200
 
 
 PUBLIC = {"/login", "/login/panel"}
