@@ -37,7 +37,7 @@ def change_of(
     """What setting ``new_raw`` means for a unit. ``block``: why commands to it are blocked, if they are."""
     old_raw, allowed = present_setpoint(bus, unit), setpoint_range(unit, limits)
     ramp = ramp_of(unit, old_raw, new_raw)
-    facts = facts_of(bus, unit, now, block=block, ramp=ramp)
+    facts = facts_of(bus, unit, now, block=block, ramp=ramp, setpoint=new_raw)
     return Change(
         unit=unit.settings.id,
         name=unit.settings.name,

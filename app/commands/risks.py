@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from app.commands.ramp import RAMP_DOWN, RAMP_UP, Ramp
-from app.commands.setpoint_range import KIND_OF_PARAMETER
+from app.commands.setpoint_range import KIND_OF_PARAMETER, is_above_display
 from app.live.age import unit_link_now
 from app.live.fields import bits_of
 from app.live.state import BusLive, UnitLive
@@ -31,7 +31,8 @@ class Remark:
 @dataclass(frozen=True, slots=True)
 class Facts:
     """What is known of one unit at a moment. ``bits`` None: it has never responded. ``ramp`` None: the
-    command starts none. ``block``: why commands to it are blocked, empty where they are not."""
+    command starts none. ``block``: why commands to it are blocked, empty where they are not.
+    ``above_display``: an engineer's limit allows the setpoint, and #2 does not."""
 
     bus_is_open: bool
     link: UnitLinkState
@@ -39,6 +40,7 @@ class Facts:
     bits: StatusBits | None
     block: str
     ramp: Ramp | None
+    above_display: bool
 
     @property
     def params(self) -> dict[str, str]:
@@ -63,6 +65,11 @@ _OBSTACLES = (
 )
 _NO_RAMP = "changes at once, without a ramp: #{number} is 0.0 s"
 _RISKS = (
+    _Rule(
+        "above_display",
+        "above its maximum display value (#2): it may refuse",
+        lambda unit: unit.above_display,
+    ),
     _Rule("stale", "its last response is {age} s old", lambda unit: unit.link == "stale", ("age",)),
     _Rule(
         "estop_active",
@@ -97,8 +104,16 @@ def risks_of_writing(number: int, raw: int) -> tuple[Remark, ...]:
     return ()
 
 
-def facts_of(bus: BusLive, unit: UnitLive, now: float, *, block: str = "", ramp: Ramp | None = None) -> Facts:
-    """``now``: seconds since the epoch."""
+def facts_of(
+    bus: BusLive,
+    unit: UnitLive,
+    now: float,
+    *,
+    block: str = "",
+    ramp: Ramp | None = None,
+    setpoint: int | None = None,
+) -> Facts:
+    """``now``: seconds since the epoch. ``setpoint``: the new one, raw, where there is one."""
     reading = unit.reading
     return Facts(
         bus_is_open=bus.link.link == "open",
@@ -107,6 +122,7 @@ def facts_of(bus: BusLive, unit: UnitLive, now: float, *, block: str = "", ramp:
         bits=None if reading is None else bits_of(bus, reading),
         block=block,
         ramp=ramp,
+        above_display=setpoint is not None and is_above_display(unit, setpoint),
     )
 
 

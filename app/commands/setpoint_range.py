@@ -62,6 +62,11 @@ def setpoint_range(unit: UnitLive, limits: Limits, kind: SetpointKind | None = N
     return _narrowed(found, limits) if kind == own else found
 
 
+def is_above_display(unit: UnitLive, raw: int) -> bool:
+    """Whether a speed is above #2, as only an engineer's own limit allows it."""
+    return kind_of(unit) == "speed" and raw > (unit.parameter_raw(MAX_DISPLAY) or HIGHEST_SETPOINT)
+
+
 def unread_for_range(
     unit: UnitLive, limits: Limits, raw: int, kind: SetpointKind | None = None
 ) -> tuple[int, ...]:

@@ -143,7 +143,7 @@ def _step(setpoint: Setpoint, bus: BusLive, refusal: Callable[[int, int], str], 
     present = present_raw(unit, setpoint.kind)
     ramp = ramp_of(unit, present, setpoint.raw)
     ramp_s = 0.0 if present == setpoint.raw else None if ramp is None else ramp.seconds
-    facts = facts_of(bus, unit, now, ramp=ramp)
+    facts = facts_of(bus, unit, now, ramp=ramp, setpoint=setpoint.raw)
     return Step(
         unit=setpoint.unit,
         name=unit.settings.name,

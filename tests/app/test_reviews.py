@@ -11,6 +11,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from app.commands.limits import Limits
 from app.web.access import Role
 from bus.contract import ParameterValue, Reading
 from tests.app.played_desk import ANNA, HEALTHY, REMOTE, RUN, answering, fresh
@@ -132,6 +133,12 @@ async def test_a_value_that_is_old_is_said_with_its_age(house: House) -> None:
     answer = await single(house)
     assert remarks(answer) == [("stale", "Unwind")]
     assert re.search(r"last response is \d s old", answer.text)
+
+
+async def test_above_the_maximum_by_an_engineers_leave_is_said(house: House) -> None:
+    await house.services.safeguards.set_limits(ANNA, "dry-end", 1, Limits(highest=25000))
+    assert remarks(await single(house, "2100.0")) == [("above_display", "Unwind")]
+    assert remarks(await single(house, "2000.0")) == []
 
 
 async def test_what_is_only_staged_has_no_risk_yet(house: House) -> None:
