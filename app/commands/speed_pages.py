@@ -161,7 +161,8 @@ async def review_execute(person: Operator, desk: Desks, bus: str, unit: int) -> 
     """What executing the staged speed will do."""
     live = desk.unit(bus, unit)
     try:
-        if live.staged is None:
+        staged = live.staged
+        if staged is None:
             raise Problem(409, "nothing_staged", "this unit has nothing staged; nothing was sent")
         await judge(desk, person, bus, ExecuteSpeed(unit=unit))
         await know_ramps(desk, person, bus, [unit])
@@ -170,7 +171,7 @@ async def review_execute(person: Operator, desk: Desks, bus: str, unit: int) -> 
     return desk.review(
         "unit/_review_execute.html",
         unit=desk.shown(bus, unit),
-        change=change(desk, bus, unit, live.staged),
+        change=change(desk, bus, unit, staged),
     )
 
 
