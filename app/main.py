@@ -22,6 +22,7 @@ from app.commands import (
     line_pages,
     output_pages,
     parameter_pages,
+    range_api,
     safeguards_api,
     speed_pages,
     trace_api,
@@ -45,8 +46,8 @@ from app.settings import Settings
 from app.swap import pages as swap_pages
 from app.web import pages as web_pages
 from app.web import problems, schema
+from app.web.arrival import Begun
 from app.web.head import HeadAsGet
-from app.web.late import NotTooLate
 from app.web.routes import refuse_undeclared
 from app.web.security import BoundedRequest, OwnPagesOnly, SecurityHeaders
 from app.wiring import Services, build, running
@@ -66,6 +67,7 @@ FEATURES = (
     live_pages,
     commands_api,
     safeguards_api,
+    range_api,
     trace_api,
     line_pages,
     zero_pages,
@@ -107,12 +109,12 @@ def create_app(settings: Settings, *, demo: bool = False, worker_token: str = ""
         app.router.routes.extend(feature.router.routes)
     problems.install(app)
     app.add_middleware(HeadAsGet)
-    app.add_middleware(NotTooLate)
     app.add_middleware(Identify, sign_in=services.sign_in, demo=demo)
     app.add_middleware(BoundedRequest)
     app.add_middleware(OwnPagesOnly)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(SecurityHeaders)
+    app.add_middleware(Begun)
     refuse_undeclared(app)
     return app
 

@@ -6,12 +6,14 @@ import asyncio
 import socket
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import uvicorn
 
 from app.cli.frames import FramesProtocol
-from app.cli.patience import PatientProtocol
+from app.cli.loop_watch import LoopWatch
+from app.cli.stamping import StampingProtocol
 from app.main import create_app
 from app.settings import Settings
 
@@ -27,7 +29,9 @@ class Server(uvicorn.Server):
     def __init__(
         self, settings: Settings, demo: bool, worker_token: str, serving: Callable[[], None]
     ) -> None:
-        super().__init__(_config(create_app(settings, demo=demo, worker_token=worker_token)))
+        self._watch = LoopWatch()
+        app = create_app(settings, demo=demo, worker_token=worker_token)
+        super().__init__(_config(app, self._watch))
         self._serving = serving
         self._ended = asyncio.Event()
 
@@ -42,6 +46,7 @@ class Server(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """As it is, then the word that it serves."""
+        self._watch.start()
         await super().startup(sockets)
         if self.started:
             self._serving()
@@ -52,14 +57,19 @@ class Server(uvicorn.Server):
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._ended.wait(), DATE_EVERY_S)
 
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """As it is; the loop is watched no more."""
+        self._watch.stop()
+        await super().shutdown(sockets)
 
-def _config(app: Any) -> uvicorn.Config:
+
+def _config(app: Any, watch: LoopWatch) -> uvicorn.Config:
     """No deflate on WebSockets: at ten messages a second it costs a quarter of a core, and every page would
     need frames of its own."""
     return uvicorn.Config(
         app,
         loop="none",
-        http=PatientProtocol,
+        http=cast(type[asyncio.Protocol], partial(StampingProtocol, watch=watch)),
         ws=FramesProtocol,
         ws_per_message_deflate=False,
         ws_max_size=MOST_MESSAGE_BYTES,

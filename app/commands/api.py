@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -24,7 +23,7 @@ from app.commands.bodies import (
 )
 from app.commands.desk import Desk
 from app.commands.typed import Typed
-from app.commands.wish import DEFAULT_TIMEOUT_S, writes_secret
+from app.commands.wish import timeout_s_for, writes_secret
 from app.commands.writer import EngineeringWriter, Writer, desk_of
 from app.errors import Problem
 from app.live.api import Live
@@ -34,6 +33,8 @@ from app.live.state import LiveState
 from app.live.view import parameter_json
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
+from app.web.arrival import made_at
+from app.web.deadline import Deadline, Instant
 from app.web.services import looked_up
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS
@@ -61,34 +62,38 @@ GAPS_TIMEOUT_S = 600.0
 
 @dataclass(frozen=True, slots=True)
 class Asking:
-    """What every command's request carries beside its body: the key and the time."""
+    """What every command's request carries beside its body: the key, and when it was made."""
 
     request: Request
     live: LiveState
     desk: Desk
     bus: str
     key: str | None
-    began: float
+    made_at: Instant
     query_timeout_s: float | None
 
-    def timeout_s(self, body: Body) -> float | None:
-        """The body's word, else the query's."""
-        return body.timeout_s if body.timeout_s is not None else self.query_timeout_s
+    def deadline(self, body: Body, staged_units: int = 0) -> Deadline:
+        """By the body's ``timeout_s``, else the query's, else what a change of so many units may take."""
+        given = body.timeout_s if body.timeout_s is not None else self.query_timeout_s
+        bus = bus_or_404(self.live, self.bus)
+        return Deadline(self.made_at, timeout_s_for(bus, staged_units) if given is None else given)
 
-    def typed(self, person: Person, unit: int, body: Body) -> Typed:
+    def typed(self, person: Person, unit: int, deadline: Deadline) -> Typed:
         """Conversion of typed values for a unit. Raises Problem 404."""
-        found = unit_or_404(self.live, self.bus, unit)
-        given = self.timeout_s(body)
-        time_s = DEFAULT_TIMEOUT_S if given is None else given
-        return Typed(self.desk, person, self.bus, found, self.began + time_s)
+        return Typed(self.desk, person, self.bus, unit_or_404(self.live, self.bus, unit), deadline)
 
     async def ask(
-        self, person: Person, action: Action, body: Body, unit: int | None = None, left_s: float | None = None
+        self,
+        person: Person,
+        action: Action,
+        body: Body,
+        unit: int | None = None,
+        deadline: Deadline | None = None,
     ) -> Response:
         """The fate of ``action`` as an answer."""
-        timeout_s = self.timeout_s(body) if left_s is None else left_s
+        deadline = deadline or self.deadline(body)
         result = await self.desk.ask(
-            person, self.bus, action, timeout_s=timeout_s, confirm=body.confirm, id=self.key
+            person, self.bus, action, deadline=deadline, confirm=body.confirm, id=self.key
         )
         secret = writes_secret(action)
         return answer(self.request, bus_or_404(self.live, self.bus), result, unit, secret=secret)
@@ -103,7 +108,7 @@ async def asking(
     key: Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)] = None,
 ) -> Asking:
     """This request's."""
-    return Asking(request, live, desk, bus, key, time.monotonic(), timeout_s)
+    return Asking(request, live, desk, bus, key, made_at(request), timeout_s)
 
 
 Ask = Annotated[Asking, Depends(asking)]
@@ -112,9 +117,9 @@ Ask = Annotated[Asking, Depends(asking)]
 @router.post("/units/{unit:int}/speed", responses=FATE)
 async def set_speed(person: Writer, ask: Ask, unit: int, body: SpeedBody) -> Response:
     """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
-    typed = ask.typed(person, unit, body)
-    action = SetSpeed(unit=unit, raw=await typed.setpoint(body), execute=body.execute)
-    return await ask.ask(person, action, body, unit, typed.left_s)
+    deadline = ask.deadline(body)
+    raw = await ask.typed(person, unit, deadline).setpoint(body)
+    return await ask.ask(person, SetSpeed(unit=unit, raw=raw, execute=body.execute), body, unit, deadline)
 
 
 @router.post("/units/{unit:int}/execute", responses=FATE)
@@ -132,15 +137,12 @@ async def execute_all(person: Writer, ask: Ask, body: Body | None = None) -> Res
 @router.post("/speeds", responses=FATE)
 async def set_speeds(person: Writer, ask: Ask, body: SetpointsBody) -> Response:
     """Stage all, require every acknowledgement, broadcast, prove: all of them or none."""
-    bus_or_404(ask.live, ask.bus)
-    setpoints: dict[int, int] = {}
-    left_s: float | None = None
-    for key, quantity in body.setpoints.items():
-        typed = ask.typed(person, int(key), body)
-        setpoints[int(key)] = await typed.setpoint(quantity)
-        if ask.timeout_s(body) is not None:
-            left_s = typed.left_s
-    return await ask.ask(person, SetLine(setpoints=setpoints), body, left_s=left_s)
+    deadline = ask.deadline(body, len(body.setpoints))
+    setpoints = {
+        int(key): await ask.typed(person, int(key), deadline).setpoint(quantity)
+        for key, quantity in body.setpoints.items()
+    }
+    return await ask.ask(person, SetLine(setpoints=setpoints), body, deadline=deadline)
 
 
 @router.put("/units/{unit:int}/outputs/{number:int}", responses=FATE)
@@ -207,8 +209,9 @@ async def write_parameter(
     person: EngineeringWriter, ask: Ask, unit: int, number: int, body: ParameterBody
 ) -> Response:
     """86h, read back by 85h. What can cut the link off needs ``confirm``."""
-    typed = ask.typed(person, unit, body)
+    deadline = ask.deadline(body)
+    typed = ask.typed(person, unit, deadline)
     if number not in PARAMETERS:
         raise Problem(404, "unknown_parameter", "a unit has the parameters 1 to 40", unit=unit)
     raw = await typed.parameter(number, body)
-    return await ask.ask(person, WriteParameter(unit=unit, number=number, raw=raw), body, unit, typed.left_s)
+    return await ask.ask(person, WriteParameter(unit=unit, number=number, raw=raw), body, unit, deadline)

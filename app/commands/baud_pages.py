@@ -10,6 +10,7 @@ from starlette.responses import Response
 from app.commands.forms import Desks
 from app.errors import Problem
 from app.web.access import Engineer
+from app.web.deadline import Deadline
 from bus.contract import ChangeBaud
 from bus.settings import BAUDS
 
@@ -39,5 +40,5 @@ async def change(
 ) -> Response:
     """Change it at every unit; the fate of each."""
     live = desk.bus(bus)
-    result = await desk.ask(person, bus, ChangeBaud(baud=baud), id, CHANGE_S)
+    result = await desk.ask(person, bus, ChangeBaud(baud=baud), id, Deadline(desk.made_at, CHANGE_S))
     return desk.render("bus/_baud_done.html", bus=live, baud=baud, fate=desk.fate(result), result=result)

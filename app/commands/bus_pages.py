@@ -11,6 +11,7 @@ from app.commands.control import LAPSES_AFTER_S
 from app.commands.forms import Desks, Desktop, new_id
 from app.errors import Problem
 from app.web.access import Engineer, Operator, Person, Role, Viewer
+from app.web.deadline import Deadline
 from bus.contract import ScanBus, UnitFigures
 from bus.errors import unit_error_name
 from bus.settings import BAUDS
@@ -87,7 +88,7 @@ async def scan(
     """Which addresses answer, in the gaps of the scan."""
     desk.bus(bus)
     action = ScanBus(first=min(first, last), last=max(first, last))
-    result = await desk.ask(person, bus, action, new_id(), SCAN_S)
+    result = await desk.ask(person, bus, action, new_id(), Deadline(desk.made_at, SCAN_S))
     return desk.render(
         "bus/_found.html",
         fate=desk.fate(result),

@@ -7,6 +7,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import msgspec
@@ -15,11 +16,12 @@ from app.audit.log import EventLog
 from app.commands.control import ControlledError
 from app.commands.moves import Moves
 from app.commands.objection import Circumstances, ObjectionError
+from app.commands.prior_read import UnreadError, read_ranges
 from app.commands.record import Record
 from app.commands.rules import check, is_write, setpoints_of, units_named, units_written
 from app.commands.safeguards import Safeguards
 from app.commands.setpoints import commanded_setpoint
-from app.commands.wish import Wish, time_for, without_secret
+from app.commands.wish import Wish, timeout_s_for, without_secret
 from app.database import Database
 from app.errors import Problem
 from app.feed.channel import Channel, ProgressListener
@@ -27,7 +29,8 @@ from app.live.command_ids import new_command_id
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state import BusLive, LiveState
 from app.web.access import Person
-from bus.contract import Action, ChangeBaud, Command, Result, ScanBus, SetSpeed, WriteParameter
+from app.web.deadline import Deadline
+from bus.contract import Action, ChangeBaud, Command, Result, ScanBus, SetLine, SetSpeed, WriteParameter
 
 REMEMBERED = 1000
 """Fates kept for whoever asks with the same id again."""
@@ -81,6 +84,7 @@ class Desk:
         bus: str,
         action: Action,
         *,
+        deadline: Deadline | None = None,
         timeout_s: float | None = None,
         confirm: bool = False,
         id: str | None = None,
@@ -90,10 +94,12 @@ class Desk:
         """Carry out ``action`` and give its one fate; the same ``id`` again gives the same fate. It is the
         sender's own: what others ask with the same one is another command.
 
-        ``timeout_s``: how long a write may wait for the wire; :func:`time_for` it when None.
+        ``deadline``: of a command that a request asks for. Without one it may wait ``timeout_s`` from now on,
+        or as long as :func:`timeout_s_for` says.
 
         Raises Problem for what is not asked of the worker at all: 404 for a unit or bus that is not
-        configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``.
+        configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``,
+        503 ``not_sent`` where its deadline has passed.
         """
         live = bus_or_404(self._live, bus)
         for unit in units_named(action):
@@ -107,10 +113,12 @@ class Desk:
                 _refuse_other(id, self._record.is_same(earlier, bus, action))
                 return msgspec.structs.replace(earlier.result, id=id)
         if kept is None:
-            time_s = time_for(action, live.settings) if timeout_s is None else timeout_s
-            deadline = self._now() + time_s
+            deadline = deadline or Deadline.within(timeout_s or _timeout_s(action, live))
             wish = Wish(new_command_id(id), person, bus, action, deadline, origin, listener, id)
-            await self._check(wish, live, confirm)
+            try:
+                await self._check(wish, live, confirm)
+            except UnreadError as unread:
+                return unread.result(id or wish.id, self._now(), units_named(action))
             kept = self._start(wish, live)
         _refuse_other(id, (kept.bus, kept.action) == (bus, action))
         result = await asyncio.shield(kept.fate)
@@ -129,6 +137,14 @@ class Desk:
         bus_or_404(self._live, bus)
         await self._channels[bus].cancel(id)
 
+    async def read_ranges(self, person: Person, bus: str, action: Action, deadline: Deadline) -> None:
+        """Read what bounds the setpoints of ``action`` where it was never read, as :meth:`ask` does.
+
+        Raises Problem 503 or 504 where it cannot be had in time.
+        """
+        live, limits = bus_or_404(self._live, bus), partial(self._guards.limits.of, bus)
+        await read_ranges(self.ask, person, live, action, limits, deadline)
+
     def check(self, person: Person, bus: str, action: Action, *, confirm: bool = False) -> None:
         """The checks of :meth:`ask` alone, for a review. Raises the same Problems."""
         live = bus_or_404(self._live, bus)
@@ -138,9 +154,12 @@ class Desk:
 
     async def _check(self, wish: Wish, live: BusLive, confirm: bool) -> None:
         try:
+            wish.deadline.refuse_passed()
+            await self.read_ranges(wish.person, wish.bus, wish.action, wish.deadline)
             self._object(wish.person, wish.bus, wish.action, live, confirm)
         except Problem as problem:
-            await self._record.reject(wish, live, problem)
+            if is_write(wish.action):
+                await self._record.reject(wish, live, problem)
             raise
 
     def _object(self, person: Person, bus: str, action: Action, live: BusLive, confirm: bool) -> None:
@@ -156,8 +175,8 @@ class Desk:
     def _circumstances(self, bus: str, live: BusLive, confirm: bool) -> Circumstances:
         return Circumstances(
             bus=live,
-            limits=lambda unit: self._guards.limits.of(bus, unit),
-            block=lambda unit: self._guards.blocks.of(bus, unit),
+            limits=partial(self._guards.limits.of, bus),
+            block=partial(self._guards.blocks.of, bus),
             moved=lambda unit: self._moves.within_a_minute(bus, unit, self._now()),
             confirm=confirm,
         )
@@ -217,13 +236,19 @@ class Desk:
         if live.link.link == "closed":
             message = f"{live.link.cause or 'the port is closed'}; nothing was sent"
             return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=message)
-        command = Command(id=wish.id, deadline=wish.deadline, action=wish.action)
+        # This clock first: whatever stops this process between the two makes the deadline earlier.
+        deadline = self._now() + wish.deadline.left_s
+        command = Command(id=wish.id, deadline=deadline, action=wish.action)
         return await self._channels[wish.bus].ask(command, wish.listener)
 
 
 def _refuse_other(id: str | None, same: bool) -> None:
     if not same:
         raise Problem(422, "invalid", f"the id {id!r} was used for another command; nothing was sent", id=id)
+
+
+def _timeout_s(action: Action, live: BusLive) -> float:
+    return timeout_s_for(live, len(action.setpoints) if isinstance(action, SetLine) else 0)
 
 
 def _is_a_search(action: Action) -> bool:
@@ -246,5 +271,6 @@ def _problem(objection: ObjectionError) -> Problem:
     extra: dict[str, Any] = {"outcome": objection.code, "unit": objection.unit}
     if objection.nearest is not None:
         extra["nearest"] = objection.nearest
-    detail = f"{objection}; nothing was sent"
-    return Problem(STATUS_OF_OBJECTION[objection.code], objection.code, detail, **extra)
+    detail = f"{objection.template}; nothing was sent"
+    status = STATUS_OF_OBJECTION[objection.code]
+    return Problem(status, objection.code, detail, params=objection.params, **extra)

@@ -50,7 +50,7 @@ def fate_of(result: Result | UnitOutcome, shown: Shown, voice: Voice) -> Fate:
 
 def fate_of_problem(problem: Problem, voice: Voice) -> Fate:
     """What was refused before anything was sent."""
-    return Fate("bad", problem.text(voice.t))
+    return Fate("bad", voice.formats.sentence(problem.text(voice.t)))
 
 
 def _reason(result: Result | UnitOutcome, voice: Voice) -> str:

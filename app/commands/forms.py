@@ -11,8 +11,10 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.fate import Fate, fate_of, fate_of_problem
+from app.commands.risks import Remark
 from app.commands.safeguards import Safeguards
 from app.commands.safeguards_api import safeguards_of
+from app.commands.wish import timeout_s_for
 from app.commands.words import shown_setpoint
 from app.commands.writer import desk_of
 from app.errors import Problem
@@ -22,12 +24,14 @@ from app.live.pages import UnitOnLine, unit_on_line
 from app.live.socket import hub_of
 from app.live.state import BusLive, UnitLive
 from app.web.access import Person
+from app.web.arrival import made_at, refuse_late
+from app.web.deadline import Deadline
 from app.web.templating import render, templates_of
 from bus.contract import Action, Result, UnitOutcome
+from bus.errors import LinesideError
 
 REVIEW_LASTS_S = 45.0
 """Thirty seconds on the screen, and something for the way."""
-TIMEOUT_S = 2.0
 
 
 class Desktop:
@@ -41,6 +45,7 @@ class Desktop:
         self.live = hub_of(request).live
         self.desk = desk_of(request)
         self.guards: Safeguards = safeguards_of(request)
+        self.made_at = made_at(request)
 
     def bus(self, name: str) -> BusLive:
         """Raises Problem 404."""
@@ -76,18 +81,32 @@ class Desktop:
         response.headers["HX-Retarget"] = place
         return response
 
+    def remark(self, remark: Remark) -> str:
+        """What a review says of a unit, in the reader's language."""
+        return self.voice.t(remark.text, **dict(remark.params))
+
+    def text_of(self, error: LinesideError) -> str:
+        """Why something is refused, in the reader's language."""
+        return error.text(self.voice.t) if isinstance(error, Problem) else self.voice.t(str(error))
+
     def refuse_lapsed(self, reviewed_at: float) -> None:
         """Raises Problem 409 for a review that is over. Nothing is sent."""
-        if time.time() - reviewed_at > REVIEW_LASTS_S:
+        if not time.time() - reviewed_at <= REVIEW_LASTS_S:  # of NaN too
             raise Problem(409, "lapsed", "the review has lapsed; nothing was sent")
 
+    def deadline(self, bus: BusLive, staged_units: int = 0) -> Deadline:
+        """Of the command that this request asks for. ``staged_units``: how many a change is of."""
+        return Deadline(self.made_at, timeout_s_for(bus, staged_units))
+
     async def ask(
-        self, person: Person, bus: str, action: Action, id: str, timeout_s: float = TIMEOUT_S
+        self, person: Person, bus: str, action: Action, id: str, deadline: Deadline | None = None
     ) -> Result:
-        """The reviewed wish, once. Raises Problem for what is not sent."""
-        return await self.desk.ask(
-            person, bus, action, timeout_s=timeout_s, confirm=True, id=id, origin="page"
-        )
+        """The reviewed command, once; ``deadline`` where that of a command to one unit is not enough.
+
+        Raises Problem for what is not sent.
+        """
+        deadline = deadline or self.deadline(self.bus(bus))
+        return await self.desk.ask(person, bus, action, deadline=deadline, confirm=True, id=id, origin="page")
 
     def fate(self, result: Result | UnitOutcome, unit: UnitLive | None = None) -> Fate:
         """What became of it; what was read back is a setpoint in the decimals of ``unit``, else as it is."""
@@ -111,7 +130,8 @@ def new_id() -> str:
 
 
 async def desktop_of(request: Request) -> Desktop:
-    """This request's."""
+    """This request's. Raises Problem 503 for a press that was held up on its way."""
+    refuse_late(request)
     return Desktop(request)
 
 

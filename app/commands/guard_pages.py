@@ -8,12 +8,12 @@ from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
 from app.commands.forms import Desks
-from app.commands.limits import Limits
+from app.commands.limits import HIGHEST_SETPOINT, Limits
 from app.errors import Problem
 from app.live.state import UnitLive, follower
 from app.live.view import DECIMALS
 from app.web.access import Engineer, Operator
-from bus.catalogue.values import ratio_raw, speed_raw
+from bus.catalogue.values import RATIO_DECIMALS, speed_raw, speed_text
 from bus.errors import CallerError
 from bus.text import OneLine
 
@@ -39,21 +39,24 @@ async def set_limits(
         limits = Limits(*(_raw(live, text) for text in (lowest, highest, largest_step, per_minute)))
         if limits.lowest is not None and limits.highest is not None and limits.lowest > limits.highest:
             raise CallerError("the lowest setpoint is above the highest; nothing was changed")
-    except CallerError as error:
-        return desk.not_so(str(error), "#limits-said")
+    except (CallerError, Problem) as error:
+        return desk.not_so(desk.text_of(error), "#limits-said")
     await desk.guards.set_limits(person, bus, unit, limits)
     return desk.render("unit/_limits_set.html")
 
 
 def _raw(live: UnitLive, text: str) -> int | None:
+    """Raises CallerError and Problem for what cannot be a limit."""
     if not text.strip():
         return None
-    if follower(live):
-        return ratio_raw(text)
-    decimals = live.parameter_raw(DECIMALS)
+    decimals = RATIO_DECIMALS if follower(live) else live.parameter_raw(DECIMALS)
     if decimals is None:
         raise CallerError("the unit's decimals (#3) are not known yet; try again when it answers")
-    return speed_raw(text, decimals)
+    raw = speed_raw(text, decimals)
+    if raw > HIGHEST_SETPOINT:
+        most = {"most": speed_text(HIGHEST_SETPOINT, decimals)}
+        raise Problem(422, "invalid", "the protocol carries {most} at most; nothing was changed", params=most)
+    return raw
 
 
 @router.post("/units/{bus}/{unit:int}/block")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Annotated
 
 from fastapi import APIRouter, Form
@@ -11,13 +10,16 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
-from app.commands.forms import TIMEOUT_S, Desks, Desktop
+from app.commands.forms import Desks, Desktop
 from app.commands.line_change import followers_of, proven, reviewed
-from app.commands.ramp import Change, change_of, present_setpoint, sensible_bounds
-from app.commands.speed_pages import refuse_outside
+from app.commands.measure import measure_of_setpoint
+from app.commands.ramp import present_setpoint
+from app.commands.reviewing import change, judge, keep_their_setpoint, know_ramps
+from app.commands.risks import by_remark
+from app.commands.setpoint_range import setpoint_range
 from app.commands.typed import Typed
+from app.commands.wish import timeout_s_for
 from app.commands.words import shown_setpoint
-from app.commands.zero import why_not_told
 from app.errors import Problem
 from app.live.state import BusLive, follower
 from app.live.view import DECIMALS
@@ -26,13 +28,6 @@ from bus.contract import SetLine
 from bus.errors import CallerError
 
 router = APIRouter(include_in_schema=False)
-STAGE_S = 0.15
-"""Time allowed for each unit of a change, besides the two seconds of one."""
-
-
-def timeout_s(units: int) -> float:
-    """How long a change of so many units may wait for the wire, seconds."""
-    return TIMEOUT_S + STAGE_S * units
 
 
 # --- the setpoints page -----------------------------------------------------------------------------
@@ -52,10 +47,11 @@ def _line_of(desk: Desktop, name: str, bus: BusLive, number: int) -> dict[str, o
     live = bus.units[number]
     present = present_setpoint(bus, live)
     decimals = 4 if follower(live) else live.parameter_raw(DECIMALS)
-    low, high = sensible_bounds(live, desk.guards.limits.of(name, number))
-    limits = {"low": shown_setpoint(low, live), "high": shown_setpoint(high, live)}
+    allowed = setpoint_range(live, desk.guards.limits.of(name, number))
+    limits = {"low": shown_setpoint(allowed.lowest, live), "high": shown_setpoint(allowed.highest, live)}
     return {
         "unit": desk.shown(name, number),
+        "measure": measure_of_setpoint(live),
         "limits": {end: desk.voice.formats.point(text) for end, text in limits.items()},
         "present_raw": "" if present is None else present,
         "decimals": "" if decimals is None else decimals,
@@ -70,43 +66,42 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
     bus = str(form.get("bus", ""))
     live = desk.bus(bus)
     try:
-        changes = await _changes(person, desk, bus, live, form)
-        setpoints = {change.unit: change.new_raw for change in changes}
-        desk.desk.check(person, bus, SetLine(setpoints=setpoints), confirm=True)
+        setpoints = await _typed_setpoints(person, desk, live, form)
+        deadline = desk.deadline(live, len(setpoints))
+        await judge(desk, person, bus, SetLine(setpoints=setpoints), deadline)
     except (CallerError, Problem) as error:
-        return desk.not_so(desk.voice.t(str(error)), f"#setpoints-error-{bus}")
+        return desk.not_so(desk.text_of(error), f"#setpoints-error-{bus}")
+    await know_ramps(desk, person, bus, setpoints)
+    changes = [change(desk, bus, unit, raw) for unit, raw in setpoints.items()]
+    left_out, unchanged = keep_their_setpoint(desk, bus, setpoints)
     return desk.review(
         "setpoints/_review.html",
         bus=bus,
         changes=changes,
-        obstacles=_obstacles(desk, live, changes),
+        obstacles=by_remark((each.name, each.obstacle) for each in changes if each.obstacle),
+        risks=by_remark((each.name, risk) for each in changes for risk in each.risks),
+        left_out=by_remark(left_out),
+        unchanged=unchanged,
         followers=followers_of(live),
-        longest_s=2 * timeout_s(len(changes)),
+        longest_s=2 * timeout_s_for(live, len(changes)),
     )
 
 
-def _obstacles(desk: Desktop, live: BusLive, changes: list[Change]) -> list[tuple[str, str]]:
-    """(name, reason) of each unit that will not take its part, so that nothing will be executed."""
-    now = time.time()
-    reasons = ((change, why_not_told(live, live.units[change.unit], False, now)) for change in changes)
-    return [(change.name, desk.voice.t(reason)) for change, reason in reasons if reason]
-
-
-async def _changes(person: Person, desk: Desktop, bus: str, live: BusLive, form: FormData) -> list[Change]:
-    changes = []
-    for number, unit in live.units.items():
-        text = str(form.get(f"new-{number}", "")).strip()
-        if not text:
-            continue
-        try:
-            raw = await Typed(desk.desk, person, bus, unit, TIMEOUT_S).setpoint(Quantity(value=text))
-            refuse_outside(desk, bus, unit, raw)
-        except (CallerError, Problem) as error:
-            raise CallerError(f"{unit.settings.name}: {desk.voice.t(str(error))}") from error
-        changes.append(change_of(live, unit, raw, desk.guards.limits.of(bus, number)))
-    if not changes:
+async def _typed_setpoints(person: Person, desk: Desktop, live: BusLive, form: FormData) -> dict[int, int]:
+    """Raw, by unit. Raises CallerError and Problem for what is no setpoint of its unit."""
+    fields = {unit: str(form.get(f"new-{unit}", "")).strip() for unit in live.units}
+    typed = {unit: text for unit, text in fields.items() if text}
+    if not typed:
         raise CallerError("no new setpoint is given; empty is not zero")
-    return changes
+    deadline, bus = desk.deadline(live, len(typed)), live.settings.name
+    setpoints = {}
+    for unit, text in typed.items():
+        try:
+            found = Typed(desk.desk, person, bus, live.units[unit], deadline)
+            setpoints[unit] = await found.setpoint(Quantity(value=text))
+        except CallerError as error:
+            raise CallerError(f"{live.units[unit].settings.name}: {desk.voice.t(str(error))}") from error
+    return setpoints
 
 
 @router.post("/setpoints")
@@ -125,7 +120,9 @@ async def set_setpoints(
     try:
         desk.refuse_lapsed(reviewed_at)
         setpoints = reviewed(live, form)
-        result = await desk.ask(person, bus, SetLine(setpoints=setpoints), id, timeout_s(len(setpoints)))
+        result = await desk.ask(
+            person, bus, SetLine(setpoints=setpoints), id, desk.deadline(live, len(setpoints))
+        )
     except Problem as problem:
         return desk.refused(problem, title)
     return proven(desk, bus, title, setpoints, result, form)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,13 +14,24 @@ Code = Literal["invalid", "dangerous", "confirm_needed", "blocked"]
 
 
 class ObjectionError(Exception):
-    """A wish that is not sent. The text is the reason; ``nearest`` the closest value that would do."""
+    """A command that is not sent. ``nearest``: the closest value that would do.
+
+    ``reason``: why, and with ``params`` a template whose ``{names}`` they fill in, as in a Problem.
+    """
 
     def __init__(
-        self, code: Code, reason: str, *, unit: int | None = None, nearest: int | None = None
+        self,
+        code: Code,
+        reason: str,
+        *,
+        params: Mapping[str, object] | None = None,
+        unit: int | None = None,
+        nearest: int | None = None,
     ) -> None:
-        super().__init__(reason)
+        super().__init__(reason if params is None else reason.format(**params))
         self.code = code
+        self.template = reason
+        self.params = params
         self.unit = unit
         self.nearest = nearest
 

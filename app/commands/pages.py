@@ -8,10 +8,11 @@ from fastapi import APIRouter
 from starlette.responses import Response
 
 from app.commands.forms import Desks, Desktop
-from app.commands.ramp import nudges, present_setpoint, sensible_bounds
+from app.commands.measure import measure_of_setpoint
+from app.commands.ramp import nudges, present_setpoint
+from app.commands.setpoint_range import setpoint_range
 from app.commands.words import shown_setpoint
 from app.live.state import UnitLive, follower
-from app.live.view import setpoint_text
 from app.web.access import Viewer
 
 router = APIRouter(include_in_schema=False)
@@ -26,7 +27,7 @@ async def unit_page(_: Viewer, desk: Desks, bus: str, unit: int) -> Response:
 
 def _faceplate(desk: Desktop, bus: str, live: UnitLive) -> dict[str, Any]:
     unit, limits = live.settings.id, desk.guards.limits.of(bus, live.settings.id)
-    lowest, highest = sensible_bounds(live, limits)
+    allowed = setpoint_range(live, limits)
     present = present_setpoint(desk.bus(bus), live)
     fine, coarse = nudges(live)
     return {
@@ -35,9 +36,9 @@ def _faceplate(desk: Desktop, bus: str, live: UnitLive) -> dict[str, Any]:
         "unit": desk.shown(bus, unit),
         "present": "" if present is None else desk.voice.formats.point(shown_setpoint(present, live)),
         "present_raw": "" if present is None else present,
-        "lowest": desk.voice.formats.point(shown_setpoint(lowest, live)),
-        "highest": desk.voice.formats.point(shown_setpoint(highest, live)),
-        "bounds_unit": _unit_of_a_setpoint(live),
+        "lowest": desk.voice.formats.point(shown_setpoint(allowed.lowest, live)),
+        "highest": desk.voice.formats.point(shown_setpoint(allowed.highest, live)),
+        "bounds_unit": measure_of_setpoint(live),
         "follower": bool(follower(live)),
         "nudges": [(sign * step, shown_setpoint(step, live), sign) for sign, step in _signed(fine, coarse)],
         "limits": limits,
@@ -47,12 +48,6 @@ def _faceplate(desk: Desktop, bus: str, live: UnitLive) -> dict[str, Any]:
         "analog_high": live.parameter_raw(30),
         "analog_by_link": live.parameter_raw(28) == 2,
     }
-
-
-def _unit_of_a_setpoint(live: UnitLive) -> str:
-    """A ratio has none, and neither has a number on the wire whose decimals are not known yet."""
-    known = not follower(live) and setpoint_text(live, 0) is not None
-    return live.settings.labels.unit if known else ""
 
 
 _LIMIT_NAMES = ("lowest", "highest", "largest_step", "per_minute")

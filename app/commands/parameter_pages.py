@@ -10,7 +10,11 @@ from starlette.responses import Response
 
 from app.commands.bodies import Quantity
 from app.commands.fate import Fate
-from app.commands.forms import TIMEOUT_S, Desks, Desktop
+from app.commands.forms import Desks, Desktop
+from app.commands.measure import measure_of_value
+from app.commands.reviewing import facts, judge
+from app.commands.risks import obstacle_of, risks_of_writing
+from app.commands.setpoint_range import parameter_bounds
 from app.commands.typed import Typed
 from app.commands.words import known_parameter_text, text_of
 from app.commands.writer import EngineeringWriter
@@ -47,7 +51,7 @@ async def read_all(person: Viewer, desk: Desks, bus: str, unit: int) -> Response
 
 def _table(desk: Desktop, bus: str, unit: int) -> dict[str, Any]:
     live = desk.unit(bus, unit)
-    rows = [_row(live, number) for number in sorted(PARAMETERS, key=_by_group)]
+    rows = [_row(desk, bus, live, number) for number in sorted(PARAMETERS, key=_by_group)]
     groups = [(name, list(members)) for name, members in groupby(rows, key=lambda row: row["group"])]
     return {"fields": desk.fields(), "bus": bus, "unit": desk.shown(bus, unit), "groups": groups}
 
@@ -59,9 +63,11 @@ def _by_group(number: int) -> tuple[int, int]:
     return _GROUPS.index(PARAMETERS[number].group), number
 
 
-def _row(live: UnitLive, number: int) -> dict[str, Any]:
+def _row(desk: Desktop, bus: str, live: UnitLive, number: int) -> dict[str, Any]:
     known = live.parameters.get(number)
-    return parameter_json(live, number) | {"at": None if known is None else known.at}
+    lowest, highest = parameter_bounds(live, number, desk.guards.limits.of(bus, live.settings.id))
+    shown = {"at": None if known is None else known.at, "min": lowest, "max": highest}
+    return parameter_json(live, number) | shown
 
 
 @router.post("/{number:int}/review")
@@ -76,17 +82,24 @@ async def review_parameter(
     """What was typed, judged and shown again: old → new, range, danger."""
     live, parameter = desk.unit(bus, unit), PARAMETERS[number]
     try:
-        raw = await Typed(desk.desk, person, bus, live, TIMEOUT_S).parameter(number, Quantity(value=value))
-        desk.desk.check(person, bus, WriteParameter(unit=unit, number=number, raw=raw), confirm=True)
+        typed = Typed(desk.desk, person, bus, live, desk.deadline(desk.bus(bus)))
+        raw = await typed.parameter(number, Quantity(value=value))
+        await judge(desk, person, bus, WriteParameter(unit=unit, number=number, raw=raw))
     except (CallerError, Problem) as error:
         return _not_so(desk, live, parameter, error)
+    lowest, highest = parameter_bounds(live, number, desk.guards.limits.of(bus, unit))
     return desk.review(
         "unit/_review_parameter.html",
+        lowest=lowest,
+        highest=highest,
         unit=desk.shown(bus, unit),
         parameter=parameter,
         raw=raw,
         old=known_parameter_text(parameter, live),
         new=text_of(parameter, raw, live),
+        measure=measure_of_value(live, parameter, raw),
+        obstacle=obstacle_of(facts(desk, bus, unit)),
+        risks=risks_of_writing(number, raw),
         danger=danger_of_writing(parameter, raw),
         typed=CONFIRMING_WORD,
     )
@@ -135,7 +148,7 @@ async def _write(
         fate=fate,
         bus=bus,
         unit=desk.shown(bus, unit),
-        row=_row(live, number),
+        row=_row(desk, bus, live, number),
     )
 
 
@@ -143,7 +156,7 @@ def _not_so(desk: Desktop, live: UnitLive, parameter: Parameter, error: CallerEr
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     text = "" if nearest is None or parameter.secret else text_of(parameter, nearest, live)
     shown = desk.voice.formats.point(text)
-    reason = desk.voice.t(str(error))
+    reason = desk.text_of(error)
     if text:
         # The rule speaks of raw values; what was typed here is what the unit shows.
         reason = desk.voice.t(

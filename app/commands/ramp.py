@@ -1,72 +1,47 @@
-"""What a new setpoint will do: from where to where, within which bounds, and for how long. Pure."""
+"""What a new setpoint will do: from where to where, within which range, and for how long. Pure."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from app.commands.limits import Limits
-from app.commands.setpoints import bounds, commanded_setpoint
-from app.commands.words import shown_setpoint
+from app.commands.setpoint_range import COMMAND_RATIO, MAX_DISPLAY
+from app.commands.setpoints import commanded_setpoint
 from app.live.state import BusLive, UnitLive, follower
-from bus.catalogue.parameter import Parameter
-from bus.catalogue.parameters import PARAMETERS
 
-MAX_DISPLAY, COMMAND_RATIO = 2, 37
 RAMP_UP, RAMP_DOWN = 6, 7
 COARSE_STEPS, FINE_STEPS = 100, 1000
 """A nudge is about a hundredth or a thousandth of the full span."""
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
-    """One unit's setpoint, before and after. ``seconds``: what its ramp takes, None where not known."""
+class Ramp:
+    """``number``: the parameter that sets it, #6 or #7. ``tenths``: its raw value, for the full span (#2);
+    ``seconds``: for this change. None where it is not known."""
 
-    unit: int
-    name: str
-    old_raw: int | None
-    new_raw: int
-    old: str
-    new: str
-    lowest: str
-    highest: str
+    number: int
+    tenths: int | None
     seconds: float | None
-    ramp: Parameter
-    over_span: bool
-    """Above what #2 lets the unit show: it will refuse this itself."""
 
 
-def change_of(bus: BusLive, unit: UnitLive, new_raw: int, limits: Limits) -> Change:
-    """What setting ``new_raw`` means for a unit."""
-    old_raw = present_setpoint(bus, unit)
-    lowest, highest = sensible_bounds(unit, limits)
-    span = unit.parameter_raw(MAX_DISPLAY)
-    ramp = RAMP_DOWN if old_raw is not None and new_raw < old_raw else RAMP_UP
-    return Change(
-        unit=unit.settings.id,
-        name=unit.settings.name,
-        old_raw=old_raw,
-        new_raw=new_raw,
-        old=shown_setpoint(old_raw, unit),
-        new=shown_setpoint(new_raw, unit),
-        lowest=shown_setpoint(lowest, unit),
-        highest=shown_setpoint(highest, unit),
-        seconds=_ramp_seconds(unit, old_raw, new_raw, ramp),
-        ramp=PARAMETERS[ramp],
-        over_span=span is not None and not follower(unit) and new_raw > span,
-    )
+def ramp_of(unit: UnitLive, old: int | None, new: int) -> Ramp | None:
+    """The ramp from one setpoint to another, raw; None where there is none: nothing changes, or the unit
+    follows its master."""
+    if old == new or follower(unit):
+        return None
+    number = RAMP_DOWN if old is not None and new < old else RAMP_UP
+    if old is None:
+        return Ramp(number, None, None)
+    span, tenths = unit.parameter_raw(MAX_DISPLAY), unit.parameter_raw(number)
+    if tenths == 0:
+        return Ramp(number, 0, 0.0)
+    known = bool(span) and tenths is not None
+    return Ramp(number, tenths, abs(new - old) / (span or 1) * (tenths or 0) / 10 if known else None)
 
 
 def present_setpoint(bus: BusLive, unit: UnitLive) -> int | None:
     """The commanded setpoint; of a follower that shows its speed, the command ratio as last read."""
     known = commanded_setpoint(unit, bus)
     return unit.parameter_raw(COMMAND_RATIO) if known is None and follower(unit) else known
-
-
-def sensible_bounds(unit: UnitLive, limits: Limits) -> tuple[int, int]:
-    """Lowest and highest setpoint to print: what may be sent, and no more than the unit can show (#2)."""
-    lowest, highest, _ = bounds(unit, limits)
-    span = unit.parameter_raw(MAX_DISPLAY)
-    return lowest, min(highest, span) if span and not follower(unit) else highest
 
 
 def ramp_parameters_missing(unit: UnitLive) -> list[int]:
@@ -87,10 +62,3 @@ def _round_number(size: float) -> int:
         if candidate <= size:
             step = candidate
     return step
-
-
-def _ramp_seconds(unit: UnitLive, old: int | None, new: int, ramp: int) -> float | None:
-    span, tenths = unit.parameter_raw(MAX_DISPLAY), unit.parameter_raw(ramp)
-    if old is None or not span or tenths is None or follower(unit):
-        return None
-    return abs(new - old) / span * tenths / 10

@@ -1,13 +1,14 @@
 """Whether a wish may be sent: every check that can be made before a byte reaches the wire. Pure.
 
-The unit decides what only it can know: a write in LOCAL, a speed above #2, an analog output that is
-not set for the link are sent, and refused by the unit in its own words.
+The unit decides what only it can know: a write in LOCAL and an analog output that is not set for the
+link are sent, and refused by the unit in its own words.
 """
 
 from __future__ import annotations
 
 from app.commands.limits import HIGHEST_SETPOINT
 from app.commands.objection import Circumstances, ObjectionError
+from app.commands.setpoint_range import KIND_OF_PARAMETER, SetpointKind, kind_of
 from app.commands.setpoints import check_setpoint
 from app.live.state import BusLive, UnitLive
 from bus.catalogue.parameter import IllegalValue, Parameter, check_writable_value, danger_of_writing
@@ -30,7 +31,7 @@ from bus.contract import (
 from bus.errors import CallerError
 from bus.settings import BAUDS
 
-SPEED_SETPOINT, LOW_ANALOG_OUT, HIGH_ANALOG_OUT, COMMAND_RATIO = 20, 29, 30, 37
+LOW_ANALOG_OUT, HIGH_ANALOG_OUT = 29, 30
 
 
 def check(action: Action, now: Circumstances) -> None:
@@ -91,9 +92,16 @@ def setpoints_of(action: Action, bus: BusLive) -> dict[int, int]:
             return {action.unit: staged[action.unit]} if action.unit in staged else {}
         case ExecuteAll():
             return staged
-        case WriteParameter() if action.number in (SPEED_SETPOINT, COMMAND_RATIO):
+        case WriteParameter() if KIND_OF_PARAMETER.get(action.number) == kind_of(bus.units[action.unit]):
             return {action.unit: action.raw}
     return {}
+
+
+def setpoints_judged(action: Action, bus: BusLive) -> list[tuple[int, int, SetpointKind | None]]:
+    """(unit, raw, kind) of each setpoint whose range decides; ``kind`` None: the unit's own."""
+    if isinstance(action, WriteParameter) and action.number in KIND_OF_PARAMETER:
+        return [(action.unit, action.raw, KIND_OF_PARAMETER[action.number])]
+    return [(unit, raw, None) for unit, raw in sorted(setpoints_of(action, bus).items())]
 
 
 def _staged(bus: BusLive) -> dict[int, int]:
@@ -111,8 +119,8 @@ def _check_not_blocked(unit: int, now: Circumstances) -> None:
 def _check_setpoints(action: Action, now: Circumstances) -> None:
     if isinstance(action, SetLine) and not action.setpoints:
         raise ObjectionError("invalid", "no setpoint is given: name at least one unit")
-    for unit, raw in sorted(setpoints_of(action, now.bus).items()):
-        check_setpoint(unit, raw, now)
+    for unit, raw, kind in setpoints_judged(action, now.bus):
+        check_setpoint(unit, raw, now, kind)
 
 
 def _check_output(action: WriteOutput) -> None:
@@ -145,8 +153,8 @@ def _check_parameter(action: WriteParameter, now: Circumstances) -> None:
     if parameter.not_while_running and _is_running(now.bus.units[action.unit], now.bus):
         reason = f"#{parameter.number} {parameter.name} cannot be changed while the unit's run input is on"
         raise ObjectionError("invalid", reason, unit=action.unit)
-    if action.number in (SPEED_SETPOINT, COMMAND_RATIO):
-        check_setpoint(action.unit, action.raw, now)
+    for unit, raw, kind in setpoints_judged(action, now.bus):
+        check_setpoint(unit, raw, now, kind)
     danger = danger_of_writing(parameter, action.raw)
     if danger and not now.confirm:
         raise ObjectionError("dangerous", danger, unit=action.unit)

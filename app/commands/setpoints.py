@@ -1,26 +1,39 @@
 """Whether a unit's setpoint may become what is asked. Pure.
 
-In order: the range of the link and of a follower's ratio, the engineer's limits, how far it may move
-within a minute, how large a step may be without a review. A master's speed 0 is always allowed: no
-limit of ours may keep a line from being set to zero. A speed above #2 is the unit's to refuse.
+In order: its range, how far it may move within a minute, how large a step may be without a review. A
+master's speed 0 is always allowed: no limit of ours may keep a line from being set to zero.
 """
 
 from __future__ import annotations
 
-from app.commands.limits import HIGHEST_SETPOINT, Limits
+from app.commands.limits import Limits
 from app.commands.objection import Circumstances, ObjectionError
+from app.commands.setpoint_range import Basis, SetpointKind, kind_of, setpoint_range
 from app.live.state import BusLive, UnitLive, follower
+from app.live.view import DECIMALS
+from bus.catalogue.values import ratio_text, speed_text
 
-MAX_RATIO, MIN_RATIO = 31, 38
+_OUTSIDE: dict[Basis, str] = {
+    "protocol": "unit {unit}: {value} is outside {lowest} to {highest} (what the link can carry); "
+    "the nearest is {nearest}",
+    "display": "unit {unit}: {value} is outside {lowest} to {highest} (its maximum display value, #2); "
+    "the nearest is {nearest}",
+    "ratio": "unit {unit}: {value} is outside {lowest} to {highest} (its ratio limits, #38 and #31); "
+    "the nearest is {nearest}",
+    "limits": "unit {unit}: {value} is outside {lowest} to {highest} (the limits set for this unit); "
+    "the nearest is {nearest}",
+}
 
 
-def check_setpoint(unit: int, raw: int, now: Circumstances) -> None:
-    """Raises ObjectionError for the first reason why ``raw`` is not sent."""
-    live = now.bus.units[unit]
-    if raw == 0 and not follower(live):
+def check_setpoint(unit: int, raw: int, now: Circumstances, kind: SetpointKind | None = None) -> None:
+    """Raises ObjectionError for the first reason why ``raw`` is not sent.
+
+    ``kind``: of the setpoint where it is not the unit's own, which is judged by its range alone.
+    """
+    live, limits = now.bus.units[unit], now.limits(unit)
+    _check_range(live, raw, limits, kind)
+    if kind not in (None, kind_of(live)) or (raw == 0 and not follower(live)):
         return
-    limits = now.limits(unit)
-    _check_bounds(live, raw, limits)
     present = commanded_setpoint(live, now.bus)
     step = None if present is None else abs(raw - present)
     _check_rate(unit, step, limits, now.moved(unit))
@@ -35,29 +48,24 @@ def commanded_setpoint(live: UnitLive, bus: BusLive) -> int | None:
     return live.reading.commanded
 
 
-def bounds(live: UnitLive, limits: Limits) -> tuple[int, int, str]:
-    """Lowest and highest setpoint, and who says so: the narrowest of all that is known."""
-    lowest, highest, whose = 0, HIGHEST_SETPOINT, "what the link can carry"
-    if follower(live):
-        lowest = live.parameter_raw(MIN_RATIO) or 0
-        most = live.parameter_raw(MAX_RATIO)
-        highest = HIGHEST_SETPOINT if most is None else max(lowest, most)
-        whose = f"its ratio limits, #{MIN_RATIO} and #{MAX_RATIO}"
-    if limits.lowest is not None and limits.lowest > lowest:
-        lowest, whose = limits.lowest, "the limits set for this unit"
-    if limits.highest is not None and limits.highest < highest:
-        highest, whose = limits.highest, "the limits set for this unit"
-    return lowest, max(lowest, highest), whose
-
-
-def _check_bounds(live: UnitLive, raw: int, limits: Limits) -> None:
-    unit = live.settings.id
-    lowest, highest, whose = bounds(live, limits)
-    if lowest <= raw <= highest:
+def _check_range(live: UnitLive, raw: int, limits: Limits, kind: SetpointKind | None) -> None:
+    allowed = setpoint_range(live, limits, kind)
+    if allowed.allows(raw):
         return
-    nearest = min(max(raw, lowest), highest)
-    reason = f"unit {unit}: {raw} is outside {lowest} to {highest} ({whose}); the nearest is {nearest}"
-    raise ObjectionError("invalid", reason, unit=unit, nearest=nearest)
+    unit, nearest = live.settings.id, allowed.nearest(raw)
+    numbers = {"value": raw, "lowest": allowed.lowest, "highest": allowed.highest, "nearest": nearest}
+    params = {name: _text(live, number, allowed.kind) for name, number in numbers.items()}
+    reason = _OUTSIDE[allowed.basis]
+    raise ObjectionError("invalid", reason, params={"unit": unit, **params}, unit=unit, nearest=nearest)
+
+
+def _text(live: UnitLive, raw: int, kind: SetpointKind) -> str:
+    """As the unit shows it; the bare integer while its decimals are not known."""
+    sign, size = ("-" if raw < 0 else ""), abs(raw)
+    if kind == "ratio":
+        return sign + ratio_text(size)
+    decimals = live.parameter_raw(DECIMALS)
+    return sign + (str(size) if decimals is None else speed_text(size, decimals))
 
 
 def _check_rate(unit: int, step: int | None, limits: Limits, moved: int) -> None:

@@ -11,22 +11,16 @@ from fastapi import APIRouter, Form
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
-from app.commands.forms import TIMEOUT_S, Desks, Desktop
-from app.commands.ramp import (
-    change_of,
-    nudges,
-    present_setpoint,
-    ramp_parameters_missing,
-    sensible_bounds,
-)
-from app.commands.setpoints import bounds
+from app.commands.forms import Desks, Desktop
+from app.commands.ramp import nudges, present_setpoint
+from app.commands.reviewing import change, judge, know_ramps
 from app.commands.typed import Typed
 from app.commands.words import shown_setpoint
 from app.commands.writer import Writer
 from app.errors import Problem
 from app.live.state import UnitLive, follower
 from app.web.access import Operator, Person
-from bus.contract import ExecuteSpeed, ReadParameters, Result, SetSpeed
+from bus.contract import ExecuteSpeed, Result, SetSpeed
 from bus.errors import CallerError
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
@@ -49,43 +43,23 @@ async def review_speed(
     """What was typed, judged and shown again: old → new, limits, ramp."""
     live = desk.unit(bus, unit)
     try:
-        raw = await Typed(desk.desk, person, bus, live, TIMEOUT_S).setpoint(Quantity(value=value))
-        refuse_outside(desk, bus, live, raw)
-        await _know_ramp(person, desk, bus, live)
-        return _review(person, desk, bus, live, raw, execute=how == "now")
+        typed = Typed(desk.desk, person, bus, live, desk.deadline(desk.bus(bus)))
+        raw = await typed.setpoint(Quantity(value=value))
+        return await _review(person, desk, bus, live, raw, execute=how == "now")
     except (CallerError, Problem) as error:
         return _not_so(desk, live, error)
 
 
-def refuse_outside(desk: Desktop, bus: str, live: UnitLive, raw: int) -> None:
-    """Raises Problem 422 in the unit's own decimals for a setpoint outside its limits; 0 is never outside."""
-    limits = desk.guards.limits.of(bus, live.settings.id)
-    lowest, highest, _ = bounds(live, limits)
-    if lowest <= raw <= highest or raw == 0:
-        return
-    low, high = sensible_bounds(live, limits)
-    shown = {
-        name: desk.voice.formats.point(shown_setpoint(value, live))
-        for name, value in (("value", raw), ("low", low), ("high", high))
-    }
-    reason = desk.voice.t("{value} is outside {low} to {high}; nothing was sent", **shown)
-    raise Problem(422, "invalid", reason, nearest=min(max(raw, low), high))
-
-
-async def _know_ramp(person: Person, desk: Desktop, bus: str, live: UnitLive) -> None:
-    missing = ramp_parameters_missing(live)
-    if missing:
-        action = ReadParameters(unit=live.settings.id, numbers=missing)
-        await desk.desk.ask(person, bus, action, timeout_s=TIMEOUT_S, origin="page")
-
-
-def _review(person: Person, desk: Desktop, bus: str, live: UnitLive, raw: int, *, execute: bool) -> Response:
+async def _review(
+    person: Person, desk: Desktop, bus: str, live: UnitLive, raw: int, *, execute: bool
+) -> Response:
     unit = live.settings.id
-    desk.desk.check(person, bus, SetSpeed(unit=unit, raw=raw, execute=execute), confirm=True)
+    await judge(desk, person, bus, SetSpeed(unit=unit, raw=raw, execute=execute))
+    await know_ramps(desk, person, bus, [unit])
     return desk.review(
         "unit/_review_speed.html",
         unit=desk.shown(bus, unit),
-        change=change_of(desk.bus(bus), live, raw, desk.guards.limits.of(bus, unit)),
+        change=change(desk, bus, unit, raw),
         execute=execute,
         follower=bool(follower(live)),
     )
@@ -94,7 +68,7 @@ def _review(person: Person, desk: Desktop, bus: str, live: UnitLive, raw: int, *
 def _not_so(desk: Desktop, live: UnitLive, error: CallerError | Problem) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     return desk.not_so(
-        desk.voice.t(str(error)),
+        desk.text_of(error),
         ERROR_PLACE,
         nearest="" if nearest is None else desk.voice.formats.point(shown_setpoint(nearest, live)),
         status=error.status if isinstance(error, Problem) else 422,
@@ -168,7 +142,7 @@ async def nudge(
             reason = "the step is larger than the setpoint, which cannot go below 0; nothing was sent"
             raise Problem(422, "invalid", reason, nearest=0)
         if not _is_small(desk, bus, live, step):
-            return _review(person, desk, bus, live, raw, execute=True)
+            return await _review(person, desk, bus, live, raw, execute=True)
         result = await desk.ask(person, bus, SetSpeed(unit=unit, raw=raw), id)
     except Problem as problem:
         return _not_so(desk, live, problem)
@@ -187,15 +161,17 @@ async def review_execute(person: Operator, desk: Desks, bus: str, unit: int) -> 
     """What executing the staged speed will do."""
     live = desk.unit(bus, unit)
     try:
-        if live.staged is None:
+        staged = live.staged
+        if staged is None:
             raise Problem(409, "nothing_staged", "this unit has nothing staged; nothing was sent")
-        desk.desk.check(person, bus, ExecuteSpeed(unit=unit), confirm=True)
+        await judge(desk, person, bus, ExecuteSpeed(unit=unit))
+        await know_ramps(desk, person, bus, [unit])
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
     return desk.review(
         "unit/_review_execute.html",
         unit=desk.shown(bus, unit),
-        change=change_of(desk.bus(bus), live, live.staged, desk.guards.limits.of(bus, unit)),
+        change=change(desk, bus, unit, staged),
     )
 
 

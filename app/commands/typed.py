@@ -5,40 +5,31 @@ Where those are not known yet they are read first, within the time of the comman
 
 from __future__ import annotations
 
-import time
-
 from app.commands.bodies import Quantity
 from app.commands.desk import Desk
-from app.commands.rules import COMMAND_RATIO
+from app.commands.prior_read import read_first
+from app.commands.setpoint_range import COMMAND_RATIO
 from app.errors import Problem
 from app.live.state import MODE, UnitLive
 from app.live.view import DECIMALS
 from app.web.access import Person
+from app.web.deadline import Deadline
 from bus.catalogue.parameter import Scale
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import parameter_raw, ratio_raw, speed_raw
-from bus.contract import ReadParameters
 
 _NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, MODE)}
 
 
 class Typed:
-    """Converts for one unit within one command's time, which ends at ``until`` on the monotonic clock.
+    """Converts for one unit within the time of the command. Raises CallerError for what is no number."""
 
-    Raises CallerError for what is no number.
-    """
-
-    def __init__(self, desk: Desk, person: Person, bus: str, unit: UnitLive, until: float) -> None:
+    def __init__(self, desk: Desk, person: Person, bus: str, unit: UnitLive, deadline: Deadline) -> None:
         self._desk = desk
         self._person = person
         self._bus = bus
         self._unit = unit
-        self._until = until
-
-    @property
-    def left_s(self) -> float:
-        """What is left of the command's time, seconds."""
-        return max(0.0, self._until - time.monotonic())
+        self._deadline = deadline
 
     async def setpoint(self, quantity: Quantity) -> int:
         """A speed in display units, or a follower's ratio."""
@@ -66,24 +57,18 @@ class Typed:
         return known
 
     async def _read(self, numbers: list[int]) -> dict[int, int | None]:
-        action = ReadParameters(unit=self._unit.settings.id, numbers=numbers)
-        result = await self._desk.ask(self._person, self._bus, action, timeout_s=self.left_s)
-        values: dict[int, int | None] = {value.number: value.raw for value in result.values}
-        if result.outcome == "bus_closed":
-            raise Problem(503, "bus_closed", result.message, outcome="bus_closed")
-        if not values.keys() >= set(numbers):
-            raise self._unreadable(result.message)
-        return values
+        unit = self._unit.settings.id
+        return await read_first(self._desk.ask, self._person, self._bus, unit, numbers, self._deadline)
 
     def _decimals(self, known: dict[int, int | None]) -> int:
         decimals = known[DECIMALS]
         if decimals is None:
-            raise self._unreadable("the unit says it has none")
+            unit = self._unit.settings.id
+            raise Problem(
+                422,
+                "invalid",
+                "unit {unit} has no decimals (#3), so it shows no such value; give the raw number",
+                params={"unit": unit},
+                unit=unit,
+            )
         return decimals
-
-    def _unreadable(self, cause: str) -> Problem:
-        unit = self._unit.settings.id
-        detail = (
-            f"unit {unit}: its decimals (#3) and mode (#8) could not be read, so nothing was sent: {cause}"
-        )
-        return Problem(504, "unverified", detail, outcome="unverified", unit=unit)

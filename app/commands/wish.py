@@ -7,27 +7,25 @@ from dataclasses import dataclass
 from msgspec.structs import replace
 
 from app.feed.channel import ProgressListener
+from app.live.state import BusLive
 from app.web.access import Person
+from app.web.deadline import DEFAULT_TIMEOUT_S, Deadline
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import Action, Result, SetLine, UnitOutcome, WriteParameter
-from bus.settings import BITS_PER_BYTE, BusSettings
+from bus.contract import Action, Result, UnitOutcome, WriteParameter
+from bus.contract.durations import longest_stage_s
 
-DEFAULT_TIMEOUT_S = 2.0
-"""How long a write may wait for the wire."""
 SECRET_DIFFERS = "the unit reads another value, which is not shown"
-STAGE_BYTES = 11 + 4 + 7
-"""82h with four data bytes, were every one of them doubled, and its acknowledgement (manual, 82h)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """``deadline``: the last moment at which a frame that writes may leave, seconds since the epoch."""
+    """``deadline``: the last moment at which a frame that writes may leave."""
 
     id: str
     person: Person
     bus: str
     action: Action
-    deadline: float
+    deadline: Deadline
     origin: str
     listener: ProgressListener | None = None
     key: str | None = None
@@ -40,11 +38,10 @@ class Wish:
         return unit if isinstance(unit, int) else None
 
 
-def time_for(action: Action, bus: BusSettings) -> float:
-    """What an action is given when nobody says: a change of several needs the time of its staging too."""
-    units = len(action.setpoints) if isinstance(action, SetLine) else 0
-    stage_s = STAGE_BYTES * BITS_PER_BYTE / bus.baud + bus.turnaround_s
-    return DEFAULT_TIMEOUT_S + units * stage_s
+def timeout_s_for(bus: BusLive, staged_units: int = 0) -> float:
+    """How long a command may wait where its sender does not say: a change of several units needs the time of
+    its staging too. ``staged_units``: how many, 0 for a command to one."""
+    return DEFAULT_TIMEOUT_S + staged_units * longest_stage_s(bus.baud, bus.settings.turnaround_s)
 
 
 def writes_secret(action: Action) -> bool:

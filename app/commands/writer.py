@@ -22,11 +22,16 @@ def desk_of(connection: HTTPConnection) -> Desk:
 
 
 class _Writes(Requires):
-    """A dependency that leaves the next turn of ``{bus}`` in the path free for whom it lets in."""
+    """A dependency that leaves the next turn of ``{bus}`` in the path free for whom it lets in.
+
+    Whether the command comes late is judged where it is sent: its time may be another than that of any write,
+    and one that was carried out before gives its result however late it is repeated.
+    """
 
     async def __call__(self, connection: HTTPConnection) -> Person:
-        person = await super().__call__(connection)
-        await desk_of(connection).reserve(connection.path_params["bus"])
+        person = self.permitted(connection)
+        if "bus" in connection.path_params:
+            await desk_of(connection).reserve(connection.path_params["bus"])
         return person
 
 

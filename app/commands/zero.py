@@ -1,4 +1,4 @@
-"""Setting a whole line to zero: which units are told, and which cannot be. Pure.
+"""Setting a whole line to zero: which units take part, and which cannot. Pure.
 
 It commands speed 0 and every unit ramps by its own #7. It is no emergency stop: nothing on this link
 can run or stop a drive. Followers keep their ratio and come down with their master.
@@ -9,50 +9,37 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from app.commands.ramp import MAX_DISPLAY, RAMP_DOWN
-from app.live.age import unit_link_now
-from app.live.fields import bits_of
-from app.live.state import BusLive, UnitLive, follower
+from app.commands.ramp import present_setpoint, ramp_of
+from app.commands.risks import Remark, facts_of, obstacle_of, risks_of
+from app.live.state import BusLive, follower
 
 
 @dataclass(slots=True)
 class ZeroPlan:
-    """For one bus. ``left_out``: name → why it is not told."""
+    """For one bus. ``units``: address → name. ``left_out`` and ``risks``: name, and what is said of it."""
 
     bus: str
     units: dict[int, str] = field(default_factory=dict)
     followers: int = 0
-    left_out: dict[str, str] = field(default_factory=dict)
+    left_out: list[tuple[str, Remark]] = field(default_factory=list)
+    risks: list[tuple[str, Remark]] = field(default_factory=list)
     seconds: float = 0.0
     """The longest ramp, as far as #2 and #7 are known."""
 
 
-def plan_zero(bus: BusLive, blocked: Callable[[int], bool], now: float) -> ZeroPlan:
-    """Everyone who can be told, masters only; the others each with a reason."""
+def plan_zero(bus: BusLive, block: Callable[[int], str], now: float) -> ZeroPlan:
+    """Every master that can take it; the others each with a reason. ``block``: why commands to a unit are
+    blocked, empty where they are not."""
     plan = ZeroPlan(bus.settings.name)
     for number, unit in bus.units.items():
-        reason = why_not_told(bus, unit, blocked(number), now)
+        name, ramp = unit.settings.name, ramp_of(unit, present_setpoint(bus, unit), 0)
+        facts = facts_of(bus, unit, now, block=block(number), ramp=ramp)
         if follower(unit):
             plan.followers += 1
-        elif reason:
-            plan.left_out[unit.settings.name] = reason
+        elif obstacle := obstacle_of(facts):
+            plan.left_out.append((name, obstacle))
         else:
-            plan.units[number] = unit.settings.name
-            plan.seconds = max(plan.seconds, _seconds(unit))
+            plan.units[number] = name
+            plan.risks += [(name, risk) for risk in risks_of(facts)]
+            plan.seconds = max(plan.seconds, (ramp.seconds if ramp else None) or 0.0)
     return plan
-
-
-def why_not_told(bus: BusLive, unit: UnitLive, blocked: bool, now: float) -> str:
-    """Why a unit would not take a speed now; empty where nothing is known against it."""
-    if blocked:
-        return "blocked"
-    if bus.link.link == "closed" or unit.reading is None or unit_link_now(bus, unit, now) == "offline":
-        return "does not answer"
-    return "" if bits_of(bus, unit.reading).remote else "not in REMOTE"
-
-
-def _seconds(unit: UnitLive) -> float:
-    span, tenths = unit.parameter_raw(MAX_DISPLAY), unit.parameter_raw(RAMP_DOWN)
-    if unit.reading is None or not span or tenths is None:
-        return 0.0
-    return unit.reading.commanded / span * tenths / 10

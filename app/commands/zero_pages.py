@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Form
@@ -11,11 +12,14 @@ from starlette.responses import Response
 
 from app.commands.fate import Fate, fate_of_problem
 from app.commands.forms import Desks, Desktop
-from app.commands.line_pages import timeout_s
+from app.commands.risks import by_remark
+from app.commands.wish import timeout_s_for
 from app.commands.words import shown_setpoint
 from app.commands.zero import ZeroPlan, plan_zero
 from app.errors import Problem
+from app.live.state import BusLive
 from app.web.access import Operator, Person, Role, Viewer
+from app.web.deadline import Deadline
 from bus.contract import Result, SetLine, SetSpeed, UnitOutcome
 
 router = APIRouter(prefix="/line/zero", include_in_schema=False)
@@ -32,21 +36,30 @@ async def review_zero(person: Viewer, desk: Desks) -> Response:
     now = time.time()
     objections = {bus: desk.guards.control.objection(bus, person.account, now) for bus in desk.live.buses}
     plans = [plan for plan in _plans(desk) if not objections[plan.bus]]
-    units = sum(len(plan.units) for plan in plans)
     return desk.review(
         "line/_review_zero.html",
         plans=plans,
+        risks=by_remark(
+            (_on_site(desk, plan.bus, name), risk) for plan in plans for name, risk in plan.risks
+        ),
+        left_out=by_remark(
+            (_on_site(desk, plan.bus, name), reason) for plan in plans for name, reason in plan.left_out
+        ),
         held={bus: objection for bus, objection in objections.items() if objection},
         many=len(desk.live.buses) > 1,
-        longest_s=2 * timeout_s(units) + units * timeout_s(1),
+        longest_s=max((_longest_s(desk.bus(plan.bus), len(plan.units)) for plan in plans), default=0.0),
     )
+
+
+def _longest_s(bus: BusLive, units: int) -> float:
+    """All at once, its withdrawal, and then each alone."""
+    return 2 * timeout_s_for(bus, units) + units * timeout_s_for(bus)
 
 
 def _plans(desk: Desktop) -> list[ZeroPlan]:
     now = time.time()
     return [
-        plan_zero(bus, lambda unit, name=name: bool(desk.guards.block_reason(name, unit)), now)  # type: ignore[misc]
-        for name, bus in desk.live.buses.items()
+        plan_zero(bus, partial(desk.guards.block_reason, name), now) for name, bus in desk.live.buses.items()
     ]
 
 
@@ -72,28 +85,36 @@ async def set_zero(
 
 
 async def _zero_bus(person: Person, desk: Desktop, plan: ZeroPlan, id: str) -> list[Proof]:
-    """Who is not told comes first, with the reason."""
-    t = desk.voice.t
-    not_told = [
-        (_on_site(desk, plan.bus, name), "", Fate("bad", f"{t('is not told')}: {t(reason)}"))
-        for name, reason in plan.left_out.items()
+    """What is left out comes first, with the reason."""
+    left_out = [
+        (
+            _on_site(desk, plan.bus, name),
+            "",
+            Fate("bad", f"{desk.voice.t('left out')}: {desk.remark(reason)}"),
+        )
+        for name, reason in plan.left_out
     ]
-    return not_told + (await _zero_units(person, desk, plan, id) if plan.units else [])
+    return left_out + (await _zero_units(person, desk, plan, id) if plan.units else [])
 
 
 async def _zero_units(person: Person, desk: Desktop, plan: ZeroPlan, id: str) -> list[Proof]:
-    """All at once; then alone whoever is not proven to be told."""
+    """All at once; then each alone that is not proven, unless the press itself came too late."""
     action, told = SetLine(setpoints=dict.fromkeys(plan.units, 0)), _Told(person, desk, plan.bus, id)
-    together = await told(action, "")
+    live, units = desk.bus(plan.bus), len(plan.units)
+    together = await told(action, "", desk.deadline(live, units))
+    came_late = isinstance(together, Problem) and together.code == "not_sent"
+    at_the_end = Deadline(desk.made_at, _longest_s(live, units))
     said = {fate.unit: fate for fate in together.units} if isinstance(together, Result) else {}
     proofs = []
     for number, name in plan.units.items():
         fate: Result | UnitOutcome | Problem = said.get(number, together)
-        if isinstance(fate, Problem) or fate.outcome not in ("verified", "bus_closed"):
-            fate = await told(SetSpeed(unit=number, raw=0), f"-{number}")
-        live = desk.unit(plan.bus, number)
-        shown = fate_of_problem(fate, desk.voice) if isinstance(fate, Problem) else desk.fate(fate, live)
-        proofs.append((_on_site(desk, plan.bus, name), shown_setpoint(0, live), shown))
+        settled = not isinstance(fate, Problem) and fate.outcome in ("verified", "bus_closed")
+        if not settled and not came_late and at_the_end.left_s > 0:
+            deadline = Deadline.within(timeout_s_for(live))
+            fate = await told(SetSpeed(unit=number, raw=0), f"-{number}", deadline)
+        unit = desk.unit(plan.bus, number)
+        shown = fate_of_problem(fate, desk.voice) if isinstance(fate, Problem) else desk.fate(fate, unit)
+        proofs.append((_on_site(desk, plan.bus, name), shown_setpoint(0, unit), shown))
     return proofs
 
 
@@ -103,10 +124,9 @@ class _Told:
     def __init__(self, person: Person, desk: Desktop, bus: str, id: str) -> None:
         self._person, self._desk, self._bus, self._id = person, desk, bus, f"{id}-{bus}"
 
-    async def __call__(self, action: SetLine | SetSpeed, part: str) -> Result | Problem:
-        units = len(action.setpoints) if isinstance(action, SetLine) else 1
+    async def __call__(self, action: SetLine | SetSpeed, part: str, deadline: Deadline) -> Result | Problem:
         try:
-            return await self._desk.ask(self._person, self._bus, action, self._id + part, timeout_s(units))
+            return await self._desk.ask(self._person, self._bus, action, self._id + part, deadline)
         except Problem as problem:
             return problem
 

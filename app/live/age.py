@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from app.live.state import BusLive, UnitLive
 from bus.contract import BusFigures, UnitLinkState
+from bus.contract.durations import POLL_BYTES
 from bus.settings import BITS_PER_BYTE, BusSettings
 
-POLL_BYTES = 25
-"""81h and its answer (manual, 2.2): 7 bytes out, 18 back."""
 OFFLINE_SCANS = 5
 WORKER_SILENT_AFTER_S = 2.0
 """A worker tells its figures every second, and beside them whatever its units say."""

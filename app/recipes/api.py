@@ -8,14 +8,16 @@ from fastapi import APIRouter, Header, Request, Response
 from pydantic import Field
 
 from app.commands.answers import answer
+from app.commands.writer import Writer
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, setpoints_now
 from app.recipes.view import dry_run_json, loaded_json, recipe_json
-from app.web.access import Engineer, Operator, Viewer
+from app.web.access import Engineer, Viewer
 from app.web.api_route import ApiRoute
+from app.web.arrival import made_at
 from app.web.services import service
 from app.web.shape import Strict
 from bus.text import Lines, OneLine
@@ -78,7 +80,7 @@ async def try_recipe(person: Viewer, book: Book, recipe_id: int) -> dict[str, An
 @router.post("/recipes/{recipe_id}/load")
 async def load_recipe(
     request: Request,
-    person: Operator,
+    person: Writer,
     book: Book,
     live: Live,
     recipe_id: int,
@@ -87,7 +89,8 @@ async def load_recipe(
 ) -> Response:
     """Stage every unit, broadcast once, prove each."""
     recipe = await recipe_or_404(book, recipe_id)
-    result = await book.load(person, recipe, confirm=wanted.confirm, command_id=idempotency_key)
+    sent_at = made_at(request)
+    result = await book.load(person, recipe, sent_at, confirm=wanted.confirm, command_id=idempotency_key)
     return answer(request, bus_or_404(live, recipe.bus), result, None, secret=False)
 
 

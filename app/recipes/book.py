@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from functools import partial
 
 from app.audit.log import EventLog
 from app.commands.desk import Desk
+from app.commands.wish import timeout_s_for
 from app.errors import Problem
 from app.live.state import BusLive, LiveState
 from app.recipes.rules import Departure, DryRun, Recipe, Setpoint, departures, dry_run, setpoint_kind
 from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person
+from app.web.deadline import Deadline, Instant
 from bus.contract import Result, SetLine, SetSpeed
 
 MOST_RECIPES = 1000
@@ -71,9 +74,12 @@ class RecipeBook:
     def try_out(self, person: Person, recipe: Recipe) -> DryRun:
         """What loading it now would do; nothing is sent."""
         bus = self._bus(recipe)
-        return dry_run(recipe, bus, lambda unit, raw: self._refusal(person, recipe.bus, unit, raw))
+        refusal = partial(self._refusal, person, recipe.bus)
+        return dry_run(recipe, bus, refusal, time.time())
 
-    async def load(self, person: Person, recipe: Recipe, *, confirm: bool, command_id: str | None) -> Result:
+    async def load(
+        self, person: Person, recipe: Recipe, made_at: Instant, *, confirm: bool, command_id: str | None
+    ) -> Result:
         """Load it as one change: staged, broadcast, proven. Problem 409 where a unit cannot take it."""
         run = self.try_out(person, recipe)
         if not run.loadable:
@@ -81,7 +87,13 @@ class RecipeBook:
             raise Problem(409, "not_loadable", f"{recipe.name} cannot be loaded now: {why}; nothing was sent")
         action = SetLine(setpoints={setpoint.unit: setpoint.raw for setpoint in recipe.setpoints})
         result = await self._desk.ask(
-            person, recipe.bus, action, confirm=confirm, id=command_id, origin=f"recipe {recipe.name}"
+            person,
+            recipe.bus,
+            action,
+            deadline=Deadline(made_at, timeout_s_for(self._bus(recipe), len(action.setpoints))),
+            confirm=confirm,
+            id=command_id,
+            origin=f"recipe {recipe.name}",
         )
         if result.outcome == "verified":
             await self._mark(person, recipe)

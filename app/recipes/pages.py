@@ -9,6 +9,9 @@ from fastapi import APIRouter, Form, Request, Response
 from app.commands.forms import Desks
 from app.commands.line_change import followers_of, proven, reviewed
 from app.commands.ramp import present_setpoint
+from app.commands.reviewing import keep_their_setpoint, know_ramps
+from app.commands.risks import by_remark
+from app.commands.wish import timeout_s_for
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404
@@ -79,10 +82,24 @@ async def one_page(request: Request, person: Viewer, book: Book, recipe_id: int)
 async def review(person: Operator, desk: Desks, book: Book, recipe_id: int) -> Response:
     """The second step before loading."""
     recipe = await recipe_or_404(book, recipe_id)
-    run = book.try_out(person, recipe)
     bus = desk.bus(recipe.bus)
+    await know_ramps(
+        desk, person, recipe.bus, [one.unit for one in recipe.setpoints if one.unit in bus.units]
+    )
+    run = book.try_out(person, recipe)
     was = {number: present_setpoint(bus, unit) for number, unit in bus.units.items()}
-    return desk.review("recipes/_review.html", recipe=recipe, run=run, was=was, followers=followers_of(bus))
+    left_out, unchanged = keep_their_setpoint(desk, recipe.bus, [step.unit for step in run.steps])
+    return desk.review(
+        "recipes/_review.html",
+        recipe=recipe,
+        run=run,
+        was=was,
+        followers=followers_of(bus),
+        risks=by_remark((step.name, risk) for step in run.steps for risk in step.risks),
+        left_out=by_remark(left_out),
+        unchanged=unchanged,
+        longest_s=2 * timeout_s_for(bus, len(run.steps)),
+    )
 
 
 @router.post("/recipes/{recipe_id}/load")
@@ -103,7 +120,7 @@ async def load(
         setpoints = reviewed(bus, form)
         if setpoints != {one.unit: one.raw for one in recipe.setpoints if one.unit in bus.units}:
             raise Problem(422, "invalid", "this is not what was reviewed; nothing was sent")
-        result = await book.load(person, recipe, confirm=True, command_id=id)
+        result = await book.load(person, recipe, desk.made_at, confirm=True, command_id=id)
     except Problem as problem:
         return desk.refused(problem, recipe.name)
     return proven(desk, recipe.bus, recipe.name, setpoints, result, form)

@@ -6,18 +6,16 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from app.live.age import POLL_BYTES
+from app.commands.measure import measure_of_setpoint
+from app.commands.ramp import ramp_of
+from app.commands.risks import Facts, Remark, facts_of, obstacle_of, risks_of
 from app.live.state import BusLive, UnitLive
-from bus.catalogue.status import status_bits
 from bus.catalogue.values import ratio_text, speed_text
-from bus.settings import BITS_PER_BYTE
+from bus.contract.durations import change_s
 
 Kind = Literal["speed", "ratio"]
 
-_MAX_DISPLAY, _DECIMALS, _ACCELERATION, _DECELERATION, _MODE, _RATIO = 2, 3, 6, 7, 8, 37
-_STAGE_BYTES = 11 + 7
-"""82h with four data bytes and its ACK."""
-_EXECUTE_BYTES = 7
+_DECIMALS, _MODE, _RATIO = 3, 8, 37
 NOT_CONFIGURED = "not in the configuration"
 
 
@@ -46,7 +44,7 @@ class Recipe:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What loading does to one unit. ``ramp_s`` None where it is not known.
+    """What loading does to one unit. Texts of values are in ``measure``. ``ramp_s`` None where not known.
 
     ``words``: what will happen, a template for ``old``, ``new`` and ``seconds``.
     ``obstacle``: why it cannot be loaded now; empty when nothing stands in the way.
@@ -60,6 +58,8 @@ class Step:
     ramp_s: float | None
     obstacle: str = ""
     words: str = ""
+    measure: str = ""
+    risks: tuple[Remark, ...] = ()
 
     @property
     def is_configured(self) -> bool:
@@ -113,17 +113,12 @@ def setpoint_text(unit: UnitLive, setpoint: Setpoint) -> str:
     return str(setpoint.raw) if decimals is None else speed_text(setpoint.raw, decimals)
 
 
-def dry_run(recipe: Recipe, bus: BusLive, refusal: Callable[[int, int], str]) -> DryRun:
-    """``refusal(unit, raw)`` says why the desk would refuse a setpoint now, empty when it would not."""
-    steps = tuple(_step(setpoint, bus, refusal) for setpoint in recipe.setpoints)
+def dry_run(recipe: Recipe, bus: BusLive, refusal: Callable[[int, int], str], now: float) -> DryRun:
+    """``refusal(unit, raw)`` says why the desk would refuse a setpoint now, empty when it would not.
+    ``now``: seconds since the epoch."""
+    steps = tuple(_step(setpoint, bus, refusal, now) for setpoint in recipe.setpoints)
     ramps = [step.ramp_s for step in steps if step.ramp_s is not None]
-    return DryRun(steps, wire_seconds(len(steps), bus), max(ramps, default=None))
-
-
-def wire_seconds(units: int, bus: BusLive) -> float:
-    """Stage each, one broadcast, read each: the bytes of it at the baud rate of the bus."""
-    total = units * (_STAGE_BYTES + POLL_BYTES) + _EXECUTE_BYTES
-    return total * BITS_PER_BYTE / bus.baud
+    return DryRun(steps, change_s(len(steps), bus.baud), max(ramps, default=None))
 
 
 def departures(recipe: Recipe, bus: BusLive, since: float = 0.0) -> list[Departure]:
@@ -132,7 +127,7 @@ def departures(recipe: Recipe, bus: BusLive, since: float = 0.0) -> list[Departu
     return [departure for departure in found if departure is not None]
 
 
-def _step(setpoint: Setpoint, bus: BusLive, refusal: Callable[[int, int], str]) -> Step:
+def _step(setpoint: Setpoint, bus: BusLive, refusal: Callable[[int, int], str], now: float) -> Step:
     unit = bus.units.get(setpoint.unit)
     if unit is None:
         text = str(setpoint.raw)
@@ -145,7 +140,10 @@ def _step(setpoint: Setpoint, bus: BusLive, refusal: Callable[[int, int], str]) 
             None,
             NOT_CONFIGURED,
         )
-    ramp_s = ramp_seconds(unit, setpoint)
+    present = present_raw(unit, setpoint.kind)
+    ramp = ramp_of(unit, present, setpoint.raw)
+    ramp_s = 0.0 if present == setpoint.raw else None if ramp is None else ramp.seconds
+    facts = facts_of(bus, unit, now, ramp=ramp, setpoint=setpoint.raw)
     return Step(
         unit=setpoint.unit,
         name=unit.settings.name,
@@ -153,8 +151,10 @@ def _step(setpoint: Setpoint, bus: BusLive, refusal: Callable[[int, int], str]) 
         old=_present_text(unit, setpoint.kind),
         new=setpoint_text(unit, setpoint),
         ramp_s=ramp_s,
-        obstacle=_obstacle(setpoint, unit, bus) or refusal(setpoint.unit, setpoint.raw),
-        words=_words(setpoint, present_raw(unit, setpoint.kind), ramp_s),
+        obstacle=_obstacle(setpoint, unit, facts) or refusal(setpoint.unit, setpoint.raw),
+        words=_words(setpoint, present, ramp_s),
+        measure=measure_of_setpoint(unit),
+        risks=risks_of(facts),
     )
 
 
@@ -170,37 +170,15 @@ def _words(setpoint: Setpoint, present: int | None, ramp_s: float | None) -> str
     return f"{way} from {{old}} to {{new}}" + ("" if ramp_s is None else " in {seconds} s")
 
 
-def _obstacle(setpoint: Setpoint, unit: UnitLive, bus: BusLive) -> str:
-    if bus.link.link == "closed":
-        return f"no link to the bus: {bus.link.cause or 'the port is closed'}"
-    if unit.reading is None or unit.link.link == "offline":
-        return "the unit does not answer"
-    if not status_bits(unit.reading.outputs, unit.reading.inputs, bus.settings.estop_healthy).remote:
-        return "the unit is in LOCAL and will refuse"
+def _obstacle(setpoint: Setpoint, unit: UnitLive, facts: Facts) -> str:
+    if obstacle := obstacle_of(facts):
+        return obstacle.text
     kind = setpoint_kind(unit)
     if kind is None:
         return "whether it follows by ratio (#8) has not been read yet"
     if kind != setpoint.kind:
         return f"the recipe holds a {setpoint.kind}, the unit now takes a {kind} (#8)"
-    return _above_maximum(setpoint, unit)
-
-
-def _above_maximum(setpoint: Setpoint, unit: UnitLive) -> str:
-    maximum = unit.parameter_raw(_MAX_DISPLAY)
-    if setpoint.kind == "speed" and maximum is not None and setpoint.raw > maximum:
-        limit = setpoint_text(unit, Setpoint(setpoint.unit, maximum, "speed"))
-        return f"above the unit's maximum of {limit} (#2)"
     return ""
-
-
-def ramp_seconds(unit: UnitLive, setpoint: Setpoint) -> float | None:
-    """Time of the ramp by #6 or #7, which hold for the full span #2; None where any is not known."""
-    span, reading = unit.parameter_raw(_MAX_DISPLAY), unit.reading
-    if setpoint.kind != "speed" or not span or reading is None:
-        return None
-    change = setpoint.raw - reading.commanded
-    tenths = unit.parameter_raw(_ACCELERATION if change > 0 else _DECELERATION)
-    return None if tenths is None else abs(change) / span * tenths / 10
 
 
 def _present_text(unit: UnitLive, kind: Kind) -> str:

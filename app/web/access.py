@@ -15,6 +15,7 @@ from fastapi import Depends
 from starlette.requests import HTTPConnection
 
 from app.errors import Problem
+from app.web.arrival import refuse_late
 from bus.errors import CallerError
 
 Via = Literal["session", "token", "worker", "demo"]
@@ -92,12 +93,18 @@ def person_of(connection: HTTPConnection) -> Person | None:
 
 @dataclass(frozen=True)
 class Requires:
-    """A dependency: refuses whoever has less than ``role``, and gives the person."""
+    """A dependency: refuses whoever has less than ``role`` and a write that comes late; gives the person."""
 
     role: Role
 
     async def __call__(self, connection: HTTPConnection) -> Person:
-        """Raises Problem 401 or 403."""
+        """Raises Problem 401, 403 or, for a write that was held up on its way, 503 ``not_sent``."""
+        person = self.permitted(connection)
+        refuse_late(connection)
+        return person
+
+    def permitted(self, connection: HTTPConnection) -> Person:
+        """The person alone. Raises Problem 401 or 403."""
         person = person_of(connection)
         if person is None:
             raise not_signed_in()

@@ -17,15 +17,12 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
+from bus.contract.durations import stage_s
 from bus.line import reads, rebaud, staging, survey, writes
 from bus.line.errand import EVERY_UNIT, NO_UNIT, Claim, Errand
 from bus.line.poller import Poller
 from bus.line.roster import Roster
 from bus.line.steps import Procedure, Wish
-from bus.wire.commands import StageSpeed
-from bus.wire.lengths import usual_reply_bytes, wire_seconds
-
-STAGE_BYTES = 11
 
 
 def errand_of(poller: Poller, command_id: str, action: Action, deadline: float) -> Errand | None:
@@ -33,7 +30,7 @@ def errand_of(poller: Poller, command_id: str, action: Action, deadline: float) 
     wish = Wish(
         poller.bus.dialect,
         time_left_s=deadline - poller.clock.now(),
-        exchange_s=_stage_s(poller),
+        exchange_s=stage_s(poller.baud),
     )
     begin = _procedure(poller, action, wish)
     if begin is None:
@@ -89,8 +86,3 @@ def _write(roster: Roster, action: Action, wish: Wish) -> Callable[[], Procedure
             return lambda: writes.write_parameter(unit, number, raw)
         case _:
             return None
-
-
-def _stage_s(poller: Poller) -> float:
-    request = StageSpeed(1, 0)
-    return wire_seconds(STAGE_BYTES + usual_reply_bytes(request, poller.bus), poller.baud)

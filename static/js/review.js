@@ -136,7 +136,7 @@ function lost() {
 }
 
 /** A form that the browser sends by itself: not while the server is not heard, and with the moment of the press,
- * so that one that is held up on the way is refused (app/web/late.py). */
+ * so that one that is held up on the way is refused (app/web/arrival.py). */
 function submitted(event) {
   const form = event.target;
   if (event.defaultPrevented || !document.body.dataset.liveUrl) return;

@@ -236,7 +236,7 @@ async def test_dangerous_needs_its_confirmation(stage: Stage, worker: PlayedWork
 
 
 async def test_out_of_range_offers_the_nearest(stage: Stage, worker: PlayedWorker) -> None:
-    assert (await stage.ask("POST", "/units/1/speed", {"raw": 123456})).json()["nearest"] == 99999
+    assert (await stage.ask("POST", "/units/1/speed", {"raw": 123456})).json()["nearest"] == 20000
     assert (await stage.ask("PUT", "/units/1/analog-output", {"raw": 5})).json()["nearest"] == 100
     assert worker.commands == []
 
@@ -271,14 +271,18 @@ async def test_a_value_reads_the_decimals_first_where_they_are_not_known(stage: 
 
     async def play(command: Command) -> Sequence[Update]:
         if isinstance(command.action, ReadParameters):
-            values = [ParameterValue(unit=1, number=3, at=1.0, raw=2), ParameterValue(1, 8, 1.0, 0)]
-            return [fate(command, "verified", values=values)]
+            known = {2: 20000, 3: 2, 8: 0}
+            values = [ParameterValue(1, number, 1.0, known[number]) for number in command.action.numbers]
+            return [*values, fate(command, "verified", values=values)]
         return [fate(command, "verified", read_back=1)]
 
     worker.play = play
     assert (await stage.ask("POST", "/units/1/speed", {"value": "12.34"})).status_code == 200
-    assert worker.commands[0].action == ReadParameters(unit=1, numbers=[3, 8])
-    assert worker.commands[1].action == SetSpeed(unit=1, raw=1234)
+    assert [command.action for command in worker.commands] == [
+        ReadParameters(unit=1, numbers=[3, 8]),
+        ReadParameters(unit=1, numbers=[2]),
+        SetSpeed(unit=1, raw=1234),
+    ]
 
 
 async def test_a_value_for_a_silent_unit_is_unverified_and_not_sent(stage: Stage) -> None:

@@ -9,10 +9,12 @@ from typing import Any
 import pytest
 
 from app.audit.store import Filter
-from app.commands.wish import DEFAULT_TIMEOUT_S, time_for
+from app.commands.wish import timeout_s_for
 from app.errors import Problem, StoreError
+from app.live.state import LiveState
 from app.web.access import Person, Role
-from bus.contract import Cancel, Command, Progress, ReadParameters, SetLine, SetSpeed, Update, WriteParameter
+from app.web.deadline import DEFAULT_TIMEOUT_S
+from bus.contract import Cancel, Command, Progress, ReadParameters, SetSpeed, Update, WriteParameter
 from tests.app.stage import PlayedWorker, Stage, answering, bus_settings, fate
 
 ANNA = Person("anna", Role.OPERATOR, "token")
@@ -118,7 +120,6 @@ async def test_what_is_wanted_before_a_write_comes_first(stage: Stage, worker: P
 
 
 def test_a_change_of_several_is_given_the_time_of_its_staging() -> None:
-    bus = bus_settings(turnaround_ms=0)
-    assert time_for(WISH, bus) == DEFAULT_TIMEOUT_S
-    many = SetLine(setpoints=dict.fromkeys(range(1, 256), 5))
-    assert time_for(many, bus) == pytest.approx(DEFAULT_TIMEOUT_S + 255 * 220 / 9600)
+    live = LiveState([bus_settings(turnaround_ms=0)], started_at=0.0).buses["dry-end"]
+    assert timeout_s_for(live) == DEFAULT_TIMEOUT_S
+    assert timeout_s_for(live, 255) == pytest.approx(DEFAULT_TIMEOUT_S + 255 * 220 / 9600)

@@ -4,6 +4,7 @@ import pytest
 
 from app.commands.fate import fate_of, fate_of_problem
 from app.errors import Problem
+from app.web.deadline import Deadline, Instant, instant_now
 from bus.contract import Result, UnitOutcome
 from tests.app.screens import voice
 
@@ -39,5 +40,7 @@ def test_a_part_of_a_change_that_was_taken_back_says_so_in_the_reader_s_language
 
 
 def test_a_refusal_before_sending_is_said_in_the_reader_s_language() -> None:
-    problem = Problem(409, "late", "this press came too late to be carried out; nothing was sent")
-    assert fate_of_problem(problem, voice("de")).text.startswith("dieser Druck kam zu spät")
+    with pytest.raises(Problem) as late:
+        Deadline(Instant(instant_now() - 4), 2.0).refuse_passed()
+    text = fate_of_problem(late.value, voice("de")).text
+    assert text.startswith("zu spät: der Befehl ist 4,0 s alt, erlaubt waren 2 s")

@@ -107,7 +107,7 @@ async def test_an_old_press_sends_nothing_and_says_so(house: House) -> None:
     client = await house.program(Role.OPERATOR)
     form = {"raw": "100", "id": "a1", "how": "now", "reviewed_at": "1.0", "was": ""}
     late = await client.post("/units/dry-end/1/speed", data=form, headers={"Lineside-Asked-At": "1.0"})
-    assert (late.status_code, "too late" in late.text) == (409, True)
+    assert (late.status_code, "too late" in late.text) == (503, True)
     lapsed = await client.post("/units/dry-end/1/speed", data=form)
     assert (lapsed.status_code, "lapsed" in lapsed.text) == (409, True)
 

@@ -1,40 +1,48 @@
 from __future__ import annotations
 
+from app.commands.change import change_of
 from app.commands.limits import Limits
-from app.commands.ramp import change_of, nudges, present_setpoint, ramp_parameters_missing, sensible_bounds
+from app.commands.ramp import Ramp, nudges, present_setpoint, ramp_of, ramp_parameters_missing
 from bus.contract import ParameterValue
 from tests.app.screens import line, reading
 
-FREE = Limits()
+FREE, NOW = Limits(), 100.0
 
 
 def test_a_change_says_from_where_to_where_and_how_long() -> None:
     bus = line().buses["dry"]
-    up = change_of(bus, bus.units[1], 1600, FREE)
-    assert (up.old, up.new, up.seconds, up.ramp.number) == ("120.0", "160.0", 2.0, 6)
-    down = change_of(bus, bus.units[1], 200, FREE)
-    assert (down.seconds, down.ramp.number) == (10.0, 7)
+    up = change_of(bus, bus.units[1], 1600, FREE, NOW)
+    assert (up.old, up.new, up.measure, up.ramp) == ("120.0", "160.0", "m/min", Ramp(6, 100, 2.0))
+    down = change_of(bus, bus.units[1], 200, FREE, NOW)
+    assert down.ramp == Ramp(7, 200, 10.0)
+    assert (up.obstacle, up.risks) == (None, ())
 
 
 def test_a_ramp_that_is_not_known_is_not_guessed() -> None:
     live = line()
     live.apply("dry", [ParameterValue(unit=1, number=6, at=1, raw=None, available=False)])
     bus = live.buses["dry"]
-    assert change_of(bus, bus.units[1], 1600, FREE).seconds is None
+    assert ramp_of(bus.units[1], 1200, 1600) == Ramp(6, None, None)
+    assert ramp_of(bus.units[1], None, 1600) == Ramp(6, None, None)
     del bus.units[1].parameters[6]
     assert ramp_parameters_missing(bus.units[1]) == [6]
 
 
-def test_above_the_span_is_said() -> None:
+def test_without_its_span_a_ramp_of_nothing_is_still_known() -> None:
+    live = line()
+    live.apply("dry", [ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((2, 0), (6, 0))])
+    unit = live.buses["dry"].units[1]
+    assert ramp_of(unit, 1200, 1600) == Ramp(6, 0, 0.0)
+    assert ramp_of(unit, 1200, 800) == Ramp(7, 200, None)
+    assert ramp_of(unit, 1200, 1200) is None
+
+
+def test_the_range_is_said_with_the_change() -> None:
     bus = line().buses["dry"]
-    assert change_of(bus, bus.units[1], 2500, FREE).over_span
-    assert not change_of(bus, bus.units[1], 2000, FREE).over_span
-
-
-def test_the_printed_bounds_are_the_narrowest() -> None:
-    unit = line().buses["dry"].units[1]
-    assert sensible_bounds(unit, FREE) == (0, 2000)
-    assert sensible_bounds(unit, Limits(lowest=100, highest=1500)) == (100, 1500)
+    free = change_of(bus, bus.units[1], 1600, FREE, NOW)
+    assert (free.lowest, free.highest) == ("0.0", "200.0")
+    limited = change_of(bus, bus.units[1], 1600, Limits(lowest=100, highest=2500), NOW)
+    assert (limited.lowest, limited.highest) == ("10.0", "250.0")
 
 
 def test_a_follower_s_setpoint_is_its_ratio() -> None:
@@ -45,8 +53,8 @@ def test_a_follower_s_setpoint_is_its_ratio() -> None:
     )
     bus = live.buses["dry"]
     assert present_setpoint(bus, bus.units[1]) == 10250
-    change = change_of(bus, bus.units[1], 10300, FREE)
-    assert (change.old, change.new, change.seconds) == ("1.0250", "1.0300", None)
+    change = change_of(bus, bus.units[1], 10300, FREE, NOW)
+    assert (change.old, change.new, change.measure, change.ramp) == ("1.0250", "1.0300", "", None)
 
 
 def test_nudges_suit_the_span() -> None:

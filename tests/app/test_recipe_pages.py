@@ -30,6 +30,7 @@ async def load(client: httpx.AsyncClient, **changed: str) -> httpx.Response:
     ("changed", "said"),
     [
         ({"reviewed_at": "1"}, "lapsed"),
+        ({"reviewed_at": "nan"}, "lapsed"),
         ({"was-1": "690"}, "moved since it was reviewed"),
         ({"raw-1": "710"}, "not what was reviewed"),
         ({"raw-1": ""}, "not what was reviewed"),

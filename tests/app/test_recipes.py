@@ -10,6 +10,7 @@ from app.database import Database
 from app.errors import Problem
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore
+from app.web.deadline import instant_now
 from bus.contract import ParameterValue, SetLine
 from tests.app.played_desk import ANNA, Noted, PlayedDesk, a_bus, answering
 
@@ -78,7 +79,7 @@ async def test_the_dry_run_says_old_new_and_the_time_of_the_ramp(scene: Scene) -
     [
         (20001, True, 0, "maximum"),
         (95000, True, 0, "maximum"),
-        (100, False, 0, "LOCAL"),
+        (100, False, 0, "not in REMOTE"),
         (100, True, 1, "ratio"),
     ],
 )
@@ -90,7 +91,7 @@ async def test_what_stands_in_the_way_is_said_and_nothing_is_sent(
     answering(scene.live, remote=remote)
     scene.live.apply("dry-end", [ParameterValue(unit=2, number=8, at=2.0, raw=mode)])
     with pytest.raises(Problem, match=says):
-        await scene.book.load(ANNA, recipe, confirm=True, command_id=None)
+        await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id=None)
     assert scene.desk.asked == []
 
 
@@ -100,13 +101,13 @@ async def test_a_silent_line_cannot_be_loaded(scene: Scene) -> None:
     scene.live.worker_went("dry-end", 5.0)
     run = scene.book.try_out(ANNA, recipe)
     assert not run.loadable
-    assert "worker" in run.steps[0].obstacle
+    assert run.steps[0].obstacle == "no link to the bus"
 
 
 async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None:
     answering(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
-    await scene.book.load(ANNA, recipe, confirm=True, command_id="one")
+    await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id="one")
     assert scene.desk.asked == [SetLine(setpoints={1: 1200, 2: 1210})]
     loaded = scene.book.loaded("dry-end")
     assert loaded is not None
@@ -121,7 +122,7 @@ async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None
 async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_departed(scene: Scene) -> None:
     answering(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
-    await scene.book.load(ANNA, recipe, confirm=True, command_id="one")
+    await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id="one")
     live = a_bus()
     again = RecipeBook(live, scene.desk, scene.book.store, scene.events)  # type: ignore[arg-type]
     await again.load_marks()
@@ -154,7 +155,7 @@ async def test_a_ratio_read_before_the_recipe_was_loaded_is_no_departure(scene: 
     follower = [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()]
     scene.live.apply("dry-end", follower)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {2: 10100})
-    await scene.book.load(ANNA, recipe, confirm=True, command_id="one")
+    await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id="one")
     assert scene.book.departed("dry-end") == []
     loaded = scene.book.loaded("dry-end")
     assert loaded is not None

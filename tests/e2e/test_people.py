@@ -128,7 +128,7 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, browser_page: OpensP
     page.locator(".nudges button").nth(2).click()
     expect(page.locator("#setpoint-error")).to_contain_text("admin-program (token) holds control")
     page.get_by_role("button", name="Set line to zero").click()
-    expect(page.locator("#review")).to_contain_text("is not told: admin-program (token) holds control")
+    expect(page.locator("#review")).to_contain_text("left out: admin-program (token) holds control")
     expect(page.locator("[data-review-act]")).to_have_count(0)
     zero = page.request.post(
         "/line/zero", form={"id": "z" * 32, "reviewed_at": "9999999999"}, headers={"Origin": site.url}
@@ -261,7 +261,7 @@ def test_a_block_holds_on_every_path(site: Site, holder: httpx.Client, staged_an
     ended = eventually(lambda: _ended(holder, planned["id"]), "the end of the restore")
     assert "belt off" in str(ended)
     assert heard(site) == before
-    assert "is not told: blocked" in press(holder, site, *more[2]).text
+    assert "left out: blocked" in press(holder, site, *more[2]).text
     assert setpoint(site, 1) == 600
 
 

@@ -89,18 +89,22 @@ def test_each_end_of_a_wish_is_accessible_and_says_what_was_asked(
 ) -> None:
     page = opened(browser_page("engineer", viewport=WALL), "/units/line/1")
     before = site.unit(1)["commanded"]
+    with site.api("engineer") as client:
+        assert client.put("/buses/line/units/1/limits", json={"highest": 9990}).status_code == 200
     page.locator("#setpoint").fill("999")
     page.get_by_role("button", name="Set now").click()
-    expect(page.locator("#review")).to_contain_text("highest displayed speed (#2)")
+    expect(page.locator("#review")).to_contain_text("above its maximum display value (#2)")
     assert judged(page, axe) == []
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=bad]")).to_contain_text("refused: illegal speed value")
     expect(page.locator(".done__asked")).to_have_text(f"asked 999.0 · reads {before}")
     assert judged(page, axe) == []
     page.keyboard.press("Escape")
-    page.locator("#setpoint").fill("999999")
+    with site.api("engineer") as client:
+        assert client.put("/buses/line/units/1/limits", json={}).status_code == 200
+    page.locator("#setpoint").fill("999")
     page.get_by_role("button", name="Set now").click()
-    expect(page.locator("#setpoint-error")).to_contain_text("outside 0.0 to 200.0")
+    expect(page.locator("#setpoint-error")).to_contain_text("999.0 is outside 0.0 to 200.0")
     expect(page.locator("#setpoint-error .button")).to_be_in_viewport(ratio=1)
     assert judged(page, axe) == []
 
@@ -116,7 +120,8 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     page.locator(".setpoints__new[name=new-1]").fill("50")
     page.evaluate("document.querySelector('[name=new-3]').value = '51'")
     page.get_by_role("button", name="Review the change").click()
-    expect(page.locator("#review .notice:visible")).to_contain_text("not in REMOTE")
+    expect(page.locator("#review [data-remark=not_in_remote]")).to_contain_text("cannot take part")
+    expect(page.locator("#review [data-remark=blocked]")).to_contain_text("left out")
     assert judged(page, axe) == []
     page.locator("[data-review-act]").click()
     expect(page.locator(".proofs")).to_contain_text("nothing was sent to it")

@@ -137,7 +137,7 @@ def test_a_unit_that_went_to_local_meanwhile_is_in_the_result(site: Site, browse
         page.locator("[data-review-act]").click()
         done = page.locator("[data-review-done=bad]")
         expect(done).to_contain_text("4 of 5 units took speed 0")
-        expect(done).to_contain_text("is not told: not in REMOTE")
+        expect(done).to_contain_text("left out: not in REMOTE")
     finally:
         site.line.remote.do("mode", unit=2, to="remote")
     eventually(lambda: site.unit(2)["remote"], "unit 2 in REMOTE")
@@ -153,7 +153,7 @@ def test_a_blocked_unit_with_something_staged_holds_up_nobody(site: Site, browse
             go_to_zero(page, 4)
             done = page.locator("[data-review-done=bad]")
             expect(done).to_contain_text("4 of 5 units took speed 0")
-            expect(done).to_contain_text("is not told: blocked")
+            expect(done).to_contain_text("left out: blocked")
             assert state(site.line, 1)["setpoint"] == 0
             assert state(site.line, 2)["setpoint"] != 900
         finally:
@@ -172,7 +172,7 @@ def test_a_closed_bus_leaves_the_other_its_controls(site: Site, browser_page: Op
         expect(page.locator(".top__named")).to_contain_text("wet: the port is closed")
         page.get_by_role("button", name="Set line to zero").click()
         expect(page.locator("[data-review-act]")).to_have_text("Set 3 units to speed 0")
-        expect(page.locator("#review-body")).to_contain_text("does not answer")
+        expect(page.locator("#review-body")).to_contain_text("left out: no link to the bus")
         page.locator("[data-review-act]").click()
         expect(page.locator("[data-review-done=bad]")).to_contain_text("3 of 5 units took speed 0")
     finally:

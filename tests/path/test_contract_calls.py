@@ -142,9 +142,28 @@ def test_a_unit_in_local_refuses(plant: Dashboard) -> None:
         assert "REMOTE" in said["unit_error_name"]
 
 
-def test_a_speed_above_the_units_maximum_is_its_own_refusal(plant: Dashboard) -> None:
-    said = problem(plant.bus("POST", "/units/1/speed", {"raw": 20001, "execute": True}), 409, "refused")
-    assert said["unit_error"] == 129
+def test_a_speed_above_the_maximum_is_refused_with_the_nearest(
+    plant: Dashboard, units: dict[int, Unit]
+) -> None:
+    before = list(units[1].writes)
+    for method, path, body in (
+        ("POST", "/units/1/speed", {"raw": 20001, "execute": True}),
+        ("POST", "/units/1/speed", {"value": "2000.1", "execute": False}),
+        ("POST", "/speeds", {"setpoints": {"1": {"raw": 20001}}}),
+        ("PUT", "/units/1/parameters/20", {"raw": 20001}),
+    ):
+        assert problem(plant.bus(method, path, body), 422, "invalid")["nearest"] == 20000
+    assert units[1].writes == before
+    assert plant.bus("GET", "/units/1/setpoint-range").json()["highest"] == "2000.0"
+
+
+def test_an_engineers_limit_above_the_maximum_leaves_the_refusal_to_the_unit(plant: Dashboard) -> None:
+    assert plant.bus("PUT", "/units/1/limits", {"highest": 25000}).status_code == 200
+    try:
+        said = problem(plant.bus("POST", "/units/1/speed", {"raw": 20001, "execute": True}), 409, "refused")
+        assert said["unit_error"] == 129
+    finally:
+        assert plant.bus("PUT", "/units/1/limits", {}).status_code == 200
 
 
 def test_out_of_range_is_never_sent(plant: Dashboard, units: dict[int, Unit]) -> None:

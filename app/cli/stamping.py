@@ -1,0 +1,58 @@
+"""Every request gets the moment at which its first byte arrived, before anything else happens to it."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from app.cli.connection_arrivals import ConnectionArrivals
+from app.cli.loop_watch import LoopWatch
+from app.cli.patience import PatientProtocol
+from app.cli.tcp_wait import TcpSocket, tcp_wait
+from app.web.arrival import ARRIVED_AT
+
+
+class StampingProtocol(PatientProtocol):
+    """A command's time counts from the stamp (:mod:`app.web.arrival`)."""
+
+    _socket: TcpSocket | None = None
+    _arrivals: ConnectionArrivals
+    _arrived_at = 0.0
+
+    def __init__(self, *args: Any, watch: LoopWatch, **more: Any) -> None:
+        super().__init__(*args, **more)
+        self._watch = watch
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """It may have been open for long: the kernel accepts without us."""
+        now = self._watch.now()
+        self._socket = transport.get_extra_info("socket")
+        wait = tcp_wait(self._socket)
+        opened_at = self._watch.polled_after if wait is None else now - wait.sent_s
+        self._arrivals = ConnectionArrivals(opened_at, now)
+        super().connection_made(transport)
+
+    def data_received(self, data: bytes) -> None:
+        """The bytes may have waited for long too."""
+        # The clock first: whatever stops this process between the two makes the bytes older, never younger.
+        now = self._watch.now()
+        wait = tcp_wait(self._socket)
+        self._arrived_at = self._arrivals.received(
+            now,
+            len(data),
+            polled_after=self._watch.polled_after,
+            waited_s=0.0 if wait is None else wait.received_s,
+        )
+        super().data_received(data)
+        if self.flow.read_paused:
+            self._arrivals.paused()
+
+    def on_message_begin(self) -> None:
+        """The first byte of a request, which may be the second of these bytes."""
+        super().on_message_begin()
+        self.scope["state"][ARRIVED_AT] = self._arrived_at
+
+    def on_response_complete(self) -> None:
+        """The next request may be read."""
+        super().on_response_complete()
+        self._arrivals.resumed(self._watch.now())

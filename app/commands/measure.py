@@ -1,0 +1,24 @@
+"""What a value is measured in, as it is shown. Pure."""
+
+from __future__ import annotations
+
+from app.live.state import UnitLive, follower
+from app.live.view import setpoint_text
+from bus.catalogue.parameter import Parameter, Scale
+from bus.catalogue.values import parameter_unit
+
+
+def measure_of_setpoint(unit: UnitLive) -> str:
+    """Of a setpoint of this unit: "" of a ratio, and of the bare number on the wire while the decimals are
+    not known."""
+    is_shown = not follower(unit) and setpoint_text(unit, 0) is not None
+    return unit.settings.labels.unit if is_shown else ""
+
+
+def measure_of_value(unit: UnitLive, parameter: Parameter, raw: int) -> str:
+    """Of a value of a parameter: "" of a choice, which has a name, and of a ratio."""
+    if raw in parameter.choices:
+        return ""
+    if parameter.scale is Scale.SPEED or (parameter.scale is Scale.SPEED_OR_RATIO and not follower(unit)):
+        return unit.settings.labels.unit
+    return parameter_unit(parameter)

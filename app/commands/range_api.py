@@ -1,0 +1,45 @@
+"""What a setpoint of a unit may be, over HTTP."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+from app.commands.safeguards_api import Guards
+from app.commands.setpoint_range import Basis, SetpointKind, setpoint_range
+from app.live.api import Live
+from app.live.lookup import unit_or_404
+from app.live.view import setpoint_text
+from app.web.access import Viewer
+from app.web.api_route import ApiRoute
+from app.web.shape import Strict
+
+router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"], route_class=ApiRoute)
+
+
+class SetpointRangeShown(Strict):
+    """What a setpoint of a unit may be, both ends included: raw, and as the unit shows it (null while its
+    decimals are not known). ``basis`` is what sets it: the protocol, #2, the ratio limits, or an engineer."""
+
+    kind: SetpointKind
+    lowest_raw: int
+    highest_raw: int
+    lowest: str | None
+    highest: str | None
+    basis: Basis
+
+
+@router.get("/units/{unit:int}/setpoint-range")
+async def get_setpoint_range(
+    _: Viewer, live: Live, guards: Guards, bus: str, unit: int
+) -> SetpointRangeShown:
+    """What a setpoint of this unit may be, as every page and every write holds it."""
+    found = unit_or_404(live, bus, unit)
+    allowed = setpoint_range(found, guards.limits.of(bus, unit))
+    return SetpointRangeShown(
+        kind=allowed.kind,
+        lowest_raw=allowed.lowest,
+        highest_raw=allowed.highest,
+        lowest=setpoint_text(found, allowed.lowest),
+        highest=setpoint_text(found, allowed.highest),
+        basis=allowed.basis,
+    )

@@ -1,0 +1,109 @@
+"""When a request was made, as far as anybody can know.
+
+Three clocks say so, and the earliest is believed: the server, which stamps each request with the moment at
+which its first byte arrived (app/cli/stamping.py), a stall or a start of the server included; a program, in
+the header ``Lineside-Sent-At``; a page of ours, in the header ``Lineside-Asked-At`` or, where the browser
+sends the form itself, in the query ``asked_at`` (static/js/review.js).
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from datetime import datetime
+
+from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from app.errors import Problem
+from app.web.deadline import DEFAULT_TIMEOUT_S, Deadline, Instant, instant_now
+
+ARRIVED_AT, BEGUN_AT = "lineside.arrived_at", "lineside.begun_at"
+"""Keys in the ``state`` of an ASGI scope: the Instants at which the first byte of a request arrived and at
+which the app began with it."""
+SENT_AT = "lineside-sent-at"
+MOST_AHEAD_S = 5.0
+"""How far a program's clock may be ahead of the server's."""
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+
+
+class Begun:
+    """Middleware: notes when the app begins with a request, before its body is read. A server that does not
+    say when the first byte arrived is taken to call the app at once."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http":
+            state = scope.setdefault("state", {})
+            state[BEGUN_AT] = instant_now()
+            state.setdefault(ARRIVED_AT, state[BEGUN_AT])
+        await self._app(scope, receive, send)
+
+
+def made_at(connection: HTTPConnection) -> Instant:
+    """When this request was made; of one that only reads, when it arrived.
+
+    Raises Problem 422 where the ``Lineside-Sent-At`` of a write cannot be.
+    """
+    now = instant_now()
+    arrived = Instant(connection.scope.get("state", {}).get(ARRIVED_AT, now))
+    if _only_reads(connection):
+        return arrived
+    sent = (_program_sent_at(connection), _page_asked_at(connection))
+    age_s = max((time.time() - at for at in sent if at is not None), default=0.0)
+    return Instant(min(arrived, now - age_s))
+
+
+def refuse_late(connection: HTTPConnection) -> None:
+    """Raises Problem 503 for a write that was too long on its way: what a long body takes is not counted.
+    Reading is never late."""
+    if not _only_reads(connection):
+        begun_at = connection.scope.get("state", {}).get(BEGUN_AT)
+        Deadline(made_at(connection), DEFAULT_TIMEOUT_S).refuse_passed(begun_at)
+
+
+def _only_reads(connection: HTTPConnection) -> bool:
+    return connection.scope.get("method", "GET") in SAFE_METHODS
+
+
+def _program_sent_at(connection: HTTPConnection) -> float | None:
+    """Seconds since the epoch."""
+    given = connection.headers.getlist(SENT_AT)
+    if not given:
+        return None
+    at = _moment(given[0]) if len(given) == 1 else None
+    if at is None:
+        raise Problem(
+            422,
+            "invalid",
+            "Lineside-Sent-At: write one ISO 8601 time with its zone, such as 2026-11-21T03:12:00.250Z; "
+            "nothing was sent",
+        )
+    ahead_s = at - time.time()
+    if ahead_s > MOST_AHEAD_S:
+        raise Problem(
+            422,
+            "invalid",
+            "Lineside-Sent-At is {ahead} s in the future; set the clock of the sender; nothing was sent",
+            params={"ahead": f"{ahead_s:.1f}"},
+        )
+    return at
+
+
+def _moment(text: str) -> float | None:
+    try:
+        at = datetime.fromisoformat(text.strip())
+        return at.timestamp() if at.tzinfo is not None else None
+    except (ValueError, OverflowError):
+        return None
+
+
+def _page_asked_at(connection: HTTPConnection) -> float | None:
+    """Seconds since the epoch by the server's clock, as the page was told it; None where it says nothing."""
+    said = connection.headers.get("lineside-asked-at") or connection.query_params.get("asked_at", "")
+    with suppress(ValueError, OverflowError):
+        at = float(said)
+        return at if at == at else None
+    return None

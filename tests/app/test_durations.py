@@ -1,0 +1,65 @@
+"""How long a change of several units may take: one answer for the pages, the API, recipes and the worker."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.commands.wish import timeout_s_for
+from app.web.access import Role
+from app.web.deadline import Deadline
+from bus.contract import BusLink, Result, SetLine
+from bus.contract.durations import POLL_BYTES, change_s, longest_stage_s, stage_s
+from bus.settings import BAUDS
+from tests.app.played_desk import ANNA, a_bus, answering
+from tests.app.whole_app import House, whole_app
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        answering(house.services.live)
+        yield house
+
+
+@pytest.mark.parametrize("baud", BAUDS)
+@pytest.mark.parametrize("units", [1, 5, 16, 255])
+def test_the_worker_never_refuses_for_want_of_time_what_the_app_gives_time_for(units: int, baud: int) -> None:
+    live = a_bus()
+    live.apply("dry-end", [BusLink(at=1.0, link="open", baud=baud)])
+    assert units * stage_s(baud) < timeout_s_for(live.buses["dry-end"], units) - 1
+
+
+def test_the_arithmetic_of_the_wire() -> None:
+    assert stage_s(9600) == 18 * 10 / 9600
+    assert longest_stage_s(300, 0.05) == pytest.approx(22 * 10 / 300 + 0.05)
+    assert change_s(3, 9600) == pytest.approx((3 * (18 + POLL_BYTES) + 7) * 10 / 9600)
+
+
+async def test_pages_programs_and_recipes_give_a_change_the_same_time_at_any_baud(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[float] = []
+
+    async def ask(_person: Any, _bus: str, action: Any, *, deadline: Deadline, **_: Any) -> Result:
+        assert isinstance(action, SetLine)
+        given.append(deadline.timeout_s)
+        return Result("x", time.time(), "verified")
+
+    monkeypatch.setattr(house.services.desk, "ask", ask)
+    house.services.live.apply("dry-end", [BusLink(at=1.0, link="open", baud=300)])
+    operator = await house.signed_in(Role.OPERATOR)
+    setpoints = {"raw-1": "700", "was-1": "1000", "raw-2": "800", "was-2": "1000"}
+    form = {"bus": "dry-end", "id": "c" * 32, "reviewed_at": f"{time.time()}"} | setpoints
+    for path in ("/setpoints", "/line/zero"):
+        assert (await operator.post(path, data=form)).status_code == 200
+    body = {"setpoints": {"1": {"raw": 700}, "2": {"raw": 800}}}
+    assert (await operator.post("/api/v1/buses/dry-end/speeds", json=body)).status_code == 200
+    await house.services.recipes.save(ANNA, "dry-end", "Board", "", {1: 700, 2: 800})
+    assert (await operator.post("/api/v1/recipes/1/load", json={})).status_code == 200
+    assert set(given) == {timeout_s_for(house.services.live.buses["dry-end"], 2)}
+    assert len(given) == 4

@@ -1,0 +1,185 @@
+"""What the reviews of the pages say before anything is sent: who is at risk, who is left out, and the units
+of every number; in English and German."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from app.commands.limits import Limits
+from app.web.access import Role
+from bus.contract import ParameterValue, Reading
+from tests.app.played_desk import ANNA, HEALTHY, REMOTE, RUN, answering, fresh
+from tests.app.whole_app import House, whole_app
+
+NOTICE = re.compile(r'data-remark="(\w+)">.*?<p><b>([^<]*)</b>([^<]*)</p>', re.S)
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    """Two units that run in REMOTE at 100.0 of 2000.0; only the first has a label for its unit, m/min."""
+    async with whole_app(tmp_path) as house:
+        answering(house.services.live, run=True)
+        await house.signed_in(Role.OPERATOR)
+        yield house
+
+
+def say(
+    house: House, unit: int, *, inputs: int = HEALTHY | RUN, outputs: int = REMOTE, **more: float
+) -> None:
+    """A unit responds like this."""
+    at = time.time() - more["age"] if more else fresh()
+    house.services.live.apply("dry-end", [Reading(unit, at, 1000, 1000, 0, outputs, inputs)])
+
+
+def tell(house: House, unit: int, number: int, raw: int | None) -> None:
+    """A unit has this parameter."""
+    value = ParameterValue(unit=unit, number=number, at=1.0, raw=raw, available=raw is not None)
+    house.services.live.apply("dry-end", [value])
+
+
+def remarks(answer: httpx.Response) -> list[tuple[str, str]]:
+    """(code, names) of what is said, in order."""
+    assert answer.status_code == 200, answer.text
+    return [(code, names) for code, names, _ in NOTICE.findall(answer.text)]
+
+
+def operator(house: House) -> httpx.AsyncClient:
+    """Who reviews."""
+    return house.clients[0]
+
+
+async def single(house: House, value: str = "150.0", **form: str) -> httpx.Response:
+    browser = operator(house)
+    return await browser.post("/units/dry-end/1/review", data={"value": value, **form})
+
+
+async def group(house: House, **setpoints: str) -> httpx.Response:
+    browser = operator(house)
+    return await browser.post("/setpoints/review", data={"bus": "dry-end", **setpoints})
+
+
+async def recipe(house: House, units: dict[int, int]) -> httpx.Response:
+    browser = operator(house)
+    saved = await house.services.recipes.save(ANNA, "dry-end", "Board", "", units)
+    return await browser.get(f"/recipes/{saved.id}/review")
+
+
+async def zero(house: House) -> httpx.Response:
+    return await operator(house).get("/line/zero")
+
+
+async def test_where_nothing_is_the_matter_nothing_is_said(house: House) -> None:
+    assert remarks(await single(house)) == []
+
+
+@pytest.mark.parametrize("way", ["single", "group", "recipe", "zero", "undo"])
+async def test_a_unit_at_risk_is_named_by_every_review(house: House, way: str) -> None:
+    say(house, 1, inputs=0)
+    tell(house, 1, 7, 0)
+    match way:
+        case "single":
+            answer = await single(house, "50.0")
+        case "group" | "undo":
+            answer = await group(house, **{"new-1": "50.0", "new-2": "150.0"})
+        case "recipe":
+            answer = await recipe(house, {1: 500, 2: 1500})
+        case _:
+            answer = await zero(house)
+    expected = [("estop_active", "Unwind"), ("run_off", "Unwind"), ("no_ramp", "Unwind")]
+    assert remarks(answer) == expected
+    assert "data-review-act" in answer.text
+
+
+async def test_a_change_of_several_names_who_is_left_out_and_why(house: House) -> None:
+    say(house, 2, outputs=0)
+    assert remarks(await group(house, **{"new-1": "50.0"})) == [("not_in_remote", "Nip")]
+
+
+async def test_a_recipe_and_zero_name_who_is_left_out_too(house: House) -> None:
+    say(house, 2, outputs=0)
+    assert remarks(await recipe(house, {1: 500})) == [("not_in_remote", "Nip")]
+    await house.services.safeguards.block(ANNA, "dry-end", 2, "belt off")
+    answer = await zero(house)
+    assert remarks(answer) == [("blocked", "Nip")]
+    assert "belt off" in answer.text
+
+
+async def test_who_is_simply_not_part_of_it_is_named_without_alarm(house: House) -> None:
+    answer = await group(house, **{"new-1": "50.0"})
+    assert remarks(answer) == []
+    assert "Not part of this change: Nip" in answer.text
+
+
+async def test_a_unit_of_the_change_that_cannot_take_it_is_an_obstacle(house: House) -> None:
+    say(house, 2, age=60)
+    answer = await group(house, **{"new-1": "50.0", "new-2": "50.0"})
+    assert remarks(answer) == [("offline", "Nip")]
+    assert "All of them or none" in answer.text
+
+
+async def test_a_ramp_that_is_not_known_is_said(house: House) -> None:
+    tell(house, 1, 6, None)
+    assert remarks(await single(house)) == [("ramp_unknown", "Unwind")]
+
+
+async def test_a_value_that_is_old_is_said_with_its_age(house: House) -> None:
+    say(house, 1, age=4)
+    answer = await single(house)
+    assert remarks(answer) == [("stale", "Unwind")]
+    assert re.search(r"last response is \d s old", answer.text)
+
+
+async def test_above_the_maximum_by_an_engineers_leave_is_said(house: House) -> None:
+    await house.services.safeguards.set_limits(ANNA, "dry-end", 1, Limits(highest=25000))
+    assert remarks(await single(house, "2100.0")) == [("above_display", "Unwind")]
+    assert remarks(await single(house, "2000.0")) == []
+
+
+async def test_what_is_only_staged_has_no_risk_yet(house: House) -> None:
+    say(house, 1, inputs=0)
+    assert remarks(await single(house, how="stage")) == []
+
+
+async def test_every_number_has_its_unit(house: House) -> None:
+    for answer in (
+        await single(house),
+        await group(house, **{"new-1": "150.0"}),
+        await recipe(house, {1: 1500}),
+    ):
+        for number in ("100.0", "150.0"):
+            assert re.search(rf"{number}(</b>|<small>|\s|<b>)*m/min", answer.text), (number, answer.text)
+    assert "0.0 to 2000.0 m/min" in (await single(house)).text
+
+
+async def test_a_ramp_of_nothing_is_warned_of_where_it_is_written(house: House) -> None:
+    browser = await house.signed_in(Role.ENGINEER)
+    tell(house, 1, 16, 1)
+    answer = await browser.post("/units/dry-end/1/parameters/7/review", data={"value": "0.0"})
+    assert remarks(answer) == [("no_ramp", "Unwind")]
+    assert re.search(r"0\.0 <small>s</small>", answer.text)
+    speed = await browser.post("/units/dry-end/1/parameters/20/review", data={"value": "50.0"})
+    assert remarks(speed) == [("setpoint", "Unwind")]
+    assert "50.0 <small>m/min</small>" in speed.text
+
+
+async def test_in_german_too(house: House) -> None:
+    say(house, 1, inputs=0, age=4)
+    say(house, 2, outputs=0)
+    tell(house, 1, 7, 0)
+    browser = operator(house)
+    form = {"bus": "dry-end", "new-1": "50,0"}
+    answer = await browser.post("/setpoints/review", data=form, headers={"Accept-Language": "de"})
+    texts = [re.sub(r"ist \d s", "ist N s", text.strip()) for _, _, text in NOTICE.findall(answer.text)]
+    assert texts == [
+        ": seine letzte Antwort ist N s alt",
+        ": Not-Halt ist aktiv: der Sollwert wirkt, sobald er aufgehoben ist",
+        ": Lauf-Eingang ist aus: der Sollwert wirkt, sobald er an ist",
+        ": ändert sich sofort, ohne Rampe: #7 ist 0,0 s",
+        "ausgelassen: nicht in REMOTE",
+    ]

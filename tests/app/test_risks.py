@@ -1,0 +1,99 @@
+"""What a review says of its units: each fact, alone and together, and in the order of the tables."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.commands.ramp import Ramp
+from app.commands.risks import Remark, by_remark, facts_of, obstacle_of, risks_of, risks_of_writing
+from app.live.state import LiveState
+from bus.contract import BusLink, Update
+from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading
+
+NOW = 100.0
+KNOWN = Ramp(6, 100, 2.0)
+
+
+def after(*updates: Update) -> LiveState:
+    """The line, after these."""
+    live = line()
+    live.apply("dry", updates)
+    return live
+
+
+def said(live: LiveState, *, block: str = "", ramp: Ramp | None = KNOWN) -> tuple[str, list[str]]:
+    """The codes of what is said of unit 1."""
+    bus = live.buses["dry"]
+    facts = facts_of(bus, bus.units[1], NOW, block=block, ramp=ramp)
+    obstacle = obstacle_of(facts)
+    return "" if obstacle is None else obstacle.code, [risk.code for risk in risks_of(facts)]
+
+
+@pytest.mark.parametrize(
+    ("live", "block", "ramp", "expected"),
+    [
+        (after(), "", KNOWN, ("", [])),
+        (after(), "", None, ("", [])),
+        (after(), "belt off", KNOWN, ("blocked", [])),
+        (after(BusLink(at=NOW, link="closed")), "", KNOWN, ("bus_closed", ["stale"])),
+        (after(reading(at=50.0)), "", KNOWN, ("offline", [])),
+        (after(reading(at=96.0)), "", KNOWN, ("", ["stale"])),
+        (after(reading(outputs=AT_SPEED)), "", KNOWN, ("not_in_remote", [])),
+        (after(reading(inputs=RUN)), "", KNOWN, ("", ["estop_active"])),
+        (after(reading(inputs=HEALTHY)), "", KNOWN, ("", ["run_off"])),
+        (after(), "", Ramp(7, 0, 0.0), ("", ["no_ramp"])),
+        (after(), "", Ramp(7, None, None), ("", ["ramp_unknown"])),
+        (after(), "", Ramp(7, 50, None), ("", ["ramp_unknown"])),
+        (
+            after(reading(at=96.0, inputs=0, outputs=0)),
+            "belt off",
+            Ramp(7, 0, 0.0),
+            ("blocked", ["stale", "estop_active", "run_off", "no_ramp"]),
+        ),
+    ],
+)
+def test_each_fact_has_its_remark(
+    live: LiveState, block: str, ramp: Ramp | None, expected: tuple[str, list[str]]
+) -> None:
+    assert said(live, block=block, ramp=ramp) == expected
+
+
+def test_a_unit_that_never_responded_says_nothing_but_that() -> None:
+    live = line()
+    live.buses["dry"].units[1].reading = None
+    assert said(live) == ("offline", [])
+
+
+def test_the_dialect_says_which_level_is_an_emergency_stop() -> None:
+    live = after(reading(inputs=RUN))
+    bus = live.buses["dry"]
+    object.__setattr__(bus.settings, "estop_healthy", 0)
+    assert said(live) == ("", [])
+
+
+def test_the_numbers_are_params() -> None:
+    bus = after(reading(at=96.4)).buses["dry"]
+    facts = facts_of(bus, bus.units[1], NOW, block="{age}", ramp=Ramp(7, 0, 0.0))
+    assert obstacle_of(facts) == Remark("blocked", "blocked: {block}", (("block", "{age}"),))
+    assert [risk.params for risk in risks_of(facts)] == [(("age", "4"),), (("number", "7"),)]
+
+
+def test_one_remark_names_all_its_units() -> None:
+    silent, local = Remark("offline", "does not respond"), Remark("not_in_remote", "not in REMOTE")
+    found = by_remark([("A", local), ("B", silent), ("C", local)])
+    assert found == [(local, ["A", "C"]), (silent, ["B"])]
+
+
+@pytest.mark.parametrize(
+    ("number", "raw", "codes"),
+    [
+        (6, 0, ["no_ramp"]),
+        (7, 0, ["no_ramp"]),
+        (7, 1, []),
+        (5, 0, []),
+        (20, 5, ["setpoint"]),
+        (37, 5, ["setpoint"]),
+    ],
+)
+def test_what_a_write_to_a_parameter_may_surprise_with(number: int, raw: int, codes: list[str]) -> None:
+    assert [risk.code for risk in risks_of_writing(number, raw)] == codes

@@ -1,0 +1,221 @@
+"""Commands that reach the server late, or that say so: none of them reaches a unit."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.web import arrival
+from app.web.access import Role
+from app.web.arrival import SAFE_METHODS
+from tests.app.played_desk import ANNA
+from tests.app.played_desk import answering as answering_units
+from tests.app.stage import PlayedWorker, Stage, answering, staged
+from tests.app.whole_app import House, whole_app
+
+WRITES = [
+    ("POST", "/units/1/speed", {"raw": 5}),
+    ("POST", "/units/1/execute", None),
+    ("POST", "/execute", None),
+    ("POST", "/speeds", {"setpoints": {"1": {"raw": 5}}}),
+    ("PUT", "/units/1/outputs/3", {"on": True}),
+    ("PUT", "/units/1/analog-output", {"raw": 350}),
+    ("PUT", "/units/1/parameters/6", {"raw": 50}),
+    ("POST", "/baud", {"baud": 4800, "confirm": True}),
+]
+EACH_WRITE = pytest.mark.parametrize(("method", "path", "body"), WRITES, ids=[path for _, path, _ in WRITES])
+LATE_S = 3.5
+
+
+def sent(seconds_ago: float, zone: timezone = UTC) -> dict[str, str]:
+    """The header of a program that made its request so long ago."""
+    return {"Lineside-Sent-At": (datetime.now(zone) - timedelta(seconds=seconds_ago)).isoformat()}
+
+
+@pytest.fixture
+async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
+    async with staged(tmp_path) as built:
+        yield built
+
+
+@pytest.fixture
+async def worker(stage: Stage) -> PlayedWorker:
+    """Every unit takes everything."""
+    played = await stage.worker()
+    played.play = answering("verified", read_back=1)
+    return played
+
+
+@EACH_WRITE
+async def test_a_write_that_says_it_is_old_is_not_sent(
+    stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any
+) -> None:
+    answer = await stage.ask(method, path, body, headers=sent(LATE_S))
+    assert (answer.status_code, answer.json()["code"], answer.json()["outcome"]) == (
+        503,
+        "not_sent",
+        "not_sent",
+    )
+    assert "too late" in answer.json()["detail"]
+    assert worker.commands == []
+    assert (await stage.ask(method, path, body, headers=sent(0))).status_code == 200
+    assert len(worker.commands) == 1
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "status"),
+    [
+        ("/units/1/speed", {"raw": 5, "timeout_s": 20}, 200),
+        ("/units/1/speed?timeout_s=20", {"raw": 5}, 200),
+        ("/units/1/speed?timeout_s=20", {"raw": 5, "timeout_s": 3}, 503),
+        ("/units/1/speed", {"raw": 5, "timeout_s": 3}, 503),
+    ],
+)
+@pytest.mark.usefixtures("worker")
+async def test_its_own_time_decides(stage: Stage, path: str, body: Any, status: int) -> None:
+    assert (await stage.ask("POST", path, body, headers=sent(LATE_S))).status_code == status
+
+
+async def test_the_time_that_is_left_counts_from_when_it_was_made(stage: Stage, worker: PlayedWorker) -> None:
+    made = datetime.now(UTC) - timedelta(seconds=LATE_S)
+    headers = {"Lineside-Sent-At": made.isoformat()}
+    await stage.ask("POST", "/units/1/speed", {"raw": 5, "timeout_s": 20}, headers=headers)
+    assert worker.commands[0].deadline == pytest.approx(made.timestamp() + 20, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "",
+        "now",
+        "1764000000",
+        "2026-11-21",
+        "2026-11-21T03:12:00",
+        "2026-13-21T03:12:00Z",
+        "NaN",
+        "\xff",
+        f"{datetime.now(UTC).isoformat()}, {datetime.now(UTC).isoformat()}",
+    ],
+)
+async def test_what_is_no_time_with_zone_is_refused(stage: Stage, worker: PlayedWorker, value: str) -> None:
+    headers = {"Lineside-Sent-At": value.encode("latin-1")}
+    answer = await stage.http().post("/api/v1/buses/dry-end/units/1/speed", json={"raw": 5}, headers=headers)
+    assert (answer.status_code, answer.json()["code"]) == (422, "invalid")
+    assert worker.commands == []
+
+
+@pytest.mark.parametrize(
+    "zone", [UTC, timezone(timedelta(hours=-9, minutes=-30)), timezone(timedelta(hours=14))]
+)
+@pytest.mark.parametrize(("ahead_s", "status"), [(3, 200), (6, 422), (3600, 422)])
+async def test_a_clock_may_be_ahead_by_five_seconds(
+    stage: Stage, worker: PlayedWorker, zone: timezone, ahead_s: float, status: int
+) -> None:
+    answer = await stage.ask("POST", "/units/1/speed", {"raw": 5}, headers=sent(-ahead_s, zone))
+    assert answer.status_code == status
+    assert len(worker.commands) == (status == 200)
+    if status == 422:
+        assert answer.json()["code"] == "invalid"
+
+
+@pytest.mark.usefixtures("worker")
+async def test_two_times_are_none(stage: Stage) -> None:
+    headers = [*sent(0).items(), *sent(0).items()]
+    answer = await stage.http().post("/api/v1/buses/dry-end/units/1/speed", json={"raw": 5}, headers=headers)
+    assert answer.status_code == 422
+
+
+async def test_a_finished_command_gives_its_result_however_late_it_is_repeated(
+    stage: Stage, worker: PlayedWorker
+) -> None:
+    key = {"Idempotency-Key": "mine"}
+    body = {"raw": 5}
+    first = await stage.ask("POST", "/units/1/speed", body, headers=key | sent(0))
+    again = await stage.ask("POST", "/units/1/speed", body, headers=key | sent(60))
+    assert (again.status_code, again.text) == (200, first.text)
+    assert len(worker.commands) == 1
+
+
+@pytest.mark.usefixtures("worker")
+async def test_a_late_one_leaves_its_key_free(stage: Stage) -> None:
+    key = {"Idempotency-Key": "mine"}
+    assert (await stage.ask("POST", "/execute", headers=key | sent(60))).status_code == 503
+    assert (await stage.ask("POST", "/execute", headers=key | sent(0))).status_code == 200
+
+
+@pytest.mark.usefixtures("worker")
+async def test_reading_is_never_late(stage: Stage) -> None:
+    for headers in (sent(60), {"Lineside-Sent-At": "whenever"}):
+        assert (await stage.ask("GET", "/units/1", headers=headers)).status_code == 200
+        assert (await stage.ask("GET", "/units/1/parameters", headers=headers)).status_code == 200
+
+
+@pytest.mark.usefixtures("worker")
+async def test_other_writes_are_late_too(stage: Stage) -> None:
+    for method, path, body in (
+        ("POST", "/units/1/block", {"reason": "belt off"}),
+        ("POST", "/control", None),
+    ):
+        answer = await stage.ask(method, path, body, headers=sent(LATE_S))
+        assert (answer.status_code, answer.json()["code"]) == (503, "not_sent")
+    assert (await stage.ask("GET", "/units/1/block")).json()["blocked"] is False
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+async def test_a_long_body_makes_no_write_late(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file of parameter sets on a slow network: what counts is when it began to come."""
+    browser = await house.signed_in(Role.ENGINEER)
+    now = 5000.0
+    monkeypatch.setattr(arrival, "instant_now", lambda: now)
+
+    async def slowly() -> AsyncIterator[bytes]:
+        nonlocal now
+        yield b'{"lowest": 5, '
+        now += 60
+        yield b'"highest": 50}'
+
+    headers = {"Content-Type": "application/json"}
+    path = "/api/v1/buses/dry-end/units/1/limits"
+    assert (await browser.put(path, content=slowly(), headers=headers)).status_code == 200
+
+
+PUBLIC = {"/login", "/login/panel"}
+"""Signing in changes nothing at a unit."""
+
+
+async def test_of_every_route_that_writes(house: House) -> None:
+    """A program that says when it sent, and a page that says when its button was pressed."""
+    browser = await house.signed_in(Role.ADMIN)
+    answering_units(house.services.live)
+    recipe = await house.services.recipes.save(ANNA, "dry-end", "Kraft 80", "", {1: 1100})
+    routes = {(method, route.path) for route in house.app.routes for method in getattr(route, "methods", ())}
+    writes = {(method, path) for method, path in routes if method not in SAFE_METHODS and path not in PUBLIC}
+    assert len(writes) > 50
+    in_time = []
+    for method, path in sorted(writes):
+        for headers in (sent(60), {"Lineside-Asked-At": "1.0"}):
+            url = _filled_in(path, recipe.id)
+            answer = await browser.request(method, url, json=BODIES.get(url, {}), headers=headers)
+            if answer.status_code != 503 or "too late" not in answer.text:
+                in_time.append((method, path, answer.text))
+    assert in_time == []
+
+
+BODIES = {f"/api/v1/buses/dry-end{path}": body for _, path, body in WRITES}
+
+
+def _filled_in(path: str, recipe: int) -> str:
+    names = {"bus": "dry-end", "unit": "1", "unit:int": "1", "recipe_id": recipe}
+    names |= {"number:int": "3" if "outputs" in path else "6"}
+    for name, value in names.items():
+        path = path.replace(f"{{{name}}}", f"{value}")
+    return path
