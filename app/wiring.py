@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from time import time
+from zoneinfo import ZoneInfo
 
 import structlog
 
@@ -43,7 +44,6 @@ from app.swap.desk import SwapDesk
 from app.swap.store import SwapStore
 from app.web.access import Person, Role
 from app.web.assets import Assets, static_dir, templates_dir
-from app.web.formats import zone
 from app.web.templating import Templates
 
 log = structlog.get_logger()
@@ -121,7 +121,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     safeguards = Safeguards(database, events, control_required=control, find=accounts.find)
     desk = Desk(live, workers.channels, events, database, safeguards)
     reader = ParameterReader(live, desk)
-    local_time = partial(datetime.now, zone(settings.site.time_zone))
+    local_time = partial(datetime.now, ZoneInfo(settings.site.zone))
     sets = SetKeeper(live, reader, SetStore(database), events)
     services = Services(
         settings=settings,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import datetime, time, timedelta
 from typing import Annotated, Any
 from urllib.parse import urlencode
+from zoneinfo import ZoneInfo
 
 from fastapi import APIRouter, Query
 from starlette.requests import Request
@@ -13,7 +14,6 @@ from starlette.responses import HTMLResponse
 from app.audit.api import Events
 from app.audit.store import Filter
 from app.web.access import Viewer
-from app.web.formats import zone
 from app.web.templating import render, templates_of
 
 router = APIRouter(include_in_schema=False)
@@ -70,7 +70,7 @@ def _day(text: str, time_zone: str, later: timedelta = timedelta(0)) -> float | 
     """The instant at which a day (2026-11-21) begins at the site; None for what is no day."""
     try:
         day = datetime.fromisoformat(text).date() + later
-        return datetime.combine(day, time(), zone(time_zone)).timestamp()
+        return datetime.combine(day, time(), ZoneInfo(time_zone)).timestamp()
     except (ValueError, OverflowError):
         return None
 
@@ -94,4 +94,4 @@ def _csv_link(wanted: Filter, time_zone: str) -> str:
 
 
 def _iso(at: float | None, time_zone: str) -> str:
-    return "" if at is None else datetime.fromtimestamp(at, zone(time_zone)).isoformat()
+    return "" if at is None else datetime.fromtimestamp(at, ZoneInfo(time_zone)).isoformat()
