@@ -24,8 +24,10 @@ from app.database import Database
 from app.feed.workers import Workers
 from app.history.service import History
 from app.history.status import sentence
+from app.history.status_words import status_words
 from app.history.warming import warm
 from app.live.hub import Hub
+from app.live.onset_lookup import OnsetLookup
 from app.live.state import LiveState
 from app.metrics.counts import Counts
 from app.pipeline import Pipeline
@@ -102,6 +104,7 @@ class Services:
     swaps: SwapDesk
     recipes: RecipeBook
     counts: Counts
+    onsets: OnsetLookup
 
 
 def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
@@ -122,6 +125,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     desk = Desk(live, workers.channels, events, database, safeguards)
     reader = ParameterReader(live, desk)
     local_time = partial(datetime.now, ZoneInfo(settings.site.zone))
+    hub = Hub(live, templates, time)
     sets = SetKeeper(live, reader, SetStore(database), events)
     services = Services(
         settings=settings,
@@ -137,7 +141,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         history_news=news,
         pipeline=pipeline,
         workers=workers,
-        hub=Hub(live, templates, time),
+        hub=hub,
         safeguards=safeguards,
         desk=desk,
         parameter_reader=reader,
@@ -149,6 +153,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         swaps=SwapDesk(events, SwapStore(database), time),
         recipes=RecipeBook(live, desk, RecipeStore(database), events),
         counts=Counts(events),
+        onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, time),
     )
     _connect(services)
     return services
@@ -177,6 +182,7 @@ async def running(services: Services) -> AsyncIterator[None]:
     works = (
         services.pipeline.record,
         services.hub.beat,
+        services.onsets.follow,
         services.history.inspect_daily,
         partial(services.set_schedule.follow, SERVER),
         partial(services.sets.learn_marked, SERVER),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from app.commands.limits import Limits
 from app.commands.setpoints import bounds, commanded_setpoint
 from app.commands.words import shown_setpoint
+from app.live.ramp_time import ramp_seconds
 from app.live.state import BusLive, UnitLive, follower
 from bus.catalogue.parameter import Parameter
 from bus.catalogue.parameters import PARAMETERS
@@ -50,7 +51,7 @@ def change_of(bus: BusLive, unit: UnitLive, new_raw: int, limits: Limits) -> Cha
         new=shown_setpoint(new_raw, unit),
         lowest=shown_setpoint(lowest, unit),
         highest=shown_setpoint(highest, unit),
-        seconds=_ramp_seconds(unit, old_raw, new_raw, ramp),
+        seconds=ramp_seconds(unit, old_raw, new_raw),
         ramp=PARAMETERS[ramp],
         over_span=span is not None and not follower(unit) and new_raw > span,
     )
@@ -87,10 +88,3 @@ def _round_number(size: float) -> int:
         if candidate <= size:
             step = candidate
     return step
-
-
-def _ramp_seconds(unit: UnitLive, old: int | None, new: int, ramp: int) -> float | None:
-    span, tenths = unit.parameter_raw(MAX_DISPLAY), unit.parameter_raw(ramp)
-    if old is None or not span or tenths is None or follower(unit):
-        return None
-    return abs(new - old) / span * tenths / 10

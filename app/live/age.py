@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from app.live.state import BusLive, UnitLive
+from typing import TYPE_CHECKING
+
 from bus.contract import BusFigures, UnitLinkState
 from bus.settings import BITS_PER_BYTE, BusSettings
+
+if TYPE_CHECKING:
+    from app.live.bus_live import BusLive, UnitLive
 
 POLL_BYTES = 25
 """81h and its answer (manual, 2.2): 7 bytes out, 18 back."""

@@ -8,11 +8,12 @@ from decimal import Decimal
 from zoneinfo import ZoneInfo
 
 from babel import Locale
-from babel.dates import format_date, format_datetime, format_time
+from babel.dates import format_date, format_datetime, format_skeleton, format_time
 from babel.numbers import get_decimal_symbol
 
 from app.time_zone import UTC
 
+HALF_DAY_S = 43_200
 UNKNOWN = "\N{EN DASH}"
 """What stands where a value was never read."""
 _NUMBER = re.compile(r"(?<![\w.,:/-])-?(?:\d+|\d{1,3}(?:,\d{3})+)\.\d+(?![\w:/-]|[.,]\d)")
@@ -71,11 +72,13 @@ class Formats:
         return format_time(self.local(at).time(), "medium", locale=self.locale)
 
     def since(self, at: float, now: float) -> str:
-        """The time of day to the minute where that was today, otherwise the date."""
-        then = self.local(at)
-        if then.date() != self.local(now).date():
-            return self.day(at)
-        return f"{then:%H:%M}"
+        """The time of day to the minute, with its date where that was neither today nor half a day ago."""
+        then, today = self.local(at), self.local(now)
+        clock = f"{then:%H:%M}"
+        if then.date() == today.date() or 0 <= now - at < HALF_DAY_S:
+            return clock
+        day = format_skeleton("MMMd" if then.year == today.year else "yMMMd", then, locale=self.locale)
+        return f"{day}, {clock}"
 
     def iso(self, at: float | datetime) -> str:
         """ISO 8601 with zone, for ``<time datetime>``."""
