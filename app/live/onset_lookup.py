@@ -53,16 +53,28 @@ class OnsetLookup:
 
     async def look(self) -> None:
         """Look up each open onset that is due, and when a unit that has not responded yet last did."""
-        for bus in self._live.buses.values():
-            for number, unit in bus.units.items():
-                if unit.reading is None and (bus.settings.name, number) not in self._asked:
-                    self._asked.add((bus.settings.name, number))
-                    await self._find_response(bus, number)
+        for bus_name, number in self._unread():
+            try:
+                self._live.buses[bus_name].units[number].last_response = await self._last_end(
+                    bus_name, number
+                )
+            except StoreError:
+                break
+            self._asked.add((bus_name, number))
         self._looked = {key: self._looked.get(key, 0) for key in self._open()}
         for key, times in list(self._looked.items()):
             if times < len(LOOK_AFTER_S) and self._clock() - key[3].at >= LOOK_AFTER_S[times]:
                 self._looked[key] += 1
                 await self._look_up(*key)
+
+    def _unread(self) -> list[tuple[str, int]]:
+        units = [
+            (bus.settings.name, number)
+            for bus in self._live.buses.values()
+            for number, unit in bus.units.items()
+            if unit.reading is None
+        ]
+        return [unit for unit in units if unit not in self._asked]
 
     def _open(self) -> list[Key]:
         return [
@@ -82,16 +94,12 @@ class OnsetLookup:
         if bus.units[number].onsets.correct(name, seen, found):
             self._changed(bus_name, number)
 
-    async def _find_response(self, bus: BusLive, number: int) -> None:
+    async def _last_end(self, bus: str, number: int) -> float | None:
         now = self._clock()
         for back_s in BACK_S:
-            try:
-                spans = await self._words(bus.settings.name, number, now - back_s, now)
-            except StoreError:
-                return
-            if spans:
-                bus.units[number].last_response = spans[-1][1]
-                return
+            if spans := await self._words(bus, number, now - back_s, now):
+                return spans[-1][1]
+        return None
 
     async def _find(self, bus: BusLive, number: int, name: Condition, seen: Onset) -> Onset:
         found = seen

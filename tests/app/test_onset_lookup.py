@@ -105,11 +105,13 @@ async def test_a_condition_that_has_passed_meanwhile_is_left_alone() -> None:
 
 
 async def test_a_unit_that_does_not_respond_since_the_start_has_the_time_of_its_last_response() -> None:
-    scene = Scene(*HELD)
+    scene = Scene(*HELD, fails=1)
     scene.live = LiveState([bus_settings()], SEEN_AT)
     scene.lookup = OnsetLookup(scene.live, scene.words, lambda _bus, _unit: None, lambda: scene.now)
-    await scene.lookup.look()
     units = scene.live.buses["dry-end"].units
+    await scene.lookup.look()
+    assert units[1].last_response is None, "the store could not be read"
+    await scene.lookup.look()
     assert (units[1].last_response, units[2].last_response) == (SEEN_AT - 20, None)
 
 
