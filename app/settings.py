@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from typing import Annotated
-from zoneinfo import available_timezones
 
 from pydantic import Field, PrivateAttr, StrictBool, field_validator
 from pydantic_core import PydanticCustomError
 
+from app.time_zone import is_zone, machine_zone
 from bus import configuration
 from bus.configuration import ConfigurationError
 from bus.settings import BusSettings, Strict
@@ -35,10 +35,15 @@ class Site(Strict):
     control: StrictBool = False
     """One person at a time holds control of a line, and nobody else may set anything."""
 
+    @property
+    def zone(self) -> str:
+        """The IANA name of the one time zone that everything is shown in."""
+        return self.time_zone or machine_zone()
+
     @field_validator("time_zone")
     @classmethod
     def _zone_is_known(cls, name: str) -> str:
-        if name and name not in available_timezones():
+        if name and not is_zone(name):
             raise ValueError("write a time zone like Europe/Berlin, or leave it out for the machine's own")
         return name
 

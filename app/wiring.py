@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from time import time
+from zoneinfo import ZoneInfo
 
 import structlog
 
@@ -28,9 +29,11 @@ from app.database.private import make_private
 from app.feed.workers import Workers
 from app.history.service import History
 from app.history.status import sentence
+from app.history.status_words import status_words
 from app.history.warming import warm
 from app.live.fields import Voice
 from app.live.hub import Hub
+from app.live.onset_lookup import OnsetLookup
 from app.live.state import LiveState
 from app.metrics.counts import Counts
 from app.pipeline import Pipeline
@@ -49,7 +52,6 @@ from app.swap.desk import SwapDesk
 from app.swap.store import SwapStore
 from app.web.access import Person, Role
 from app.web.assets import Assets, static_dir, templates_dir
-from app.web.formats import zone
 from app.web.templating import Templates
 
 log = structlog.get_logger()
@@ -109,6 +111,7 @@ class Services:
     swaps: SwapDesk
     recipes: RecipeBook
     counts: Counts
+    onsets: OnsetLookup
 
 
 def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
@@ -130,7 +133,8 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     safeguards = Safeguards(database, events, control_required=control, find=accounts.find)
     desk = Desk(live, workers.channels, events, database, safeguards)
     reader = ParameterReader(live, desk)
-    local_time = partial(datetime.now, zone(settings.site.time_zone))
+    local_time = partial(datetime.now, ZoneInfo(settings.site.zone))
+    hub = Hub(live, templates, time)
     sets = SetKeeper(live, reader, SetStore(database), events)
     services = Services(
         settings=settings,
@@ -147,7 +151,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         history_news=news,
         pipeline=pipeline,
         workers=workers,
-        hub=Hub(live, templates, time),
+        hub=hub,
         safeguards=safeguards,
         desk=desk,
         parameter_reader=reader,
@@ -159,6 +163,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         swaps=SwapDesk(events, SwapStore(database), time),
         recipes=RecipeBook(live, desk, RecipeStore(database), events),
         counts=Counts(events),
+        onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, time),
     )
     _connect(services)
     return services
@@ -197,6 +202,7 @@ async def running(services: Services) -> AsyncIterator[None]:
         services.events.repeated.follow,
         services.pipeline.record,
         services.hub.beat,
+        services.onsets.follow,
         services.history.inspect_daily,
         partial(services.set_schedule.follow, SERVER),
         partial(services.sets.learn_marked, SERVER),

@@ -182,8 +182,9 @@ class EventLog:
 
     async def _write_all(self, entries: Sequence[Event], also: Also = _nothing) -> list[int]:
         def append(connection: sqlite3.Connection) -> list[int]:
+            numbers = [store.append(connection, entry, self.keys) for entry in entries]
             also(connection)
-            return [store.append(connection, entry, self.keys) for entry in entries]
+            return numbers
 
         return await self._database.write(append)
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from datetime import datetime, time, timedelta
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 from urllib.parse import urlencode
+from zoneinfo import ZoneInfo
 
 from fastapi import APIRouter, Query
 from starlette.requests import Request
 from starlette.responses import HTMLResponse
 
+from app.audit import groups
 from app.audit.api import Events
 from app.audit.store import Filter
+from app.settings import Settings
 from app.web.access import Viewer
-from app.web.formats import zone
 from app.web.templating import render, templates_of
 
 router = APIRouter(include_in_schema=False)
@@ -49,17 +51,24 @@ async def events_page(
         until=_day(until, site_zone, timedelta(days=1)),
         search=formats.typed_number(search),
     )
-    found, after = await events.page(wanted, ON_A_PAGE)
+    rows, after = await groups.page(events, wanted, ON_A_PAGE)
     return render(
         request,
         "events/page.html",
-        events=found,
+        rows=rows,
+        names=_names(request),
         kinds=await events.kinds(),
         chosen=chosen,
         older=_link(chosen, before=after) if after else "",
         newest=_link(chosen) if before else "",
         csv=_csv_link(wanted, site_zone),
     )
+
+
+def _names(request: Request) -> dict[tuple[str, int], str]:
+    """What the configuration calls the units, by bus and address."""
+    settings = cast(Settings, request.app.state.services.settings)
+    return {(bus.name, unit.id): unit.name for bus in settings.bus for unit in bus.unit}
 
 
 def _number(text: str) -> int | None:
@@ -70,7 +79,7 @@ def _day(text: str, time_zone: str, later: timedelta = timedelta(0)) -> float | 
     """The instant at which a day (2026-11-21) begins at the site; None for what is no day."""
     try:
         day = datetime.fromisoformat(text).date() + later
-        return datetime.combine(day, time(), zone(time_zone)).timestamp()
+        return datetime.combine(day, time(), ZoneInfo(time_zone)).timestamp()
     except (ValueError, OverflowError):
         return None
 
@@ -94,4 +103,4 @@ def _csv_link(wanted: Filter, time_zone: str) -> str:
 
 
 def _iso(at: float | None, time_zone: str) -> str:
-    return "" if at is None else datetime.fromtimestamp(at, zone(time_zone)).isoformat()
+    return "" if at is None else datetime.fromtimestamp(at, ZoneInfo(time_zone)).isoformat()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from app.audit.chain import FIELDS, Head, remark_on, sealed_entry, sealed_head
@@ -33,12 +33,19 @@ SELECT e.id, e.time, e.kind, e.who, e.origin, e.bus, e.unit, e.what, e.old, e.ne
 FROM events e LEFT JOIN events f ON f.about = e.id
 WHERE e.about IS NULL
 """
-_SEARCHED = ("e.what", "e.who", "e.old", "e.new", "e.message", "f.message")
+_SEARCHED = ("what", "who", "old", "new", "message")
+_WHOLE = """
+SELECT 1 FROM event_parts JOIN events whole ON whole.id = event_parts.whole
+LEFT JOIN events whole_fate ON whole_fate.about = whole.id
+WHERE event_parts.event = e.id
+"""
 
 
 @dataclass(frozen=True)
 class Filter:
-    """Which events are wanted; what is None or empty does not narrow. Times in seconds since the epoch."""
+    """Which events are wanted; what is None or empty does not narrow. Times in seconds since the epoch.
+    ``folded`` leaves out the parts of a change that is wanted itself, ``parts_of`` all but the parts of
+    these."""
 
     before: int | None = None
     kind: str | None = None
@@ -48,25 +55,41 @@ class Filter:
     since: float | None = None
     until: float | None = None
     search: str = ""
+    folded: bool = False
+    parts_of: tuple[int, ...] | None = None
 
-    def conditions(self) -> tuple[str, list[Any]]:
-        """SQL to append to a query of events ``e`` and its values."""
+    def conditions(self, event: str = "e", fate: str = "f") -> tuple[str, list[Any]]:
+        """SQL to append to a query, in which these are the events and their fates, and its values."""
         given = {
-            "e.id < ?": self.before,
-            "e.kind = ?": self.kind,
-            "e.bus = ?": self.bus,
-            "e.unit = ?": self.unit,
-            "e.who = ?": self.who,
-            "e.time >= ?": self.since,
-            "e.time < ?": self.until,
+            "id < ?": self.before,
+            "kind = ?": self.kind,
+            "bus = ?": self.bus,
+            "unit = ?": self.unit,
+            "who = ?": self.who,
+            "time >= ?": self.since,
+            "time < ?": self.until,
         }
-        parts = [f"AND {condition}" for condition, value in given.items() if value is not None]
+        parts = [f"AND {event}.{condition}" for condition, value in given.items() if value is not None]
         values: list[Any] = [value for value in given.values() if value is not None]
         if self.search:
-            either = " OR ".join(f"{column} LIKE ? ESCAPE '!'" for column in _SEARCHED)
+            columns = (*(f"{event}.{column}" for column in _SEARCHED), f"{fate}.message")
+            either = " OR ".join(f"{column} LIKE ? ESCAPE '!'" for column in columns)
             parts.append(f"AND ({either})")
-            values += [_pattern(self.search)] * len(_SEARCHED)
+            values += [_pattern(self.search)] * len(columns)
+        for clause, more in self._grouping():
+            parts.append(clause)
+            values += more
         return " ".join(parts), values
+
+    def _grouping(self) -> Iterator[tuple[str, list[Any]]]:
+        if self.folded:
+            whole, values = replace(self, before=None, folded=False, parts_of=None).conditions(
+                "whole", "whole_fate"
+            )
+            yield f"AND NOT EXISTS ({_WHOLE} {whole})", values
+        if self.parts_of is not None:
+            marks = ", ".join("?" * len(self.parts_of))
+            yield f"AND e.id IN (SELECT event FROM event_parts WHERE whole IN ({marks}))", [*self.parts_of]
 
 
 def _pattern(text: str) -> str:

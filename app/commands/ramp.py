@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from app.commands.setpoint_range import COMMAND_RATIO, MAX_DISPLAY
+from app.commands.setpoint_range import COMMAND_RATIO
 from app.commands.setpoints import commanded_setpoint
+from app.live.ramp_time import ACCELERATION, DECELERATION, MAX_DISPLAY, ramp_seconds
 from app.live.state import BusLive, UnitLive, follower
 
-RAMP_UP, RAMP_DOWN = 6, 7
 COARSE_STEPS, FINE_STEPS = 100, 1000
 """A nudge is about a hundredth or a thousandth of the full span."""
 
@@ -28,14 +28,9 @@ def ramp_of(unit: UnitLive, old: int | None, new: int) -> Ramp | None:
     follows its master."""
     if old == new or follower(unit):
         return None
-    number = RAMP_DOWN if old is not None and new < old else RAMP_UP
-    if old is None:
-        return Ramp(number, None, None)
-    span, tenths = unit.parameter_raw(MAX_DISPLAY), unit.parameter_raw(number)
-    if tenths == 0:
-        return Ramp(number, 0, 0.0)
-    known = bool(span) and tenths is not None
-    return Ramp(number, tenths, abs(new - old) / (span or 1) * (tenths or 0) / 10 if known else None)
+    number = DECELERATION if old is not None and new < old else ACCELERATION
+    tenths = None if old is None else unit.parameter_raw(number)
+    return Ramp(number, tenths, ramp_seconds(unit, old, new))
 
 
 def present_setpoint(bus: BusLive, unit: UnitLive) -> int | None:
@@ -46,7 +41,7 @@ def present_setpoint(bus: BusLive, unit: UnitLive) -> int | None:
 
 def ramp_parameters_missing(unit: UnitLive) -> list[int]:
     """What must be read before a ramp's time can be told."""
-    return [number for number in (MAX_DISPLAY, RAMP_UP, RAMP_DOWN) if number not in unit.parameters]
+    return [number for number in (MAX_DISPLAY, ACCELERATION, DECELERATION) if number not in unit.parameters]
 
 
 def nudges(unit: UnitLive) -> tuple[int, int]:

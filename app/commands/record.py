@@ -5,6 +5,7 @@ A change of several units is one event for the line and one for each unit, all i
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -12,6 +13,7 @@ from typing import Any
 
 import structlog
 
+from app.audit.groups import link_parts
 from app.audit.log import EventLog
 from app.commands import idempotency
 from app.commands.wish import Wish
@@ -53,7 +55,12 @@ class Record:
         by_unit = wordings_by_unit(wish.action, live)
         whole = _entry(wish, wish.unit, wording(wish.action, live))
         parts = [_entry(wish, unit, words) for unit, words in by_unit.items()]
-        remember = partial(idempotency.begin, wish=wish, ring=self._events.keys.ring, now=self._now())
+        ring = self._events.keys.ring
+
+        def remember(connection: sqlite3.Connection) -> None:
+            link_parts(connection, len(parts))
+            idempotency.begin(connection, wish=wish, ring=ring, now=self._now())
+
         event, *others = await self._events.intend_together([whole, *parts], remember)
         return Intent(event, dict(zip(by_unit, others, strict=True)))
 

@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-from app.commands.ramp import RAMP_DOWN, RAMP_UP, Ramp
+from app.commands.ramp import Ramp
 from app.commands.setpoint_range import KIND_OF_PARAMETER, is_above_display
 from app.live.age import unit_link_now
-from app.live.fields import bits_of
+from app.live.conditions import bits_of
+from app.live.ramp_time import ACCELERATION, DECELERATION
 from app.live.state import BusLive, UnitLive
 from bus.catalogue.status import StatusBits
 from bus.contract import UnitLinkState
@@ -97,7 +98,7 @@ _RISKS = (
 
 def risks_of_writing(number: int, raw: int) -> tuple[Remark, ...]:
     """What somebody might not expect of writing a parameter (86h)."""
-    if number in (RAMP_UP, RAMP_DOWN) and raw == 0:
+    if number in (ACCELERATION, DECELERATION) and raw == 0:
         return (Remark("no_ramp", _NO_RAMP, (("number", f"{number}"),)),)
     if number in KIND_OF_PARAMETER:
         return (Remark("setpoint", "this is a setpoint: the machine may change its speed at once"),)

@@ -7,15 +7,15 @@ import csv
 import io
 from collections.abc import AsyncIterator, Sequence
 from datetime import datetime, tzinfo
+from zoneinfo import ZoneInfo
 
 from app.history.export_rows import Cell, Row, Table
 from app.history.runs import SECOND
-from app.web.formats import zone
 
 
 async def stream(table: Table, pieces: AsyncIterator[list[Row]]) -> AsyncIterator[str]:
     """Text, piece by piece. Times are ISO 8601 with the offset of the site's time zone."""
-    site = zone(table.time_zone)
+    site = ZoneInfo(table.time_zone)
     yield lines([[f"time [{site}]", *table.columns, "note"]])
     async for rows in pieces:
         yield await asyncio.to_thread(_text_of, rows, site)

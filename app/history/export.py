@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 from typing import Literal
+from zoneinfo import ZoneInfo
 
 from starlette.responses import StreamingResponse
 
@@ -14,7 +15,6 @@ from app.history.query import Question, has_raw
 from app.history.runs import SECOND
 from app.history.service import History
 from app.history.tail import Tail
-from app.web.formats import zone
 
 Format = Literal["csv", "parquet"]
 Resolution = Literal["auto", "readings", "minutes", "hours"]
@@ -36,7 +36,7 @@ async def response(
 
 
 def _stamp(at: int, table: Table) -> str:
-    return datetime.fromtimestamp(at / SECOND, zone(table.time_zone)).strftime("%Y%m%dT%H%M%S")
+    return datetime.fromtimestamp(at / SECOND, ZoneInfo(table.time_zone)).strftime("%Y%m%dT%H%M%S")
 
 
 async def _fineness(history: History, asked: Sequence[Question], resolution: Resolution) -> Fineness:

@@ -11,7 +11,6 @@ from collections.abc import AsyncIterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from app.history.export_rows import Row, Table
-from app.web.formats import zone
 
 if TYPE_CHECKING:
     import pyarrow
@@ -41,12 +40,10 @@ async def stream(table: Table, pieces: AsyncIterator[list[Row]]) -> AsyncIterato
 
 
 def _schema(arrow: Any, table: Table) -> pyarrow.Schema:
-    site = str(zone(table.time_zone))
-    named = site if "/" in site or site == "UTC" else "UTC"
-    fields = [("time", arrow.timestamp("us", tz=named))]
+    fields = [("time", arrow.timestamp("us", tz=table.time_zone))]
     fields += [(name, arrow.float64()) for name in table.columns]
     fields.append(("note", arrow.string()))
-    return arrow.schema(fields, metadata={"time_zone": site, "resolution": table.fineness})
+    return arrow.schema(fields, metadata={"time_zone": table.time_zone, "resolution": table.fineness})
 
 
 def _write(arrow: Any, writer: Any, rows: Sequence[Row]) -> None:

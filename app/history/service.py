@@ -44,7 +44,7 @@ class History:
     ) -> None:
         self.path = settings.server.data / FILE
         self.buses = {bus.name: bus for bus in settings.bus}
-        self.time_zone = settings.site.time_zone
+        self.time_zone = settings.site.zone
         keep = Keep(settings.history.raw_days, settings.history.years)
         self._writer = Writer(self.path, keep, on_clock_step, on_damage)
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from app.live.state import BusLive, UnitLive
+from typing import TYPE_CHECKING
+
 from bus.contract import BusFigures, UnitLinkState
 from bus.contract.durations import POLL_BYTES
 from bus.settings import BITS_PER_BYTE, BusSettings
+
+if TYPE_CHECKING:
+    from app.live.bus_live import BusLive, UnitLive
 
 OFFLINE_SCANS = 5
 WORKER_SILENT_AFTER_S = 2.0

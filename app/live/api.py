@@ -9,13 +9,16 @@ import msgspec
 from fastapi import APIRouter
 from starlette.requests import HTTPConnection
 
+from app.live.fields import Voice
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.shown import BusShown, LineShown, UnitShown
 from app.live.state import LiveState
 from app.live.view import BlockReason, bus_json, line_json, unit_json
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
+from app.web.languages import DEFAULT
 from app.web.services import looked_up
+from app.web.templating import templates_of
 from bus.errors import unit_error_name
 
 router = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
@@ -41,6 +44,13 @@ def memory_of(connection: HTTPConnection) -> str:
     return cast(str, connection.app.state.services.history.status.message)
 
 
+def english_of(connection: HTTPConnection) -> Voice:
+    """What texts for programs are written with."""
+    templates = templates_of(connection)
+    return Voice(templates.languages[DEFAULT], templates.formats(DEFAULT))
+
+
+English = Annotated[Voice, looked_up(english_of)]
 Memory = Annotated[str, looked_up(memory_of)]
 Blocked = Annotated[BlockReason, looked_up(block_reason_of)]
 Live = Annotated[LiveState, looked_up(live_of)]
@@ -48,22 +58,26 @@ SiteName = Annotated[str, looked_up(site_name_of)]
 
 
 @router.get("/line", response_model=LineShown)
-async def get_line(_: Viewer, live: Live, site: SiteName, block: Blocked, memory: Memory) -> dict[str, Any]:
+async def get_line(
+    _: Viewer, live: Live, site: SiteName, block: Blocked, memory: Memory, english: English
+) -> dict[str, Any]:
     """Every bus and every unit, now. ``history``: empty, or why no readings are kept."""
-    return line_json(site, live, time.time(), block, memory)
+    return line_json(site, live, time.time(), block, memory, english)
 
 
 @router.get("/buses/{bus}", response_model=BusShown)
-async def get_bus(_: Viewer, live: Live, block: Blocked, bus: str) -> dict[str, Any]:
+async def get_bus(_: Viewer, live: Live, block: Blocked, english: English, bus: str) -> dict[str, Any]:
     """One bus with its units."""
-    return bus_json(bus_or_404(live, bus), time.time(), block)
+    return bus_json(bus_or_404(live, bus), time.time(), block, english)
 
 
 @router.get("/buses/{bus}/units/{unit:int}", response_model=UnitShown)
-async def get_unit(_: Viewer, live: Live, block: Blocked, bus: str, unit: int) -> dict[str, Any]:
+async def get_unit(
+    _: Viewer, live: Live, block: Blocked, english: English, bus: str, unit: int
+) -> dict[str, Any]:
     """One unit, with the age of what it said."""
     found = unit_or_404(live, bus, unit)
-    return unit_json(live.buses[bus], found, time.time(), block)
+    return unit_json(live.buses[bus], found, time.time(), block, english)
 
 
 @router.get("/buses/{bus}/figures")

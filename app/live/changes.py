@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from app.audit.kinds import Kind
-from bus.catalogue.status import StatusBits, status_bits
+from app.live.conditions import Condition, status_conditions
+from bus.catalogue.status import status_bits
 from bus.contract import BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
 from bus.settings import BusSettings
 
@@ -22,9 +23,17 @@ class Change:
     new: str
 
 
+_RECORDED: dict[Condition, tuple[Kind, str, tuple[str, str]]] = {
+    "not_in_remote": ("mode", "mode", ("REMOTE", "LOCAL")),
+    "estop_active": ("estop", "emergency stop input", ("healthy", "active")),
+    "run_off": ("run", "run input", ("on", "off")),
+}
+"""The conditions whose changes are events: kind, what, and the words for not holding and holding."""
+
+
 @dataclass(slots=True)
 class _UnitMemory:
-    bits: StatusBits | None = None
+    conditions: frozenset[Condition] | None = None
     link: UnitLinkState = "unknown"
 
 
@@ -52,21 +61,15 @@ class Changes:
 
     def _see_reading(self, reading: Reading) -> list[Change]:
         memory = self._memory(reading.unit)
-        before = memory.bits
-        now = status_bits(reading.outputs, reading.inputs, estop_healthy=self.settings.estop_healthy)
-        memory.bits = now
+        before = memory.conditions
+        now = status_conditions(status_bits(reading.outputs, reading.inputs, self.settings.estop_healthy))
+        memory.conditions = now
         if before is None or before == now:
             return []
-        estop = "emergency stop input"
-        compared: tuple[tuple[Kind, str, bool, bool, tuple[str, str]], ...] = (
-            ("mode", "mode", before.remote, now.remote, ("LOCAL", "REMOTE")),
-            ("estop", estop, before.estop_active, now.estop_active, ("healthy", "active")),
-            ("run", "run input", before.run, now.run, ("off", "on")),
-        )
         return [
-            Change(kind, reading.unit, reading.at, what, words[old], words[new])
-            for kind, what, old, new, words in compared
-            if old != new
+            Change(kind, reading.unit, reading.at, what, words[name in before], words[name in now])
+            for name, (kind, what, words) in _RECORDED.items()
+            if (name in before) != (name in now)
         ]
 
     def _see_unit_link(self, update: UnitLink) -> list[Change]:

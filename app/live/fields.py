@@ -11,18 +11,17 @@ import re
 from dataclasses import dataclass
 
 from app.live.age import figures_now, offline_after_s, scan_s_of, stale_after_s
+from app.live.bus_live import DECIMALS, RATIO_DECIMALS, BusLive, UnitLive, follower, speed_decimals
+from app.live.conditions import bits_of, mode_of
 from app.live.motion import State
-from app.live.state import BusLive, UnitLive, follower
 from app.web.formats import UNKNOWN, Formats
 from app.web.languages import Language
-from bus.catalogue.status import StatusBits, status_bits
+from bus.catalogue.status import StatusBits
 from bus.catalogue.values import analog_input_value
 from bus.contract import Reading, UnitFigures, UnitLinkState
 from bus.errors import unit_error_name
 
-MAX_DISPLAY, DECIMALS, WINDOW, KEYLOCK_MODE, ANALOG_LOW, ANALOG_HIGH, RATIO = 2, 3, 12, 19, 22, 23, 37
-RATIO_DECIMALS = 4
-KEYLOCK = 2
+MAX_DISPLAY, WINDOW, ANALOG_LOW, ANALOG_HIGH, RATIO = 2, 12, 22, 23, 37
 DEVIATION_WINDOWS = 3
 """Half the width of a deviation bar in at-speed windows, so that the band is its middle third."""
 
@@ -33,6 +32,9 @@ STATE_WORDS: dict[State, str] = {
     "ramping_up": "ramping up",
     "ramping_down": "ramping down",
     "off_speed": "off speed",
+    "stopped": "stopped",
+    "stopping": "still turning",
+    "turning": "turning without run",
 }
 MODE_WORDS = {"": UNKNOWN, "remote": "REMOTE", "local": "LOCAL", "keylock": "KEYLOCK"}
 PORT_WORDS = {"open": "open", "closed": "closed"}
@@ -58,20 +60,9 @@ def unit_key(bus: str, unit: int) -> str:
     return f"{bus}/{unit}"
 
 
-def bits_of(bus: BusLive, reading: Reading) -> StatusBits:
-    """The bits of a reading in the dialect of its bus."""
-    return status_bits(reading.outputs, reading.inputs, bus.settings.estop_healthy)
-
-
-def mode_of(unit: UnitLive, bits: StatusBits) -> str:
-    """``remote`` is the unit's own word (ST2); LOCAL and KEYLOCK are told apart by #19."""
-    if bits.remote:
-        return "remote"
-    return "keylock" if unit.parameter_raw(KEYLOCK_MODE) == KEYLOCK else "local"
-
-
-def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, state: State, voice: Voice) -> Fields:
-    """All that a page shows of one unit."""
+def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, voice: Voice) -> Fields:
+    """What a page shows of one unit as it reads."""
+    state = unit.motion.state
     fields = {"link": link, "staged": _staged(unit, voice), "ratio": _ratio(bus, unit, voice)}
     reading = unit.reading
     if reading is None:
@@ -167,8 +158,7 @@ _NEVER: Fields = {
 
 
 def _numbers(bus: BusLive, unit: UnitLive, reading: Reading, voice: Voice) -> Fields:
-    says_ratio = follower(unit) and bus.settings.follower_speed == "ratio"
-    decimals = RATIO_DECIMALS if says_ratio else unit.parameter_raw(DECIMALS)
+    decimals = speed_decimals(bus, unit)
     return {
         "actual": voice.formats.fixed(reading.actual, decimals),
         "commanded": voice.formats.fixed(reading.commanded, decimals),

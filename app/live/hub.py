@@ -10,11 +10,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Sequence
 
-from app.live.age import scan_s_of
 from app.live.browser import Browser
 from app.live.command_ids import key_of
 from app.live.fields import Voice, health_fields, unit_key
-from app.live.motions import motions_for, watch_motions
 from app.live.readers import Readers
 from app.live.screen import WHOLE_LINE, Block, Drift, Drifted, Groups, Recipe, Screen
 from app.live.state import LiveState
@@ -46,7 +44,6 @@ class Hub:
         self.live = live
         self._templates = templates
         self._clock = clock
-        self._motions = motions_for(live)
         self._readers: dict[str, Readers] = {}
         """Of every language that was asked for once; most have nobody now."""
         self._watched: dict[str, tuple[list[int], bool]] = {}
@@ -84,7 +81,6 @@ class Hub:
         return Screen(
             self.live,
             Voice(self._templates.languages[language], self._templates.formats(language)),
-            self._motions,
             lambda bus, unit: self.block(bus, unit),
             lambda bus, unit, voice, now: self.drift(bus, unit, voice, now),
             lambda bus: self.recipe(bus),
@@ -148,7 +144,6 @@ class Hub:
         bus = self.live.buses[bus_name]
         units = {unit for update in updates if (unit := getattr(update, "unit", None)) in bus.units}
         kinds = {type(update) for update in updates}
-        watch_motions(self._motions, bus_name, bus, sorted(units), scan_s_of(bus))
         touched = bus.units if BusLink in kinds else units
         self._render(bus_name, sorted(touched), whole_bus=not kinds.isdisjoint(_OF_A_BUS))
         if not kinds.isdisjoint(_PASSED_ON):

@@ -11,9 +11,11 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.live.fields import DECIMALS, MAX_DISPLAY, unit_key
+from app.live.bus_live import DECIMALS
+from app.live.fields import MAX_DISPLAY, unit_key
 from app.live.socket import hub_of
 from app.live.state import BusLive, UnitLive
+from app.live.totals import strip_of
 from app.web.access import Viewer
 from app.web.templating import render, templates_of
 from bus.settings import UnitLabels
@@ -80,7 +82,7 @@ async def line(request: Request, _: Viewer, view: Choice | None = None) -> Respo
         request,
         "line/page.html",
         fields=screen.flat(),
-        entries=screen.entries,
+        entries=strip_of(screen.entries),
         buses=buses,
         unit_count=count,
         view=view_for(count) if chosen == "auto" else chosen,

@@ -11,20 +11,18 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from app.live.abnormal import Sight, Trouble, bus_trouble, unit_trouble
-from app.live.age import scan_s_of, stale_after_s, unit_link_now
+from app.live.abnormal import UnitView, shown_cause
+from app.live.age import unit_link_now
+from app.live.cause_text import cause_line, check_text, sentence
 from app.live.fields import Fields, Voice, bus_fields, unit_fields, unit_key
-from app.live.motion import Motion
 from app.live.state import BusLive, LiveState, UnitLive
 from app.live.totals import Entry, entries_of, line_fields
 
 Groups = dict[str, Fields]
 WHOLE_LINE = "whole_line"
 """The group of the totals: a name that no bus can have (a slug holds no underscore)."""
-_DECIDES = {"link", "state", "level", "trouble"}
+_DECIDES = {"link", "state", "level", "cause"}
 """A change of these in a unit may change the strip and the totals of the line."""
-_OF_THE_LINK = {"unknown", "offline", "stale"}
-"""Said of the bus, and not of each of its units again, while the bus itself is in trouble."""
 Block = Callable[[str, int], str]
 """The reason why a unit is blocked, by bus and address; empty where it is not."""
 Drift = Callable[[str, int, Voice, float], "Drifted"]
@@ -50,13 +48,12 @@ class Screen:
 
     live: LiveState
     voice: Voice
-    motions: dict[tuple[str, int], Motion]
     block: Block
     drift: Drift
     recipe: Recipe
     shown: Groups = field(default_factory=dict)
     entries: list[Entry] = field(default_factory=list)
-    _judged: dict[str, tuple[Sight, Trouble | None]] = field(default_factory=dict)
+    _views: dict[str, UnitView] = field(default_factory=dict)
 
     def see(self, bus_name: str, units: Iterable[int], now: float, *, whole_bus: bool) -> Groups:
         """Render what a report touched; gives what is different now."""
@@ -114,20 +111,21 @@ class Screen:
 
     def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: float) -> Fields:
         number = unit.settings.id
-        motion, blocked = self.motions[bus_name, number], self.block(bus_name, number)
-        link, overdue = unit_link_now(bus, unit, now), _is_overdue(bus, unit, now)
+        blocked = self.block(bus_name, number)
         drifted = self.drift(bus_name, number, self.voice, now)
-        sight = Sight(unit, link, motion.state, blocked, overdue, drifted.words, motion.since)
-        trouble = unit_trouble(bus, sight, self.voice)
-        if trouble is not None and trouble.code in _OF_THE_LINK and bus_trouble(bus, self.voice, now):
-            trouble = None
-        self._judged[unit_key(bus_name, number)] = (sight, trouble)
-        fields = unit_fields(bus, unit, sight.link, sight.state, self.voice)
-        fields["level"] = trouble.level if trouble else ""
-        fields["trouble"] = trouble.text if trouble else ""
-        fields["blocked"] = blocked
-        fields["drift"] = drifted.key
-        return fields
+        cause = shown_cause(bus, unit, now, blocked=blocked, drifted=drifted.words)
+        view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
+        self._views[unit_key(bus_name, number)] = view
+        fields = unit_fields(bus, unit, view.link, self.voice)
+        line = cause_line(cause, self.voice, now) if cause is not None else ""
+        return fields | {
+            "level": view.level,
+            "cause": line if view.level else "",
+            "status": line or sentence(fields["state_text"]),
+            "check": check_text(cause, self.voice),
+            "blocked": blocked,
+            "drift": drifted.key,
+        }
 
     def _recipe(self, bus_name: str) -> str:
         loaded = self.recipe(bus_name)
@@ -141,9 +139,5 @@ class Screen:
         return self.voice.t("{name}, departed: {units}", name=name, units=", ".join(departed))
 
     def _line(self, now: float) -> Fields:
-        self.entries = entries_of(self.live, self._judged, self.voice, now)
-        return line_fields(self.live, self._judged, self.entries, self.voice, now)
-
-
-def _is_overdue(bus: BusLive, unit: UnitLive, now: float) -> bool:
-    return unit.reading is None or now - unit.reading.at > stale_after_s(scan_s_of(bus))
+        self.entries = entries_of(self.live, self._views, self.voice, now)
+        return line_fields(self.live, self._views, self.entries, self.voice, now)

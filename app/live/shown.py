@@ -21,6 +21,16 @@ class InputsShown(TypedDict):
     slave: bool
 
 
+class CauseShown(TypedDict):
+    """The first broken rung of e-stop, run, mode, link, ramp. ``since_exact`` false: first seen then."""
+
+    code: str
+    params: dict[str, Any]
+    detail: str
+    since: str | None
+    since_exact: bool | None
+
+
 class UnitShown(TypedDict):
     """One unit. Speeds are decimal texts in the unit's own decimals, ``…_raw`` the integers on the wire."""
 
@@ -30,6 +40,7 @@ class UnitShown(TypedDict):
     labels: dict[str, Any]
     link: UnitLinkState
     link_cause: str
+    cause: CauseShown | None
     blocked: str | None
     suspect: str | None
     read_at: str | None

@@ -1,66 +1,114 @@
-"""What is shown of the line as a whole: the strip of what is abnormal, the verdict, the counts. Pure: it is
-told how every unit was judged."""
+"""What is shown of the line as a whole: the verdict, the strip of what is abnormal, the counts. Pure."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from app.live.abnormal import LEVELS, Sight, Tally, Trouble, bus_trouble, verdict, worst
+from app.live.abnormal import LEVELS, Tally, UnitView, all_offline
 from app.live.age import figures_now
+from app.live.cause import Cause, bus_cause
+from app.live.cause_text import cause_line, cause_text, since_text
 from app.live.fields import Fields, Voice, unit_key
-from app.live.state import BusLive, LiveState
+from app.live.rungs import Level
+from app.live.state import LiveState
 from app.web.formats import UNKNOWN
 
 MOST_ENTRIES = 30
 """In the strip; when more is not well, the verdict has their number."""
 NO_BREAK = "\u00a0"
-Judged = Mapping[str, tuple[Sight, Trouble | None]]
-"""How each unit looks and what is wrong with it, by the group of its fields."""
+Views = Mapping[str, UnitView]
+"""How each unit looks, by the group of its fields."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One item of the strip of what is abnormal."""
+    """One item of the strip of what is abnormal. ``key``: the group of its unit or bus."""
 
     key: str
     name: str
-    trouble: Trouble
-    since: str = ""
+    level: Level
+    text: str
+    since: str
     """``since 05:20``; empty where that is not known."""
+    line: str
+    """Both in one."""
+
+    @property
+    def href(self) -> str:
+        """The page of its unit or bus."""
+        return f"/units/{self.key}" if "/" in self.key else f"/bus/{self.key}"
 
 
-def entries_of(live: LiveState, judged: Judged, voice: Voice, now: float) -> list[Entry]:
-    """Everything that is not well, the worst first, in floor order; one cause is said once."""
-    found: list[tuple[str, str, Trouble]] = []
+def entries_of(live: LiveState, views: Views, voice: Voice, now: float) -> list[Entry]:
+    """Everything abnormal, the worst first, in floor order; one cause is named once."""
+    found: list[tuple[str, str, Cause]] = []
     for name, bus in live.buses.items():
-        trouble = bus_trouble(bus, voice, now) or _all_silent(name, bus, judged, voice)
-        found += [(name, name, trouble)] if trouble is not None else _of_units(name, bus, judged)
+        of_bus = [(key, views[key]) for number in bus.units if (key := unit_key(name, number)) in views]
+        cause = bus_cause(bus, now) or all_offline([view for _, view in of_bus])
+        if cause is not None:
+            found.append((name, name, cause))
+        else:
+            found += [
+                (key, view.unit.settings.name, view.cause)
+                for key, view in of_bus
+                if view.cause and view.level
+            ]
     found.sort(key=lambda entry: LEVELS.index(entry[2].level))
-    return [Entry(key, name, trouble, _since(trouble, voice, now)) for key, name, trouble in found]
+    return [
+        Entry(
+            key,
+            name,
+            cause.level,
+            cause_text(cause, voice),
+            since_text(cause, voice, now),
+            cause_line(cause, voice, now),
+        )
+        for key, name, cause in found
+    ]
 
 
-def line_fields(live: LiveState, judged: Judged, entries: list[Entry], voice: Voice, now: float) -> Fields:
-    """The fields of the whole line."""
+def strip_of(entries: list[Entry]) -> list[Entry]:
+    """What stands beside the verdict, which names the worst."""
+    return entries[1 : 1 + MOST_ENTRIES]
+
+
+def line_fields(live: LiveState, views: Views, entries: list[Entry], voice: Voice, now: float) -> Fields:
+    """The fields of the whole line. The verdict is the worst cause, after the name of its unit."""
     tally = Tally()
-    for sight, _ in judged.values():
-        tally.count(sight)
+    for view in views.values():
+        tally.count(view)
+    worst = entries[0] if entries else None
     return {
-        "level": worst([entry.trouble for entry in entries]) or "",
-        "verdict": verdict(tally, len(entries), voice),
-        "heard": f"{tally.heard}",
+        "level": worst.level if worst else "",
+        "verdict": f"{worst.name} · {worst.line}" if worst else _all_well(tally, voice),
+        "at": worst.href if worst else "",
+        "counts": voice.t("{n} abnormal", n=len(entries)) if worst else "",
+        "online": f"{tally.online}",
         "at_speed": f"{tally.at_speed}",
         "at_zero": f"{tally.at_zero}",
         "ramping": f"{tally.ramping}",
         "off_speed": f"{tally.off_speed}",
-        "lost": f"{tally.units - tally.heard}",
         "strip": "\n".join(
-            "\t".join((entry.key, entry.trouble.level, entry.name, entry.trouble.text, entry.since))
-            for entry in entries[:MOST_ENTRIES]
+            "\t".join((entry.key, entry.level, entry.name, entry.text, entry.since))
+            for entry in strip_of(entries)
         ),
-        "troubles": f"{len(entries)}",
-        "named": _named(entries, judged, voice),
+        "abnormal": f"{len(entries)}",
+        "named": _named(entries, views, voice),
     } | _figures(live, voice, now)
+
+
+def _all_well(tally: Tally, voice: Voice) -> str:
+    """The line in one sentence while nothing is abnormal."""
+    if tally.units == 0:
+        return voice.t("No unit is configured")
+    if tally.at_zero == tally.units:
+        return voice.t("All {n} units at zero", n=tally.units)
+    if tally.ramping:
+        return voice.t("{n} of {units} ramping", n=tally.ramping, units=tally.units)
+    if tally.at_speed == tally.units:
+        return voice.t("All {n} units at speed", n=tally.units)
+    return voice.t("{n} of {units} at speed, the others at zero", n=tally.at_speed, units=tally.units)
 
 
 def holders(held_by: Mapping[str, str], voice: Voice) -> str:
@@ -80,35 +128,15 @@ def holders(held_by: Mapping[str, str], voice: Voice) -> str:
     return ", ".join(one.replace(" ", NO_BREAK) for one in said)
 
 
-def _of_units(name: str, bus: BusLive, judged: Judged) -> list[tuple[str, str, Trouble]]:
-    keys = (unit_key(name, number) for number in bus.units)
-    seen = ((key, *judged[key]) for key in keys if key in judged)
-    return [(key, sight.unit.settings.name, trouble) for key, sight, trouble in seen if trouble is not None]
-
-
-def _all_silent(name: str, bus: BusLive, judged: Judged, voice: Voice) -> Trouble | None:
-    """No unit of a whole bus answers."""
-    units = [judged.get(unit_key(name, number), (None, None))[1] for number in bus.units]
-    silent = [unit for unit in units if unit is not None and unit.code in ("offline", "unknown")]
-    if len(units) < 2 or len(silent) < len(units):
-        return None
-    lost = [unit.since for unit in silent if unit.since is not None]
-    if not lost:
-        return Trouble("low", voice.t("no unit has answered yet"), "silent")
-    return Trouble("urgent", voice.t("no unit answers"), "silent", max(lost))
-
-
-def _since(trouble: Trouble, voice: Voice, now: float) -> str:
-    if trouble.since is None:
-        return ""
-    return voice.t("since {time}", time=voice.formats.since(trouble.since, now))
-
-
-def _named(entries: list[Entry], judged: Judged, voice: Voice) -> str:
-    """What the pages without the strip name: each bus that is not well, and each block with its reason."""
-    buses = [f"{entry.name}: {entry.trouble.text}" for entry in entries if "/" not in entry.key]
-    sights = (sight for sight, _ in judged.values() if sight.blocked)
-    blocks = [f"{sight.unit.settings.name} {voice.t('blocked')}: {sight.blocked}" for sight in sights]
+def _named(entries: list[Entry], views: Views, voice: Voice) -> str:
+    """What the pages without the strip name beside the verdict: each bus that is abnormal, each block."""
+    worst = entries[0].key if entries else ""
+    buses = [f"{entry.name}: {entry.line}" for entry in entries[1:] if "/" not in entry.key]
+    blocks = [
+        f"{view.unit.settings.name} {voice.t('blocked')}: {view.blocked}"
+        for key, view in views.items()
+        if view.blocked and not (key == worst and view.cause and view.cause.code == "blocked")
+    ]
     return " · ".join(buses + blocks)
 
 

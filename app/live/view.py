@@ -11,7 +11,10 @@ from collections.abc import Callable
 from typing import Any
 
 from app.live.age import scan_s_of, unit_link_now
-from app.live.fields import bits_of, mode_of
+from app.live.cause import Cause, unit_cause
+from app.live.cause_text import cause_line
+from app.live.conditions import bits_of, mode_of
+from app.live.fields import Voice
 from app.live.state import BusLive, LiveState, UnitLive, follower
 from app.live.suspicion import suspicion
 from app.web.shape import iso
@@ -48,13 +51,15 @@ _NEVER_READ = dict.fromkeys(
 )
 
 
-def line_json(site: str, live: LiveState, now: float, block: BlockReason, history: str) -> Json:
+def line_json(
+    site: str, live: LiveState, now: float, block: BlockReason, history: str, english: Voice
+) -> Json:
     """Every bus with its units in floor order. ``history``: why none is kept; empty while it is."""
-    buses = [bus_json(bus, now, block) for bus in live.buses.values()]
+    buses = [bus_json(bus, now, block, english) for bus in live.buses.values()]
     return {"site": site, "time": iso(now), "history": history, "buses": buses}
 
 
-def bus_json(bus: BusLive, now: float, block: BlockReason) -> Json:
+def bus_json(bus: BusLive, now: float, block: BlockReason, english: Voice) -> Json:
     """One bus. Figures are null while no worker measures them."""
     figures = bus.figures
     return {
@@ -63,7 +68,7 @@ def bus_json(bus: BusLive, now: float, block: BlockReason) -> Json:
         "baud": bus.baud,
         "link": bus.link.link,
         "link_cause": bus.link.cause,
-        "link_since": iso(bus.link.at),
+        "link_since": iso(bus.link_onset.at),
         "worker": bus.worker_connected,
         "scan_hz": figures.scan_hz if figures else None,
         "scan_s": figures.scan_s if figures else None,
@@ -71,11 +76,11 @@ def bus_json(bus: BusLive, now: float, block: BlockReason) -> Json:
         "wire_utilisation": figures.wire_utilisation if figures else None,
         "diagnosis": figures.diagnosis if figures else "",
         "scan_s_expected": scan_s_of(bus),
-        "units": [unit_json(bus, unit, now, block) for unit in bus.units.values()],
+        "units": [unit_json(bus, unit, now, block, english) for unit in bus.units.values()],
     }
 
 
-def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason) -> Json:
+def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason, english: Voice) -> Json:
     """One unit with the age of what it said, by the server's clock."""
     window = unit.parameter_raw(WINDOW)
     shown: Json = {
@@ -85,6 +90,7 @@ def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason) -> J
         "labels": unit.settings.labels.model_dump(),
         "link": unit_link_now(bus, unit, now),
         "link_cause": unit.link.cause,
+        "cause": cause_json(unit_cause(bus, unit, now), now, english),
         "suspect": suspicion(bus, unit) or None,
         "blocked": block(bus.settings.name, unit.settings.id) or None,
         "decimals": unit.parameter_raw(DECIMALS),
@@ -94,6 +100,19 @@ def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason) -> J
         "at_speed_window_raw": window,
     }
     return shown | (_NEVER_READ if unit.reading is None else _reading_json(bus, unit, unit.reading, now))
+
+
+def cause_json(cause: Cause | None, now: float, english: Voice) -> Json | None:
+    """A cause as a code with parameters, in words, and since when; None where there is none."""
+    if cause is None:
+        return None
+    return {
+        "code": cause.code,
+        "params": dict(cause.params),
+        "detail": cause_line(cause, english, now),
+        "since": None if cause.onset is None else iso(cause.onset.at),
+        "since_exact": None if cause.onset is None else cause.onset.exact,
+    }
 
 
 def parameter_json(unit: UnitLive, number: int) -> Json:

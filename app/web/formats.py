@@ -3,33 +3,29 @@
 from __future__ import annotations
 
 import re
-from datetime import datetime, tzinfo
+from datetime import datetime
 from decimal import Decimal
 from zoneinfo import ZoneInfo
 
 from babel import Locale
-from babel.dates import format_date, format_datetime, format_time
+from babel.dates import format_date, format_datetime, format_skeleton, format_time
 from babel.numbers import get_decimal_symbol
 
+from app.time_zone import UTC
+
+HALF_DAY_S = 43_200
 UNKNOWN = "\N{EN DASH}"
 """What stands where a value was never read."""
 _NUMBER = re.compile(r"(?<![\w.,:/-])-?(?:\d+|\d{1,3}(?:,\d{3})+)\.\d+(?![\w:/-]|[.,]\d)")
 
 
-def zone(name: str) -> tzinfo:
-    """The site's time zone; the machine's own when none is named."""
-    if name:
-        return ZoneInfo(name)
-    return datetime.now().astimezone().tzinfo or ZoneInfo("UTC")
-
-
 class Formats:
     """Formatting for one locale and one time zone."""
 
-    def __init__(self, locale: str, time_zone: str = "") -> None:
+    def __init__(self, locale: str, time_zone: str = UTC) -> None:
         self.locale = Locale.parse(locale, sep="-" if "-" in locale else "_")
         self.decimal_sign = get_decimal_symbol(self.locale)
-        self._zone_name = time_zone
+        self._zone = ZoneInfo(time_zone)
 
     def point(self, text: str) -> str:
         """A number written with a point, with this locale's sign instead."""
@@ -57,8 +53,9 @@ class Formats:
 
     def local(self, at: float | datetime) -> datetime:
         """An instant (seconds since the epoch, or aware) at the site."""
-        site = zone(self._zone_name)
-        return at.astimezone(site) if isinstance(at, datetime) else datetime.fromtimestamp(at, site)
+        if isinstance(at, datetime):
+            return at.astimezone(self._zone)
+        return datetime.fromtimestamp(at, self._zone)
 
     def moment(self, at: float | datetime | None) -> str:
         """Date and time to the second."""
@@ -75,11 +72,13 @@ class Formats:
         return format_time(self.local(at).time(), "medium", locale=self.locale)
 
     def since(self, at: float, now: float) -> str:
-        """The time of day to the minute where that was today, otherwise the date."""
-        then = self.local(at)
-        if then.date() != self.local(now).date():
-            return self.day(at)
-        return f"{then:%H:%M}"
+        """The time of day to the minute, with its date where that was neither today nor half a day ago."""
+        then, today = self.local(at), self.local(now)
+        clock = f"{then:%H:%M}"
+        if then.date() == today.date() or 0 <= now - at < HALF_DAY_S:
+            return clock
+        day = format_skeleton("MMMd" if then.year == today.year else "yMMMd", then, locale=self.locale)
+        return f"{day}, {clock}"
 
     def iso(self, at: float | datetime) -> str:
         """ISO 8601 with zone, for ``<time datetime>``."""

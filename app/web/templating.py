@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
+from time import time
 from typing import Any, cast
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -69,12 +70,12 @@ class Templates:
 
     @property
     def time_zone(self) -> str:
-        """The site's; empty: the machine's own."""
-        return self._site.time_zone
+        """The IANA name of the site's."""
+        return self._site.zone
 
     def formats(self, tag: str) -> Formats:
         """Number and time formatting of a language."""
-        return Formats(self.languages[tag].locale, self._site.time_zone)
+        return Formats(self.languages[tag].locale, self._site.zone)
 
     def text(self, tag: str, name: str, /, **context: Any) -> str:
         """A template in one language, for whoever renders without a request."""
@@ -105,6 +106,6 @@ def render(
     """A page or fragment in the language of whoever asks, never kept by a cache."""
     templates = templates_of(request)
     person: Person | None = person_of(request)
-    context = {"person": person, "request": request, "path": request.url.path, **context}
+    context = {"person": person, "request": request, "path": request.url.path, "now": time(), **context}
     html = templates.text(templates.language_of(request).tag, name, **context)
     return HTMLResponse(html, status, {"Cache-Control": "no-store", **(headers or {})})

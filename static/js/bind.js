@@ -4,6 +4,8 @@
 //   data-live="dry-end/1.actual"          the text
 //   data-live-is="dry-end/1.state"        data-is, for CSS; "dry-end/1.inputs@2" takes one place of the text
 //   data-live-var="off=dry-end/1.off …"   custom properties of its style, here --off; for bars
+//   data-live-title="dry-end/1.cause"     the text that a pointer at rest shows
+//   data-live-href="whole_line.at"        where a link leads; no link while the text is empty
 //   data-live-step="dry-end/1.off"        data-step, the nearest of 48 steps from 0 to 1; for bars in great number
 import { soon } from "./pace.js";
 import { mayWait } from "./sight.js";
@@ -49,6 +51,20 @@ function variableOf(element, name) {
   };
 }
 
+function titleOf(element) {
+  return (value) => {
+    if (element.title !== value) element.title = value;
+  };
+}
+
+/** A link that leads nowhere is none. */
+function hrefOf(element) {
+  return (value) => {
+    if (value) element.setAttribute("href", value);
+    else element.removeAttribute("href");
+  };
+}
+
 function stepOf(element) {
   let shown = null;
   return (value) => {
@@ -83,6 +99,8 @@ const KINDS = {
       add(key, variableOf(element, name));
     }
   },
+  "data-live-title": (element) => add(element.dataset.liveTitle, titleOf(element)),
+  "data-live-href": (element) => add(element.dataset.liveHref, hrefOf(element)),
   "data-live-step": (element) => add(element.dataset.liveStep, stepOf(element)),
 };
 

@@ -1,8 +1,11 @@
-// The server's clock, as this page knows it. Every age is computed against it, never against this device's.
+// The one clock of the page: the server's time, as this page knows it, and the zone in which every time is shown.
+// Every age is computed against it, never against this device's clock or zone.
 // A message can only arrive late, so the least delay seen of the last few is the best estimate.
+const UTC = "UTC";
 const REMEMBERED = 12;
 const seen = [];
-let offset = 0;
+const { now: written, zone: named } = document.body.dataset;
+let offset = Number(written) - (performance.getEntriesByType("navigation")[0]?.responseStart ?? 0) / 1000;
 
 /** A message from the server said that its time is `serverTime` (seconds since the epoch). */
 export function heard(serverTime) {
@@ -18,3 +21,18 @@ export function forget() {
 
 /** The server's time now, seconds since the epoch. */
 export const now = () => performance.now() / 1000 + offset;
+
+/** An old browser may not know the name of a zone that was renamed since: it takes UTC, never its own. */
+function resolved(name) {
+  try {
+    return new Intl.DateTimeFormat("en", { timeZone: name }).resolvedOptions().timeZone;
+  } catch {
+    return UTC;
+  }
+}
+
+/** The site's time zone by its IANA name. */
+export const zone = resolved(named);
+
+/** What follows a time of day where no zone of a place is known: people take a bare time for their own. */
+export const zoneNote = zone === UTC ? " UTC" : "";

@@ -85,8 +85,9 @@ function begin(snapshot) {
 const clockFormat = new Intl.DateTimeFormat(language, {
   timeStyle: "medium",
   hourCycle: "h23",
-  timeZone: body.dataset.zone || undefined,
+  timeZone: clock.zone,
 });
+const timeOfDay = (seconds) => clockFormat.format(seconds * 1000) + clock.zoneNote;
 let beaten = 0;
 
 function beat(serverTime) {
@@ -96,7 +97,7 @@ function beat(serverTime) {
   for (const hand of document.querySelectorAll("[data-pulse]"))
     hand.style.rotate = `${(second % 12) * 30}deg`;
   for (const text of document.querySelectorAll("[data-clock]"))
-    text.textContent = clockFormat.format(second * 1000);
+    text.textContent = timeOfDay(second);
 }
 
 // --- lost and found -----------------------------------------------------------------------------------
@@ -133,7 +134,7 @@ function describe() {
     offline: "causeOffline",
   };
   document.querySelector("[data-gone-cause]").textContent = word(names[cause]);
-  document.querySelector("[data-gone-since]").textContent = clockFormat.format(lostSince * 1000);
+  document.querySelector("[data-gone-since]").textContent = timeOfDay(lostSince);
   document.querySelector("[data-gone-for]").textContent = span(clock.now() - lostSince);
 }
 
@@ -192,8 +193,6 @@ function awake() {
 
 export function start() {
   if (!url) return;
-  clock.heard(Date.now() / 1000);
-  clock.forget();
   open();
   setInterval(check, CHECK_MS);
   setInterval(() => socket?.readyState === WebSocket.OPEN && speak(), SPEAK_MS);

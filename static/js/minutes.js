@@ -1,6 +1,7 @@
 // The last ten minutes of one unit on its page: commanded as a thin step, actual as a line, one scale for both.
 // Gaps are gaps. Asked again every five seconds; the present is in the numbers above.
 import { value } from "./bind.js";
+import { now } from "./clock.js";
 import { isLive } from "./live.js";
 import { language, word } from "./words.js";
 
@@ -71,7 +72,7 @@ function inUnitsDecimals(unit, number) {
 
 async function draw(unit, { lines, labels }) {
   if (!isLive() || document.visibilityState !== "visible") return;
-  const to = Date.now() / 1000;
+  const to = now();
   const query = new URLSearchParams([
     ["series", `${unit}/actual`],
     ["series", `${unit}/commanded`],

@@ -23,7 +23,9 @@ function opened() {
 function show() {
   if (!dialog.open) dialog.showModal();
   dialog.classList.toggle("dialog--wide", Boolean(content.querySelector(".review--wide")));
-  content.querySelector("[data-review-cancel]")?.focus();
+  // What is to be read first stands at the head; the button that has the focus is in sight anyway.
+  content.querySelector("[data-review-cancel]")?.focus({ preventScroll: true });
+  dialog.scrollTop = 0;
 }
 
 /** For an answer that brings no button of its own, for example a refusal by the server. */

@@ -1,5 +1,7 @@
 // <trend-spark data-spark="dry-end/1"> draws ten minutes of its unit's actual speed; data-value="commanded" another.
 // All on a page ask together, every ten seconds, and only those in sight.
+import { now } from "./clock.js";
+
 const MINUTES = 10;
 const EVERY_MS = 10_000;
 const [WIDTH, HEIGHT] = [240, 40];
@@ -74,7 +76,7 @@ async function fetchSparks(query) {
 async function refresh() {
   if (document.hidden || !inSight.size) return;
   asked = true;
-  const to = Date.now() / 1000;
+  const to = now();
   const from = to - MINUTES * 60;
   const query = new URLSearchParams({
     from: new Date(from * 1000).toISOString(),

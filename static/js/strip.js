@@ -31,9 +31,9 @@ function entry(line) {
   return item;
 }
 
-function draw(strip, troubles) {
+function draw(strip, abnormal) {
   const lines = strip ? strip.split("\n") : [];
-  document.title = troubles > 0 ? `(${troubles}) ${title}` : title;
+  document.title = abnormal > 0 ? `(${abnormal}) ${title}` : title;
   for (const list of document.querySelectorAll("[data-strip]")) {
     const focused = list.contains(document.activeElement) ? document.activeElement.href : null;
     list.replaceChildren(...lines.map(entry));
@@ -50,8 +50,8 @@ function say(verdict) {
 export function start() {
   let known = null;
   listen("whole_line", (fields, changed) => {
-    if ("strip" in changed) draw(fields.strip, Number(fields.troubles));
-    if (known !== null && fields.troubles !== known) say(fields.verdict);
-    known = fields.troubles ?? known;
+    if ("strip" in changed) draw(fields.strip, Number(fields.abnormal));
+    if (known !== null && fields.abnormal !== known) say([fields.verdict, fields.counts].filter(Boolean).join(" · "));
+    known = fields.abnormal ?? known;
   });
 }

@@ -1,4 +1,5 @@
 // The frames of a bus as they pass, while somebody follows them.
+import { zone } from "./clock.js";
 import { follow } from "./live.js";
 import { language } from "./words.js";
 
@@ -9,7 +10,7 @@ const time = new Intl.DateTimeFormat(language, {
   second: "2-digit",
   fractionalSecondDigits: 3,
   hourCycle: "h23",
-  timeZone: document.body.dataset.zone || undefined,
+  timeZone: zone,
 });
 
 function cell(text) {

@@ -1,4 +1,5 @@
 // The picture: curves with their bands above, bits as lanes below, one time axis for both.
+import { zone } from "./clock.js";
 import { joined } from "./trends-data.js";
 import { axisLabels, axisNumbers } from "./trends-time.js";
 
@@ -18,7 +19,6 @@ const BAND = 20;
 const LETTER = 7;
 const SYNC = "trends";
 const INVISIBLE = "rgb(0 0 0 / 0)";
-const zone = document.body.dataset.zone;
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 const colours = new Map();
@@ -195,7 +195,7 @@ export class Picture {
         setSelect: [(plot) => this.selected(plot)],
         draw: [(plot) => this.drawOverlay(plot)],
       },
-      ...(zone ? { tzDate: (seconds) => uPlot.tzDate(new Date(seconds * 1000), zone) } : {}),
+      tzDate: (seconds) => uPlot.tzDate(new Date(seconds * 1000), zone),
     };
     return new uPlot(options, [[]], element);
   }

@@ -1,5 +1,6 @@
 // Times at the site: its zone, not the browser's; and how a span is said.
-const zone = document.body.dataset.zone || undefined;
+import { zone } from "./clock.js";
+
 const language = document.documentElement.lang || "en";
 const PARTS = {
   clock: { hour: "2-digit", minute: "2-digit" },

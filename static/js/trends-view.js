@@ -1,4 +1,5 @@
 // What is shown: which values over which span. It is the page's address, so a link reopens the same view.
+import { now } from "./clock.js";
 import { lastShift, morning } from "./trends-time.js";
 
 const LEAST_SPAN = 1;
@@ -13,7 +14,6 @@ const PRESETS = {
     return { from, to };
   },
 };
-const nowSeconds = () => Date.now() / 1000;
 
 /** A view: `series` ("bus/unit/value"), `scale` shared or own, `marks`, cursors `a` and `b` (or null), and either
  * `span` seconds up to now, `from` up to now, or `from` … `to`. */
@@ -43,9 +43,9 @@ export class View extends EventTarget {
   }
 
   /** The span shown now, seconds since the epoch. */
-  range(now = nowSeconds()) {
+  range(end = now()) {
     if (this.to !== null) return [this.from ?? this.to - this.span, this.to];
-    return [this.from ?? now - this.span, now];
+    return [this.from ?? end - this.span, end];
   }
 
   follow(span) {
@@ -53,12 +53,12 @@ export class View extends EventTarget {
   }
 
   preset(name) {
-    this.change(PRESETS[name](nowSeconds()));
+    this.change(PRESETS[name](now()));
   }
 
   /** Whether this is what a preset shows now. */
   isPreset(name) {
-    const { from, to } = PRESETS[name](nowSeconds());
+    const { from, to } = PRESETS[name](now());
     return this.from === from && this.to === to;
   }
 
@@ -80,7 +80,7 @@ export class View extends EventTarget {
   pan(parts) {
     const [from, to] = this.range();
     const by = (to - from) * parts;
-    if (to + by >= nowSeconds()) this.follow(to - from);
+    if (to + by >= now()) this.follow(to - from);
     else this.show(from + by, to + by);
   }
 

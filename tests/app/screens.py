@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from app.live.fields import Voice
-from app.live.motions import motions_for, watch_motions
 from app.live.screen import Drifted, Screen
 from app.live.state import LiveState
 from app.web.formats import Formats
@@ -26,7 +25,7 @@ def line(units: int = 2) -> LiveState:
         UnitSettings(id=n, name=f"Unit {n}", labels=UnitLabels(unit="m/min")) for n in range(1, units + 1)
     )
     live = LiveState([BusSettings(name="dry", port="/dev/null", unit=settings)], 0.0)
-    live.buses["dry"].worker_connected = True
+    live.buses["dry"].worker_lost = None
     live.apply("dry", [BusLink(at=100.0, link="open")])
     for number in range(1, units + 1):
         parameters = [
@@ -51,13 +50,9 @@ def reading(
 
 def screen(live: LiveState, tag: str = "en", blocks: dict[int, str] | None = None) -> Screen:
     """What is shown, brought up to date at the time 100."""
-    motions = motions_for(live)
-    for name, bus in live.buses.items():
-        watch_motions(motions, name, bus, list(bus.units), 0.2)
     made = Screen(
         live,
         voice(tag),
-        motions,
         lambda _bus, unit: (blocks or {}).get(unit, ""),
         lambda _bus, _unit, _voice, _now: Drifted(),
         lambda _bus: None,

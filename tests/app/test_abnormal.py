@@ -1,139 +1,128 @@
+"""What is abnormal about a unit besides the rungs, and what is said once for a whole bus."""
+
 from __future__ import annotations
 
 import pytest
 
-from app.live.abnormal import Sight, Tally, Trouble, bus_trouble, unit_trouble, verdict
-from app.live.motion import State
+from app.live.abnormal import Tally, UnitView, all_offline, shown_cause
+from app.live.cause import Cause, bus_cause
+from app.live.onset import Onset
 from app.live.suspicion import suspicion
 from app.live.view import unit_json
-from bus.contract import BusFigures, BusLink, ParameterValue, UnitLinkState
+from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, voice
 
+NOW = 100.0
 
-def trouble(
-    link: UnitLinkState = "online", state: State = "at_speed", blocked: str = "", **changes: int
+
+def shown(
+    blocked: str = "", drifted: str = "", link: str = "online", **changes: int
 ) -> tuple[str, str] | None:
+    """Level and code of what the first line of a unit names."""
     live = line()
+    live.apply("dry", [UnitLink(unit=1, at=NOW, link=link), reading(**changes)])  # type: ignore[arg-type]
     bus = live.buses["dry"]
-    live.apply("dry", [reading(**changes)])
-    found = unit_trouble(bus, Sight(bus.units[1], link, state, blocked), voice())
+    found = shown_cause(bus, bus.units[1], NOW, blocked=blocked, drifted=drifted)
     return (found.level, found.code) if found else None
 
 
 def test_a_unit_at_speed_in_remote_is_nothing() -> None:
-    assert trouble() is None
+    assert shown() is None
 
 
 @pytest.mark.parametrize(
     ("given", "found"),
     [
-        ({"inputs": RUN}, ("urgent", "estop")),
-        ({"state": "off_speed"}, ("high", "off_speed")),
-        ({"link": "stale"}, ("low", "stale")),
-        ({"link": "offline"}, ("high", "offline")),
         ({"blocked": "belt off"}, ("low", "blocked")),
-        ({"outputs": AT_SPEED}, ("low", "mode")),
-        ({"inputs": HEALTHY}, ("low", "run")),
+        ({"drifted": "2 values"}, ("low", "drift")),
+        ({"blocked": "belt off", "drifted": "2 values"}, ("low", "blocked")),
+        ({"blocked": "belt off", "inputs": RUN}, ("urgent", "estop_active")),
+        ({"blocked": "belt off", "outputs": AT_SPEED}, ("low", "not_in_remote")),
+        ({"blocked": "belt off", "link": "offline"}, ("high", "unit_offline")),
+        ({"drifted": "2 values", "commanded": 0, "actual": 300, "inputs": HEALTHY}, ("low", "drift")),
+        ({"drifted": "2 values", "outputs": 0x40, "actual": 900}, ("low", "drift")),
     ],
 )
-def test_each_trouble_has_its_step(given: dict[str, str], found: tuple[str, str]) -> None:
-    assert trouble(**given) == found  # type: ignore[arg-type]
-
-
-def test_the_worst_is_said() -> None:
-    assert trouble(state="off_speed", inputs=RUN, blocked="x") == ("urgent", "estop")
+def test_a_broken_rung_comes_before_what_else_is_abnormal(
+    given: dict[str, str], found: tuple[str, str]
+) -> None:
+    assert shown(**given) == found  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     ("said", "found"),
     [
-        (ParameterValue(1, 17, 100.0, 1), None),
-        (ParameterValue(1, 17, 100.0, None, available=False), None),
-        (ParameterValue(1, 17, 100.0, 3), None),
-        (BusFigures(1.0, 1.0, 1.0, 1.0, 1.0, answers_for_all=1), None),
+        (ParameterValue(1, 17, NOW, 1), None),
+        (ParameterValue(1, 17, NOW, None, available=False), None),
+        (ParameterValue(1, 17, NOW, 3), None),
+        (BusFigures(NOW, 1.0, 1.0, 1.0, 1.0, answers_for_all=1), None),
         (
-            BusFigures(1.0, 1.0, 1.0, 1.0, 1.0, answers_for_all=2),
+            BusFigures(NOW, 1.0, 1.0, 1.0, 1.0, answers_for_all=2),
             "perhaps unit 2 answers for it (each answer comes twice)",
         ),
     ],
 )
-def test_a_unit_in_whose_name_another_may_answer_is_not_well(
+def test_a_unit_in_whose_name_another_may_answer_is_abnormal(
     said: ParameterValue | BusFigures, found: str | None
 ) -> None:
     live = line()
     bus = live.buses["dry"]
     live.apply("dry", [reading(), said])
-    trouble = unit_trouble(bus, Sight(bus.units[1], "online", "at_speed"), voice())
-    assert (trouble and (trouble.level, trouble.text)) == (found and ("high", found))
-    assert unit_json(bus, bus.units[1], 100.0, lambda _bus, _unit: "")["suspect"] == found
+    cause = shown_cause(bus, bus.units[1], NOW, blocked="", drifted="")
+    assert (cause and (cause.level, cause.params["why"])) == (found and ("high", found))
+    assert unit_json(bus, bus.units[1], NOW, lambda _bus, _unit: "", voice())["suspect"] == found
 
 
 def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:
     live = line(4)
     bus = live.buses["dry"]
-    live.apply("dry", [reading(), ParameterValue(1, 17, 100.0, 3), ParameterValue(2, 17, 100.0, 3)])
+    live.apply("dry", [reading(), ParameterValue(1, 17, NOW, 3), ParameterValue(2, 17, NOW, 3)])
     assert suspicion(bus, bus.units[1]) == ""
-    live.apply("dry", [ParameterValue(3, 17, 100.0, 3)])
+    live.apply("dry", [ParameterValue(3, 17, NOW, 3)])
     assert suspicion(bus, bus.units[1]) == "", "units whose #17 says something else"
-    live.apply("dry", [ParameterValue(2, 17, 100.0, 2)])
+    live.apply("dry", [ParameterValue(2, 17, NOW, 2)])
     assert suspicion(bus, bus.units[1]) == "perhaps unit 3 answers for it (#17)"
     assert suspicion(bus, bus.units[2]) == ""
 
 
-def test_run_may_be_off_while_nothing_is_commanded() -> None:
-    assert trouble(inputs=HEALTHY, commanded=0, actual=0, state="at_zero") is None
-
-
-def test_one_poll_missed_is_no_trouble_yet() -> None:
-    bus = line().buses["dry"]
-    assert unit_trouble(bus, Sight(bus.units[1], "stale", "at_speed", overdue=False), voice()) is None
-
-
-def test_a_bus_says_worker_or_port() -> None:
+def test_a_bus_says_worker_or_port_and_since_when() -> None:
     live = line()
     bus = live.buses["dry"]
-    assert bus_trouble(bus, voice(), 100.5) is None
-    live.apply("dry", [BusLink(at=1, link="closed", cause="no such device")])
-    found = bus_trouble(bus, voice(), 100.5)
-    assert found is not None
-    assert found.text == "the port is closed: no such device"
-    bus.worker_connected = False
-    found = bus_trouble(bus, voice(), 100.5)
-    assert found is not None
-    assert found.code == "worker"
+    assert bus_cause(bus, 100.5) is None
+    live.apply("dry", [BusLink(at=101.0, link="closed", cause="no such device")])
+    live.apply("dry", [BusLink(at=105.0, link="closed", cause="permission denied")])
+    assert bus_cause(bus, 110.0) == Cause("port_lost", "urgent", Onset(101.0), {"why": "permission denied"})
+    live.worker_went("dry", 120.0)
+    assert bus_cause(bus, 130.0) == Cause("worker_lost", "urgent", Onset(120.0))
 
 
 def test_a_worker_that_stands_still_is_named_before_its_units() -> None:
     live = line()
     bus = live.buses["dry"]
-    figures = BusFigures(at=100.0, scan_hz=4.8, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3)
+    figures = BusFigures(at=NOW, scan_hz=4.8, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3)
     live.apply("dry", [figures])
-    assert bus_trouble(bus, voice(), 101.9) is None
-    found = bus_trouble(bus, voice("de"), 102.1)
-    assert found == Trouble("urgent", "der Busdienst sagt nichts", "worker", 100.0)
+    assert bus_cause(bus, 101.9) is None
+    assert bus_cause(bus, 102.1) == Cause("worker_silent", "urgent", Onset(NOW))
     live.apply("dry", [reading(at=102.0)])
-    assert bus_trouble(bus, voice(), 102.1) is None, "a unit was heard through it"
+    assert bus_cause(bus, 102.1) is None, "a unit was heard through it"
 
 
-@pytest.mark.parametrize(
-    ("tally", "abnormal", "said"),
-    [
-        (Tally(), 0, "No unit is configured"),
-        (Tally(units=8, heard=8, at_speed=8), 0, "All 8 units at speed"),
-        (Tally(units=8, heard=8, at_zero=8), 0, "All 8 units at zero"),
-        (Tally(units=8, heard=8, at_speed=5, ramping=3), 0, "3 of 8 ramping"),
-        (Tally(units=8, heard=8, at_speed=5, at_zero=3), 0, "5 of 8 at speed, the others at zero"),
-        (Tally(units=8), 1, "No unit answers"),
-        (Tally(units=8, heard=8, at_speed=7), 1, "1 needs a look"),
-        (Tally(units=8, heard=8, at_speed=6), 2, "2 need a look"),
-    ],
-)
-def test_the_verdict_is_one_sentence(tally: Tally, abnormal: int, said: str) -> None:
-    assert verdict(tally, abnormal, voice()) == said
+def views(*causes: Cause | None) -> list[UnitView]:
+    unit = line().buses["dry"].units[1]
+    return [UnitView(unit, "offline", cause) for cause in causes]
 
 
-def test_only_units_that_are_heard_are_in_a_state() -> None:
+def test_a_bus_on_which_no_unit_responds_is_one_cause() -> None:
+    lost, unknown = Cause("unit_offline", "high", Onset(50.0)), Cause("unit_unknown", "low")
+    assert all_offline(views(lost, lost, unknown)) == Cause("no_unit_responds", "urgent", Onset(50.0))
+    assert all_offline(views(unknown, unknown)) == Cause("no_unit_yet", "low")
+    assert all_offline(views(lost, None)) is None
+    assert all_offline(views(lost)) is None, "the only unit of a bus is named itself"
+
+
+def test_only_units_that_respond_are_in_a_state() -> None:
     bus = line().buses["dry"]
     tally = Tally()
-    tally.count(Sight(bus.units[1], "stale", "at_speed"))
-    assert (tally.units, tally.heard, tally.at_speed) == (1, 0, 0)
+    for link in ("online", "stale"):
+        tally.count(UnitView(bus.units[1], link, None))  # type: ignore[arg-type]
+    assert (tally.units, tally.online, tally.at_speed) == (2, 1, 1)

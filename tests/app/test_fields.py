@@ -11,7 +11,7 @@ def fields(tag: str = "en", **changes: int) -> dict[str, str]:
     live = line()
     bus = live.buses["dry"]
     live.apply("dry", [reading(**changes)])
-    return unit_fields(bus, bus.units[1], "online", "at_speed", voice(tag))
+    return unit_fields(bus, bus.units[1], "online", voice(tag))
 
 
 def test_numbers_are_in_the_unit_s_own_decimals_and_the_language_s_sign() -> None:
@@ -45,7 +45,7 @@ def test_without_the_span_there_is_no_position() -> None:
     live = line()
     bus = live.buses["dry"]
     live.apply("dry", [ParameterValue(unit=1, number=2, at=100.0, raw=None, available=False)])
-    shown = unit_fields(bus, bus.units[1], "online", "at_speed", voice())
+    shown = unit_fields(bus, bus.units[1], "online", voice())
     assert (shown["fill"], shown["mark"], shown["band"]) == ("", "", "")
 
 
@@ -53,7 +53,7 @@ def test_a_unit_never_heard_is_unknown_and_not_zero() -> None:
     live = line()
     bus = live.buses["dry"]
     bus.units[1].reading = None
-    shown = unit_fields(bus, bus.units[1], "unknown", "", voice())
+    shown = unit_fields(bus, bus.units[1], "unknown", voice())
     assert (shown["actual"], shown["at"], shown["state_text"]) == ("–", "", "not known")  # noqa: RUF001
 
 
@@ -69,7 +69,7 @@ def test_local_and_keylock_are_told_apart_by_parameter_19() -> None:
     live = line()
     bus = live.buses["dry"]
     live.apply("dry", [reading(outputs=0), ParameterValue(unit=1, number=19, at=100.0, raw=2)])
-    assert unit_fields(bus, bus.units[1], "online", "at_speed", voice())["mode_text"] == "KEYLOCK"
+    assert unit_fields(bus, bus.units[1], "online", voice())["mode_text"] == "KEYLOCK"
 
 
 def test_analog_is_in_its_units() -> None:

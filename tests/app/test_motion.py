@@ -1,16 +1,26 @@
 from __future__ import annotations
 
+import pytest
+
 from app.live.motion import Motion
+from bus.catalogue.status import status_bits
 from bus.contract import Reading
 
+AT_SPEED, REMOTE, RUN, HEALTHY = 0x80, 0x40, 0x01, 0x02
+STOPPED_BY = pytest.mark.parametrize("inputs", [HEALTHY, RUN, 0], ids=["run off", "e-stop", "both"])
 
-def reading(at: float, commanded: int, actual: int) -> Reading:
-    return Reading(unit=1, at=at, commanded=commanded, actual=actual, analog=0, outputs=0, inputs=0)
 
-
-def states(*seen: tuple[float, int, int, bool], scan_s: float = 0.2) -> list[str]:
+def states(
+    *seen: tuple[float, int, int, bool], scan_s: float = 0.2, inputs: int = RUN | HEALTHY, ratio: bool = False
+) -> list[str]:
+    """The states after readings: when, commanded, actual, at speed."""
     motion = Motion()
-    return [motion.see(reading(at, c, a), at_speed=at_speed, scan_s=scan_s) for at, c, a, at_speed in seen]
+    found = []
+    for at, commanded, actual, at_speed in seen:
+        outputs = REMOTE | (AT_SPEED if at_speed else 0)
+        reading = Reading(1, at, commanded, actual, analog=0, outputs=outputs, inputs=inputs)
+        found.append(motion.see(reading, status_bits(outputs, inputs), scan_s=scan_s, ratio=ratio))
+    return found
 
 
 def test_nothing_seen_is_no_state() -> None:
@@ -51,13 +61,25 @@ def test_a_new_setpoint_is_a_new_ramp() -> None:
     assert states(*stuck, (6.0, 600, 400, False))[-1] == "ramping_up"
 
 
-def test_a_condition_has_its_beginning_where_that_was_seen() -> None:
-    motion = Motion()
-    motion.note(10.0, frozenset({"mode"}))
-    assert motion.since == {}
-    motion.note(20.0, frozenset({"mode", "estop"}))
-    motion.note(30.0, frozenset({"mode", "estop"}))
-    assert motion.since == {"estop": 20.0}
-    motion.note(40.0, frozenset())
-    motion.note(50.0, frozenset({"mode"}))
-    assert motion.since == {"mode": 50.0}
+@STOPPED_BY
+def test_a_unit_without_run_is_stopped_and_not_off_speed(inputs: int) -> None:
+    assert states(*((float(at), 500, 0, False) for at in range(6)), inputs=inputs) == ["stopped"] * 6
+
+
+@STOPPED_BY
+def test_a_unit_without_run_slows_down(inputs: int) -> None:
+    coasting = [(float(at), 500, 500 - 50 * at, at < 2) for at in range(11)]
+    assert states(*coasting, inputs=inputs) == ["stopping"] * 10 + ["stopped"]
+
+
+@STOPPED_BY
+@pytest.mark.parametrize("commanded", [0, 500])
+def test_a_unit_that_goes_on_without_run_turns(commanded: int, inputs: int) -> None:
+    """At the commanded speed too: the unit says at speed, and should not move at all."""
+    seen = [(float(at), commanded, 500, commanded == 500) for at in range(5)]
+    assert states(*seen, inputs=inputs) == ["stopping"] * 4 + ["turning"]
+
+
+def test_ratios_say_nothing_of_whether_the_motor_turns() -> None:
+    seen = [(float(at), 10_000, 9_990, False) for at in range(5)]
+    assert states(*seen, inputs=HEALTHY, ratio=True) == [""] * 5

@@ -1,8 +1,9 @@
 from __future__ import annotations
 
-from app.live.motions import watch_motions
+import pytest
+
 from bus.contract import BusFigures, BusLink
-from tests.app.screens import line, reading, screen, voice
+from tests.app.screens import line, reading, screen
 
 
 def figures(scan_s: float = 0.3) -> BusFigures:
@@ -20,29 +21,36 @@ def test_only_what_changed_is_given() -> None:
     assert shown.see("dry", [1], 100.2, whole_bus=False) == {}
 
 
-def test_a_trouble_comes_into_the_strip_and_goes() -> None:
+def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     live = line()
     shown = screen(live)
-    assert shown.shown["whole_line"]["strip"] == ""
+    assert shown.shown["whole_line"]["at"] == ""
     live.apply("dry", [reading(2, at=100.2, inputs=1)])
     changed = shown.see("dry", [2], 100.2, whole_bus=False)
-    assert changed["whole_line"]["strip"] == "dry/2\turgent\tUnit 2\te-stop input active\t"
-    assert (changed["whole_line"]["level"], changed["whole_line"]["verdict"]) == ("urgent", "1 needs a look")
+    assert {name: changed["whole_line"][name] for name in ("at", "level", "verdict", "counts")} == {
+        "at": "/units/dry/2",
+        "level": "urgent",
+        "verdict": "Unit 2 · Still turning: e-stop input active since 00:01",
+        "counts": "1 abnormal",
+    }
+    assert changed["dry/2"]["status"] == "Still turning: e-stop input active since 00:01"
     live.apply("dry", [reading(2, at=100.4)])
-    assert shown.see("dry", [2], 100.4, whole_bus=False)["whole_line"]["strip"] == ""
+    well = shown.see("dry", [2], 100.4, whole_bus=False)["whole_line"]
+    assert (well["verdict"], well["at"], well["counts"]) == ("All 2 units at speed", "", "")
 
 
-def test_the_strip_says_since_when_where_the_beginning_was_seen() -> None:
-    live = line()
+def test_the_strip_has_what_is_abnormal_beside_the_worst() -> None:
+    live = line(3)
     shown = screen(live)
-    bus = live.buses["dry"]
-    for unit, at in ((1, 115.0), (2, 121.0)):
-        live.apply("dry", [reading(unit, at=at, inputs=1)])
-        watch_motions(shown.motions, "dry", bus, [unit], 0.2)
-    changed = shown.see("dry", [1, 2], 121.0, whole_bus=False)
-    said = [entry.split("\t")[4] for entry in changed["whole_line"]["strip"].split("\n")]
-    assert said == [voice().t("since {time}", time=voice().formats.since(at, 121.0)) for at in (115.0, 121.0)]
-    assert said[0] != said[1]
+    for unit, at, inputs in ((1, 115.0, 2), (2, 135.0, 1), (3, 150.0, 2)):
+        live.apply("dry", [reading(unit, at=at - 0.2), reading(unit, at=at, inputs=inputs, actual=0)])
+    live.apply("dry", [reading(unit, at=150.2, inputs=inputs, actual=0) for unit, inputs in ((1, 2), (2, 1))])
+    changed = shown.see("dry", [1, 2, 3], 150.2, whole_bus=False)["whole_line"]
+    assert changed["verdict"] == "Unit 2 · Stopped: e-stop input active since 00:02"
+    assert changed["strip"].split("\n") == [
+        "dry/1\thigh\tUnit 1\tStopped: run input off\tsince 00:01",
+        "dry/3\thigh\tUnit 3\tStopped: run input off\tsince 00:02",
+    ]
 
 
 def test_a_unit_says_nothing_of_a_cable_that_its_bus_has_lost() -> None:
@@ -50,7 +58,10 @@ def test_a_unit_says_nothing_of_a_cable_that_its_bus_has_lost() -> None:
     shown = screen(live)
     live.apply("dry", [BusLink(at=101.0, link="closed", cause="unplugged")])
     shown.see("dry", [1, 2], 130.0, whole_bus=True)
-    assert [shown.shown["dry/1"][name] for name in ("link", "level", "trouble")] == ["offline", "", ""]
+    assert [shown.shown["dry/1"][name] for name in ("link", "level", "cause", "status")] == [
+        *("offline", "", ""),
+        "Port closed since 00:01: unplugged",
+    ]
 
 
 def test_time_alone_makes_stale_then_offline() -> None:
@@ -65,7 +76,8 @@ def test_a_closed_port_is_one_entry_and_not_one_for_each_unit() -> None:
     shown = screen(live)
     live.apply("dry", [BusLink(at=101.0, link="closed", cause="unplugged")])
     changed = shown.see("dry", [1, 2], 101.0, whole_bus=True)
-    assert changed["whole_line"]["strip"] == "dry\turgent\tdry\tthe port is closed: unplugged\tsince 00:01"
+    said = {name: changed["whole_line"][name] for name in ("verdict", "at", "abnormal")}
+    assert said == {"verdict": "dry · Port closed since 00:01: unplugged", "at": "/bus/dry", "abnormal": "1"}
     assert changed["dry"]["link"] == "closed"
 
 
@@ -78,7 +90,7 @@ def test_the_line_s_figures_are_the_worst_of_all_buses() -> None:
 
 def test_a_block_is_shown_with_its_reason() -> None:
     shown = screen(line(), blocks={2: "belt off (anna)"})
-    assert shown.shown["dry/2"]["trouble"] == "blocked: belt off (anna)"
+    assert shown.shown["dry/2"]["status"] == "Commands blocked: belt off (anna)"
 
 
 def test_the_first_paint_has_the_same_texts() -> None:
@@ -93,12 +105,65 @@ def test_the_strip_has_an_end() -> None:
     live.apply("dry", [reading(n, at=100.2, inputs=1) for n in range(1, 61)])
     changed = shown.see("dry", list(range(1, 61)), 100.2, whole_bus=False)
     assert len(changed["whole_line"]["strip"].split("\n")) == 30
-    assert changed["whole_line"]["troubles"] == "60"
+    assert changed["whole_line"]["abnormal"] == "60"
 
 
 def test_a_bus_on_which_no_unit_answers_is_one_entry() -> None:
     shown = screen(line())
     shown.settle(111.0)
-    strip = shown.shown["whole_line"]["strip"].split("\t")
-    assert strip[:4] == ["dry", "urgent", "dry", "no unit answers"]
-    assert shown.shown["dry/1"]["trouble"] == "no answer"
+    assert shown.shown["whole_line"]["verdict"] == "dry · No unit responds since 00:01"
+    assert shown.shown["whole_line"]["level"] == "urgent"
+    assert shown.shown["dry/1"]["status"] == "Offline since 00:01"
+
+
+@pytest.mark.parametrize(
+    ("readings", "verdict", "german"),
+    [
+        ([{}, {}], "All 2 units at speed", "Alle 2 Regler auf Drehzahl"),
+        ([{"commanded": 0, "actual": 0}] * 2, "All 2 units at zero", "Alle 2 Regler auf null"),
+        ([{}, {"outputs": 0x40, "actual": 900}], "1 of 2 ramping", "1 von 2 in Rampe"),
+        (
+            [{}, {"commanded": 0, "actual": 0}],
+            "1 of 2 at speed, the others at zero",
+            "1 von 2 auf Drehzahl, die anderen auf null",
+        ),
+    ],
+)
+def test_the_verdict_of_a_line_that_is_well_is_one_sentence(
+    readings: list[dict[str, int]], verdict: str, german: str
+) -> None:
+    live = line()
+    live.apply("dry", [reading(unit, **changes) for unit, changes in enumerate(readings, 1)])
+    for tag, text in (("en", verdict), ("de", german)):
+        shown = screen(live, tag).shown["whole_line"]
+        assert (shown["verdict"], shown["counts"], shown["level"]) == (text, "", "")
+
+
+def test_without_units_the_verdict_says_so() -> None:
+    assert screen(line(0)).shown["whole_line"]["verdict"] == "No unit is configured"
+
+
+def test_the_first_line_of_a_unit_that_is_well_is_its_state() -> None:
+    assert screen(line()).shown["dry/1"]["status"] == "At speed"
+    assert screen(line(), "de").shown["dry/1"]["status"] == "Auf Drehzahl"
+
+
+def test_a_ramp_is_told_to_its_unit_and_not_to_the_whole_line_each_second() -> None:
+    live = line()
+    shown = screen(live)
+    live.apply("dry", [reading(1, at=101.0, outputs=0x40, actual=200)])
+    shown.see("dry", [1], 101.0, whole_bus=False)
+    live.apply("dry", [reading(1, at=103.0, outputs=0x40, actual=500)])
+    changed = shown.see("dry", [1], 103.0, whole_bus=False)
+    assert changed["dry/1"]["status"] == "Ramping to 120.0, about 4 s left"
+    assert "whole_line" not in changed
+
+
+def test_what_to_check_is_said_with_the_cause() -> None:
+    live = line()
+    shown = screen(live)
+    live.apply("dry", [reading(1, at=100.2, inputs=2, actual=0)])
+    assert (
+        shown.see("dry", [1], 100.2, whole_bus=False)["dry/1"]["check"]
+        == "Check the run contact at the drive"
+    )

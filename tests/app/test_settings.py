@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from app.settings import ConfigurationError, load
+from app.settings import ConfigurationError, Site, load
+from app.time_zone import machine_zone
 
 BUSES = """\
 [[bus]]
@@ -16,6 +18,12 @@ port = "/dev/ttyUSB0"
 name = "b"
 port = "/dev/ttyUSB1"
 """
+
+
+@pytest.fixture(autouse=True)
+def _zone_is_read_again() -> Iterator[None]:
+    yield
+    machine_zone.cache_clear()
 
 
 def write(folder: Path, text: str) -> Path:
@@ -100,3 +108,34 @@ def test_two_names_of_one_device_are_one_port(tmp_path: Path) -> None:
     link.symlink_to("/dev/ttyUSB0")
     with pytest.raises(ConfigurationError, match="belongs to bus a already"):
         load(write(tmp_path, BUSES.replace("/dev/ttyUSB1", str(link))))
+
+
+@pytest.mark.parametrize(
+    ("variable", "zone"),
+    [
+        ("America/New_York", "America/New_York"),
+        (":Asia/Tokyo", "Asia/Tokyo"),
+        ("/usr/share/zoneinfo/Europe/Berlin", "Europe/Berlin"),
+        ("CET-1CEST,M3.5.0,M10.5.0/3", "UTC"),
+        ("nonsense", "UTC"),
+        ("localtime", "UTC"),
+    ],
+)
+def test_where_no_zone_is_named_it_is_the_machines(
+    variable: str, zone: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TZ", variable)
+    machine_zone.cache_clear()
+    assert Site().zone == zone
+    assert Site(time_zone="Europe/Kyiv").zone == "Europe/Kyiv"
+
+
+def test_the_zone_of_a_machine_is_where_its_link_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A TZ that names a link, as containers have it, says no name itself."""
+    link = tmp_path / "localtime"
+    link.symlink_to("/usr/share/zoneinfo/Europe/Berlin")
+    monkeypatch.setenv("TZ", f":{link}")
+    machine_zone.cache_clear()
+    assert Site().zone == "Europe/Berlin"

@@ -7,11 +7,12 @@ import time
 from pydantic import ConfigDict, TypeAdapter, with_config
 
 from app.commands.answers import FateShown, fate_json
-from app.live.shown import BusShown, ParameterShown, UnitShown
+from app.live.shown import BusShown, CauseShown, ParameterShown, UnitShown
 from app.live.state import LiveState
 from app.live.view import bus_json, parameter_json
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Clause, Command, Frame, Result, UnitOutcome, Update
+from tests.app.screens import voice
 from tests.app.stage import Stage, bus_settings, fate, snapshot
 
 EXACT = with_config(ConfigDict(extra="forbid", strict=True))
@@ -20,11 +21,12 @@ EXACT = with_config(ConfigDict(extra="forbid", strict=True))
 def test_units_and_buses_read_and_unread() -> None:
     live = LiveState([bus_settings()], time.time())
     for _ in range(2):
-        bus = bus_json(live.buses["dry-end"], time.time(), lambda bus, unit: f"{bus} {unit}")
+        bus = bus_json(live.buses["dry-end"], time.time(), lambda bus, unit: f"{bus} {unit}", voice())
         TypeAdapter(EXACT(BusShown)).validate_python(bus)
         for unit in bus["units"]:
             TypeAdapter(EXACT(UnitShown)).validate_python(unit)
             assert unit.keys() == UnitShown.__annotations__.keys()
+            assert unit["cause"].keys() == CauseShown.__annotations__.keys()
         live.worker_came("dry-end", snapshot(), "1.0")
     for number in PARAMETERS:
         row = parameter_json(live.buses["dry-end"].units[1], number)

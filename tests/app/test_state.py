@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from app.live.state import NO_WORKER, LiveState, updates_of
+from app.live.snapshot import updates_of
+from app.live.state import NO_WORKER, LiveState
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitLink, Update
 from tests.app.stage import bus_settings, reading, snapshot
 

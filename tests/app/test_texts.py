@@ -12,6 +12,7 @@ from typing import get_args
 import pytest
 
 from app.audit.kinds import Kind
+from app.live.cause_text import CAUSE_TEXTS, CHECK_TEXTS, MOTION_TEXTS, STOPPED_WITH_RUN
 from app.live.fields import STATE_WORDS
 from app.live.hub import STAGE_WORDS
 from app.web.access import Role
@@ -123,6 +124,10 @@ def in_tables() -> set[str]:
     parameters = PARAMETERS.values()
     return {
         *STATE_WORDS.values(),
+        *CAUSE_TEXTS.values(),
+        *CHECK_TEXTS.values(),
+        *MOTION_TEXTS.values(),
+        STOPPED_WITH_RUN,
         *STAGE_WORDS.values(),
         *(unit_error_name(code) for code in UnitErrorCode),
         *(parameter.meaning for parameter in parameters),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import atexit
 import json
+import os
 import shutil
 import signal
 import socket
@@ -123,6 +124,7 @@ class Site:
     more: dict[str, tuple[Line, int]] = field(default_factory=dict)
     tokens: dict[str, str] = field(default_factory=dict)
     sessions: dict[str, Any] = field(default_factory=dict)
+    environment: dict[str, str] = field(default_factory=dict)
     server: subprocess.Popen[bytes] | None = None
     log: IO[bytes] | None = None
 
@@ -135,7 +137,10 @@ class Site:
         """Start ``lineside serve`` and wait until it answers."""
         self.log = (self.folder / "serve.log").open("ab")
         self.server = subprocess.Popen(
-            [LINESIDE, "serve", "--config", str(self.config)], stdout=self.log, stderr=self.log
+            [LINESIDE, "serve", "--config", str(self.config)],
+            stdout=self.log,
+            stderr=self.log,
+            env={**os.environ, **self.environment},
         )
         eventually(self._answers, f"an answer from {self.url}")
 
@@ -211,15 +216,18 @@ def site(
     toml: str = "",
     turnaround_ms: int = 500,
     more: dict[str, int] | None = None,
+    environment: dict[str, str] | None = None,
 ) -> Iterator[Site]:
     """A running site of ``units`` on the bus ``line``; ``toml`` is added to its file.
     ``more``: further buses, each by name with its number of units. ``turnaround_ms``: how long an answer is
-    waited for; the simulated units are a process, which a busy machine may keep waiting."""
+    waited for; the simulated units are a process, which a busy machine may keep waiting.
+    ``environment``: more variables of the server's environment."""
     made = Site(folder, start_line(folder, units, *line_options), f"http://127.0.0.1:{free_port()}", units)
     try:
         for name, count in (more or {}).items():
             made.more[name] = (start_line(folder, count, *line_options, name=name), count)
         made.config.write_text(_configuration(made, toml, turnaround_ms), encoding="utf-8")
+        made.environment = environment or {}
         made.add_people()
         made.start()
         made.wait_for_units()

@@ -1,0 +1,63 @@
+"""Which events are parts of one change of several units, so that a page can show them as one row."""
+
+from __future__ import annotations
+
+import sqlite3
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from app.audit.log import Event, EventLog
+from app.audit.store import Filter
+
+MOST_PARTS = 1000
+"""Parts that one page holds; with more there are fewer rows on it. A change has at most 255."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One row of the events page: an event, with the parts of a change of several units by address."""
+
+    event: Event
+    parts: list[Event] = field(default_factory=list)
+
+    @property
+    def outcomes(self) -> list[tuple[str | None, int]]:
+        """How many parts have which outcome, the most frequent first; None while it is not known."""
+        return Counter(part["outcome"] for part in self.parts).most_common()
+
+
+def link_parts(connection: sqlite3.Connection, count: int) -> None:
+    """Note that the last ``count`` events are parts of the one before; in the transaction that wrote them."""
+    [last] = connection.execute("SELECT max(id) FROM events").fetchone()
+    rows = [(number, last - count) for number in range(last - count + 1, last + 1)]
+    connection.executemany("INSERT INTO event_parts (event, whole) VALUES (?, ?)", rows)
+
+
+async def page(events: EventLog, wanted: Filter, limit: int) -> tuple[list[Row], int | None]:
+    """Rows newest first, at most ``limit``, and the number to ask on from (None at the end). A part stands by
+    itself where the filter leaves its whole out."""
+    found, after = await events.page(replace(wanted, folded=True), limit)
+    wholes = [event["id"] for event in found]
+    parts, more = await events.page(Filter(parts_of=tuple(wholes)), MOST_PARTS)
+    by_whole = _by_whole(parts, wholes)
+    if more is not None:
+        # Newest first: the change of the last part may have more than were read; newer ones have all.
+        cut = _whole_of(parts[-1], sorted(wholes))
+        found, after = [event for event in found if event["id"] > cut], cut + 1
+    return [Row(event, by_whole.get(event["id"], [])) for event in found], after
+
+
+def _by_whole(parts: Sequence[Event], wholes: Sequence[int]) -> dict[int, list[Event]]:
+    ordered = sorted(wholes)
+    found: dict[int, list[Any]] = {}
+    for part in reversed(parts):
+        found.setdefault(_whole_of(part, ordered), []).append(part)
+    return found
+
+
+def _whole_of(part: Event, ordered: Sequence[int]) -> int:
+    """The parts of a change stand right behind it."""
+    return ordered[bisect_left(ordered, part["id"]) - 1]

@@ -1,0 +1,119 @@
+"""What can be pressed is in reach and what is to be read is in sight, from the phone to the wall."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import Site
+
+WIDTHS = (360, 640, 768, 1000)
+PAGES = (
+    "/",
+    "/units/line/1",
+    "/setpoints",
+    "/events",
+    "/trends",
+    "/bus/line",
+    "/sets",
+    "/batch/line?number=6",
+)
+COVERED = """() => {
+  const pressed = "a[href], button, summary, input:not([type=hidden]), select, textarea";
+  const said = [];
+  for (const one of document.querySelectorAll(pressed)) {
+    if (!one.checkVisibility({checkVisibilityCSS: true}) || one.closest("[inert], .skip")) continue;
+    scrollTo(0, 0);
+    one.scrollIntoView({block: "nearest", inline: "nearest", behavior: "instant"});
+    const {x, y, width, height} = one.getClientRects()[0] ?? {width: 0};
+    if (!width) continue;
+    const seen = document.elementFromPoint(x + width / 2, y + height / 2);
+    if (!one.contains(seen) && one.closest("label") !== seen?.closest("label"))
+      said.push(`${one.outerHTML.slice(0, 100)} behind ${seen?.outerHTML.slice(0, 60)}`);
+    else if (!seen) said.push(`${one.outerHTML.slice(0, 100)} outside`);
+  }
+  return said;
+}"""
+"""Each control that something lies over once it was brought into sight, as the focus would bring it."""
+TOO_WIDE = """() => [...document.querySelectorAll("html, .table-wrap")]
+  .map(one => one.scrollWidth - one.clientWidth).filter(over => over > 0)"""
+CUT = """() => [...document.querySelectorAll(".table--events td, .parts :is(td, th)")]
+  .filter(cell => cell.checkVisibility({contentVisibilityAuto: true}))
+  .filter(cell => cell.scrollWidth > cell.clientWidth + 1)
+  .map(cell => cell.textContent.trim())"""
+Axe = Callable[[Page], list[str]]
+
+
+@pytest.fixture(scope="module")
+def site(line_server: Callable[..., Site]) -> Site:
+    """Eight units that were changed together."""
+    made = line_server(8, line_options=("--no-script",))
+    setpoints: dict[str, Any] = {str(unit): {"raw": 1000 + unit} for unit in range(1, 9)}
+    with made.api("operator") as client:
+        client.post("/buses/line/speeds", json={"setpoints": setpoints}).raise_for_status()
+    return made
+
+
+def opened(page: Page, path: str) -> Page:
+    page.goto(path)
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+    return page
+
+
+@pytest.mark.parametrize("path", PAGES)
+def test_nothing_lies_over_what_can_be_pressed(browser_page: OpensPages, path: str) -> None:
+    page = opened(browser_page("engineer", viewport={"width": 1280, "height": 600}), path)
+    for width in WIDTHS:
+        page.set_viewport_size({"width": width, "height": 600})
+        assert page.evaluate(COVERED) == [], width
+
+
+@pytest.mark.parametrize("width", [360, 700, 1280])
+def test_a_group_change_opens_at_its_head_and_its_result_at_the_verdict(
+    browser_page: OpensPages, width: int
+) -> None:
+    page = opened(browser_page("operator", viewport={"width": width, "height": 520}), "/setpoints")
+    page.locator("[data-together-do=all]").click()
+    page.locator("[data-together=scale]").fill("101")
+    page.locator("[data-together-do=scale]").click()
+    page.locator("form[data-setpoints] [type=submit]").click()
+    act = page.locator("[data-review-act]")
+    expect(page.locator("#review-title")).to_be_in_viewport(ratio=1)
+    expect(act).to_be_in_viewport(ratio=1)
+    expect(page.locator("[data-review-cancel]")).to_be_focused()
+    act.click()
+    expect(page.locator("[data-review-done] .fate--final")).to_be_in_viewport(ratio=1)
+    expect(page.locator("[data-review-done] [data-review-cancel]")).to_be_in_viewport(ratio=1)
+
+
+@pytest.mark.parametrize("width", [360, 820, 1280, 1920])
+def test_a_change_of_many_units_is_one_row_that_fits(browser_page: OpensPages, axe: Axe, width: int) -> None:
+    page = opened(browser_page("viewer", viewport={"width": width, "height": 900}), "/events?kind=command")
+    parts = page.locator(".event__parts", has_text="8 units: 8 verified").last
+    expect(parts).to_be_visible()
+    assert page.evaluate(TOO_WIDE) == []
+    assert page.evaluate(CUT) == []
+    parts.locator("summary").focus()
+    page.keyboard.press("Enter")
+    shown = parts.locator("tbody tr")
+    expect(shown).to_have_count(8)
+    expect(shown.first).to_contain_text("1 Unwind")
+    expect(shown.first).to_contain_text("→ 100.1")
+    expect(shown.first).to_contain_text("verified")
+    assert page.evaluate(TOO_WIDE) == []
+    assert page.evaluate(CUT) == []
+    assert axe(page) == []
+
+
+def test_on_paper_a_change_has_all_of_its_units(browser_page: OpensPages) -> None:
+    page = opened(browser_page("viewer", viewport={"width": 794, "height": 1123}), "/events?kind=command")
+    units = page.locator(".event__parts").last.locator("tbody tr").first
+    expect(units).to_be_hidden()
+    page.emulate_media(media="print")
+    expect(units).to_be_visible()
+    assert page.evaluate(TOO_WIDE) == []
+    assert page.evaluate(CUT) == []
