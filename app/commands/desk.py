@@ -155,6 +155,8 @@ class Desk:
     async def _check(self, wish: Wish, live: BusLive, confirm: bool) -> None:
         try:
             wish.deadline.refuse_passed()
+            # Before anything is read for it: who may not write here learns that, not what the unit says.
+            self._use_control(wish.person, wish.bus, wish.action)
             await self.read_ranges(wish.person, wish.bus, wish.action, wish.deadline)
             self._object(wish.person, wish.bus, wish.action, live, confirm)
         except Problem as problem:
@@ -163,14 +165,18 @@ class Desk:
             raise
 
     def _object(self, person: Person, bus: str, action: Action, live: BusLive, confirm: bool) -> None:
+        self._use_control(person, bus, action)
+        try:
+            check(action, self._circumstances(bus, live, confirm))
+        except ObjectionError as error:
+            raise _problem(error) from error
+
+    def _use_control(self, person: Person, bus: str, action: Action) -> None:
         try:
             if is_write(action):
                 self._guards.control.use(bus, person.account, self._now())
-            check(action, self._circumstances(bus, live, confirm))
         except ControlledError as error:
             raise Problem(409, "controlled", f"{error}; nothing was sent", outcome="controlled") from error
-        except ObjectionError as error:
-            raise _problem(error) from error
 
     def _circumstances(self, bus: str, live: BusLive, confirm: bool) -> Circumstances:
         return Circumstances(
