@@ -39,7 +39,7 @@ from app.metrics import api as metrics_api
 from app.recipes import api as recipes_api
 from app.recipes import pages as recipes_pages
 from app.sets import api as sets_api
-from app.sets import batch_pages
+from app.sets import batch_pages, restore_api, restore_pages
 from app.sets import pages as sets_pages
 from app.settings import Settings
 from app.swap import pages as swap_pages
@@ -78,7 +78,9 @@ FEATURES = (
     history_api,
     history_pages,
     sets_api,
+    restore_api,
     sets_pages,
+    restore_pages,
     baud_pages,
     batch_pages,
     swap_pages,

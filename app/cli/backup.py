@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from app.cli.counted import counted
 from app.cli.dashboard import Dashboard, DashboardError, dashboard
 from app.cli.ending import ending
 from app.sets.document import write_document
@@ -85,4 +86,4 @@ def _tell(out: Path, read: list[UnitRows], missing: dict[int, str], as_json: boo
         units = [unit.unit for unit in read]
         typer.echo(json.dumps({"file": str(out) if read else None, "units": units, "missing": missing}))
     elif read:
-        typer.echo(f"{len(read)} unit{'s' if len(read) != 1 else ''} written to {out}")
+        typer.echo(f"{counted(len(read), 'unit')} written to {out}")

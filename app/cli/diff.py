@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from app.cli.backup import AsJson
+from app.cli.counted import counted
 from app.cli.dashboard import dashboard
 from app.cli.ending import ending
 from app.sets.compare import Compared, differences
@@ -105,7 +106,7 @@ def _as_json(left: UnitRows, right: UnitRows, row: Compared) -> dict[str, Any]:
 def _table(found: list[tuple[UnitRows, UnitRows, Compared]]) -> str:
     if not found:
         return "equal"
-    head = f"{len(found)} row{'s' if len(found) != 1 else ''} differ (file, then now):"
+    head = f"{counted(len(found), 'row')} {'differs' if len(found) == 1 else 'differ'} (file, then now):"
     return "\n".join([head, *(_line(right.unit, row) for _, right, row in found)])
 
 

@@ -1,4 +1,4 @@
-"""Parameter sets over HTTP: taken, listed, compared, restored."""
+"""Parameter sets over HTTP: taken, listed, compared."""
 
 from __future__ import annotations
 
@@ -15,21 +15,14 @@ from app.live.lookup import bus_or_404, unit_or_404
 from app.sets.compare import compare
 from app.sets.document import write_document
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import (
-    plan,
-    restore_or_404,
-    set_or_404,
-    unit_rows_or_404,
-    wanted_rows,
-)
+from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.model import ParameterSet
-from app.sets.restore import RestoreDesk
 from app.sets.schedule import SetSchedule
-from app.sets.view import compared_json, departure_json, restore_json, set_json, summary_json
+from app.sets.view import compared_json, departure_json, set_json, summary_json
 from app.web.access import Engineer, Person, Role, Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import service
-from app.web.shape import Numbers, Strict, Units
+from app.web.shape import Strict, Units
 from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
@@ -57,18 +50,8 @@ class Schedule(Strict):
     minute_of_day: Annotated[int, Field(ge=0, le=1439)] | None
 
 
-class PlanRestore(Strict):
-    """What a unit shall become: a stored set, or a TOML document with one unit (or with this one)."""
-
-    set: int | None = None
-    document: str | None = None
-    from_unit: int | None = None
-    ticked: Annotated[Numbers, Field(default_factory=list)]
-
-
 Keeper = Annotated[SetKeeper, service("sets")]
 Schedules = Annotated[SetSchedule, service("set_schedule")]
-Restores = Annotated[RestoreDesk, service("restores")]
 
 
 @router.get("/sets")
@@ -168,38 +151,6 @@ async def write_schedule(
     bus_or_404(live, bus)
     await schedules.set(person, bus, wanted.minute_of_day)
     return {"minute_of_day": wanted.minute_of_day, "owed": []}
-
-
-@router.post("/buses/{bus}/units/{unit}/restores", status_code=201)
-async def plan_unit_restore(
-    person: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int, wanted: PlanRestore
-) -> dict[str, Any]:
-    """Read the unit and say what a restore would write. Nothing is written."""
-    unit_or_404(live, bus, unit)
-    rows = await wanted_rows(keeper, unit, wanted.set, wanted.document, wanted.from_unit)
-    return restore_json(await plan(restores, person, live.buses[bus], unit, rows, wanted.ticked))
-
-
-@router.post("/restores/{restore_id}/start", status_code=202)
-async def start_restore(person: Engineer, restores: Restores, restore_id: str) -> dict[str, Any]:
-    """Write what the plan says."""
-    restore = await restore_or_404(restores, restore_id)
-    restores.start(person, restore)
-    return restore_json(restore)
-
-
-@router.post("/restores/{restore_id}/cancel", status_code=202)
-async def cancel_restore(_: Engineer, restores: Restores, restore_id: str) -> dict[str, Any]:
-    """Leave off after the row in hand."""
-    restore = await restore_or_404(restores, restore_id)
-    restore.cancel()
-    return restore_json(restore)
-
-
-@router.get("/restores/{restore_id}")
-async def one_restore(_: Viewer, restores: Restores, restore_id: str) -> dict[str, Any]:
-    """How far it is, row by row."""
-    return restore_json(await restore_or_404(restores, restore_id))
 
 
 async def _ask_for_secrets(person: Person, events: EventLog, stored: ParameterSet) -> None:

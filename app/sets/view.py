@@ -1,13 +1,12 @@
-"""Sets, comparisons and restores as JSON. #21 never leaves here."""
+"""Sets and comparisons as JSON. #21 never leaves here."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from app.sets.compare import Compared, meaning, with_unit
+from app.sets.compare import Compared, with_unit
 from app.sets.drift import Departure
 from app.sets.model import ParameterSet, UnitRows
-from app.sets.restore_record import Restore, RowResult
 from app.sets.store import SetSummary
 from app.web.shape import iso
 from bus.catalogue.parameters import PARAMETERS
@@ -77,32 +76,6 @@ def compared_json(row: Compared) -> dict[str, Any]:
     }
 
 
-def restore_json(restore: Restore) -> dict[str, Any]:
-    """A restore: its plan, how far it is, and what a full read found afterwards."""
-    return {
-        "id": restore.id,
-        "bus": restore.bus,
-        "unit": restore.unit,
-        "who": restore.who,
-        "state": restore.state,
-        "cause": restore.cause,
-        "done": restore.done,
-        "equal": restore.plan.equal,
-        "remarks": restore.remarks,
-        "rows": [_row_json(restore, row) for row in restore.rows],
-        "left_out": [
-            {
-                "number": left.number,
-                "name": PARAMETERS[left.number].name,
-                "reason": left.reason,
-                "later": left.later,
-            }
-            for left in restore.left_out
-        ],
-        "remaining": None if restore.remaining is None else [compared_json(row) for row in restore.remaining],
-    }
-
-
 def departure_json(departure: Departure) -> dict[str, Any]:
     """A row of a comparison with the golden set, and whose change it is."""
     change = departure.change
@@ -112,28 +85,3 @@ def departure_json(departure: Departure) -> dict[str, Any]:
         "changed_at": None if change is None else iso(change["time"]),
         "changed": "at the panel" if change is None else f"by {change['who']}",
     }
-
-
-def _row_json(restore: Restore, row: RowResult) -> dict[str, Any]:
-    parameter = PARAMETERS[row.write.number]
-    present = _shown(restore.before, row.write.number, row.write.present)
-    wanted = _shown(restore.wanted, row.write.number, row.write.wanted)
-    words = meaning(parameter.number)
-    return {
-        "number": parameter.number,
-        "name": parameter.name,
-        "present_raw": None if parameter.secret else row.write.present,
-        "wanted_raw": None if parameter.secret else row.write.wanted,
-        "present": present,
-        "wanted": wanted,
-        "words": words,
-        "meaning": words.format(new=wanted, old=present),
-        "outcome": row.outcome,
-        "message": row.message,
-        "read_back": None if parameter.secret else row.read_back,
-    }
-
-
-def _shown(rows: UnitRows, number: int, raw: int) -> str:
-    parameter = PARAMETERS[number]
-    return "secret" if parameter.secret else with_unit(parameter, raw, rows)

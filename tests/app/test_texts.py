@@ -24,6 +24,11 @@ APP = Path(__file__).resolve().parents[2] / "app"
 BUS = APP.parent / "bus"
 COMMENT = re.compile(r"\{#.*?#\}", re.DOTALL)
 CALL = re.compile(r"""(?<![\w.])t\(\s*(?:"((?:[^"\\]|\\.)*)"|'((?:[^'\\]|\\.)*)')""")
+LITERAL = r"""(?:"((?:[^"\\]|\\.)*)"|'((?:[^'\\]|\\.)*)')"""
+COUNTED = re.compile(rf"(?<![\w.])tn\(\s*{LITERAL}\s*,\s*{LITERAL}")
+"""One of something, and many."""
+TEXTS_OF = {"t": 1, "tn": 2}
+"""How many texts a call begins with."""
 FILLED = "X1"
 SQL = re.compile(r"\s*(SELECT|INSERT|UPDATE|DELETE|CREATE|PRAGMA|WITH|ALTER|DROP|FROM|WHERE|AND|ORDER|JOIN) ")
 FOR_PROGRAMS = (
@@ -101,8 +106,10 @@ OTHERS = [tag.tag for tag in Languages() if tag.tag != "en"]
 def in_templates() -> set[str]:
     found = set()
     for path in templates_dir().rglob("*.html"):
-        for match in CALL.finditer(COMMENT.sub("", path.read_text(encoding="utf-8"))):
-            found.add(match[1] if match[1] is not None else match[2])
+        template = COMMENT.sub("", path.read_text(encoding="utf-8"))
+        for expression in (CALL, COUNTED):
+            for match in expression.finditer(template):
+                found |= {text for text in match.groups() if text is not None}
     return found
 
 
@@ -110,10 +117,11 @@ def in_code() -> set[str]:
     found = set()
     for path in APP.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "t" and node.args:
-                text = node.args[0]
-                if isinstance(text, ast.Constant) and isinstance(text.value, str):
-                    found.add(text.value)
+            name = getattr(node.func, "attr", "") if isinstance(node, ast.Call) else ""
+            if isinstance(node, ast.Call) and name in TEXTS_OF:
+                for text in node.args[: TEXTS_OF[name]]:
+                    if isinstance(text, ast.Constant) and isinstance(text.value, str):
+                        found.add(text.value)
     return found
 
 
@@ -256,6 +264,9 @@ def test_every_word_of_the_events_is_translated(tag: str) -> None:
 
 def test_the_search_finds_texts_at_all() -> None:
     assert "Set line to zero" in in_templates()
+    assert {
+        "{n} row would be written, {equal} are equal already. Nothing has been written."
+    } <= in_templates()
     assert "verified" in in_code()
     assert f"set {FILLED} does not hold unit {FILLED}" in built()
     assert f"no answer to {FILLED} questions in a row" in spoken()

@@ -299,8 +299,8 @@ def test_what_a_unit_is_already_is_not_written_again(site: Site, browser_page: O
     page.get_by_label("New value for Coater").fill("31.5")
     page.get_by_role("button", name="Review").click()
     expect(page.locator("#review tr", has_text="Unwind")).to_contain_text("is so already")
-    page.get_by_role("button", name="Write Preset Speed to 1 units").click()
-    expect(page.get_by_text("1 of 1 units verified")).to_be_visible()
+    page.get_by_role("button", name="Write Preset Speed to 1 unit").click()
+    expect(page.get_by_text("1 of 1 unit verified")).to_be_visible()
     assert len(writes(site, 0x86)) == before + 1
 
 
