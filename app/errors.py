@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from bus.errors import LinesideError
+from bus.errors import CallerError, LinesideError
 
 
 class StoreError(LinesideError):
@@ -45,3 +45,10 @@ class Problem(LinesideError):
         """The same refusal with response headers; an underscore in a name stands for a hyphen."""
         self.headers.update({name.replace("_", "-"): value for name, value in headers.items()})
         return self
+
+
+class InvalidError(Problem, CallerError):
+    """422 ``invalid``: what was asked cannot be done as asked. On the command line: exit code 2."""
+
+    def __init__(self, detail: str, **params: object) -> None:
+        super().__init__(422, "invalid", detail, params=params)

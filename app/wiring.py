@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -104,7 +104,7 @@ class Services:
     counts: Counts
 
 
-def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
+def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -> Services:
     """Open the stores and connect everything. Raises StoreError in words."""
     database = Database(settings.server.store)
     events, passwords = EventLog(database), Passwords()
@@ -115,8 +115,9 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     news = HistoryNews()
     history = History(settings, on_clock_step=news.clock_stepped, on_damage=news.damaged)
     pipeline = Pipeline(live, history, events)
-    workers = Workers([bus.name for bus in settings.bus], pipeline)
-    accounts = Accounts(database, passwords, events)
+    buses = [bus.name for bus in settings.bus]
+    workers = Workers(buses, pipeline)
+    accounts = Accounts(database, passwords, events, buses=buses)
     control = settings.site.control
     safeguards = Safeguards(database, events, control_required=control, find=accounts.find)
     desk = Desk(live, workers.channels, events, database, safeguards)
@@ -131,7 +132,7 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         events=events,
         passwords=passwords,
         accounts=accounts,
-        sign_in=SignIn(database, passwords, events, worker_token),
+        sign_in=SignIn(database, passwords, events, worker_tokens),
         live=live,
         history=history,
         history_news=news,

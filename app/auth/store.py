@@ -42,10 +42,13 @@ class Token:
     created_by: str
     created_at: float
     used_at: float | None
+    bus: str | None = None
+    """The one bus that a worker's token is for."""
+    expires_at: float | None = None
 
 
 _USER = "u.name, u.role, u.panel, u.home, u.language, u.disabled, u.created_at, u.seen_at"
-_TOKEN = "id, name, role, created_by, created_at, used_at"
+_TOKEN = "id, name, role, created_by, created_at, used_at, bus, expires_at"
 
 
 def _user(row: sqlite3.Row) -> User:
@@ -63,7 +66,14 @@ def _user(row: sqlite3.Row) -> User:
 
 def _token(row: sqlite3.Row) -> Token:
     return Token(
-        row["id"], row["name"], Role(row["role"]), row["created_by"], row["created_at"], row["used_at"]
+        row["id"],
+        row["name"],
+        Role(row["role"]),
+        row["created_by"],
+        row["created_at"],
+        row["used_at"],
+        row["bus"],
+        row["expires_at"],
     )
 
 
@@ -171,8 +181,9 @@ def token(connection: sqlite3.Connection, hash_: bytes) -> Token | None:
 def add_token(connection: sqlite3.Connection, hash_: bytes, token: Token) -> None:
     """Raises sqlite3.IntegrityError for a name that is there."""
     connection.execute(
-        "INSERT INTO tokens (hash, name, role, created_by, created_at) VALUES (?, ?, ?, ?, ?)",
-        (hash_, token.name, token.role, token.created_by, token.created_at),
+        "INSERT INTO tokens (hash, name, role, created_by, created_at, bus, expires_at) "
+        "VALUES (?, ?, ?, ?, ?, ?, ?)",
+        (hash_, token.name, token.role, token.created_by, token.created_at, token.bus, token.expires_at),
     )
 
 

@@ -33,7 +33,8 @@ def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:
     passwords = Passwords()
 
     async def run() -> T:
-        return await work(Accounts(database, passwords, EventLog(database)))
+        buses = [bus.name for bus in settings.bus]
+        return await work(Accounts(database, passwords, EventLog(database), buses=buses))
 
     try:
         return asyncio.run(run())

@@ -14,14 +14,14 @@ from typing import Annotated, Literal
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from app.errors import Problem
-from bus.errors import CallerError
+from app.errors import InvalidError, Problem
 
 Via = Literal["session", "token", "worker", "demo"]
 
 
 class Role(StrEnum):
-    """What someone may do. The first four each include the ones before; ``worker`` is for /feed alone."""
+    """What someone may do. The first four each include the ones before; ``worker`` opens /feed and nothing
+    else, and nothing else opens /feed: what a worker reports is what commands are verified by."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"
@@ -33,7 +33,7 @@ class Role(StrEnum):
         """Whether this role may do what ``other`` may (templates name it by its word)."""
         other = Role(other)
         if Role.WORKER in (self, other):
-            return self is other or self in (Role.ENGINEER, Role.ADMIN)
+            return self is other
         return PEOPLE_ROLES.index(self) >= PEOPLE_ROLES.index(other)
 
 
@@ -43,10 +43,12 @@ _TOKEN = " (token)"
 
 
 def role_named(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
-    """Raises CallerError for a word that is none of these."""
+    """Raises InvalidError for a word that is none of these."""
     roles = list(among)
     if word not in roles:
-        raise CallerError(f"there is no role {word!r}; take one of {', '.join(roles)}")
+        raise InvalidError(
+            "there is no role {called}; choose one of {roles}", called=repr(word[:80]), roles=", ".join(roles)
+        )
     return Role(word)
 
 
@@ -60,6 +62,8 @@ class Person:
     language: str = ""
     panel: bool = False
     home: str = "/"
+    bus: str = ""
+    """The one bus that a worker speaks for."""
 
     @property
     def account(self) -> str:
@@ -96,7 +100,10 @@ class Requires:
             raise not_signed_in()
         if not person.role.includes(self.role):
             raise Problem(
-                403, "forbidden", f"this needs the role {self.role}; {person.name} is {person.role}"
+                403,
+                "forbidden",
+                "this needs the role {role}; {called} is {present}",
+                params={"role": self.role, "called": person.name, "present": person.role},
             )
         return person
 

@@ -36,7 +36,7 @@ from app.live.api import router as live_router
 from app.live.state import LiveState
 from app.pipeline import Pipeline
 from app.settings import Site
-from app.web.access import Person, Role
+from app.web.access import Person, Role, Via
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
 from app.web.templating import Templates
@@ -261,9 +261,10 @@ class Stage:
         await until(lambda: self.workers.channels["dry-end"].connected, "the way down open")
         return played
 
-    async def connect(self, role: str = "worker") -> PlayedWorker:
-        """A connection to /feed that has said nothing yet."""
-        return PlayedWorker(await connect(f"ws://{self.url}/feed", additional_headers={"X-Role": role}))
+    async def connect(self, role: str = "worker", bus: str = "dry-end", name: str = "") -> PlayedWorker:
+        """A connection to /feed that has said nothing yet, by the token ``name`` of ``bus``."""
+        headers = {"X-Role": role, "X-Bus": bus, "X-Name": name or role}
+        return PlayedWorker(await connect(f"ws://{self.url}/feed", additional_headers=headers))
 
     async def close(self) -> None:
         """End the clients."""
@@ -279,7 +280,9 @@ class _ByHeader:
         headers = dict(scope.get("headers", ()))
         role = headers.get(b"x-role", b"").decode()
         name = headers.get(b"x-name", role.encode()).decode()
-        scope["person"] = Person(name, Role(role), "session") if role else None
+        via: Via = "token" if role == Role.WORKER else "session"
+        bus = headers.get(b"x-bus", b"").decode()
+        scope["person"] = Person(name, Role(role), via, bus=bus) if role else None
         await self._app(scope, receive, send)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sqlite3
 import subprocess
 import sys
@@ -102,7 +103,7 @@ def test_users(lineside: Shell) -> None:
     assert lineside("user", "list")[1] == "ann\toperator\n"
     assert lineside("user", "password", "ann", "--password-stdin", typed="another one") == (0, "", "")
     code, _, err = lineside(*add, typed="correct horse")
-    assert (code, err) == (2, "lineside: there is a user ann already; take another name\n")
+    assert (code, err) == (2, "lineside: there is a user ann already; choose another name\n")
     assert lineside("user", "remove", "ann")[0] == 0
     assert lineside("user", "list")[1] == ""
 
@@ -128,6 +129,18 @@ def test_a_short_password_is_taken_from_here_with_a_word(lineside: Shell) -> Non
         (["user", "remove", "eve"], "", "there is no user eve"),
         (["token", "create", "t", "--role", "king"], "", "there is no role 'king'"),
         (["token", "revoke", "t"], "", "there is no token t"),
+        (
+            ["token", "create", "t", "--role", "worker"],
+            "",
+            "a worker's token is for one bus; name it: dry-end",
+        ),
+        (
+            ["token", "create", "t", "--role", "worker", "--bus", "x"],
+            "",
+            "there is no bus x; the buses are: dry-end",
+        ),
+        (["token", "create", "t", "--role", "viewer", "--bus", "dry-end"], "", "is not for one bus"),
+        (["token", "create", "t", "--role", "viewer", "--expires", "0"], "", "after 1 to 3650 days"),
     ],
 )
 def test_what_cannot_be_done_as_asked_is_2(lineside: Shell, words: list[str], typed: str, said: str) -> None:
@@ -137,11 +150,11 @@ def test_what_cannot_be_done_as_asked_is_2(lineside: Shell, words: list[str], ty
 
 
 def test_tokens(lineside: Shell) -> None:
-    code, out, err = lineside("token", "create", "plc", "--role", "worker")
+    code, out, err = lineside("token", "create", "plc", "--role", "worker", "--bus", "dry-end")
     assert (code, err) == (0, "")
     assert len(out.strip()) >= 43
     assert out.count("\n") == 1
-    assert lineside("token", "list")[1].startswith("plc\tworker\t")
+    assert re.fullmatch(r"plc\tworker\t[^\t]+\tdry-end\n", lineside("token", "list")[1])
     assert out.strip() not in lineside("token", "list")[1]
     assert lineside("token", "revoke", "plc")[0] == 0
     assert lineside("token", "list")[1] == ""
