@@ -16,6 +16,7 @@ from app.audit.configuration import change_since_last
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
 from app.auth.passwords import Passwords
+from app.auth.rights import Rights
 from app.auth.signin import SignIn
 from app.commands.desk import Desk
 from app.commands.safeguards import Safeguards
@@ -84,6 +85,7 @@ class Services:
     events: EventLog
     passwords: Passwords
     accounts: Accounts
+    rights: Rights
     sign_in: SignIn
     live: LiveState
     history: History
@@ -119,11 +121,12 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
     workers = Workers(buses, pipeline)
     accounts = Accounts(database, passwords, events, buses=buses)
     control = settings.site.control
-    safeguards = Safeguards(database, events, control_required=control, find=accounts.find)
-    desk = Desk(live, workers.channels, events, database, safeguards)
+    rights = Rights(database)
+    safeguards = Safeguards(database, events, control_required=control, find=accounts.find, rights=rights)
+    desk = Desk(live, workers.channels, events, database, safeguards, rights)
     reader = ParameterReader(live, desk)
     local_time = partial(datetime.now, zone(settings.site.time_zone))
-    sets = SetKeeper(live, reader, SetStore(database), events)
+    sets = SetKeeper(live, reader, SetStore(database), events, rights)
     services = Services(
         settings=settings,
         assets=assets,
@@ -132,6 +135,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         events=events,
         passwords=passwords,
         accounts=accounts,
+        rights=rights,
         sign_in=SignIn(database, passwords, events, worker_tokens),
         live=live,
         history=history,
@@ -161,7 +165,8 @@ def _connect(services: Services) -> None:
     services.history_news.pipeline = services.pipeline
     services.desk.before_write = services.first_writes.before
     services.restores.on_end = services.swaps.ended
-    services.accounts.on_rights_changed(safeguards.release_all_of)
+    services.accounts.on_rights_changed(lambda _: services.rights.refresh())
+    services.rights.on_withdrawn(safeguards.release_all_of)
     services.sign_in.on_gone = safeguards.release_all_of
     services.sets.drifts.on_change = hub.refresh_unit
     safeguards.on_block(hub.refresh_unit)
@@ -179,6 +184,7 @@ async def running(services: Services) -> AsyncIterator[None]:
         services.pipeline.record,
         services.hub.beat,
         services.history.inspect_daily,
+        services.rights.watch,
         partial(services.set_schedule.follow, SERVER),
         partial(services.sets.learn_marked, SERVER),
     )

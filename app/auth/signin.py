@@ -14,6 +14,7 @@ from app.audit.log import EventLog
 from app.auth import rules, store
 from app.auth.failures import WINDOW_S, Failures
 from app.auth.passwords import Passwords
+from app.auth.rights import credential_of_token, credential_of_user
 from app.auth.store import Session, User
 from app.database import Database
 from app.errors import Problem, StoreError
@@ -89,7 +90,10 @@ class SignIn:
         if is_use:
             await self._note_use(hash_, session, now)
         user = session.user
-        return Person(user.name, user.role, "session", user.language, user.panel, user.home)
+        credential = credential_of_user(user, session.secret_hash)
+        return Person(
+            user.name, user.role, "session", user.language, user.panel, user.home, credential=credential
+        )
 
     async def by_token(self, bearer: str) -> Person | None:
         """Who a bearer token stands for. Raises Problem 401 for one that has expired, which says so."""
@@ -106,7 +110,8 @@ class SignIn:
         if token.used_at is None or now - token.used_at > rules.USE_NOTED_EVERY_S:
             number = token.id
             await self._note(lambda connection: store.note_token_used(connection, number, now))
-        return Person(token.name, token.role, "token", bus=token.bus or "")
+        credential = credential_of_token(token)
+        return Person(token.name, token.role, "token", bus=token.bus or "", credential=credential)
 
     async def _verified(self, name: str, secret: str, panel: bool) -> User | None:
         found = await self._database.read(lambda connection: store.user(connection, name))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from app.audit.log import EventLog
+from app.commands.authority import Authority, while_permitted
 from app.commands.control import ControlledError
 from app.commands.idempotency import command_of
 from app.commands.moves import Moves
@@ -21,7 +22,7 @@ from app.commands.safeguards import Safeguards
 from app.commands.setpoints import commanded_setpoint
 from app.commands.wish import Wish, time_for
 from app.database import Database
-from app.errors import Problem
+from app.errors import Problem, StoreError
 from app.feed.channel import Channel, ProgressListener
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state import BusLive, LiveState
@@ -59,12 +60,14 @@ class Desk:
         events: EventLog,
         database: Database,
         guards: Safeguards,
+        rights: Authority,
         now: Callable[[], float] = time.time,
     ) -> None:
         self._live = live
         self._channels = channels
         self._record = Record(events, database, now)
         self._guards = guards
+        self._rights = rights
         self._now = now
         self._moves = Moves()
         self._kept: OrderedDict[str, _Kept] = OrderedDict()
@@ -88,7 +91,9 @@ class Desk:
         ``timeout_s``: how long a write may wait for the wire; :func:`time_for` it when None.
 
         Raises Problem for what is not asked of the worker at all: 404 for a unit or bus that is not
-        configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``.
+        configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``,
+        403 ``rights_withdrawn`` when the person's account may no longer do what it could when the person was
+        authenticated. Work that lasts asks once for each write, so that it stops there.
         """
         live = bus_or_404(self._live, bus)
         for unit in units_named(action):
@@ -128,6 +133,7 @@ class Desk:
 
     async def _check(self, wish: Wish, live: BusLive, confirm: bool) -> None:
         try:
+            await self._rights.check(wish.person)
             self._object(wish.person, wish.bus, wish.action, live, confirm)
         except Problem as problem:
             await self._record.reject(wish, live, problem)
@@ -194,7 +200,29 @@ class Desk:
             message = f"{live.link.cause or 'the port is closed'}; nothing was sent"
             return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=message)
         command = Command(id=wish.id, deadline=wish.deadline, action=wish.action)
-        return await self._channels[wish.bus].ask(command, wish.listener)
+        channel = self._channels[wish.bus]
+        return await while_permitted(
+            channel.ask(command, wish.listener),
+            lambda: self._why_no_longer(wish, live),
+            lambda: channel.cancel(wish.id),
+        )
+
+    async def _why_no_longer(self, wish: Wish, live: BusLive) -> str:
+        """Why a command under way must be given up; empty while it may go on. A store that cannot be read
+        now ends nothing that is half done."""
+        try:
+            await self._rights.check(wish.person)
+        except Problem as problem:
+            return problem.detail
+        except StoreError:
+            return ""
+        if not is_write(wish.action):
+            return ""
+        for unit in units_written(wish.action, live):
+            block = self._guards.blocks.of(wish.bus, unit)
+            if block is not None:
+                return f"unit {unit} is blocked by {block.set_by}: {block.reason}"
+        return self._guards.control.objection(wish.bus, wish.person.account, self._now())
 
 
 def _refuse_other(id: str | None, same: bool) -> None:

@@ -7,7 +7,7 @@ not start otherwise (`app.web.routes`). The person is put into the ASGI scope by
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Literal
 
@@ -64,6 +64,13 @@ class Person:
     home: str = "/"
     bus: str = ""
     """The one bus that a worker speaks for."""
+    credential: str = field(default="", repr=False, compare=False)
+    """What the person was authenticated by, told from an earlier one of the same account."""
+
+    @property
+    def has_account(self) -> bool:
+        """Whether it is a user or a token of the store, whose rights can be withdrawn."""
+        return self.via in ("session", "token")
 
     @property
     def account(self) -> str:

@@ -29,6 +29,7 @@ from app.commands.safeguards import Safeguards
 from app.commands.safeguards_api import router as safeguards_router
 from app.commands.trace_api import router as trace_router
 from app.database import Database
+from app.errors import Problem
 from app.feed.socket import router as feed_router
 from app.feed.workers import Workers
 from app.history.status import Status
@@ -194,6 +195,19 @@ def _templates() -> Templates:
     return Templates(templates_dir(), Assets(static_dir()), Site())
 
 
+class PlayedRights:
+    """Everyone may do what they ask for, until ``withdrawn`` says why not."""
+
+    def __init__(self) -> None:
+        self.withdrawn = ""
+
+    async def check(self, person: Person) -> None:
+        """As the real one."""
+        assert person.name
+        if self.withdrawn:
+            raise Problem(403, "rights_withdrawn", self.withdrawn, outcome="rights_withdrawn")
+
+
 class Stage:
     """Everything between the browser and the worker. ``http`` asks as a role."""
 
@@ -206,8 +220,13 @@ class Stage:
         self.history = History()
         self.pipeline = Pipeline(self.live, self.history, self.events)
         self.workers = Workers([settings.name], self.pipeline, silent_ticks=silent_ticks)
-        self.guards = Safeguards(self.database, self.events, control_required=control, find=find)
-        self.desk = Desk(self.live, self.workers.channels, self.events, self.database, self.guards)
+        self.rights = PlayedRights()
+        self.guards = Safeguards(
+            self.database, self.events, control_required=control, find=find, rights=self.rights
+        )
+        self.desk = Desk(
+            self.live, self.workers.channels, self.events, self.database, self.guards, self.rights
+        )
         self.app = FastAPI()
         self.app.state.services = SimpleNamespace(
             live=self.live,
