@@ -9,8 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-from app.cli.backup import AsJson, Bus, Token, Url
+from app.cli.backup import AsJson, Bus, Url
 from app.cli.counted import counted
+from app.cli.credentials import Token, TokenFile, bearer_token
 from app.cli.dashboard import Dashboard, dashboard
 from app.cli.diff import load, rows_for
 from app.cli.ending import ending
@@ -29,9 +30,10 @@ def register(cli: typer.Typer) -> None:
 def restore(
     file: Annotated[Path, typer.Argument(help="A file by lineside backup.", metavar="FILE")],
     url: Url,
-    token: Token,
     bus: Bus,
     unit: Annotated[int, typer.Option(min=1, max=255, help="The unit to write to.")],
+    token: Token = "",
+    token_file: TokenFile = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
     include: Annotated[
         list[int] | None,
@@ -51,7 +53,7 @@ def restore(
 
     Exit 0 only when the unit equals the file in every row that was to be written; what was left out is named.
     """
-    with ending(), dashboard(url, token) as there:
+    with ending(), dashboard(url, bearer_token(token, token_file)) as there:
         chosen = {"include": include or [], "exclude": exclude or [], "ticked": tick or []}
         planned = _plan(there, bus, unit, file, chosen)
         typer.echo(_plan_text(planned), err=as_json)
