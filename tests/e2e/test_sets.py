@@ -55,7 +55,7 @@ def test_a_set_is_taken_marked_golden_and_compared_with_the_unit_now(
         assert answer.json()["outcome"] == "verified"
     page.goto(address)
     page.get_by_role("link", name="Compare with the unit now").first.click()
-    expect(page.get_by_role("heading", level=1)).to_have_text("1 rows differ")
+    expect(page.get_by_role("heading", level=1)).to_have_text("1 row differs")
     expect(page.get_by_text("accelerates in 7.7 s instead of 20.0 s")).to_be_visible()
 
 
