@@ -108,7 +108,7 @@ class RestoreRun:
 
 
 def _go_on_or_raise(row: RowResult) -> None:
-    if row.outcome not in _STOPS:
+    if row.outcome is None or row.outcome not in _STOPS:
         return
     status = 504 if row.outcome == "unverified" else 503
     raise Problem(status, row.outcome, f"#{row.write.number}: {row.message or 'nothing more was sent'}")

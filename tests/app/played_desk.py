@@ -30,6 +30,7 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.settings import BusSettings
+from tests.app.played_rights import PlayedRights
 
 ANNA = Person("anna", Role.ENGINEER, "session")
 REMOTE, HEALTHY, RUN = 0b0100_0000, 0b0000_0010, 0b0000_0001
@@ -150,14 +151,6 @@ def factory() -> dict[int, int]:
     return {number: row.minimum for number, row in PARAMETERS.items()} | {17: 1, 18: 96, 19: 1}
 
 
-class AllRights:
-    """Everyone may do what they ask for."""
-
-    async def check(self, person: Person) -> None:
-        """As the real one."""
-        assert person.name
-
-
 class SetScene:
     """A keeper of sets before two units that answer, with its store in ``folder``."""
 
@@ -167,8 +160,9 @@ class SetScene:
         self.events = Noted()
         self.database = Database(folder / "store.db")
         self.store = SetStore(self.database)
+        self.rights = PlayedRights()
         reader = ParameterReader(self.live, self.desk)  # type: ignore[arg-type]
-        self.keeper = SetKeeper(self.live, reader, self.store, self.events, AllRights())  # type: ignore[arg-type]
+        self.keeper = SetKeeper(self.live, reader, self.store, self.events, self.rights)  # type: ignore[arg-type]
 
     def tells(self, unit: int, *numbers: int, raw: int = 30) -> None:
         """A unit says that these of its parameters are ``raw``."""

@@ -29,7 +29,6 @@ from app.commands.safeguards import Safeguards
 from app.commands.safeguards_api import router as safeguards_router
 from app.commands.trace_api import router as trace_router
 from app.database import Database
-from app.errors import Problem
 from app.feed.socket import router as feed_router
 from app.feed.workers import Workers
 from app.history.status import Status
@@ -61,6 +60,7 @@ from bus.contract import (
     encode,
 )
 from bus.settings import BusSettings, UnitSettings
+from tests.app.played_rights import PlayedRights
 
 REMOTE, HEALTHY = 0b0100_0000, 0b0000_0010
 PARAMETERS = {1: 1750, 2: 20000, 3: 1, 8: 0, 22: 0, 23: 500, 28: 2, 29: 100, 30: 2000, 12: 20}
@@ -193,19 +193,6 @@ async def find(name: str) -> tuple[str, Role] | None:
 @cache
 def _templates() -> Templates:
     return Templates(templates_dir(), Assets(static_dir()), Site())
-
-
-class PlayedRights:
-    """Everyone may do what they ask for, until ``withdrawn`` says why not."""
-
-    def __init__(self) -> None:
-        self.withdrawn = ""
-
-    async def check(self, person: Person) -> None:
-        """As the real one."""
-        assert person.name
-        if self.withdrawn:
-            raise Problem(403, "rights_withdrawn", self.withdrawn, outcome="rights_withdrawn")
 
 
 class Stage:

@@ -100,7 +100,7 @@ async def test_whoever_asked_may_go_and_the_fate_is_still_written_down(
 
 
 async def test_whoever_has_lost_the_right_sends_nothing(stage: Stage, worker: PlayedWorker) -> None:
-    stage.rights.withdrawn = "rights withdrawn: the role was lowered; nothing more was sent"
+    stage.rights.withdrawn["anna"] = "rights withdrawn: the role was lowered; nothing more was sent"
     for action in (WISH, ReadParameters(unit=1, numbers=[6])):
         with pytest.raises(Problem, match="the role was lowered") as refused:
             await stage.desk.ask(ANNA, "dry-end", action)
@@ -115,7 +115,7 @@ async def block(stage: Stage) -> str:
 
 
 async def withdraw(stage: Stage) -> str:
-    stage.rights.withdrawn = "rights withdrawn"
+    stage.rights.withdrawn["anna"] = "rights withdrawn"
     return "rights withdrawn"
 
 

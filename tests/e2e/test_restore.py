@@ -307,6 +307,12 @@ def test_the_commands_in_a_cron_job_tell_all_by_their_exit_codes(site: Site, tmp
     done = lineside("restore", *to(site, 2), str(file), "--json", "--yes")
     assert (done.returncode, [row["outcome"] for row in json.loads(done.stdout)]) == (0, ["verified"])
     assert len(writes(site)) == mark + 1
+    parameter(site, 20, raw=parameter(site, 20) - 10)
+    for chosen, outcome in (((), "left_out"), (("--include", "20"), "verified")):
+        done = lineside("restore", *to(site, 2), str(file), "--json", "--yes", *chosen)
+        told = [(row["number"], row["outcome"]) for row in json.loads(done.stdout)]
+        assert (done.returncode, told) == (0, [(20, outcome)]), done.stderr
+    assert len(writes(site)) == mark + 2
     assert lineside("restore", *to(site, 2)).returncode == 2
 
 
