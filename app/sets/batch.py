@@ -73,7 +73,7 @@ def refuse_moved(rows: Iterable[BatchRow], reviewed: Mapping[int, str]) -> None:
     """Raises Problem 409 where a unit no longer has the value that the review showed. ``reviewed``: by unit
     what :attr:`BatchRow.reviewed` was then."""
     for row in rows:
-        if row.changes and reviewed.get(row.unit, "") != row.reviewed:
+        if row.changes and reviewed.get(row.unit, row.reviewed) != row.reviewed:
             text = "{name}: the value has moved since it was reviewed; nothing was sent"
             raise Problem(409, "moved", text, params={"name": row.name})
 

@@ -36,6 +36,7 @@ def test_a_value_that_moved_since_the_review_is_not_written() -> None:
     live.apply("dry-end", [ParameterValue(unit=2, number=6, at=2.0, raw=101)])
     refuse_moved(typed(live, 6, "20", ""), reviewed)
     live.apply("dry-end", [ParameterValue(unit=1, number=6, at=2.0, raw=101)])
+    refuse_moved(typed(live, 6, "20", ""), {})
     with pytest.raises(Problem, match="Unwind: the value has moved") as refused:
         refuse_moved(typed(live, 6, "20", ""), reviewed)
     assert (refused.value.status, refused.value.code) == (409, "moved")
@@ -46,7 +47,7 @@ def test_the_review_of_a_secret_holds_nothing_of_it() -> None:
     live.apply("dry-end", [ParameterValue(unit=1, number=21, at=2.0, raw=4711)])
     [row, _] = typed(live, 21, "12", "")
     assert (row.reviewed, row.changes) == ("", True)
-    refuse_moved([row], {})
+    refuse_moved([row], {1: row.reviewed})
 
 
 @pytest.mark.parametrize(
