@@ -37,11 +37,12 @@ check: development
 
 development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM)
 
-# The locks are exact and carry a hash for every file. requirements.lock is what runs, and hatchling.
+# The locks are exact and carry a hash for every file. requirements.lock is what runs, and hatchling. What runs
+# is tested with the tools beside it, so it takes the versions that they leave.
 lock: development
 	$(BIN)/pip install -q uv
-	$(LOCK) --group build pyproject.toml -o requirements.lock
-	$(LOCK) --group build --group dev -c requirements.lock pyproject.toml -o requirements-dev.lock
+	$(LOCK) --extra parquet --group build --group dev pyproject.toml -o requirements-dev.lock
+	$(LOCK) --group build -c requirements-dev.lock pyproject.toml -o requirements.lock
 	npm install --package-lock-only --ignore-scripts --omit-lockfile-registry-resolved
 
 clean:

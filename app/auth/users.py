@@ -12,18 +12,12 @@ from app.auth import rules
 from app.auth.accounts import Accounts
 from app.auth.pages import Keeping, Text, address_of
 from app.errors import Problem
-from app.web.access import PEOPLE_ROLES, Admin, Person, Role, Viewer, role_named
+from app.web.access import PEOPLE_ROLES, Admin, Person, Role, role_named
 from app.web.problems import is_fragment
 from app.web.templating import render
 from bus.errors import CallerError
 
 router = APIRouter(include_in_schema=False)
-
-
-@router.get("/api/v1/me", include_in_schema=True, tags=["who"])
-async def me(person: Viewer) -> dict[str, str]:
-    """Who asks, by name and role."""
-    return {"name": person.name, "role": str(person.role), "via": person.via}
 
 
 @router.get("/users")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Form, Request, Response, UploadFile
 
@@ -14,6 +14,7 @@ from app.sets.compare import compare
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import plan, restore_or_404, set_or_404, unit_rows_or_404, uploaded_rows
 from app.sets.model import UnitRows
+from app.sets.shown import ComparedShown
 from app.sets.sides import choices, side
 from app.sets.taking import Taking, Takings
 from app.sets.view import compared_json, restore_json, set_json
@@ -291,6 +292,6 @@ async def _wanted(keeper: SetKeeper, unit: int, source: str, file: UploadFile | 
     return unit_rows_or_404(await set_or_404(keeper, int(number)), int(of_unit))
 
 
-def _proof(wanted: UnitRows, proven: UnitRows | None) -> list[dict[str, Any]]:
+def _proof(wanted: UnitRows, proven: UnitRows | None) -> list[ComparedShown]:
     """All 40 rows as wanted and as read afterwards."""
     return [compared_json(row) for row in compare(wanted, proven)] if proven is not None else []

@@ -2,36 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from app.sets.compare import Compared, meaning, with_unit
 from app.sets.drift import Departure
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore_record import Restore, RowResult
+from app.sets.shown import (
+    ComparedShown,
+    DepartureShown,
+    RestoreRowShown,
+    RestoreShown,
+    SetHead,
+    SetParameterShown,
+    SetShown,
+    SetUnitShown,
+    SummaryShown,
+)
 from app.sets.store import SetSummary
 from app.web.shape import iso
 from bus.catalogue.parameters import PARAMETERS
 
 
-def summary_json(summary: SetSummary) -> dict[str, Any]:
+def summary_json(summary: SetSummary) -> SummaryShown:
     """One line of the list."""
     return {
         **_head(summary),
         "units": list(summary.units),
-        "golden_for": list(summary.golden_for),
     }
 
 
-def set_json(stored: ParameterSet) -> dict[str, Any]:
+def set_json(stored: ParameterSet) -> SetShown:
     """A whole set; secrets masked."""
     return {
         **_head(stored),
-        "golden_for": sorted(stored.golden_for),
         "units": [_unit_json(rows) for rows in stored.units],
     }
 
 
-def _head(of: SetSummary | ParameterSet) -> dict[str, Any]:
+def _head(of: SetSummary | ParameterSet) -> SetHead:
     return {
         "id": of.id,
         "bus": of.bus,
@@ -40,11 +47,12 @@ def _head(of: SetSummary | ParameterSet) -> dict[str, Any]:
         "taken_at": iso(of.taken_at),
         "who": of.who,
         "origin": of.origin,
+        "golden_for": sorted(of.golden_for),
     }
 
 
-def _unit_json(rows: UnitRows) -> dict[str, Any]:
-    parameters = []
+def _unit_json(rows: UnitRows) -> SetUnitShown:
+    parameters: list[SetParameterShown] = []
     for number, row in sorted(rows.rows.items()):
         parameter = PARAMETERS[number]
         shown = parameter.secret or row.raw is None
@@ -62,7 +70,7 @@ def _unit_json(rows: UnitRows) -> dict[str, Any]:
     return {"id": rows.unit, "name": rows.name, "parameters": parameters}
 
 
-def compared_json(row: Compared) -> dict[str, Any]:
+def compared_json(row: Compared) -> ComparedShown:
     """One row of a comparison, as shown to people and raw."""
     secret = PARAMETERS[row.number].secret
     return {
@@ -77,7 +85,7 @@ def compared_json(row: Compared) -> dict[str, Any]:
     }
 
 
-def restore_json(restore: Restore) -> dict[str, Any]:
+def restore_json(restore: Restore) -> RestoreShown:
     """A restore: its plan, how far it is, and what a full read found afterwards."""
     return {
         "id": restore.id,
@@ -103,7 +111,7 @@ def restore_json(restore: Restore) -> dict[str, Any]:
     }
 
 
-def departure_json(departure: Departure) -> dict[str, Any]:
+def departure_json(departure: Departure) -> DepartureShown:
     """A row of a comparison with the golden set, and whose change it is."""
     change = departure.change
     return {
@@ -114,7 +122,7 @@ def departure_json(departure: Departure) -> dict[str, Any]:
     }
 
 
-def _row_json(restore: Restore, row: RowResult) -> dict[str, Any]:
+def _row_json(restore: Restore, row: RowResult) -> RestoreRowShown:
     parameter = PARAMETERS[row.write.number]
     present = _shown(restore.before, row.write.number, row.write.present)
     wanted = _shown(restore.wanted, row.write.number, row.write.wanted)
