@@ -34,7 +34,6 @@ SeriesShown = TypedDict(
         "avg": Column,
     },
 )
-SeriesShown.__doc__ = "One value of one unit over a span, as columns of equal length."
 
 
 class SparkShown(TypedDict):
