@@ -1,5 +1,6 @@
-# make demo | test | setup | bench | check | screenshots | lock | clean
+# make demo [PORT=8100] | test | setup | bench | check | screenshots | lock | clean
 PYTHON ?= python3
+PORT ?= 8000
 VENV := .venv
 BIN := $(VENV)/bin
 VENDOR := static/vendor/made-from.sha256
@@ -8,11 +9,16 @@ NODE_TOOLS := node_modules/.package-lock.json
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
 	--custom-compile-command "make lock" --extra rfc2217
 
-.PHONY: demo test setup bench check screenshots lock clean development
+.PHONY: demo free-port test setup bench check screenshots lock clean development
 .DEFAULT_GOAL := demo
 
-demo: setup
-	$(BIN)/lineside demo
+demo: free-port setup
+	$(BIN)/lineside demo --port $(PORT)
+
+# Before everything that a first set-up takes.
+free-port:
+	@$(PYTHON) -c 'import socket; socket.create_server(("127.0.0.1", $(PORT)))' 2>/dev/null || \
+		{ echo "Port $(PORT) is in use. End the program that has it, or choose another: make demo PORT=8100" >&2; exit 1; }
 
 setup: $(VENV)/.lineside
 
