@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import select
 import sqlite3
 import subprocess
 import sys
@@ -14,6 +17,8 @@ from typer.testing import CliRunner
 
 from app.cli import COMMANDS, cli
 
+PATIENCE_S = 60.0
+"""This machine may be busy."""
 CONFIG = """\
 [site]
 name = "Mill 7"
@@ -76,12 +81,6 @@ def test_wrong_use_is_2(words: list[str]) -> None:
     assert result.stdout == ""
 
 
-def test_check(lineside: Shell) -> None:
-    code, out, _ = lineside("check")
-    assert code == 0
-    assert "dry-end: 1 units at /dev/ttyUSB99, which is not there now, 9600 baud" in out
-
-
 def test_check_says_what_is_wrong(lineside: Shell) -> None:
     lineside.config.write_text(CONFIG.replace("id = 1", "id = 0"))
     code, out, err = lineside("check")
@@ -111,6 +110,30 @@ def test_a_password_typed_by_hand_is_asked_for_twice(lineside: Shell) -> None:
     code, out, _ = lineside("user", "add", "ann", "--role", "viewer", typed="correct horse\ncorrect horse\n")
     assert code == 0
     assert "correct horse" not in out
+
+
+def test_a_terminal_is_asked_for_the_password_and_shows_nothing_of_it(lineside: Shell) -> None:
+    """README, step 4: typed at a terminal, it must not wait in silence."""
+    master, slave = pty.openpty()
+    words = ("user", "add", "ann", "--role", "admin", "--password-stdin", "--config", str(lineside.config))
+    with subprocess.Popen(
+        [sys.executable, "-m", "app.cli", *words],
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
+        start_new_session=True,
+    ) as asked:
+        os.close(slave)
+        shown = b""
+        for prompt in (b"Password: ", b"confirmation: "):
+            while prompt not in shown.rpartition(b"\n")[2]:
+                assert select.select([master], [], [], PATIENCE_S)[0], f"nothing asked for: {shown!r}"
+                shown += os.read(master, 1024)
+            os.write(master, b"correct horse battery\n")
+        assert asked.wait(PATIENCE_S) == 0
+    os.close(master)
+    assert b"horse" not in shown
+    assert lineside("user", "list")[1] == "ann\tadmin\n"
 
 
 def test_a_short_password_is_taken_from_here_with_a_word(lineside: Shell) -> None:
