@@ -61,7 +61,7 @@ class Dashboard:
     def _answer(self, method: str, path: str, **request: Any) -> Any:
         try:
             response = self._client.request(method, f"/api/v1{path}", **request)
-        except httpx.HTTPError as error:
+        except (httpx.HTTPError, UnicodeError) as error:
             raise DashboardError(
                 f"{self._client.base_url} cannot be reached: {error}; is the dashboard running?"
             ) from error
@@ -72,9 +72,11 @@ class Dashboard:
 
 @contextmanager
 def dashboard(url: str, token: str) -> Iterator[Dashboard]:
-    """Open a dashboard by its base URL; raises CallerError for a URL that is none."""
+    """Open a dashboard by its base URL; raises CallerError for a URL or token that is none."""
     if not url.startswith(("http://", "https://")):
         raise CallerError(f"--url {url!r} is no address; give for example http://127.0.0.1:8000")
+    if not token.isascii():
+        raise CallerError("this is no token; give one as 'lineside token create' printed it")
     headers = {"Authorization": f"Bearer {token}"}
     with httpx.Client(
         base_url=url.rstrip("/"), headers=headers, timeout=_TIMEOUT_S, trust_env=False

@@ -15,8 +15,8 @@ BY_ID = Path("/dev/serial/by-id")
 STARTER = Path(__file__).with_name("starter.toml")
 
 
-class AlreadyThereError(LinesideError):
-    """The file exists, and what is in it is kept."""
+class InitError(LinesideError):
+    """The file was not written; the text says why and what to do."""
 
 
 def register(cli: typer.Typer) -> None:
@@ -31,8 +31,13 @@ def init(config: Config = LINESIDE_TOML) -> None:
             with config.open("x", encoding="utf-8") as file:
                 file.write(starter(config, likely_port()))
         except FileExistsError as error:
-            raise AlreadyThereError(
+            raise InitError(
                 f"{config} exists and is kept. Name another file with --config, or move this one away."
+            ) from error
+        except OSError as error:
+            raise InitError(
+                f"{config} cannot be written: {error.strerror}. Create its folder, or name another file with "
+                "--config."
             ) from error
         typer.echo(f"{config} is written. Set the port and the units, then: lineside check --config {config}")
 

@@ -231,3 +231,26 @@ def test_a_worker_without_its_bus(lineside: Shell) -> None:
     assert code == 1
     assert "there is no [[bus]] named 'nix'; it has dry-end" in err
     assert lineside("worker", "--bus", "dry-end", "--app", "plant", "--token", "t")[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["simulate", "--link", "/nonexistent/line"], 1, "the link /nonexistent/line cannot be made"),
+        (
+            ["backup", "--url", "http://a..b", "--token", "t", "--bus", "b", "--out", "o"],
+            1,
+            "cannot be reached",
+        ),
+        (
+            ["backup", "--url", "http://127.0.0.1:1", "--token", "ü", "--bus", "b", "--out", "o"],
+            2,
+            "no token",
+        ),
+    ],
+)
+def test_what_cannot_be_is_said_in_a_sentence(words: list[str], code: int, said: str) -> None:
+    done = subprocess.run([sys.executable, "-m", "app.cli", *words], capture_output=True, text=True)
+    assert (done.returncode, done.stderr.count("\n")) == (code, 1)
+    assert done.stderr.startswith("lineside: ")
+    assert said in done.stderr

@@ -47,7 +47,7 @@ def test_an_existing_file_is_kept(tmp_path: Path) -> None:
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
     refused = CliRunner().invoke(cli, ["init", "--config", str(tmp_path / "no" / "lineside.toml")])
     assert refused.exit_code == 1
-    assert refused.stderr.startswith("lineside: ")
+    assert "cannot be written: No such file or directory. Create its folder" in refused.stderr
 
 
 def test_it_takes_the_adapter_that_is_plugged_in(tmp_path: Path) -> None:

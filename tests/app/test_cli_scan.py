@@ -204,6 +204,13 @@ def test_a_port_that_is_no_serial_port() -> None:
     assert run(os.devnull).exit_code == 1
 
 
+@pytest.mark.parametrize("port", ["nonsense://x:1", "socket://x", ""])
+def test_a_port_that_cannot_be_named_so_is_wrong_use(port: str) -> None:
+    result = run(port)
+    assert result.exit_code == 2
+    assert "--port" in result.stderr
+
+
 @pytest.mark.parametrize("options", [["--baud", "19200"], ["--first", "7", "--last", "3"], ["--last", "256"]])
 def test_wrong_use(options: Sequence[str]) -> None:
     assert run("/dev/no-such-port", *options).exit_code == 2

@@ -32,6 +32,8 @@ async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
         raise PortUnavailable(
             f"{url} does not answer: is the device server on, in RFC 2217 mode, and its address right?"
         ) from error
+    except UnicodeError as error:
+        raise PortUnavailable(f"{url} names no host: check the part before the port number") from error
     except (OSError, ValueError) as error:
         raise PortUnavailable(f"{url} cannot be opened ({error})") from error
     return tcp.TcpPort(transport, protocol, url)
