@@ -54,7 +54,7 @@ def _address(server: Server) -> Finding:
 
 
 def _data(folder: Path) -> Finding:
-    existing = next(each for each in (folder, *folder.parents) if each.exists())
+    existing = next(each for each in (folder, *folder.parents) if _is_visible(each))
     if not existing.is_dir():
         return Finding(f"data: {existing} is no folder. Name another one as data in [server].", is_fault=True)
     if not os.access(existing, os.W_OK | os.X_OK):
@@ -66,6 +66,14 @@ def _data(folder: Path) -> Finding:
         )
     later = "" if existing == folder else ", created at the first start"
     return Finding(f"data in {folder}{later}")
+
+
+def _is_visible(path: Path) -> bool:
+    """Whether it exists in a folder that this user may look into."""
+    try:
+        return path.exists()
+    except PermissionError:
+        return False
 
 
 def _bus(bus: BusSettings) -> Iterator[Finding]:

@@ -104,6 +104,24 @@ def test_a_folder_that_may_not_be_written_is_a_fault(config: Path, monkeypatch: 
     assert f"may not create {config.parent / 'data'}" in result.stderr
 
 
+def test_a_folder_that_may_not_be_looked_into_is_a_fault(
+    config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Root may, so the tests play what another user sees."""
+    exists, access = Path.exists, os.access
+
+    def hidden(path: Path) -> bool:
+        if path.is_relative_to("/root"):
+            raise PermissionError(13, "Permission denied")
+        return exists(path)
+
+    monkeypatch.setattr(Path, "exists", hidden)
+    monkeypatch.setattr(findings.os, "access", lambda path, mode: path != Path("/") and access(path, mode))
+    result = run(config, '[server]\ndata = "/root/data"\n' + bus("/dev/ttyUSB99"))
+    assert result.exit_code == 1
+    assert "may not create /root/data" in result.stderr
+
+
 def test_a_port_without_permission_is_a_fault(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     master, slave = pty.openpty()
     monkeypatch.setattr(findings.os, "access", lambda path, _mode: "/dev/" not in str(path))
