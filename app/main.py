@@ -11,6 +11,7 @@ from starlette.middleware.gzip import GZipMiddleware
 
 from app.audit import api as audit_api
 from app.audit import pages as audit_pages
+from app.auth import api as auth_api
 from app.auth import pages as auth_pages
 from app.auth import tokens, users
 from app.auth.access import Identify
@@ -55,6 +56,7 @@ FEATURES = (
     web_pages,
     schema,
     metrics_api,
+    auth_api,
     auth_pages,
     users,
     tokens,

@@ -10,16 +10,10 @@ from app.auth import rules
 from app.auth.accounts import Accounts
 from app.auth.pages import Keeping, Text, address_of
 from app.auth.users_view import answer_to_change, users_view
-from app.web.access import Admin, Person, Viewer, role_named
+from app.web.access import Admin, Person, role_named
 from app.web.templating import render
 
 router = APIRouter(include_in_schema=False)
-
-
-@router.get("/api/v1/me", include_in_schema=True, tags=["who"])
-async def me(person: Viewer) -> dict[str, str]:
-    """Who asks, by name and role."""
-    return {"name": person.name, "role": str(person.role), "via": person.via}
 
 
 @router.get("/users")

@@ -31,16 +31,22 @@ TokenFile = Annotated[
 
 
 def bearer_token(token: str, file: Path | None, *more_variables: str) -> str:
-    """The token by ``--token``, else ``--token-file``, else the environment: ``LINESIDE_TOKEN`` or one of
-    ``more_variables``. Raises CallerError for none, for both options and for a file without a token."""
-    if token and file is not None:
-        raise CallerError("--token and --token-file are both given; give one of them")
-    found = token or (_token_in(file) if file is not None else _from_environment(more_variables))
+    """As :func:`token_if_given`. Raises CallerError for none, too."""
+    found = token_if_given(token, file, *more_variables)
     if not found:
         raise CallerError(
             f"there is no token: give --token-file FILE, set {TOKEN_VARIABLE} or give --token TOKEN; "
             "'lineside token create' makes one"
         )
+    return found
+
+
+def token_if_given(token: str, file: Path | None, *more_variables: str) -> str:
+    """The token by ``--token``, else ``--token-file``, else the environment: ``LINESIDE_TOKEN`` or one of
+    ``more_variables``; empty for none. Raises CallerError for both options and for a file without a token."""
+    if token and file is not None:
+        raise CallerError("--token and --token-file are both given; give one of them")
+    found = token or (_token_in(file) if file is not None else _from_environment(more_variables))
     if not (found.isascii() and found.isprintable()) or " " in found:
         raise CallerError("the token has a character that no token has; copy it again")
     return found

@@ -64,7 +64,7 @@ class Dashboard:
     def _answer(self, method: str, path: str, **request: Any) -> Any:
         try:
             response = self._client.request(method, f"/api/v1{path}", **request)
-        except httpx.HTTPError as error:
+        except (httpx.HTTPError, UnicodeError) as error:
             what_to_do = "is the dashboard running?"
             if _is_untrusted(error):
                 what_to_do = "name the certificate of its authority in SSL_CERT_FILE"

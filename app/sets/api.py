@@ -18,9 +18,19 @@ from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.model import ParameterSet
 from app.sets.schedule import SetSchedule
+from app.sets.shown import (
+    ComparedShown,
+    DriftShown,
+    GoldenShown,
+    OwedShown,
+    ScheduleShown,
+    SetShown,
+    SummaryShown,
+)
 from app.sets.view import compared_json, departure_json, set_json, summary_json
 from app.web.access import Engineer, Person, Role, Viewer
 from app.web.api_route import ApiRoute
+from app.web.schema_problem import problems
 from app.web.services import service
 from app.web.shape import Strict, Units
 from bus.text import Lines, OneLine
@@ -28,6 +38,9 @@ from bus.text import Lines, OneLine
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
 MOST = 1000
 """Sets of one answer."""
+DOCUMENT: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/toml": {"schema": {"type": "string"}}}}
+}
 
 
 class TakeSet(Strict):
@@ -62,14 +75,14 @@ async def list_sets(
     unit: int | None = None,
     before: int | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST)] = MOST,
-) -> list[dict[str, Any]]:
+) -> list[SummaryShown]:
     """Stored sets, newest first: at most 1000; ask on with ``before`` = the last ``id``."""
     found = await keeper.store.summaries(bus, unit, before=before, most=limit)
     return [summary_json(summary) for summary in found]
 
 
-@router.post("/buses/{bus}/sets", status_code=201)
-async def take_set(person: Engineer, keeper: Keeper, live: Live, bus: str, wanted: TakeSet) -> dict[str, Any]:
+@router.post("/buses/{bus}/sets", status_code=201, responses=problems(504))
+async def take_set(person: Engineer, keeper: Keeper, live: Live, bus: str, wanted: TakeSet) -> SetShown:
     """Read the units now and keep what they say; nothing is kept when one does not answer."""
     known = bus_or_404(live, bus).units
     units = wanted.units or list(known)
@@ -79,12 +92,12 @@ async def take_set(person: Engineer, keeper: Keeper, live: Live, bus: str, wante
 
 
 @router.get("/sets/{set_id}")
-async def one_set(_: Viewer, keeper: Keeper, set_id: int) -> dict[str, Any]:
+async def one_set(_: Viewer, keeper: Keeper, set_id: int) -> SetShown:
     """A whole set with the evidence of each value; #21 masked."""
     return set_json(await set_or_404(keeper, set_id))
 
 
-@router.get("/sets/{set_id}/document")
+@router.get("/sets/{set_id}/document", response_class=Response, responses=DOCUMENT)
 async def set_document(
     person: Viewer, keeper: Keeper, events: Events, set_id: int, secrets: bool = False
 ) -> Response:
@@ -99,7 +112,7 @@ async def set_document(
 
 
 @router.post("/sets/{set_id}/golden")
-async def mark_golden(person: Engineer, keeper: Keeper, set_id: int, mark: GoldenMark) -> dict[str, Any]:
+async def mark_golden(person: Engineer, keeper: Keeper, set_id: int, mark: GoldenMark) -> GoldenShown:
     """From now on the unit ought to be as this set says."""
     await keeper.mark_golden(person, set_id, mark.unit)
     return {"set": set_id, "unit": mark.unit, "golden": True}
@@ -114,7 +127,7 @@ async def compare_sets(
     unit: int,
     other_unit: int | None = None,
     tolerance: int = 0,
-) -> list[dict[str, Any]]:
+) -> list[ComparedShown]:
     """Set with set, row by row."""
     left = unit_rows_or_404(await set_or_404(keeper, set_id), unit)
     right = unit_rows_or_404(await set_or_404(keeper, other_id), other_unit or unit)
@@ -122,7 +135,7 @@ async def compare_sets(
 
 
 @router.get("/buses/{bus}/units/{unit}/drift")
-async def unit_drift(_: Viewer, keeper: Keeper, live: Live, bus: str, unit: int) -> dict[str, Any]:
+async def unit_drift(_: Viewer, keeper: Keeper, live: Live, bus: str, unit: int) -> DriftShown:
     """Where the unit as last read departs from its golden set, and who changed it: ``changed_by`` null is
     somebody at the panel. ``unread``: parameters that could not be compared yet."""
     unit_or_404(live, bus, unit)
@@ -136,17 +149,17 @@ async def unit_drift(_: Viewer, keeper: Keeper, live: Live, bus: str, unit: int)
 @router.get("/buses/{bus}/set-schedule")
 async def read_schedule(
     _: Viewer, keeper: Keeper, schedules: Schedules, live: Live, bus: str
-) -> dict[str, Any]:
+) -> ScheduleShown:
     """At which minute of the day the units of the bus are read, and which are owed since, with why."""
     bus_or_404(live, bus)
-    owed = [{"unit": unit, "why": owed.why} for unit, owed in schedules.owed(bus).items()]
+    owed: list[OwedShown] = [{"unit": unit, "why": owed.why} for unit, owed in schedules.owed(bus).items()]
     return {"minute_of_day": (await keeper.store.schedule()).get(bus), "owed": owed}
 
 
 @router.put("/buses/{bus}/set-schedule")
 async def write_schedule(
     person: Engineer, schedules: Schedules, live: Live, bus: str, wanted: Schedule
-) -> dict[str, Any]:
+) -> ScheduleShown:
     """Read all units of the bus daily, or no longer."""
     bus_or_404(live, bus)
     await schedules.set(person, bus, wanted.minute_of_day)

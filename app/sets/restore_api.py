@@ -12,10 +12,12 @@ from app.live.lookup import unit_or_404
 from app.sets.api import Keeper
 from app.sets.lookup import restore_or_404, wanted_rows
 from app.sets.restore import RestoreDesk
-from app.sets.restore_view import RestoreShown, restore_json
+from app.sets.restore_shown import RestoreShown
+from app.sets.restore_view import restore_json
 from app.sets.selection import Selection
 from app.web.access import Engineer, Viewer
 from app.web.api_route import ApiRoute
+from app.web.schema_problem import problems
 from app.web.services import service
 from app.web.shape import Numbers, Strict
 
@@ -47,7 +49,7 @@ class StartRestore(Strict):
     exclude: Excluded | None = None
 
 
-@router.post("/buses/{bus}/units/{unit}/restores", status_code=201)
+@router.post("/buses/{bus}/units/{unit}/restores", status_code=201, responses=problems(504))
 async def plan_unit_restore(
     person: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int, wanted: PlanRestore
 ) -> RestoreShown:

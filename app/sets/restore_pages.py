@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Form, Request, Response, UploadFile
 
@@ -22,6 +22,7 @@ from app.sets.restore_api import Restores
 from app.sets.restore_record import Restore
 from app.sets.restore_view import restore_json
 from app.sets.selection import Selection
+from app.sets.shown import ComparedShown
 from app.sets.sides import side
 from app.sets.view import compared_json
 from app.web.access import Engineer
@@ -149,6 +150,6 @@ def _ticked(restore: Restore, rows: frozenset[int]) -> Selection:
     return restore.selection.choosing(rows, reviewed - rows - OPERATING_VALUES)
 
 
-def _proof(wanted: UnitRows, proven: UnitRows | None) -> list[dict[str, Any]]:
+def _proof(wanted: UnitRows, proven: UnitRows | None) -> list[ComparedShown]:
     """All 40 rows as wanted and as read afterwards."""
     return [compared_json(row) for row in compare(wanted, proven)] if proven is not None else []

@@ -2,74 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from typing_extensions import TypedDict
-
 from app.sets.compare import meaning, with_unit
-from app.sets.effects import EFFECTS, Effect, warning_of
+from app.sets.effects import EFFECTS, warning_of
 from app.sets.model import UnitRows
-from app.sets.plan import LeftOut, Reason
-from app.sets.restore_record import Restore, RowResult, State
+from app.sets.plan import LeftOut
+from app.sets.restore_record import Restore, RowResult
+from app.sets.restore_shown import LeftOutShown, RestoreRowShown, RestoreShown, RestoreValues
 from app.sets.view import compared_json
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import Outcome
-
-
-class _RestoreValues(TypedDict):
-    number: int
-    name: str
-    present_raw: int | None
-    wanted_raw: int | None
-    present: str | None
-    wanted: str | None
-
-
-class RestoreRowShown(_RestoreValues):
-    """A row that differs and can be written. ``selected``: whether this restore writes it; ``reason`` and
-    ``reason_code``: why not. ``effect``: what writing it does to a running unit; ``warning``: the same for
-    people, where the unit runs or may run."""
-
-    selected: bool
-    reason: str | None
-    reason_code: Reason | None
-    effect: Effect | None
-    warning: str | None
-    words: str
-    meaning: str
-    outcome: Outcome | None
-    message: str
-    read_back: int | None
-
-
-class LeftOutShown(_RestoreValues):
-    """A row that this restore does not write. ``differs`` null: not known, as one side is not. ``later``: the
-    same restore writes it once the unit is in REMOTE."""
-
-    reason: str
-    reason_code: Reason | None
-    later: bool
-    differs: bool | None
-
-
-class RestoreShown(TypedDict):
-    """A restore: its plan, how far it is, and what a full read found afterwards. State ``equal``: the unit
-    equals the set in all rows selected. ``running``: the Run input when it was planned."""
-
-    id: str
-    bus: str
-    unit: int
-    who: str
-    state: State
-    cause: str
-    cause_code: str | None
-    running: bool | None
-    done: int
-    equal: int
-    remarks: list[str]
-    rows: list[RestoreRowShown]
-    left_out: list[LeftOutShown]
-    remaining: list[dict[str, Any]] | None
 
 
 def restore_json(restore: Restore) -> RestoreShown:
@@ -124,7 +64,7 @@ def _left_out_json(restore: Restore, left: LeftOut) -> LeftOutShown:
     }
 
 
-def _values(restore: Restore, number: int, present: int | None, wanted: int | None) -> _RestoreValues:
+def _values(restore: Restore, number: int, present: int | None, wanted: int | None) -> RestoreValues:
     parameter = PARAMETERS[number]
     return {
         "number": number,

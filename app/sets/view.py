@@ -2,35 +2,40 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from app.sets.compare import Compared, with_unit
 from app.sets.drift import Departure
 from app.sets.model import ParameterSet, UnitRows
+from app.sets.shown import (
+    ComparedShown,
+    DepartureShown,
+    SetHead,
+    SetParameterShown,
+    SetShown,
+    SetUnitShown,
+    SummaryShown,
+)
 from app.sets.store import SetSummary
 from app.web.shape import iso
 from bus.catalogue.parameters import PARAMETERS
 
 
-def summary_json(summary: SetSummary) -> dict[str, Any]:
+def summary_json(summary: SetSummary) -> SummaryShown:
     """One line of the list."""
     return {
         **_head(summary),
         "units": list(summary.units),
-        "golden_for": list(summary.golden_for),
     }
 
 
-def set_json(stored: ParameterSet) -> dict[str, Any]:
+def set_json(stored: ParameterSet) -> SetShown:
     """A whole set; secrets masked."""
     return {
         **_head(stored),
-        "golden_for": sorted(stored.golden_for),
         "units": [_unit_json(rows) for rows in stored.units],
     }
 
 
-def _head(of: SetSummary | ParameterSet) -> dict[str, Any]:
+def _head(of: SetSummary | ParameterSet) -> SetHead:
     return {
         "id": of.id,
         "bus": of.bus,
@@ -39,11 +44,12 @@ def _head(of: SetSummary | ParameterSet) -> dict[str, Any]:
         "taken_at": iso(of.taken_at),
         "who": of.who,
         "origin": of.origin,
+        "golden_for": sorted(of.golden_for),
     }
 
 
-def _unit_json(rows: UnitRows) -> dict[str, Any]:
-    parameters = []
+def _unit_json(rows: UnitRows) -> SetUnitShown:
+    parameters: list[SetParameterShown] = []
     for number, row in sorted(rows.rows.items()):
         parameter = PARAMETERS[number]
         shown = parameter.secret or row.raw is None
@@ -61,7 +67,7 @@ def _unit_json(rows: UnitRows) -> dict[str, Any]:
     return {"id": rows.unit, "name": rows.name, "parameters": parameters}
 
 
-def compared_json(row: Compared) -> dict[str, Any]:
+def compared_json(row: Compared) -> ComparedShown:
     """One row of a comparison, as shown to people and raw."""
     secret = PARAMETERS[row.number].secret
     return {
@@ -76,7 +82,7 @@ def compared_json(row: Compared) -> dict[str, Any]:
     }
 
 
-def departure_json(departure: Departure) -> dict[str, Any]:
+def departure_json(departure: Departure) -> DepartureShown:
     """A row of a comparison with the golden set, and whose change it is."""
     change = departure.change
     return {

@@ -15,7 +15,8 @@ from app.sets.api import Keeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.offers import offers
 from app.sets.restore_api import Restores
-from app.sets.restore_view import LeftOutShown, restore_json
+from app.sets.restore_shown import LeftOutShown
+from app.sets.restore_view import restore_json
 from app.swap.desk import SwapDesk, step_text
 from app.swap.looking import look
 from app.swap.record import Swap

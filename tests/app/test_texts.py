@@ -32,7 +32,7 @@ TEXTS_OF = {"t": 1, "tn": 2}
 FILLED = "X1"
 SQL = re.compile(r"\s*(SELECT|INSERT|UPDATE|DELETE|CREATE|PRAGMA|WITH|ALTER|DROP|FROM|WHERE|AND|ORDER|JOIN) ")
 FOR_PROGRAMS = (
-    *("app/cli", "app/metrics", "app/audit/chain.py", "app/settings.py", "app/web/schema.py"),
+    *("app/cli", "app/metrics", "app/audit/chain.py", "app/settings.py", "app/web/schema"),
     *("app/feed/ingest.py", "app/feed/socket.py", "bus/configuration.py", "bus/settings.py"),
     *("bus/simulator", "bus/wire", "bus/worker/uplink.py", "bus/__main__.py", "app/web/routes.py"),
 )
