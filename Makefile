@@ -1,5 +1,6 @@
-# make demo | test | setup | bench | check | screenshots | lock | clean
+# make demo [PORT=8100] | test | setup | bench | check | screenshots | lock | clean
 PYTHON ?= python3
+PORT ?= 8000
 VENV := .venv
 BIN := $(VENV)/bin
 VENDOR := static/vendor/made-from.sha256
@@ -8,11 +9,16 @@ NODE_TOOLS := node_modules/.package-lock.json
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
 	--custom-compile-command "make lock" --extra rfc2217
 
-.PHONY: demo test setup bench check screenshots lock clean development
+.PHONY: demo free-port test setup bench check screenshots lock clean development
 .DEFAULT_GOAL := demo
 
-demo: setup
-	$(BIN)/lineside demo
+demo: free-port setup
+	$(BIN)/lineside demo --port $(PORT)
+
+# Before everything that a first set-up takes.
+free-port:
+	@$(PYTHON) -c 'import socket; socket.create_server(("127.0.0.1", $(PORT)))' 2>/dev/null || \
+		{ echo "Port $(PORT) is in use. End the program that has it, or choose another: make demo PORT=8100" >&2; exit 1; }
 
 setup: $(VENV)/.lineside
 
@@ -37,11 +43,12 @@ check: development
 
 development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM)
 
-# The locks are exact and carry a hash for every file. requirements.lock is what runs, and hatchling.
+# The locks are exact and carry a hash for every file. requirements.lock is what runs, and hatchling. What runs
+# is tested with the tools beside it, so it takes the versions that they leave.
 lock: development
 	$(BIN)/pip install -q uv
-	$(LOCK) --group build pyproject.toml -o requirements.lock
-	$(LOCK) --group build --group dev -c requirements.lock pyproject.toml -o requirements-dev.lock
+	$(LOCK) --extra parquet --group build --group dev pyproject.toml -o requirements-dev.lock
+	$(LOCK) --group build -c requirements-dev.lock pyproject.toml -o requirements.lock
 	npm install --package-lock-only --ignore-scripts --omit-lockfile-registry-resolved
 
 clean:

@@ -3,9 +3,57 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Literal, get_args
 
-from bus.errors import LinesideError
+from bus.errors import CallerError, LinesideError
+
+ProblemCode = Literal[
+    "acknowledged",
+    "already_started",
+    "blocked",
+    "bus_closed",
+    "busy",
+    "cancelled",
+    "confirm_needed",
+    "controlled",
+    "dangerous",
+    "failed",
+    "forbidden",
+    "foreign_origin",
+    "invalid",
+    "lapsed",
+    "late",
+    "method_not_allowed",
+    "moved",
+    "no_parquet",
+    "no_set",
+    "not_found",
+    "not_loadable",
+    "not_looked",
+    "not_sent",
+    "nothing_staged",
+    "refused",
+    "rights_withdrawn",
+    "store",
+    "too_large",
+    "too_long",
+    "too_many",
+    "unauthorized",
+    "unknown",
+    "unknown_bus",
+    "unknown_output",
+    "unknown_parameter",
+    "unknown_recipe",
+    "unknown_restore",
+    "unknown_set",
+    "unknown_swap",
+    "unknown_taking",
+    "unknown_unit",
+    "unverified",
+    "verified",
+]
+"""Every ``code`` of a problem and every ``outcome`` of a command: published in the API's OpenAPI document."""
+CODES: frozenset[str] = frozenset(get_args(ProblemCode))
 
 
 class StoreError(LinesideError):
@@ -26,7 +74,13 @@ class Problem(LinesideError):
     """
 
     def __init__(
-        self, status: int, code: str, detail: str, *, params: Mapping[str, object] | None = None, **extra: Any
+        self,
+        status: int,
+        code: ProblemCode,
+        detail: str,
+        *,
+        params: Mapping[str, object] | None = None,
+        **extra: Any,
     ) -> None:
         self.template = detail
         self.params = params
@@ -45,3 +99,10 @@ class Problem(LinesideError):
         """The same refusal with response headers; an underscore in a name stands for a hyphen."""
         self.headers.update({name.replace("_", "-"): value for name, value in headers.items()})
         return self
+
+
+class InvalidError(Problem, CallerError):
+    """422 ``invalid``: what was asked cannot be done as asked. On the command line: exit code 2."""
+
+    def __init__(self, detail: str, **params: object) -> None:
+        super().__init__(422, "invalid", detail, params=params)

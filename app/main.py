@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from importlib.metadata import version
 
@@ -11,8 +11,9 @@ from starlette.middleware.gzip import GZipMiddleware
 
 from app.audit import api as audit_api
 from app.audit import pages as audit_pages
+from app.auth import api as auth_api
 from app.auth import pages as auth_pages
-from app.auth import users
+from app.auth import tokens, users
 from app.auth.access import Identify
 from app.commands import api as commands_api
 from app.commands import (
@@ -40,7 +41,7 @@ from app.metrics import api as metrics_api
 from app.recipes import api as recipes_api
 from app.recipes import pages as recipes_pages
 from app.sets import api as sets_api
-from app.sets import batch_pages
+from app.sets import batch_pages, restore_api, restore_pages
 from app.sets import pages as sets_pages
 from app.settings import Settings
 from app.swap import pages as swap_pages
@@ -56,8 +57,10 @@ FEATURES = (
     web_pages,
     schema,
     metrics_api,
+    auth_api,
     auth_pages,
     users,
+    tokens,
     audit_api,
     audit_pages,
     feed,
@@ -80,7 +83,9 @@ FEATURES = (
     history_api,
     history_pages,
     sets_api,
+    restore_api,
     sets_pages,
+    restore_pages,
     baud_pages,
     batch_pages,
     swap_pages,
@@ -89,13 +94,15 @@ FEATURES = (
 )
 
 
-def create_app(settings: Settings, *, demo: bool = False, worker_token: str = "") -> FastAPI:
+def create_app(
+    settings: Settings, *, demo: bool = False, worker_tokens: Mapping[str, str] | None = None
+) -> FastAPI:
     """The whole app over ``settings``. ``demo``: whoever comes from this machine is signed in.
-    ``worker_token``: what the workers that the server starts itself open /feed with.
+    ``worker_tokens``: by bus, what the worker that the server starts itself opens /feed with.
 
     Raises StoreError when the data cannot be used, RuntimeError for a route that declares no role.
     """
-    services = build(settings, demo=demo, worker_token=worker_token)
+    services = build(settings, demo=demo, worker_tokens=worker_tokens or {})
     app = FastAPI(
         title="Lineside",
         summary="Watch and set a line of DIGIMAX IV drives",

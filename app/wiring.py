@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -21,6 +21,7 @@ from app.audit.log import EventLog
 from app.audit.store import head_of
 from app.auth.accounts import Accounts
 from app.auth.passwords import Passwords
+from app.auth.rights import Rights
 from app.auth.signin import SignIn
 from app.commands.desk import Desk
 from app.commands.safeguards import Safeguards
@@ -93,6 +94,7 @@ class Services:
     anchoring: Anchoring | None
     passwords: Passwords
     accounts: Accounts
+    rights: Rights
     sign_in: SignIn
     live: LiveState
     history: History
@@ -114,7 +116,7 @@ class Services:
     onsets: OnsetLookup
 
 
-def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
+def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -> Services:
     """Open the stores and connect everything. Raises StoreError in words."""
     make_private(settings.server.data)
     database = Database(settings.server.store)
@@ -127,15 +129,17 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     news = HistoryNews()
     history = History(settings, on_clock_step=news.clock_stepped, on_damage=news.damaged)
     pipeline = Pipeline(live, history, events)
-    workers = Workers([bus.name for bus in settings.bus], pipeline)
-    accounts = Accounts(database, passwords, events)
+    buses = [bus.name for bus in settings.bus]
+    workers = Workers(buses, pipeline)
+    accounts = Accounts(database, passwords, events, buses=buses)
     control = settings.site.control
-    safeguards = Safeguards(database, events, control_required=control, find=accounts.find)
-    desk = Desk(live, workers.channels, events, database, safeguards)
+    rights = Rights(database)
+    safeguards = Safeguards(database, events, control_required=control, find=accounts.find, rights=rights)
+    desk = Desk(live, workers.channels, events, database, safeguards, rights)
     reader = ParameterReader(live, desk)
     local_time = partial(datetime.now, ZoneInfo(settings.site.zone))
     hub = Hub(live, templates, time)
-    sets = SetKeeper(live, reader, SetStore(database), events)
+    sets = SetKeeper(live, reader, SetStore(database), events, rights)
     services = Services(
         settings=settings,
         assets=assets,
@@ -145,7 +149,8 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         anchoring=None if settings.audit.anchor is None else Anchoring(events, settings.audit.anchor),
         passwords=passwords,
         accounts=accounts,
-        sign_in=SignIn(database, passwords, events, worker_token),
+        rights=rights,
+        sign_in=SignIn(database, passwords, events, worker_tokens),
         live=live,
         history=history,
         history_news=news,
@@ -175,7 +180,8 @@ def _connect(services: Services) -> None:
     services.history_news.pipeline = services.pipeline
     services.desk.before_write = services.first_writes.before
     services.restores.on_end = services.swaps.ended
-    services.accounts.on_rights_changed(safeguards.release_all_of)
+    services.accounts.on_rights_changed(lambda _: services.rights.refresh())
+    services.rights.on_withdrawn(safeguards.release_all_of)
     services.sign_in.on_gone = safeguards.release_all_of
     services.sets.drifts.on_change = hub.refresh_unit
     safeguards.on_block(hub.refresh_unit)
@@ -204,6 +210,7 @@ async def running(services: Services) -> AsyncIterator[None]:
         services.hub.beat,
         services.onsets.follow,
         services.history.inspect_daily,
+        services.rights.watch,
         partial(services.set_schedule.follow, SERVER),
         partial(services.sets.learn_marked, SERVER),
     )

@@ -88,11 +88,7 @@ class BusSettings(Dialect):
     @field_validator("port")
     @classmethod
     def _port_is_one_we_open(cls, port: str) -> str:
-        if "://" in port and not port.startswith(("socket://", "rfc2217://")):
-            raise ValueError("write a device path, socket://host:port or rfc2217://host:port")
-        if "://" in port and not _names_host_and_port(port):
-            raise ValueError("write host and port number, like socket://192.168.0.7:4001")
-        return port
+        return check_port(port)
 
     @property
     def dialect(self) -> Dialect:
@@ -103,6 +99,17 @@ class BusSettings(Dialect):
     def turnaround_s(self) -> float:
         """What a unit may take to begin its answer, seconds."""
         return self.turnaround_ms / 1000
+
+
+def check_port(port: str) -> str:
+    """The port itself. Raises ValueError for what is neither a path nor a URL that can be opened."""
+    if not port:
+        raise ValueError("write a device path, such as one in /dev/serial/by-id/")
+    if "://" in port and not port.startswith(("socket://", "rfc2217://")):
+        raise ValueError("write a device path, socket://host:port or rfc2217://host:port")
+    if "://" in port and not _names_host_and_port(port):
+        raise ValueError("write host and port number, like socket://192.168.0.7:4001")
+    return port
 
 
 def _names_host_and_port(url: str) -> bool:

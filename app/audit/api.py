@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator
 from typing import Annotated, Any, Literal, cast
 
 from fastapi import APIRouter, Depends, Query
-from pydantic import AwareDatetime, BaseModel
+from pydantic import AwareDatetime, BaseModel, Field
 from starlette.requests import HTTPConnection
 from starlette.responses import StreamingResponse
 
@@ -27,6 +27,7 @@ router = APIRouter(prefix="/api/v1", tags=["events"], route_class=ApiRoute)
 MOST = 1000
 """How many events one page may hold."""
 
+CSV: dict[int | str, dict[str, Any]] = {200: {"content": {"text/csv": {"schema": {"type": "string"}}}}}
 _NUMBER = re.compile(r"-?[\d.,]+")
 COLUMNS = (
     *("id", "time", "kind", "who", "origin", "bus", "unit", "what"),
@@ -34,12 +35,12 @@ COLUMNS = (
 )
 
 
-class FrameShown(BaseModel):
+class EventFrameShown(BaseModel):
     """One frame that carried a command."""
 
-    at: float
-    direction: str
-    data: str
+    at: Annotated[float, Field(description="Seconds since 1970.")]
+    direction: Annotated[str, Field(description="out: a request, in: a response.")]
+    data: Annotated[str, Field(description="The bytes on the wire, hexadecimal.")]
     meaning: str
 
 
@@ -48,22 +49,22 @@ class EventShown(BaseModel):
     ``unreadable``: its time (then null) or its frames are not what the server wrote."""
 
     id: int
-    time: str | None
+    time: Annotated[str | None, Field(description="ISO 8601 in UTC, milliseconds; null: not readable.")]
     kind: str
     who: str
-    origin: str
+    origin: Annotated[str, Field(description="Which way it came: page, api, command line, restore …")]
     bus: str | None
-    unit: int | None
+    unit: Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255.")]
     what: str
-    old: str | None
-    new: str | None
-    old_raw: int | None
-    new_raw: int | None
+    old: Annotated[str | None, Field(description="Value before, as shown to people.")]
+    new: Annotated[str | None, Field(description="Value after, as shown to people.")]
+    old_raw: Annotated[int | None, Field(description="Value before, integer on the wire.")]
+    new_raw: Annotated[int | None, Field(description="Value after, integer on the wire.")]
     outcome: str | None
     message: str
-    frames: list[FrameShown]
-    count: int
-    unreadable: bool
+    frames: list[EventFrameShown]
+    count: Annotated[int, Field(description="How often it happened.")]
+    unreadable: Annotated[bool, Field(description="Its time or frames are not what the server wrote.")]
 
 
 class EventPage(BaseModel):
@@ -125,14 +126,13 @@ async def list_events(
 
 
 class Proof(BaseModel):
-    """Whether the log is whole; ``broken`` is the first entry that is not, ``fault`` says how. ``unsealed``:
-    entries up to this one are older than the key; ``anchored``: the newest that the anchor names."""
+    """Whether the log is whole; ``broken`` is the first entry that is not, ``fault`` says how."""
 
     entries: int
-    broken: int | None
+    broken: Annotated[int | None, Field(description="Number of the first broken entry; null: none.")]
     fault: str
-    unsealed: int
-    anchored: int
+    unsealed: Annotated[int, Field(description="Entries up to this one are older than the key; 0: none.")]
+    anchored: Annotated[int, Field(description="The newest entry that the anchor names; 0: none.")]
 
 
 @router.get("/events/proof")
@@ -141,7 +141,7 @@ async def prove_events(_: Admin, events: Events) -> Proof:
     return Proof.model_validate(vars(await events.prove()))
 
 
-@router.get("/events.csv", response_class=StreamingResponse)
+@router.get("/events.csv", response_class=StreamingResponse, responses=CSV)
 async def events_as_csv(_: Viewer, events: Events, wanted: Wanted) -> StreamingResponse:
     """The same filter, every event, as CSV with a line of headings."""
     headers = {"Content-Disposition": 'attachment; filename="events.csv"'}

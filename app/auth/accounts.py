@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
 
 from app.audit.kinds import Kind
 from app.audit.log import EventLog
@@ -12,14 +12,15 @@ from app.auth import rules, store
 from app.auth.passwords import Passwords
 from app.auth.store import Token, User
 from app.database import Database
+from app.errors import InvalidError
 from app.web.access import Role, account_of, name_of
-from bus.errors import CallerError
 
 Ended = Callable[[str], Awaitable[None]]
 
 
 class Accounts:
-    """Every change takes ``by``: who makes it, and ``origin``: by which way (page, cli)."""
+    """Every change takes ``by``: who makes it, and ``origin``: by which way (page, cli). ``buses``: those of
+    the configuration, for the tokens of workers."""
 
     def __init__(
         self,
@@ -27,12 +28,19 @@ class Accounts:
         passwords: Passwords,
         events: EventLog,
         clock: Callable[[], float] = time.time,
+        *,
+        buses: Collection[str] = (),
     ) -> None:
         self._database = database
         self._passwords = passwords
         self._events = events
         self._clock = clock
+        self.buses = buses
         self._subscribers: list[Ended] = []
+
+    def now(self) -> float:
+        """Unix time as this service has it, by which tokens expire."""
+        return self._clock()
 
     def on_rights_changed(self, subscriber: Ended) -> None:
         """Hear the account of each user or token whose rights changed or ended, to close what is open."""
@@ -61,14 +69,14 @@ class Accounts:
         return await self._database.read(find)
 
     async def add_user(self, name: str, role: Role, password: str, *, by: str, origin: str) -> None:
-        """Somebody new. Raises CallerError."""
+        """Somebody new. Raises InvalidError."""
         rules.check_name(name)
         user = User(name, role, False, "/", "", False, self._clock(), None)
         await self._add(user, password)
         await self._note("user", f"user {name} added as {role}", by, origin)
 
     async def add_panel(self, name: str, role: Role, pin: str, home: str, *, by: str, origin: str) -> None:
-        """A panel on the wall that signs in by a PIN. Raises CallerError."""
+        """A panel on the wall that signs in by a PIN. Raises InvalidError."""
         rules.check_name(name)
         rules.check_pin(pin)
         rules.check_home(home)
@@ -76,23 +84,23 @@ class Accounts:
         await self._note("user", f"panel {name} added as {role}", by, origin)
 
     async def set_role(self, name: str, role: Role, *, by: str, origin: str) -> None:
-        """Raises CallerError for nobody and for the last admin."""
+        """Raises InvalidError for nobody and for the last admin."""
         await self._change(name, lambda connection: store.set_role(connection, name, role))
         await self._note("user", f"user {name} is {role} now", by, origin, name)
 
     async def set_disabled(self, name: str, disabled: bool, *, by: str, origin: str) -> None:
-        """Refuse a user, or admit again. Raises CallerError for nobody and for the last admin."""
+        """Refuse a user, or admit again. Raises InvalidError for nobody and for the last admin."""
         await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
         words = "is refused from now on" if disabled else "may sign in again"
         await self._note("user", f"user {name} {words}", by, origin, name)
 
     async def remove_user(self, name: str, *, by: str, origin: str) -> None:
-        """Raises CallerError for nobody and for the last admin."""
+        """Raises InvalidError for nobody and for the last admin."""
         await self._change(name, lambda connection: store.remove_user(connection, name))
         await self._note("user", f"user {name} removed", by, origin, name)
 
     async def set_password(self, name: str, password: str, *, by: str, origin: str) -> None:
-        """A new password or PIN; every session of the user ends. Raises CallerError."""
+        """A new password or PIN; every session of the user ends. Raises InvalidError."""
         hashed = await self._passwords.hash(password)
         await self._change(name, lambda connection: store.set_secret(connection, name, hashed))
         await self._note("user", f"user {name} has a new password", by, origin, name)
@@ -101,24 +109,39 @@ class Accounts:
         """The user's own wish; empty: what the browser asks for."""
         await self._database.write(lambda connection: store.set_language(connection, name, language))
 
-    async def create_token(self, name: str, role: Role, *, by: str, origin: str) -> str:
-        """A token for a program; this is the only time that it is seen. Raises CallerError."""
+    async def create_token(
+        self,
+        name: str,
+        role: Role,
+        *,
+        bus: str = "",
+        expires_days: int | None = None,
+        by: str,
+        origin: str,
+    ) -> str:
+        """Create a token for a program, or with ``bus`` for the worker of that bus; without ``expires_days``
+        it holds until it is revoked. Returns the secret, which is stored nowhere. Raises InvalidError."""
         rules.check_name(name)
-        secret = rules.new_secret()
-        token = Token(0, name, role, by, self._clock(), None)
+        rules.check_token_bus(role, bus, self.buses)
+        secret, now = rules.new_secret(), self._clock()
+        expires_at = rules.token_expiry(now, expires_days)
+        token = Token(0, name, role, by, now, None, bus or None, expires_at)
         try:
             await self._database.write(
                 lambda connection: store.add_token(connection, rules.secret_hash(secret), token)
             )
         except sqlite3.IntegrityError:
-            raise CallerError(f"there is a token {name} already; revoke it or take another name") from None
-        await self._note("token", f"token {name} created as {role}", by, origin)
+            raise InvalidError(
+                "there is a token {called} already; revoke it or choose another name", called=name
+            ) from None
+        what = f"token {name} created as {role} of bus {bus}" if bus else f"token {name} created as {role}"
+        await self._note("token", what, by, origin)
         return secret
 
     async def revoke_token(self, name: str, *, by: str, origin: str) -> None:
-        """Raises CallerError for one that is not there."""
+        """Raises InvalidError for one that is not there."""
         if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
-            raise CallerError(f"there is no token {name}")
+            raise InvalidError("there is no token {called}", called=name[:80])
         await self._note("token", f"token {name} revoked", by, origin, name)
 
     async def _add(self, user: User, secret: str) -> None:
@@ -126,15 +149,19 @@ class Accounts:
         try:
             await self._database.write(lambda connection: store.add_user(connection, user, hashed))
         except sqlite3.IntegrityError:
-            raise CallerError(f"there is a user {user.name} already; take another name") from None
+            raise InvalidError(
+                "there is a user {called} already; choose another name", called=user.name
+            ) from None
 
     async def _change(self, name: str, change: Callable[[sqlite3.Connection], bool]) -> None:
         def guarded(connection: sqlite3.Connection) -> None:
             before = store.admins_left(connection)
             if not change(connection):
-                raise CallerError(f"there is no user {name}")
+                raise InvalidError("there is no user {called}", called=name[:80])
             if before and not store.admins_left(connection):
-                raise CallerError(f"{name} is the last admin; make somebody else admin first")
+                raise InvalidError(
+                    "{called} is the last admin; give another user the role admin first", called=name
+                )
 
         await self._database.write(guarded)
 

@@ -12,11 +12,10 @@ from app.auth import rules
 from app.auth.access import COOKIE
 from app.auth.accounts import Accounts
 from app.auth.signin import SignIn
-from app.errors import Problem
+from app.errors import InvalidError, Problem
 from app.web.access import Viewer, person_of, public
 from app.web.services import looked_up
 from app.web.templating import render, templates_of
-from bus.errors import CallerError
 
 router = APIRouter(include_in_schema=False)
 
@@ -92,7 +91,7 @@ async def choose_language(
 ) -> Response:
     """Empty: what the browser asks for."""
     if language and language not in templates_of(request).languages:
-        raise Problem(422, "invalid", f"there is no language {language!r}")
+        raise InvalidError("there is no language {called}", called=repr(language[:40]))
     _refuse_programs(person.via)
     await accounts.set_language(person.name, language)
     return RedirectResponse("/account?done=language", 303)
@@ -112,9 +111,10 @@ async def change_password(
     _refuse_programs(person.via)
     if person.panel:
         raise Problem(403, "forbidden", "the PIN of a panel is changed by an admin")
-    fault = await _password_fault(sign_in, person.name, present, password, again)
-    if fault:
-        return _account(request, status=422, fault=fault)
+    try:
+        await _check_change(sign_in, person.name, present, password, again)
+    except InvalidError as fault:
+        return _account(request, fault=fault)
     await accounts.set_password(person.name, password, by=person.name, origin=address_of(request))
     return _with_cookie(
         request,
@@ -170,20 +170,17 @@ async def _login_form(
     )
 
 
-def _account(request: Request, *, status: int = 200, done: str = "", fault: str = "") -> HTMLResponse:
-    return render(request, "auth/account.html", status=status, done=done, fault=fault)
+def _account(request: Request, *, done: str = "", fault: InvalidError | None = None) -> HTMLResponse:
+    return render(request, "auth/account.html", status=fault.status if fault else 200, done=done, fault=fault)
 
 
-async def _password_fault(sign_in: SignIn, name: str, present: str, password: str, again: str) -> str:
-    try:
-        rules.check_password(password)
-    except CallerError as error:
-        return str(error)
+async def _check_change(sign_in: SignIn, name: str, present: str, password: str, again: str) -> None:
+    """Raises InvalidError."""
+    rules.check_password(password)
     if password != again:
-        return "the two new passwords differ; nothing was changed"
+        raise InvalidError("the two new passwords differ; nothing was changed")
     if not await sign_in.is_secret_of(name, present):
-        return "the present password is not right; nothing was changed"
-    return ""
+        raise InvalidError("the present password is not right; nothing was changed")
 
 
 def _refuse_programs(via: str) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import re
 import secrets
+from collections.abc import Collection
 from dataclasses import dataclass
 
-from bus.errors import CallerError
+from app.errors import InvalidError
+from app.web.access import Role
 
 _NAME = re.compile(r"[\w.@-]{1,40}")
 _PIN = re.compile(r"\d{4,12}")
@@ -35,33 +37,64 @@ PERSON_LIFETIME = Lifetime(12 * HOUR, 7 * DAY)
 """A shift and its overlap; a week at most."""
 PANEL_LIFETIME = Lifetime(90 * DAY, 365 * DAY)
 """A panel hangs on the wall and stays signed in."""
+MOST_TOKEN_DAYS = 3650
 USE_NOTED_EVERY_S = 60.0
 """A session's last use is written this seldom; every request would wear the disk."""
 
 
 def check_name(name: str) -> None:
-    """Raises CallerError."""
+    """Raises InvalidError."""
     if not _NAME.fullmatch(name):
-        raise CallerError(f"the name {name!r} will not do: write 1 to 40 letters, digits, . _ @ or -")
+        raise InvalidError(
+            "the name {called} is not allowed; write 1 to 40 letters, digits, . _ @ or -",
+            called=repr(name[:80]),
+        )
 
 
 def check_password(password: str) -> None:
-    """Raises CallerError."""
+    """Raises InvalidError."""
     if not SHORTEST_PASSWORD <= len(password) <= LONGEST_PASSWORD:
-        allowed = f"{SHORTEST_PASSWORD} to {LONGEST_PASSWORD}"
-        raise CallerError(f"a password has {allowed} characters; this one has {len(password)}")
+        raise InvalidError(
+            "a password has {least} to {most} characters; this one has {count}",
+            least=SHORTEST_PASSWORD,
+            most=LONGEST_PASSWORD,
+            count=len(password),
+        )
 
 
 def check_pin(pin: str) -> None:
-    """Raises CallerError."""
+    """Raises InvalidError."""
     if not _PIN.fullmatch(pin):
-        raise CallerError("a PIN is 4 to 12 digits")
+        raise InvalidError("a PIN is 4 to 12 digits")
+
+
+def check_token_bus(role: Role, bus: str, buses: Collection[str]) -> None:
+    """Raises InvalidError unless exactly a worker's token names a bus, and one of ``buses``."""
+    known = ", ".join(buses) or "none"
+    if role is not Role.WORKER:
+        if bus:
+            raise InvalidError("a token of role {role} is not for one bus; leave the bus out", role=role)
+    elif not bus:
+        raise InvalidError("a worker's token is for one bus; name it: {known}", known=known)
+    elif bus not in buses:
+        raise InvalidError("there is no bus {called}; the buses are: {known}", called=bus[:80], known=known)
+
+
+def token_expiry(now: float, days: int | None) -> float | None:
+    """When a token made at ``now`` expires; None where it does not. Raises InvalidError."""
+    if days is None:
+        return None
+    if not 1 <= days <= MOST_TOKEN_DAYS:
+        raise InvalidError(
+            "a token expires after 1 to {most} days; {days} is outside", most=MOST_TOKEN_DAYS, days=days
+        )
+    return now + days * DAY
 
 
 def check_home(home: str) -> None:
-    """Raises CallerError. A page of ours only, so that nothing redirects elsewhere."""
+    """Raises InvalidError. A page of ours only, so that nothing redirects elsewhere."""
     if not is_own_path(home):
-        raise CallerError("a home page is a path on this server, like / or /units/dry-end/1")
+        raise InvalidError("a home page is a path on this server, like / or /units/dry-end/1")
 
 
 def is_own_path(path: str) -> bool:

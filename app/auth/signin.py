@@ -6,13 +6,15 @@ import asyncio
 import hmac
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
+from datetime import UTC, datetime
 
 from app.audit.log import EventLog
 from app.auth import rules, store
 from app.auth.failures import WINDOW_S, Failures
 from app.auth.passwords import Passwords
+from app.auth.rights import credential_of_token, credential_of_user
 from app.auth.store import Session, User
 from app.database import Database
 from app.errors import Problem, StoreError
@@ -34,7 +36,7 @@ class SignIn:
         database: Database,
         passwords: Passwords,
         events: EventLog,
-        worker_token: str = "",
+        worker_tokens: Mapping[str, str] | None = None,
         clock: Callable[[], float] = time.time,
     ) -> None:
         self._database = database
@@ -43,8 +45,8 @@ class SignIn:
         self._clock = clock
         self._failures = Failures()
         self._one_at_a_time = asyncio.Lock()
-        self.worker_token = worker_token or rules.new_secret()
-        """For the workers that this server starts itself; it ends with the server."""
+        self._worker_tokens = worker_tokens or {}
+        """By bus, of the workers that this server starts itself; they end with the server."""
         self.on_gone: Gone | None = None
         """Hears the name of whoever is signed in nowhere any more."""
 
@@ -88,21 +90,41 @@ class SignIn:
         if is_use:
             await self._note_use(hash_, session, now)
         user = session.user
-        return Person(user.name, user.role, "session", user.language, user.panel, user.home, user.created_at)
+        credential = credential_of_user(user, session.secret_hash)
+        return Person(
+            user.name,
+            user.role,
+            "session",
+            user.language,
+            user.panel,
+            user.home,
+            user.created_at,
+            credential=credential,
+        )
 
     async def by_token(self, bearer: str) -> Person | None:
-        """Who a bearer token stands for."""
-        if hmac.compare_digest(bearer.encode(), self.worker_token.encode()):
-            return Person("worker", Role.WORKER, "worker")
+        """Who a bearer token stands for. Raises Problem 401 for one that has expired, which says so."""
+        for bus, own in self._worker_tokens.items():
+            if hmac.compare_digest(bearer.encode(), own.encode()):
+                return Person("worker", Role.WORKER, "worker", bus=bus)
         hash_ = rules.secret_hash(bearer)
         token = await self._database.read(lambda connection: store.token(connection, hash_))
         if token is None:
             return None
         now = self._clock()
+        if token.expires_at is not None and token.expires_at <= now:
+            raise _expired(token.name, token.expires_at)
         if token.used_at is None or now - token.used_at > rules.USE_NOTED_EVERY_S:
             number = token.id
             await self._note(lambda connection: store.note_token_used(connection, number, now))
-        return Person(token.name, token.role, "token", created_at=token.created_at)
+        return Person(
+            token.name,
+            token.role,
+            "token",
+            created_at=token.created_at,
+            bus=token.bus or "",
+            credential=credential_of_token(token),
+        )
 
     async def _verified(self, name: str, secret: str, panel: bool) -> User | None:
         found = await self._database.read(lambda connection: store.user(connection, name))
@@ -151,6 +173,21 @@ class SignIn:
         # A password typed into the field for the name must not end up in the log.
         who = name if known else "unknown name"
         await self._events.record(kind="login_refused", what="sign-in refused", who=who, origin=address)
+
+
+def _expired(name: str, expired_at: float) -> Problem:
+    """Only who holds the token learns this, so it tells nothing to a stranger."""
+    day = datetime.fromtimestamp(expired_at, UTC).date().isoformat()
+    problem = Problem(
+        401,
+        "unauthorized",
+        "the token {called} expired on {day}; an admin can create a new one",
+        params={"called": name, "day": day},
+    )
+    # RFC 6750, 3.1
+    return problem.with_headers(
+        WWW_Authenticate='Bearer error="invalid_token", error_description="The access token expired"'
+    )
 
 
 def _lifetime(user: User) -> rules.Lifetime:

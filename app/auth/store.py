@@ -30,6 +30,8 @@ class Session:
     created_at: float
     used_at: float
     expires_at: float
+    secret_hash: str
+    """Of the user's password or PIN now."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +44,13 @@ class Token:
     created_by: str
     created_at: float
     used_at: float | None
+    bus: str | None = None
+    """The one bus that a worker's token is for."""
+    expires_at: float | None = None
 
 
 _USER = "u.name, u.role, u.panel, u.home, u.language, u.disabled, u.created_at, u.seen_at"
-_TOKEN = "id, name, role, created_by, created_at, used_at"
+_TOKEN = "id, name, role, created_by, created_at, used_at, bus, expires_at"
 
 
 def _user(row: sqlite3.Row) -> User:
@@ -63,13 +68,26 @@ def _user(row: sqlite3.Row) -> User:
 
 def _token(row: sqlite3.Row) -> Token:
     return Token(
-        row["id"], row["name"], Role(row["role"]), row["created_by"], row["created_at"], row["used_at"]
+        row["id"],
+        row["name"],
+        Role(row["role"]),
+        row["created_by"],
+        row["created_at"],
+        row["used_at"],
+        row["bus"],
+        row["expires_at"],
     )
 
 
 def users(connection: sqlite3.Connection) -> list[User]:
     """All of them by name."""
     return [_user(row) for row in connection.execute(f"SELECT {_USER} FROM users u ORDER BY u.name")]
+
+
+def users_with_secrets(connection: sqlite3.Connection) -> list[tuple[User, str]]:
+    """All users, each with the hash of the password or PIN."""
+    rows = connection.execute(f"SELECT {_USER}, u.secret_hash FROM users u")
+    return [(_user(row), row["secret_hash"]) for row in rows]
 
 
 def user(connection: sqlite3.Connection, name: str) -> tuple[User, str] | None:
@@ -132,11 +150,13 @@ def begin_session(connection: sqlite3.Connection, hash_: bytes, name: str, now: 
 def session(connection: sqlite3.Connection, hash_: bytes) -> Session | None:
     """The sign-in that a cookie stands for."""
     query = (
-        f"SELECT {_USER}, s.created_at AS begun_at, s.used_at, s.expires_at "
+        f"SELECT {_USER}, u.secret_hash, s.created_at AS begun_at, s.used_at, s.expires_at "
         "FROM sessions s JOIN users u USING (name) WHERE s.hash = ?"
     )
     row = connection.execute(query, (hash_,)).fetchone()
-    return Session(_user(row), row["begun_at"], row["used_at"], row["expires_at"]) if row else None
+    if row is None:
+        return None
+    return Session(_user(row), row["begun_at"], row["used_at"], row["expires_at"], row["secret_hash"])
 
 
 def prolong_session(connection: sqlite3.Connection, hash_: bytes, now: float, ends: float) -> None:
@@ -171,8 +191,9 @@ def token(connection: sqlite3.Connection, hash_: bytes) -> Token | None:
 def add_token(connection: sqlite3.Connection, hash_: bytes, token: Token) -> None:
     """Raises sqlite3.IntegrityError for a name that is there."""
     connection.execute(
-        "INSERT INTO tokens (hash, name, role, created_by, created_at) VALUES (?, ?, ?, ?, ?)",
-        (hash_, token.name, token.role, token.created_by, token.created_at),
+        "INSERT INTO tokens (hash, name, role, created_by, created_at, bus, expires_at) "
+        "VALUES (?, ?, ?, ?, ?, ?, ?)",
+        (hash_, token.name, token.role, token.created_by, token.created_at, token.bus, token.expires_at),
     )
 
 

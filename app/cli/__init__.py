@@ -13,6 +13,7 @@ from typer.main import get_group
 from app.cli.loading import loading
 
 COMMANDS: dict[str, tuple[str, str]] = {
+    "init": ("init", "Write a commented lineside.toml to start from."),
     "serve": ("serve", "The dashboard and one bus worker for each [[bus]]."),
     "demo": ("demo", "A simulated line and its dashboard, nothing to configure."),
     "worker": ("worker", "One bus worker alone, near the port, for a dashboard elsewhere."),
@@ -20,6 +21,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "scan": ("scan", "Which addresses answer, at which baud, what they are."),
     "decode": ("decode", "What the frames in some bytes say."),
     "check": ("check", "Read the configuration and say what is wrong."),
+    "status": ("status", "Whether the dashboard of a configuration runs."),
     "user": ("user", "Who may sign in: add, list, password, remove."),
     "token": ("token", "Keys for programs: create, list, revoke."),
     "audit": ("audit", "Prove that the audit log is whole: audit verify."),

@@ -38,7 +38,8 @@ def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:
 
     async def run() -> T:
         keys = open_keys(settings.key_files, database.path, await database.read(head_of))
-        return await work(Accounts(database, passwords, EventLog(database, keys=keys)))
+        buses = [bus.name for bus in settings.bus]
+        return await work(Accounts(database, passwords, EventLog(database, keys=keys), buses=buses))
 
     try:
         return asyncio.run(run())

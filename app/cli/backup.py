@@ -10,6 +10,8 @@ from typing import Annotated
 
 import typer
 
+from app.cli.counted import counted
+from app.cli.credentials import Token, TokenFile, bearer_token
 from app.cli.dashboard import Dashboard, DashboardError, dashboard
 from app.cli.ending import ending
 from app.database.private import write_file
@@ -21,7 +23,6 @@ AT_ONCE = 4
 """Reads of several units take turns on the wire, which saves the fence between two reads of one."""
 
 Url = Annotated[str, typer.Option(help="Address of the dashboard.", envvar="LINESIDE_URL")]
-Token = Annotated[str, typer.Option(help="A bearer token.", envvar="LINESIDE_TOKEN")]
 Bus = Annotated[str, typer.Option(help="Name of the bus.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable result on standard output.")]
 
@@ -33,14 +34,15 @@ def register(cli: typer.Typer) -> None:
 
 def backup(
     url: Url,
-    token: Token,
     bus: Bus,
     out: Annotated[Path, typer.Option(help="The TOML file to write.")],
+    token: Token = "",
+    token_file: TokenFile = None,
     unit: Annotated[int | None, typer.Option(help="One unit; without it the whole bus.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Read all parameters from the units and write them to a file (#21 is masked)."""
-    with ending(), dashboard(url, token) as there:
+    with ending(), dashboard(url, bearer_token(token, token_file)) as there:
         if not out.parent.is_dir():
             raise CallerError(f"there is no folder {out.parent} for {out.name}; nothing was read")
         wanted = [unit] if unit is not None else list(there.units(bus))
@@ -79,4 +81,4 @@ def _tell(out: Path, read: list[UnitRows], missing: dict[int, str], as_json: boo
         units = [unit.unit for unit in read]
         typer.echo(json.dumps({"file": str(out) if read else None, "units": units, "missing": missing}))
     elif read:
-        typer.echo(f"{len(read)} unit{'s' if len(read) != 1 else ''} written to {out}")
+        typer.echo(f"{counted(len(read), 'unit')} written to {out}")

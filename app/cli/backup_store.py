@@ -20,7 +20,9 @@ from typing import Annotated
 
 import typer
 
+from app.auth.withheld import Withheld
 from app.cli.ending import ending
+from app.cli.restored_store import Backup, consequences, make_ready
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
 from app.database.private import make_file, make_private, restrict
@@ -55,13 +57,15 @@ def restore_store(
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
 ) -> None:
     """Put the stores of a backup in the place of the present ones, which are kept beside. The dashboard must
-    not run."""
+    not run. Every session ends, and what was revoked or disabled since the backup stays so."""
     with ending():
-        data = load(config).server.data
+        server = load(config).server
         if not yes:
-            typer.confirm(f"Replace the stores in {data} by those of {file}?", abort=True)
-        names = read_backup(file, data)
-    typer.echo(f"{data}: {', '.join(names)} restored; what was there ends in {ASIDE}")
+            typer.confirm(f"Replace the stores in {server.data} by those of {file}?", abort=True)
+        names, withheld = read_backup(file, server.data, server.store.name)
+    typer.echo(f"{server.data}: {', '.join(names)} restored; what was there ends in {ASIDE}")
+    for consequence in consequences(withheld) if withheld is not None else ():
+        typer.echo(consequence)
 
 
 def write_backup(data: Path, file: Path) -> list[str]:
@@ -108,30 +112,37 @@ def _add_text(archive: tarfile.TarFile, name: str, text: str) -> None:
     archive.addfile(entry, io.BytesIO(data))
 
 
-def read_backup(file: Path, data: Path) -> list[str]:
-    """Put the stores of a backup into a data folder; gives their names. Raises StoreError; then all is as
-    it was: every store of the backup is proved before the first is put in its place."""
+def read_backup(file: Path, data: Path, main: str = "lineside.db") -> tuple[list[str], Withheld | None]:
+    """Put the stores of a backup into a data folder; gives their names, and what was withheld from the
+    ``main`` one where the backup holds it. Raises StoreError; then all is as it was: every store of the
+    backup is proved, and the main one made ready, before the first is put in its place."""
     make_private(data)
     with in_words(file), tempfile.TemporaryDirectory(dir=data) as folder:
-        proved = _unpack(file, Path(folder))
+        proved, taken_at = _unpack(file, Path(folder))
         for store in sorted(data.glob("*.db")):
             _refuse_while_open(store)
+        withheld = None
+        if (fresh := Path(folder) / main) in proved:
+            withheld = make_ready(fresh, data / main, Backup(file.name, taken_at, _digest(file)))
         for fresh in proved:
             _put(fresh, data / fresh.name)
-    return [fresh.name for fresh in proved]
+    return [fresh.name for fresh in proved], withheld
 
 
-def _unpack(file: Path, folder: Path) -> list[Path]:
+def _unpack(file: Path, folder: Path) -> tuple[list[Path], float]:
+    """The proved stores, and when they were backed up."""
     with _archive(file) as archive:
-        manifest = archive.extractfile(MANIFEST)
-        assert manifest is not None
-        stores: dict[str, str] = json.loads(manifest.read())["stores"]
+        extracted = archive.extractfile(MANIFEST)
+        assert extracted is not None
+        manifest = json.loads(extracted.read())
+        stores: dict[str, str] = manifest["stores"]
+        taken_at = float(manifest["time"])
         for name in stores:
             archive.extract(archive.getmember(name), folder, filter="data")
             restrict(folder / name)
     for name, digest in stores.items():
         _prove(folder / name, digest, file)
-    return [folder / name for name in sorted(stores)]
+    return [folder / name for name in sorted(stores)], taken_at
 
 
 @contextmanager
@@ -153,12 +164,13 @@ def _prove(store: Path, digest: str, file: Path) -> None:
 
 
 def _refuse_while_open(store: Path) -> None:
-    """A store in WAL mode gives the exclusive lock only to whoever is alone with it."""
+    """A store in WAL mode gives the exclusive lock only to whoever is alone with it. One that is damaged is
+    nobody's: a backup is to take its place."""
     try:
         with closing(sqlite3.connect(store, timeout=0, isolation_level=None)) as connection:
             connection.execute("PRAGMA locking_mode = EXCLUSIVE")
             connection.execute("BEGIN EXCLUSIVE")
-    except sqlite3.OperationalError as error:
+    except sqlite3.DatabaseError as error:
         if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY:
             raise StoreError(f"{store} is in use: end the dashboard, then restore") from error
 

@@ -1,12 +1,11 @@
-"""``lineside check``: the configuration, read and judged."""
+"""``lineside check``: the configuration, and whether this machine can do what it says."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import typer
 
 from app.cli.ending import ending
+from app.cli.findings import findings
 from app.cli.serve import LINESIDE_TOML, Config
 from app.settings import load
 
@@ -17,10 +16,13 @@ def register(cli: typer.Typer) -> None:
 
 
 def check(config: Config = LINESIDE_TOML) -> None:
-    """Read the configuration and say what is wrong, by file and line. Exit 0 or 1."""
+    """Say what is wrong in the configuration, by file and line, and on this machine. Exit 0 or 1."""
     with ending():
         settings = load(config)
-    typer.echo(f"{config}: {settings.site.name}, data in {settings.server.data}")
-    for bus in settings.bus:
-        absent = "" if "://" in bus.port or Path(bus.port).exists() else ", which is not there now"
-        typer.echo(f"  {bus.name}: {len(bus.unit)} units at {bus.port}{absent}, {bus.baud} baud")
+        typer.echo(f"{config}: {settings.site.name}")
+        faults = 0
+        for finding in findings(settings):
+            faults += finding.is_fault
+            typer.echo(f"{'lineside:' if finding.is_fault else ' '} {finding.text}", err=finding.is_fault)
+        if faults:
+            raise typer.Exit(1)

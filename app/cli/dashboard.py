@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import ssl
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
@@ -12,6 +14,7 @@ import httpx
 from app.sets.model import Row, UnitRows
 from bus.errors import CallerError, LinesideError
 
+_AUTHORITIES = ("SSL_CERT_FILE", "SSL_CERT_DIR")
 _TIMEOUT_S = 600.0
 """A full list of 40 parameters waits for the gaps of a busy line."""
 
@@ -61,9 +64,12 @@ class Dashboard:
     def _answer(self, method: str, path: str, **request: Any) -> Any:
         try:
             response = self._client.request(method, f"/api/v1{path}", **request)
-        except httpx.HTTPError as error:
+        except (httpx.HTTPError, UnicodeError) as error:
+            what_to_do = "is the dashboard running?"
+            if _is_untrusted(error):
+                what_to_do = "name the certificate of its authority in SSL_CERT_FILE"
             raise DashboardError(
-                f"{self._client.base_url} cannot be reached: {error}; is the dashboard running?"
+                f"{self._client.base_url} cannot be reached: {error}; {what_to_do}"
             ) from error
         if response.is_success:
             return response.json()
@@ -75,11 +81,36 @@ def dashboard(url: str, token: str) -> Iterator[Dashboard]:
     """Open a dashboard by its base URL; raises CallerError for a URL that is none."""
     if not url.startswith(("http://", "https://")):
         raise CallerError(f"--url {url!r} is no address; give for example http://127.0.0.1:8000")
-    headers = {"Authorization": f"Bearer {token}"}
-    with httpx.Client(
-        base_url=url.rstrip("/"), headers=headers, timeout=_TIMEOUT_S, trust_env=False
-    ) as client:
+    client = httpx.Client(
+        base_url=url.rstrip("/"),
+        headers={"Authorization": f"Bearer {token}"},
+        timeout=_TIMEOUT_S,
+        trust_env=False,  # a proxy of the environment leads out of the plant
+        verify=trusted_authorities() if url.startswith("https://") else True,
+    )
+    with client:
         yield Dashboard(client)
+
+
+def trusted_authorities() -> ssl.SSLContext:
+    """Those of ``SSL_CERT_FILE`` or ``SSL_CERT_DIR`` alone where given, as OpenSSL has it; else the
+    well-known ones and those of this machine. Raises CallerError for a file that holds none."""
+    named = next((name for name in _AUTHORITIES if os.environ.get(name)), "")
+    try:
+        context = httpx.create_ssl_context()
+    except OSError as error:
+        why = "it holds no certificate" if isinstance(error, ssl.SSLError) else error.strerror
+        raise CallerError(f"{named} {os.environ.get(named, '')!r} cannot be used: {why}") from error
+    if not named:
+        context.load_default_certs()
+    return context
+
+
+def _is_untrusted(error: BaseException | None) -> bool:
+    """Whether it came from a certificate that no trusted authority has signed."""
+    while error is not None and not isinstance(error, ssl.SSLCertVerificationError):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _row(given: Mapping[str, Any]) -> Row:

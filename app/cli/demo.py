@@ -15,12 +15,14 @@ import typer
 
 from app.cli.child import ended
 from app.cli.ending import ending
+from app.cli.listening import listen
 from app.cli.tether import tied_environment
 from app.errors import StoreError
 from app.settings import load
 from bus.settings import UnitSettings
 
 END_WITHIN_S = 2.0
+CHOOSE = "choose another port: lineside demo --port 8100, or make demo PORT=8100"
 
 
 def register(cli: typer.Typer) -> None:
@@ -33,7 +35,11 @@ def demo(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Where to serve; 0 takes a free port.")] = 8000,
 ) -> None:
     """A simulated line and its dashboard on this machine, until Ctrl-C. Nothing of it is kept."""
-    with ending(), tempfile.TemporaryDirectory(prefix="lineside-demo-") as folder:
+    with (
+        ending(),
+        listen("127.0.0.1", port, CHOOSE) as listening,
+        tempfile.TemporaryDirectory(prefix="lineside-demo-") as folder,
+    ):
         here = Path(folder)
         with _simulator(units, here / "line") as begun:
             # The simulator begins in its own process while this one reads the rest.
@@ -44,7 +50,7 @@ def demo(
             config.write_text(configuration(here / "line", port, demo_line(units).settings), encoding="utf-8")
             settings = load(config)
             begun()
-            host(settings, config, demo=True)
+            host(settings, config, listening, demo=True)
 
 
 @contextmanager

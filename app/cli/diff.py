@@ -9,6 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from app.cli.backup import AsJson
+from app.cli.counted import counted
+from app.cli.credentials import Token, TokenFile, bearer_token
 from app.cli.dashboard import dashboard
 from app.cli.ending import ending
 from app.sets.compare import Compared, differences
@@ -30,7 +32,8 @@ def diff(
         list[Path], typer.Argument(help="One file and a live unit, or two files.", metavar="FILE [FILE]")
     ],
     url: Annotated[str, typer.Option(help="Address of the dashboard.", envvar="LINESIDE_URL")] = "",
-    token: Annotated[str, typer.Option(help="A bearer token.", envvar="LINESIDE_TOKEN")] = "",
+    token: Token = "",
+    token_file: TokenFile = None,
     bus: Annotated[str, typer.Option(help="Name of the bus.")] = "",
     unit: Annotated[int | None, typer.Option(help="The unit to compare with.")] = None,
     tolerance: Annotated[int, typer.Option(min=0, help="Raw counts that still pass as equal.")] = 0,
@@ -38,7 +41,10 @@ def diff(
 ) -> None:
     """Show the rows that differ. Exit 0 when equal, 1 when different, 2 on wrong use."""
     with ending():
-        pairs = _two_files(files) if len(files) == 2 else [_with_live(files, url, token, bus, unit)]
+        if len(files) == 2:
+            pairs = _two_files(files)
+        else:
+            pairs = [_with_live(files, url, (token, token_file), bus, unit)]
         found = [(left, right, row) for left, right in pairs for row in differences(left, right, tolerance)]
         typer.echo(json.dumps([_as_json(*each) for each in found]) if as_json else _table(found))
         if found:
@@ -69,11 +75,13 @@ def rows_for(parameter_set: ParameterSet, unit: int, path: Path) -> UnitRows:
     raise CallerError(f"{path} holds units {held}, not {unit}; back that unit up, or name one of these")
 
 
-def _with_live(files: list[Path], url: str, token: str, bus: str, unit: int | None) -> Pair:
+def _with_live(
+    files: list[Path], url: str, token: tuple[str, Path | None], bus: str, unit: int | None
+) -> Pair:
     if len(files) != 1 or not url or not bus or unit is None:
-        raise CallerError("give two files, or one file with --url, --token, --bus and --unit")
+        raise CallerError("give two files, or one file with --url, --token-file, --bus and --unit")
     wanted = rows_for(load(files[0]), unit, files[0])
-    with dashboard(url, token) as there:
+    with dashboard(url, bearer_token(*token)) as there:
         return wanted, there.read_unit(bus, unit)
 
 
@@ -105,7 +113,7 @@ def _as_json(left: UnitRows, right: UnitRows, row: Compared) -> dict[str, Any]:
 def _table(found: list[tuple[UnitRows, UnitRows, Compared]]) -> str:
     if not found:
         return "equal"
-    head = f"{len(found)} row{'s' if len(found) != 1 else ''} differ (file, then now):"
+    head = f"{counted(len(found), 'row')} {'differs' if len(found) == 1 else 'differ'} (file, then now):"
     return "\n".join([head, *(_line(right.unit, row) for _, right, row in found)])
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import errno
 import fcntl
 import os
 import signal
@@ -18,52 +17,19 @@ import typer
 import uvloop
 
 from app.auth.rules import new_secret
+from app.cli.listening import url_of
 from app.cli.loading import loading
 from app.cli.workers import Workers
 from app.database.private import make_folder
-from app.settings import Server, Settings
+from app.settings import Settings
 from bus.errors import LinesideError
 from bus.worker.log import configure_log
 
-BACKLOG = 512
-"""Browsers of a whole plant come back at once after a restart."""
 _ENDINGS = (signal.SIGTERM, signal.SIGINT)
 
 
 class HostingError(LinesideError):
     """The dashboard could not begin to serve."""
-
-
-def listen(server: Server) -> socket.socket:
-    """Take the TCP port. Raises HostingError in words."""
-    family = socket.AF_INET6 if ":" in server.host else socket.AF_INET
-    both = server.host == "::" and socket.has_dualstack_ipv6()
-    try:
-        return socket.create_server(
-            (server.host, server.port), family=family, backlog=BACKLOG, dualstack_ipv6=both
-        )
-    except (OSError, OverflowError) as error:
-        raise HostingError(_why_not(server, error)) from error
-
-
-def _why_not(server: Server, error: Exception) -> str:
-    where = f"port {server.port} of {server.host}"
-    match getattr(error, "errno", None):
-        case errno.EADDRINUSE:
-            return f"{where} is taken by another program; end it, or choose another port for the dashboard"
-        case errno.EACCES:
-            return f"{where} is not for this user; choose a port above 1023"
-        case _:
-            words = getattr(error, "strerror", None) or error
-            return f"{where} cannot be opened: {words}; check host and port of the dashboard"
-
-
-def url_of(listening: socket.socket) -> str:
-    """Where a browser or a worker on this machine finds the dashboard."""
-    host, port = listening.getsockname()[:2]
-    if host in ("0.0.0.0", "::"):
-        host = "127.0.0.1"
-    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
 @contextmanager
@@ -92,24 +58,24 @@ def _lock_file(data: Path) -> int:
         ) from error
 
 
-def host(settings: Settings, config: Path, *, demo: bool = False) -> None:
-    """Serve until SIGTERM or SIGINT. Raises HostingError and StoreError in words."""
+def host(settings: Settings, config: Path, listening: socket.socket, *, demo: bool = False) -> None:
+    """Serve at ``listening`` until SIGTERM or SIGINT. Raises HostingError and StoreError in words."""
     configure_log()
-    with listen(settings.server) as listening, only_one(settings.server.data):
+    with only_one(settings.server.data):
         uvloop.run(_host(settings, config, listening, demo=demo))
 
 
 async def _host(settings: Settings, config: Path, listening: socket.socket, *, demo: bool) -> None:
     """The workers begin while the dashboard is still being read, and end before it does."""
-    url, token = url_of(listening), new_secret()
-    workers = Workers(config, [bus.name for bus in settings.bus], url, token)
+    url, tokens = url_of(listening), {bus.name: new_secret() for bus in settings.bus}
+    workers = Workers(config, tokens, url)
     asked = _ending_asked()
     workers.start()
     try:
         with loading():
             if (module := await _server_module(asked)) is None:
                 return
-            server = module.Server(settings, demo, token, lambda: typer.echo(f"Lineside: {url}"))
+            server = module.Server(settings, demo, tokens, lambda: typer.echo(f"Lineside: {url}"))
         serving = asyncio.create_task(server.serve([listening]))
         await asyncio.wait({serving, asked}, return_when=asyncio.FIRST_COMPLETED)
     finally:

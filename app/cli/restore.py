@@ -9,7 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-from app.cli.backup import AsJson, Bus, Token, Url
+from app.cli.backup import AsJson, Bus, Url
+from app.cli.counted import counted
+from app.cli.credentials import Token, TokenFile, bearer_token
 from app.cli.dashboard import Dashboard, dashboard
 from app.cli.diff import load, rows_for
 from app.cli.ending import ending
@@ -28,18 +30,34 @@ def register(cli: typer.Typer) -> None:
 def restore(
     file: Annotated[Path, typer.Argument(help="A file by lineside backup.", metavar="FILE")],
     url: Url,
-    token: Token,
     bus: Bus,
     unit: Annotated[int, typer.Option(min=1, max=255, help="The unit to write to.")],
+    token: Token = "",
+    token_file: TokenFile = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
-    tick: Annotated[list[int] | None, typer.Option(help="A dangerous parameter to write as well.")] = None,
+    include: Annotated[
+        list[int] | None,
+        typer.Option(
+            help="A setpoint (20 or 37) to write as well: the machine changes its speed. Repeatable."
+        ),
+    ] = None,
+    exclude: Annotated[
+        list[int] | None, typer.Option(help="A parameter to leave as it is. Repeatable.")
+    ] = None,
+    tick: Annotated[
+        list[int] | None, typer.Option(help="A dangerous parameter to write as well. Repeatable.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show the difference, ask, write only what differs, verify each row, read all again."""
-    with ending(), dashboard(url, token) as there:
-        planned = _plan(there, bus, unit, file, tick or [])
+    """Show the difference, ask, write only what differs, verify each row, read all again.
+
+    Exit 0 only when the unit equals the file in every row that was to be written; what was left out is named.
+    """
+    with ending(), dashboard(url, bearer_token(token, token_file)) as there:
+        chosen = {"include": include or [], "exclude": exclude or [], "ticked": tick or []}
+        planned = _plan(there, bus, unit, file, chosen)
         typer.echo(_plan_text(planned), err=as_json)
-        if planned["rows"] and not yes and not _agreed(unit):
+        if _selected(planned) and not yes and not _agreed(unit):
             typer.echo("nothing was written", err=True)
             raise typer.Exit(1)
         ended = _run(there, planned, quiet=as_json)
@@ -49,14 +67,18 @@ def restore(
             raise typer.Exit(1)
 
 
-def _plan(there: Dashboard, bus: str, unit: int, file: Path, ticked: list[int]) -> Any:
+def _plan(there: Dashboard, bus: str, unit: int, file: Path, chosen: dict[str, list[int]]) -> Any:
     held = load(file)
     rows = rows_for(held, unit, file)
     there.check_unit(bus, unit)
     document = write_document(
         ParameterSet(held.bus, held.taken_at, held.who, "from a file", (rows,)), with_secrets=True
     )
-    return there.post(f"/buses/{bus}/units/{unit}/restores", {"document": document, "ticked": ticked})
+    return there.post(f"/buses/{bus}/units/{unit}/restores", {"document": document, **chosen})
+
+
+def _selected(planned: Any) -> list[Any]:
+    return [row for row in planned["rows"] if row["selected"]]
 
 
 def _agreed(unit: int) -> bool:
@@ -82,25 +104,31 @@ def _run(there: Dashboard, planned: Any, *, quiet: bool) -> Any:
 
 
 def _results(ended: Any) -> list[Any]:
-    """A result per row, also of those that nothing was sent for because the unit is not in REMOTE."""
-    unsent = [
-        {key: left[key] for key in ("number", "name")} | {"outcome": "left_out", "message": left["reason"]}
+    """A result per row, also of those that differ and were left out."""
+    left_out = [
+        {**left, "outcome": "left_out", "message": left["reason"]}
         for left in ended["left_out"]
-        if left["later"]
+        if left["differs"]
     ]
-    return [*ended["rows"], *unsent]
+    return [*ended["rows"], *left_out]
 
 
 def _plan_text(planned: Any) -> str:
-    lines = [
-        f"#{row['number']:<3}{row['name']:<32}{row['present']:>14} → {row['wanted']}  {row['meaning']}"
-        for row in planned["rows"]
-    ]
-    lines += [
-        f"#{left['number']:<3}{left['name']:<32}left out: {left['reason']}" for left in planned["left_out"]
-    ]
-    head = f"{len(planned['rows'])} rows to write, {planned['equal']} equal"
-    return "\n".join([*(f"note: {remark}" for remark in planned["remarks"]), head, *lines])
+    rows = _selected(planned)
+    head = f"{counted(len(rows), 'row')} to write, {planned['equal']} equal"
+    notes = [f"note: {remark}" for remark in planned["remarks"]]
+    return "\n".join([*notes, head, *map(_planned_text, rows), *map(_left_out_text, planned["left_out"])])
+
+
+def _planned_text(row: Any) -> str:
+    change = f"{row['present']:>14} → {row['wanted']}  {row['meaning']}"
+    warning = f"  ({row['warning']})" if row["warning"] else ""
+    return f"#{row['number']:<3}{row['name']:<32}{change}{warning}"
+
+
+def _left_out_text(left: Any) -> str:
+    values = f"{left['present']} → {left['wanted']}  " if left["differs"] else ""
+    return f"#{left['number']:<3}{left['name']:<32}left out: {values}{left['reason']}"
 
 
 def _row_text(row: Any) -> str:
@@ -110,11 +138,14 @@ def _row_text(row: Any) -> str:
 
 def _ending_text(ended: Any) -> str:
     verified = sum(row["outcome"] == "verified" for row in ended["rows"])
-    return f"{verified} of {len(ended['rows'])} rows verified; read again as a whole: {ended['state']}"
+    rows = counted(len(ended["rows"]), "row")
+    end = f"{verified} of {rows} verified; read again as a whole: {ended['state']}"
+    return "\n".join([end, *(_left_out_text(left) for left in ended["left_out"] if left["differs"])])
 
 
 def _why(ended: Any) -> str:
     if ended["cause"]:
         return str(ended["cause"])
-    rows = ", ".join(f"#{row['number']}" for row in ended["remaining"] or [])
-    return f"{rows} differ; run it again to finish the rest" if rows else "see the rows"
+    rows = [f"#{row['number']}" for row in ended["remaining"] or []]
+    differ = "differs" if len(rows) == 1 else "differ"
+    return f"{', '.join(rows)} {differ}; run it again to finish the rest" if rows else "see the rows"

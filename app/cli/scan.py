@@ -14,7 +14,7 @@ from app.cli.ending import ending
 from bus.line.found import Found, conclude, settings_seen
 from bus.line.passes import PASSES, silent_seconds
 from bus.line.scanner import BaudScan, scan_baud
-from bus.settings import BAUDS
+from bus.settings import BAUDS, check_port
 
 FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
 """9600 is the default of a unit, and the quickest to try."""
@@ -30,7 +30,7 @@ def register(cli: typer.Typer) -> None:
 
 
 def scan(
-    port: Annotated[str, typer.Option(help="A device path, or socket://host:port.")],
+    port: Annotated[str, typer.Option(help="A device path, socket://host:port or rfc2217://host:port.")],
     baud: Annotated[
         int | None, typer.Option(help="Only this one; else all six, fastest first, until one answers.")
     ] = None,
@@ -48,6 +48,10 @@ def scan(
 
     Exit 0 when something answered, 1 when nothing did, 130 when it was interrupted by Ctrl-C.
     """
+    try:
+        check_port(port)
+    except ValueError as error:
+        raise typer.BadParameter(f"{port!r}: {error}", param_hint="--port") from error
     if baud is not None and baud not in BAUDS:
         raise typer.BadParameter(f"{baud} is none of {', '.join(map(str, BAUDS))}", param_hint="--baud")
     if first > last:

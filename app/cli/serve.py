@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from app.cli.ending import ending
+from app.cli.listening import listen
 from app.settings import load
 
 Config = Annotated[Path, typer.Option(help="The configuration, lineside.toml.")]
@@ -23,6 +24,7 @@ def serve(config: Config = LINESIDE_TOML) -> None:
     """Serve the dashboard and work every bus, until Ctrl-C or SIGTERM."""
     with ending():
         settings = load(config)
-        from app.cli.hosting import host
+        with listen(settings.server.host, settings.server.port, f"set port in [server] of {config}") as port:
+            from app.cli.hosting import host
 
-        host(settings, config.resolve())
+            host(settings, config.resolve(), port)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from functools import partial
 from typing import Any, cast
@@ -27,10 +27,10 @@ class Server(uvicorn.Server):
     """Leaves the signals to the host, and says when it serves."""
 
     def __init__(
-        self, settings: Settings, demo: bool, worker_token: str, serving: Callable[[], None]
+        self, settings: Settings, demo: bool, worker_tokens: Mapping[str, str], serving: Callable[[], None]
     ) -> None:
         self._watch = LoopWatch()
-        app = create_app(settings, demo=demo, worker_token=worker_token)
+        app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
         super().__init__(_config(app, self._watch))
         self._serving = serving
         self._ended = asyncio.Event()

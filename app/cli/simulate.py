@@ -107,12 +107,10 @@ _ENDINGS = {signal.SIGINT, signal.SIGTERM}
 
 
 def _open(tcp: int | None, link: Path | None, baud: int) -> Port:
-    if tcp is None:
-        return PtyPort(link, baud)
+    what = f"TCP port {tcp} cannot be opened" if tcp is not None else f"the link {link} cannot be made"
+    advice = "choose another, or 0 for any" if tcp is not None else "name a path in a folder that is there"
     try:
-        return TcpPort(tcp)
+        return PtyPort(link, baud) if tcp is None else TcpPort(tcp)
     except OSError as error:
-        typer.echo(
-            f"TCP port {tcp} cannot be opened: {error.strerror}; choose another, or 0 for any.", err=True
-        )
+        typer.echo(f"lineside: {what}: {error.strerror}; {advice}.", err=True)
         raise typer.Exit(1) from error

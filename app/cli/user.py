@@ -67,8 +67,8 @@ def remove(name: Name, config: Config = LINESIDE_TOML) -> None:
 
 
 def _password(from_input: bool) -> str:
-    """Whoever may run this may choose a short one, and is told."""
-    if from_input:
+    """Whoever may run this may choose a short one, and is told. A terminal is asked in any case."""
+    if from_input and not sys.stdin.isatty():
         given = sys.stdin.readline().rstrip("\r\n")
     else:
         given = typer.prompt("Password", hide_input=True, confirmation_prompt=True)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, NotRequired
+from typing import Any
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
-from typing_extensions import TypedDict
 
+from app.commands.shown import FrameShown, OutcomeMembers
 from app.errors import Problem
 from app.live.state import BusLive
 from app.web.problems import respond
 from app.web.shape import iso
-from bus.contract import Direction, Frame, Outcome, Result, UnitOutcome
+from bus.contract import Frame, Result, UnitOutcome
 from bus.errors import unit_error_name
 
 STATUS = {
@@ -33,52 +33,6 @@ _WORDS = {
     "bus_closed": "no link to the bus; nothing was sent",
     "not_sent": "the wire was not free in time; nothing was sent",
 }
-
-
-class FrameShown(TypedDict):
-    """One frame as it passed the port; ``time`` in seconds since the epoch."""
-
-    at: str
-    time: float
-    direction: Direction
-    hex: str
-    meaning: str
-    valid: bool
-
-
-class _Told(TypedDict):
-    outcome: Outcome
-    code: Outcome
-    message: str
-    read_back: int | None
-    unit_error: int | None
-    unit_error_name: str | None
-
-
-class UnitFateShown(_Told):
-    """The fate at one unit, with the times of its frames."""
-
-    unit: int
-    sent_at: str | None
-    acknowledged_at: str | None
-    proven_at: str | None
-    attempts: int
-
-
-class FateShown(_Told):
-    """The one fate of a command; where it is about one unit, also that unit's times."""
-
-    id: str
-    at: str
-    bus: str
-    unit: int | None
-    skew_s: float | None
-    units: dict[str, UnitFateShown]
-    frames: list[FrameShown]
-    sent_at: NotRequired[str | None]
-    acknowledged_at: NotRequired[str | None]
-    proven_at: NotRequired[str | None]
-    attempts: NotRequired[int]
 
 
 def answer(
@@ -119,7 +73,7 @@ def in_words(result: Result) -> str:
     return f"{_WORDS[result.outcome]}: {name}" if name else _WORDS[result.outcome]
 
 
-def frame_json(frame: Frame) -> dict[str, Any]:
+def frame_json(frame: Frame) -> FrameShown:
     """One frame as it passed the port."""
     return {
         "at": iso(frame.at),
@@ -142,7 +96,7 @@ def _unit_json(fate: UnitOutcome, secret: bool) -> dict[str, Any]:
     }
 
 
-def _told(fate: Result | UnitOutcome, message: str, secret: bool) -> _Told:
+def _told(fate: Result | UnitOutcome, message: str, secret: bool) -> OutcomeMembers:
     return {
         "outcome": fate.outcome,
         "code": fate.outcome,

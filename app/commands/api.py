@@ -11,7 +11,7 @@ from fastapi import APIRouter, Depends, Header, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.commands.answers import FateShown, answer
+from app.commands.answers import answer
 from app.commands.bodies import (
     AnalogOutputBody,
     BaudBody,
@@ -22,6 +22,7 @@ from app.commands.bodies import (
     SpeedBody,
 )
 from app.commands.desk import Desk
+from app.commands.shown import FateShown
 from app.commands.typed import Typed
 from app.commands.wish import timeout_s_for, writes_secret
 from app.commands.writer import EngineeringWriter, Writer, desk_of
@@ -35,6 +36,7 @@ from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
 from app.web.deadline import Deadline, Instant
+from app.web.schema_problem import problems
 from app.web.services import looked_up
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS
@@ -55,7 +57,10 @@ router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"], route_class=
 READ_TIMEOUT_S = 30.0
 FIRST_READ_WITHIN_S = 5.0
 """What a plain look at the parameters waits for those that were never read; the reading itself goes on."""
-FATE: dict[int | str, dict[str, Any]] = {200: {"model": FateShown, "description": "verified or acknowledged"}}
+FATE: dict[int | str, dict[str, Any]] = {
+    200: {"model": FateShown, "description": "verified or acknowledged"},
+    **problems(404, 409, 423, 504),
+}
 GAPS_TIMEOUT_S = 600.0
 """Forty reads in a tenth of the wire at 300 baud."""
 
@@ -168,7 +173,7 @@ async def change_baud(person: EngineeringWriter, ask: Ask, body: BaudBody) -> Re
     return await ask.ask(person, ChangeBaud(baud=body.baud), body)
 
 
-@router.get("/units/{unit:int}/parameters", response_model=list[ParameterShown])
+@router.get("/units/{unit:int}/parameters", response_model=list[ParameterShown], responses=problems(504))
 async def get_parameters(
     person: Viewer,
     ask: Ask,

@@ -18,15 +18,17 @@ TypedValue = str | int | float
 class Body(Strict):
     """Of any command."""
 
-    timeout_s: TimeoutS | None = None
-    confirm: bool = False
+    timeout_s: Annotated[
+        TimeoutS | None, Field(description="Time that it may wait for the wire, 0.05 to 30 s; else 2 s.")
+    ] = None
+    confirm: Annotated[bool, Field(description="What is dangerous or a large step is meant.")] = False
 
 
 class Quantity(Strict):
     """A raw integer of the wire, or what a person would type, not both."""
 
-    raw: int | None = None
-    value: TypedValue | None = None
+    raw: Annotated[int | None, Field(description="Integer on the wire, 0 to 99999.")] = None
+    value: Annotated[TypedValue | None, Field(description="As the unit displays it, such as 1234.5.")] = None
 
     @model_validator(mode="after")
     def _is_given_once(self) -> Quantity:
@@ -63,13 +65,13 @@ class OutputBody(Body):
 class BaudBody(Body):
     """The baud rate that every unit of a bus shall have (#18)."""
 
-    baud: int
+    baud: Annotated[int, Field(description="300, 600, 1200, 2400, 4800 or 9600 bit/s.")]
 
 
 class AnalogOutputBody(Body):
     """The value of 88h, #29 to #30."""
 
-    raw: int
+    raw: Annotated[int, Field(description="Integer on the wire, #29 (0 V) to #30 (10 V).")]
 
 
 class SetpointsBody(Body):

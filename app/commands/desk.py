@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import msgspec
 
 from app.audit.log import EventLog
+from app.commands.authority import Authority, while_permitted
 from app.commands.control import ControlledError
 from app.commands.moves import Moves
 from app.commands.objection import Circumstances, ObjectionError
@@ -23,7 +24,7 @@ from app.commands.safeguards import Safeguards
 from app.commands.setpoints import commanded_setpoint
 from app.commands.wish import Wish, timeout_s_for, without_secret
 from app.database import Database
-from app.errors import Problem
+from app.errors import Problem, StoreError
 from app.feed.channel import Channel, ProgressListener
 from app.live.command_ids import new_command_id
 from app.live.lookup import bus_or_404, unit_or_404
@@ -64,12 +65,14 @@ class Desk:
         events: EventLog,
         database: Database,
         guards: Safeguards,
+        rights: Authority,
         now: Callable[[], float] = time.time,
     ) -> None:
         self._live = live
         self._channels = channels
         self._record = Record(events, database, now)
         self._guards = guards
+        self._rights = rights
         self._now = now
         self._moves = Moves()
         self._kept: OrderedDict[tuple[str, str], _Kept] = OrderedDict()
@@ -99,7 +102,9 @@ class Desk:
 
         Raises Problem for what is not asked of the worker at all: 404 for a unit or bus that is not
         configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``,
-        503 ``not_sent`` where its deadline has passed.
+        403 ``rights_withdrawn`` when the person's account may no longer do what it could when the person was
+        authenticated, 503 ``not_sent`` where its deadline has passed. Work that lasts asks once for each
+        write, so that it stops there.
         """
         live = bus_or_404(self._live, bus)
         for unit in units_named(action):
@@ -155,6 +160,7 @@ class Desk:
     async def _check(self, wish: Wish, live: BusLive, confirm: bool) -> None:
         try:
             wish.deadline.refuse_passed()
+            await self._rights.check(wish.person)
             # Before anything is read for it: who may not write here learns that, not what the unit says.
             self._use_control(wish.person, wish.bus, wish.action)
             await self.read_ranges(wish.person, wish.bus, wish.action, wish.deadline)
@@ -245,7 +251,29 @@ class Desk:
         # This clock first: whatever stops this process between the two makes the deadline earlier.
         deadline = self._now() + wish.deadline.left_s
         command = Command(id=wish.id, deadline=deadline, action=wish.action)
-        return await self._channels[wish.bus].ask(command, wish.listener)
+        channel = self._channels[wish.bus]
+        return await while_permitted(
+            channel.ask(command, wish.listener),
+            lambda: self._why_no_longer(wish, live),
+            lambda: channel.cancel(wish.id),
+        )
+
+    async def _why_no_longer(self, wish: Wish, live: BusLive) -> str:
+        """Why a command under way must be given up; empty while it may go on. A store that cannot be read
+        now ends nothing that is half done."""
+        try:
+            await self._rights.check(wish.person)
+        except Problem as problem:
+            return problem.detail
+        except StoreError:
+            return ""
+        if not is_write(wish.action):
+            return ""
+        for unit in units_written(wish.action, live):
+            block = self._guards.blocks.of(wish.bus, unit)
+            if block is not None:
+                return f"unit {unit} is blocked by {block.set_by}: {block.reason}"
+        return self._guards.control.objection(wish.bus, wish.person.account, self._now())
 
 
 def _refuse_other(id: str | None, same: bool) -> None:

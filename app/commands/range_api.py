@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from fastapi import APIRouter
+from pydantic import Field
 
 from app.commands.safeguards_api import Guards
 from app.commands.setpoint_range import Basis, SetpointKind, setpoint_range
 from app.live.api import Live
 from app.live.lookup import unit_or_404
+from app.live.shown import Shown
 from app.live.view import setpoint_text
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
@@ -17,15 +21,14 @@ router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"
 
 
 class SetpointRangeShown(Strict):
-    """What a setpoint of a unit may be, both ends included: raw, and as the unit shows it (null while its
-    decimals are not known). ``basis`` is what sets it: the protocol, #2, the ratio limits, or an engineer."""
+    """What a setpoint of a unit may be, both ends included."""
 
     kind: SetpointKind
-    lowest_raw: int
-    highest_raw: int
-    lowest: str | None
-    highest: str | None
-    basis: Basis
+    lowest_raw: Annotated[int, Field(description="Integer on the wire, 0 to 99999.")]
+    highest_raw: Annotated[int, Field(description="Integer on the wire, 0 to 99999.")]
+    lowest: Shown
+    highest: Shown
+    basis: Annotated[Basis, Field(description="What sets it: 82h, #2, #38 and #31, or an engineer.")]
 
 
 @router.get("/units/{unit:int}/setpoint-range")

@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 
 from app.audit.kinds import Kind
 from app.audit.log import EventLog
+from app.commands.authority import Authority
 from app.commands.blocks import Block, BlockStore
 from app.commands.control import Control, ControlledError, Holding
 from app.commands.limits import Limits, LimitsStore
@@ -33,6 +34,7 @@ class Safeguards:
         *,
         control_required: bool,
         find: Find,
+        rights: Authority,
         now: Callable[[], float] = time.time,
     ) -> None:
         self.limits = LimitsStore(database)
@@ -40,6 +42,7 @@ class Safeguards:
         self.control = Control(required=control_required)
         self._block_subscribers: list[Changed] = []
         self._find = find
+        self._rights = rights
         self._events = events
         self._now = now
 
@@ -91,6 +94,7 @@ class Safeguards:
 
     async def take(self, person: Person, bus: str) -> Holding:
         """Take control that nobody else holds. Raises Problem 409."""
+        await self._rights.check(person)
         before = self.holding(bus)
         try:
             holding = self.control.take(bus, person.account, self._now())

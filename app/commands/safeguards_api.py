@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, cast
+from typing import Annotated, cast
 
 from fastapi import APIRouter
 from pydantic import ConfigDict, Field, model_validator
@@ -11,6 +11,7 @@ from starlette.requests import HTTPConnection
 from app.commands.control import LAPSES_AFTER_S, Holding
 from app.commands.limits import HIGHEST_SETPOINT, Limits
 from app.commands.safeguards import Safeguards
+from app.commands.shown import BlockShown, ControlShown
 from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.web.access import Engineer, Operator, Viewer, name_of
@@ -27,10 +28,10 @@ Setpoint = Annotated[int, Field(ge=0, le=HIGHEST_SETPOINT)]
 class LimitsBody(Strict):
     """All four in raw setpoint units; null or left out: no limit."""
 
-    lowest: Setpoint | None = None
-    highest: Setpoint | None = None
-    largest_step: Setpoint | None = None
-    per_minute: Setpoint | None = None
+    lowest: Annotated[Setpoint | None, Field(description="Lowest setpoint, raw.")] = None
+    highest: Annotated[Setpoint | None, Field(description="Highest setpoint, raw.")] = None
+    largest_step: Annotated[Setpoint | None, Field(description="Largest step of one command, raw.")] = None
+    per_minute: Annotated[Setpoint | None, Field(description="Largest movement in a minute, raw.")] = None
 
     @model_validator(mode="after")
     def _leave_something(self) -> LimitsBody:
@@ -87,7 +88,7 @@ async def put_limits(
 
 
 @router.get("/units/{unit:int}/block")
-async def get_block(_: Viewer, live: Live, guards: Guards, bus: str, unit: int) -> dict[str, Any]:
+async def get_block(_: Viewer, live: Live, guards: Guards, bus: str, unit: int) -> BlockShown:
     """Whether this unit is blocked, why and by whom."""
     unit_or_404(live, bus, unit)
     return _block_json(guards, bus, unit)
@@ -96,7 +97,7 @@ async def get_block(_: Viewer, live: Live, guards: Guards, bus: str, unit: int) 
 @router.post("/units/{unit:int}/block")
 async def block(
     person: Operator, live: Live, guards: Guards, bus: str, unit: int, body: BlockBody
-) -> dict[str, Any]:
+) -> BlockShown:
     """Refuse every write to this unit, on every path, until somebody lifts it."""
     unit_or_404(live, bus, unit)
     await guards.block(person, bus, unit, body.reason)
@@ -104,7 +105,7 @@ async def block(
 
 
 @router.delete("/units/{unit:int}/block")
-async def lift_block(person: Operator, live: Live, guards: Guards, bus: str, unit: int) -> dict[str, Any]:
+async def lift_block(person: Operator, live: Live, guards: Guards, bus: str, unit: int) -> BlockShown:
     """Free this unit; the events keep who did."""
     unit_or_404(live, bus, unit)
     await guards.lift(person, bus, unit)
@@ -112,14 +113,14 @@ async def lift_block(person: Operator, live: Live, guards: Guards, bus: str, uni
 
 
 @router.get("/control")
-async def get_control(_: Viewer, live: Live, guards: Guards, bus: str) -> dict[str, Any]:
+async def get_control(_: Viewer, live: Live, guards: Guards, bus: str) -> ControlShown:
     """Who holds control of this line, where the site wants one person at a time."""
     bus_or_404(live, bus)
     return _control_json(guards, guards.holding(bus))
 
 
 @router.post("/control")
-async def take_control(person: Operator, live: Live, guards: Guards, bus: str) -> dict[str, Any]:
+async def take_control(person: Operator, live: Live, guards: Guards, bus: str) -> ControlShown:
     """Take control that nobody else holds."""
     bus_or_404(live, bus)
     return _control_json(guards, await guards.take(person, bus))
@@ -128,36 +129,34 @@ async def take_control(person: Operator, live: Live, guards: Guards, bus: str) -
 @router.post("/control/hand-over")
 async def hand_over_control(
     person: Operator, live: Live, guards: Guards, bus: str, body: HandOverBody
-) -> dict[str, Any]:
+) -> ControlShown:
     """Give control to somebody else who may set the line. An admin may do so without holding it."""
     bus_or_404(live, bus)
     return _control_json(guards, await guards.hand_over(person, bus, body.to))
 
 
 @router.delete("/control")
-async def release_control(person: Operator, live: Live, guards: Guards, bus: str) -> dict[str, Any]:
+async def release_control(person: Operator, live: Live, guards: Guards, bus: str) -> ControlShown:
     """Give control back."""
     bus_or_404(live, bus)
     await guards.release(person, bus)
     return _control_json(guards, None)
 
 
-def _block_json(guards: Safeguards, bus: str, unit: int) -> dict[str, Any]:
+def _block_json(guards: Safeguards, bus: str, unit: int) -> BlockShown:
     block = guards.blocks.of(bus, unit)
     if block is None:
         return {"blocked": False, "reason": None, "by": None, "since": None}
     return {"blocked": True, "reason": block.reason, "by": block.set_by, "since": iso(block.set_at)}
 
 
-def _control_json(guards: Safeguards, holding: Holding | None) -> dict[str, Any]:
-    said = {"required": guards.control.required, "lapses_after_s": LAPSES_AFTER_S}
-    if holding is None:
-        return {**said, "holder": None, "is_token": None, "since": None, "lapses_at": None}
-    name, is_token = name_of(holding.holder)
+def _control_json(guards: Safeguards, holding: Holding | None) -> ControlShown:
+    name, is_token = (None, None) if holding is None else name_of(holding.holder)
     return {
-        **said,
+        "required": guards.control.required,
+        "lapses_after_s": LAPSES_AFTER_S,
         "holder": name,
         "is_token": is_token,
-        "since": iso(holding.since),
-        "lapses_at": iso(holding.lapses_at),
+        "since": None if holding is None else iso(holding.since),
+        "lapses_at": None if holding is None else iso(holding.lapses_at),
     }

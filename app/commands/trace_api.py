@@ -8,13 +8,14 @@ from __future__ import annotations
 import time
 from collections.abc import AsyncIterator
 from datetime import UTC, datetime
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 from starlette.responses import JSONResponse, Response, StreamingResponse
 
 from app.commands.answers import frame_json
 from app.commands.desk import Desk
+from app.commands.shown import TraceShown
 from app.commands.trace_file import trace_line
 from app.commands.writer import desk_of
 from app.errors import Problem
@@ -29,7 +30,12 @@ RECENT_S = 60.0
 PIECE = 2000
 
 
-@router.get("/trace")
+TRACE: dict[int | str, dict[str, Any]] = {
+    200: {"model": TraceShown, "content": {"text/plain": {"schema": {"type": "string"}}}}
+}
+
+
+@router.get("/trace", responses=TRACE)
 async def get_trace(
     person: Engineer,
     desk: Annotated[Desk, looked_up(desk_of)],

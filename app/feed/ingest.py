@@ -7,7 +7,7 @@ worker and number; a missing number asks for a new snapshot. No socket here: byt
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import msgspec
@@ -138,15 +138,20 @@ def decode(data: bytes) -> WorkerMessage:
         raise MalformedSpeechError(f"not a message of a bus worker: {error}") from error
 
 
-def welcome(hello: Hello, buses: list[str], heard: Heard, now: float, held: str = "") -> Welcome:
-    """The answer to a hello: from where to go on, or why not. ``held``: why another keeps the bus."""
+def welcome(
+    hello: Hello, bus: str, buses: Collection[str], heard: Heard, now: float, held: str = ""
+) -> Welcome:
+    """The answer to a hello: from where to go on, or why not. ``bus``: the one that its token is for, which
+    is one of ``buses`` unless the configuration has changed; ``held``: why another worker keeps it."""
     refused = held
     if hello.version != CONTRACT_VERSION:
         refused = (
             f"this dashboard speaks version {CONTRACT_VERSION} of the link and the worker {hello.version}: "
             "install the same release of lineside on both"
         )
-    elif hello.bus not in buses:
+    elif hello.bus != bus:
+        refused = f"the token is for bus {bus!r}, not for {hello.bus!r}; create one for that bus"
+    elif bus not in buses:
         known = ", ".join(buses) or "none"
-        refused = f"no [[bus]] is called {hello.bus!r} in this dashboard's lineside.toml (it has: {known})"
+        refused = f"no [[bus]] is called {bus!r} in this dashboard's lineside.toml (it has: {known})"
     return Welcome(version=CONTRACT_VERSION, seq=heard.seq, app_time=now, refused=refused)

@@ -9,6 +9,7 @@ from fastapi import APIRouter, WebSocket
 from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
+from app.errors import Problem
 from app.feed.ingest import MalformedSpeechError
 from app.feed.workers import Workers
 from app.web.access import Worker
@@ -61,7 +62,14 @@ def workers_of(connection: HTTPConnection) -> Workers:
 
 
 @router.websocket("/feed")
-async def feed(websocket: WebSocket, _: Worker) -> None:
-    """One worker from its hello to its end."""
+async def feed(websocket: WebSocket, worker: Worker) -> None:
+    """Serve one worker from its hello to its end. Raises Problem 403 for a token without a bus."""
+    if not worker.bus:
+        raise Problem(
+            403,
+            "forbidden",
+            "the token {called} is for no bus; an admin can create one with --role worker --bus BUS",
+            params={"called": worker.name},
+        )
     await websocket.accept()
-    await workers_of(websocket).serve(WorkerSocket(websocket))
+    await workers_of(websocket).serve(WorkerSocket(websocket), worker.bus)

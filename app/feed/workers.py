@@ -53,14 +53,15 @@ class Workers:
         self._silent_ticks = silent_ticks
         self._wishes: set[asyncio.Task[None]] = set()
 
-    async def serve(self, socket: Socket) -> None:
-        """One connection from its hello to its end. Raises nothing that a worker could cause."""
+    async def serve(self, socket: Socket, bus: str) -> None:
+        """Serve one connection, opened with the credentials of ``bus``, from its hello to its end. Raises
+        nothing that a worker could cause."""
         try:
             async with asyncio.timeout(HELLO_WITHIN_S):
                 hello = decode(await socket.receive())
             if not isinstance(hello, Hello):
                 raise MalformedSpeechError("a worker says hello first")
-            if not await self._welcomed(hello, socket):
+            if not await self._welcomed(hello, socket, bus):
                 return
         except (MalformedSpeechError, TimeoutError) as error:
             await socket.close(str(error) or "a worker says hello first")
@@ -76,10 +77,10 @@ class Workers:
         self._wishes.add(wish)
         wish.add_done_callback(self._wishes.discard)
 
-    async def _welcomed(self, hello: Hello, socket: Socket) -> bool:
+    async def _welcomed(self, hello: Hello, socket: Socket, bus: str) -> bool:
         heard = self._heard_of(hello)
         held = HELD if self._is_held_by_another(hello) else ""
-        answer = welcome(hello, list(self.channels), heard, self._now(), held)
+        answer = welcome(hello, bus, self.channels, heard, self._now(), held)
         await socket.send(answer)
         if answer.refused:
             await socket.close(answer.refused)

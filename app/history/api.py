@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import msgspec
 from fastapi import APIRouter, Query, Response
@@ -22,6 +22,7 @@ from app.history.marks import collect_marks
 from app.history.query import Answer, Question
 from app.history.runs import SECOND
 from app.history.service import seconds
+from app.history.shown import EXPORT, MarksShown, SeriesShown, SparkShown, StatusShown, json_of
 from app.history.spans import (
     HistoryOf,
     PointsOf,
@@ -75,7 +76,7 @@ async def json_response(content: Callable[[], object]) -> Response:
     return Response(body, media_type="application/json")
 
 
-@router.get("", response_class=Response)
+@router.get("", response_model=None, responses=json_of(SeriesShown))
 async def get_history(
     _: Viewer,
     history: HistoryOf,
@@ -98,7 +99,7 @@ async def get_history(
     return await json_response(lambda: shown(asked, found, times))
 
 
-@router.get("/series", response_class=Response)
+@router.get("/series", response_model=None, responses=json_of(list[SeriesShown]))
 async def get_series(
     _: Viewer,
     history: HistoryOf,
@@ -113,7 +114,7 @@ async def get_series(
     return await json_response(lambda: [shown(q, a, times) for q, a in zip(asked, found, strict=True)])
 
 
-@router.get("/sparks", response_class=Response)
+@router.get("/sparks", response_model=None, responses=json_of(dict[str, SparkShown]))
 async def get_sparks(
     _: Viewer, history: HistoryOf, span: SpanOf, series: Annotated[list[str], Query()]
 ) -> Response:
@@ -130,7 +131,7 @@ def _small(found: Answer) -> dict[str, Any]:
     return {"t": [seconds(t) for t in found.series.at], "avg": found.series.average}
 
 
-@router.get("/marks", response_class=Response)
+@router.get("/marks", response_model=None, responses=json_of(MarksShown))
 async def get_marks(
     request: Request,
     _: Viewer,
@@ -151,13 +152,13 @@ async def get_marks(
 
 
 @router.get("/status")
-async def get_status(_: Viewer, history: HistoryOf) -> dict[str, Any]:
+async def get_status(_: Viewer, history: HistoryOf) -> StatusShown:
     """How history is: ``state`` ok, low or scarce (the disk is short), paused or failed; ``message`` says
     what to do. The rest of Lineside works in every state."""
-    return asdict(history.status)
+    return cast(StatusShown, asdict(history.status))
 
 
-@router.get("/export", response_class=StreamingResponse)
+@router.get("/export", response_class=StreamingResponse, responses=EXPORT)
 async def get_export(
     _: Viewer,
     history: HistoryOf,

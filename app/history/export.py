@@ -9,6 +9,7 @@ from zoneinfo import ZoneInfo
 
 from starlette.responses import StreamingResponse
 
+from app.errors import Problem
 from app.history import csv_file, parquet_file, store
 from app.history.export_rows import Fineness, Table, pieces
 from app.history.query import Question, has_raw
@@ -16,6 +17,9 @@ from app.history.runs import SECOND
 from app.history.service import History
 from app.history.tail import Tail
 
+NO_PARQUET = (
+    "This server cannot write Parquet: pyarrow is not installed. Export CSV, or install lineside[parquet]."
+)
 Format = Literal["csv", "parquet"]
 Resolution = Literal["auto", "readings", "minutes", "hours"]
 
@@ -23,7 +27,9 @@ Resolution = Literal["auto", "readings", "minutes", "hours"]
 async def response(
     history: History, asked: Sequence[Question], file: Format, resolution: Resolution
 ) -> StreamingResponse:
-    """Streamed, so that it takes no more memory for a year. Raises StoreError before it begins."""
+    """Streamed, so that it takes no more memory for a year. Raises StoreError or Problem before it begins."""
+    if file == "parquet" and not parquet_file.is_available():
+        raise Problem(501, "no_parquet", NO_PARQUET, params={})
     fineness = await _fineness(history, asked, resolution)
     table = Table(asked, fineness, history.time_zone)
     name = f"lineside-{_stamp(asked[0].start, table)}-{_stamp(asked[0].end, table)}.{file}"

@@ -9,7 +9,7 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.history import display
+from app.history import display, parquet_file
 from app.history.preload import preload_address
 from app.history.runs import micros
 from app.history.service import History
@@ -32,6 +32,7 @@ async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
         "trends/page.html",
         catalogue=_catalogue(history),
         values=VALUES,
+        has_parquet=parquet_file.is_available(),
         memory=sentence(history.status, language.t, templates.formats(language.tag), time.time()),
         preload=preload_address(history, request.query_params, micros(time.time())),
     )

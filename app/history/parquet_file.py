@@ -6,6 +6,7 @@ pyarrow is large, so it is imported when the first such export is asked for.
 from __future__ import annotations
 
 import asyncio
+import importlib.util
 import io
 from collections.abc import AsyncIterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,11 @@ if TYPE_CHECKING:
 
 GROUP_ROWS = 20_000
 """Rows in memory before they are written as one row group."""
+
+
+def is_available() -> bool:
+    """Whether pyarrow, an extra, is installed."""
+    return importlib.util.find_spec("pyarrow") is not None
 
 
 async def stream(table: Table, pieces: AsyncIterator[list[Row]]) -> AsyncIterator[bytes]:

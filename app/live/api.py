@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from typing import Annotated, Any, cast
 
-import msgspec
 from fastapi import APIRouter
 from starlette.requests import HTTPConnection
 
 from app.live.fields import Voice
+from app.live.figures import BusFiguresShown, figures_json
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.shown import BusShown, LineShown, UnitShown
 from app.live.state import LiveState
@@ -19,7 +19,6 @@ from app.web.api_route import ApiRoute
 from app.web.languages import DEFAULT
 from app.web.services import looked_up
 from app.web.templating import templates_of
-from bus.errors import unit_error_name
 
 router = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
 
@@ -81,20 +80,6 @@ async def get_unit(
 
 
 @router.get("/buses/{bus}/figures")
-async def get_figures(_: Viewer, live: Live, bus: str) -> dict[str, Any]:
+async def get_figures(_: Viewer, live: Live, bus: str) -> BusFiguresShown:
     """What the wire of a bus carries, and the counters of each unit since its worker started."""
-    figures = bus_or_404(live, bus).figures
-    if figures is None:
-        return {"bus": bus, "measured": False, "units": []}
-    counted = cast(dict[str, Any], msgspec.to_builtins(figures, str_keys=True))
-    units = [
-        {
-            **cast(dict[str, Any], msgspec.to_builtins(unit, str_keys=True)),
-            "naks": [
-                {"unit_error": code, "unit_error_name": unit_error_name(code), "count": count}
-                for code, count in sorted(unit.naks.items())
-            ],
-        }
-        for unit in figures.units
-    ]
-    return {"bus": bus, "measured": True, **counted, "units": units}
+    return figures_json(bus, bus_or_404(live, bus).figures)

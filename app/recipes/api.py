@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Header, Request, Response
 from pydantic import Field
 
 from app.commands.answers import answer
+from app.commands.api import FATE
 from app.commands.writer import Writer
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, setpoints_now
+from app.recipes.shown import DryRunShown, LoadedShown, RecipeShown
 from app.recipes.view import dry_run_json, loaded_json, recipe_json
 from app.web.access import Engineer, Viewer
 from app.web.api_route import ApiRoute
@@ -45,15 +47,13 @@ Book = Annotated[RecipeBook, service("recipes")]
 
 
 @router.get("/recipes")
-async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None) -> list[dict[str, Any]]:
+async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None) -> list[RecipeShown]:
     """The newest version of every recipe in use, at most 1000 of a bus, by name."""
     return [recipe_json(recipe, live.buses.get(recipe.bus)) for recipe in await book.store.newest(bus)]
 
 
 @router.post("/buses/{bus}/recipes", status_code=201)
-async def save_recipe(
-    person: Engineer, book: Book, live: Live, bus: str, wanted: SaveRecipe
-) -> dict[str, Any]:
+async def save_recipe(person: Engineer, book: Book, live: Live, bus: str, wanted: SaveRecipe) -> RecipeShown:
     """Save a new version; older ones stay."""
     known = bus_or_404(live, bus)
     setpoints = unit_setpoints(wanted.setpoints)
@@ -65,19 +65,19 @@ async def save_recipe(
 
 
 @router.get("/recipes/{recipe_id}")
-async def one_recipe(_: Viewer, book: Book, live: Live, recipe_id: int) -> dict[str, Any]:
+async def one_recipe(_: Viewer, book: Book, live: Live, recipe_id: int) -> RecipeShown:
     """One version."""
     recipe = await recipe_or_404(book, recipe_id)
     return recipe_json(recipe, live.buses.get(recipe.bus))
 
 
 @router.get("/recipes/{recipe_id}/dry-run")
-async def try_recipe(person: Viewer, book: Book, recipe_id: int) -> dict[str, Any]:
+async def try_recipe(person: Viewer, book: Book, recipe_id: int) -> DryRunShown:
     """What loading it now would do, unit by unit, and how long it takes on the wire and by the ramps."""
     return dry_run_json(book.try_out(person, await recipe_or_404(book, recipe_id)))
 
 
-@router.post("/recipes/{recipe_id}/load")
+@router.post("/recipes/{recipe_id}/load", responses=FATE)
 async def load_recipe(
     request: Request,
     person: Writer,
@@ -95,7 +95,7 @@ async def load_recipe(
 
 
 @router.get("/buses/{bus}/recipe")
-async def loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> dict[str, Any] | None:
+async def loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> LoadedShown | None:
     """The recipe that the bus was loaded with last, and what has departed from it since."""
     bus_or_404(live, bus)
     loaded = book.loaded(bus)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from app.live.state import BusLive
 from app.recipes.rules import Departure, DryRun, Recipe, setpoint_text
+from app.recipes.shown import DryRunShown, LoadedShown, RecipeShown
 from app.recipes.store import Loaded
 from app.web.shape import iso
 
 
-def recipe_json(recipe: Recipe, bus: BusLive | None) -> dict[str, Any]:
+def recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
     """One version; setpoints also as their units show them, where the unit is configured."""
     return {
         "id": recipe.id,
@@ -33,7 +32,7 @@ def recipe_json(recipe: Recipe, bus: BusLive | None) -> dict[str, Any]:
     }
 
 
-def dry_run_json(run: DryRun) -> dict[str, Any]:
+def dry_run_json(run: DryRun) -> DryRunShown:
     """What loading would do. Times in seconds."""
     return {
         "loadable": run.loadable,
@@ -55,7 +54,7 @@ def dry_run_json(run: DryRun) -> dict[str, Any]:
     }
 
 
-def loaded_json(loaded: Loaded, departed: list[Departure]) -> dict[str, Any]:
+def loaded_json(loaded: Loaded, departed: list[Departure]) -> LoadedShown:
     """Which recipe a bus was loaded with, and which units no longer command what it says."""
     return {
         "id": loaded.recipe.id,

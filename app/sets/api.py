@@ -1,4 +1,4 @@
-"""Parameter sets over HTTP: taken, listed, compared, restored."""
+"""Parameter sets over HTTP: taken, listed, compared."""
 
 from __future__ import annotations
 
@@ -15,26 +15,32 @@ from app.live.lookup import bus_or_404, unit_or_404
 from app.sets.compare import compare
 from app.sets.document import write_document
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import (
-    plan,
-    restore_or_404,
-    set_or_404,
-    unit_rows_or_404,
-    wanted_rows,
-)
+from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.model import ParameterSet
-from app.sets.restore import RestoreDesk
 from app.sets.schedule import SetSchedule
-from app.sets.view import compared_json, departure_json, restore_json, set_json, summary_json
+from app.sets.shown import (
+    ComparedShown,
+    DriftShown,
+    GoldenShown,
+    OwedShown,
+    ScheduleShown,
+    SetShown,
+    SummaryShown,
+)
+from app.sets.view import compared_json, departure_json, set_json, summary_json
 from app.web.access import Engineer, Person, Role, Viewer
 from app.web.api_route import ApiRoute
+from app.web.schema_problem import problems
 from app.web.services import service
-from app.web.shape import Numbers, Strict, Units
+from app.web.shape import Strict, Units
 from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
 MOST = 1000
 """Sets of one answer."""
+DOCUMENT: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/toml": {"schema": {"type": "string"}}}}
+}
 
 
 class TakeSet(Strict):
@@ -57,18 +63,8 @@ class Schedule(Strict):
     minute_of_day: Annotated[int, Field(ge=0, le=1439)] | None
 
 
-class PlanRestore(Strict):
-    """What a unit shall become: a stored set, or a TOML document with one unit (or with this one)."""
-
-    set: int | None = None
-    document: str | None = None
-    from_unit: int | None = None
-    ticked: Annotated[Numbers, Field(default_factory=list)]
-
-
 Keeper = Annotated[SetKeeper, service("sets")]
 Schedules = Annotated[SetSchedule, service("set_schedule")]
-Restores = Annotated[RestoreDesk, service("restores")]
 
 
 @router.get("/sets")
@@ -79,14 +75,14 @@ async def list_sets(
     unit: int | None = None,
     before: int | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST)] = MOST,
-) -> list[dict[str, Any]]:
+) -> list[SummaryShown]:
     """Stored sets, newest first: at most 1000; ask on with ``before`` = the last ``id``."""
     found = await keeper.store.summaries(bus, unit, before=before, most=limit)
     return [summary_json(summary) for summary in found]
 
 
-@router.post("/buses/{bus}/sets", status_code=201)
-async def take_set(person: Engineer, keeper: Keeper, live: Live, bus: str, wanted: TakeSet) -> dict[str, Any]:
+@router.post("/buses/{bus}/sets", status_code=201, responses=problems(504))
+async def take_set(person: Engineer, keeper: Keeper, live: Live, bus: str, wanted: TakeSet) -> SetShown:
     """Read the units now and keep what they say; nothing is kept when one does not answer."""
     known = bus_or_404(live, bus).units
     units = wanted.units or list(known)
@@ -96,12 +92,12 @@ async def take_set(person: Engineer, keeper: Keeper, live: Live, bus: str, wante
 
 
 @router.get("/sets/{set_id}")
-async def one_set(_: Viewer, keeper: Keeper, set_id: int) -> dict[str, Any]:
+async def one_set(_: Viewer, keeper: Keeper, set_id: int) -> SetShown:
     """A whole set with the evidence of each value; #21 masked."""
     return set_json(await set_or_404(keeper, set_id))
 
 
-@router.get("/sets/{set_id}/document")
+@router.get("/sets/{set_id}/document", response_class=Response, responses=DOCUMENT)
 async def set_document(
     person: Viewer, keeper: Keeper, events: Events, set_id: int, secrets: bool = False
 ) -> Response:
@@ -116,7 +112,7 @@ async def set_document(
 
 
 @router.post("/sets/{set_id}/golden")
-async def mark_golden(person: Engineer, keeper: Keeper, set_id: int, mark: GoldenMark) -> dict[str, Any]:
+async def mark_golden(person: Engineer, keeper: Keeper, set_id: int, mark: GoldenMark) -> GoldenShown:
     """From now on the unit ought to be as this set says."""
     await keeper.mark_golden(person, set_id, mark.unit)
     return {"set": set_id, "unit": mark.unit, "golden": True}
@@ -131,7 +127,7 @@ async def compare_sets(
     unit: int,
     other_unit: int | None = None,
     tolerance: int = 0,
-) -> list[dict[str, Any]]:
+) -> list[ComparedShown]:
     """Set with set, row by row."""
     left = unit_rows_or_404(await set_or_404(keeper, set_id), unit)
     right = unit_rows_or_404(await set_or_404(keeper, other_id), other_unit or unit)
@@ -139,7 +135,7 @@ async def compare_sets(
 
 
 @router.get("/buses/{bus}/units/{unit}/drift")
-async def unit_drift(_: Viewer, keeper: Keeper, live: Live, bus: str, unit: int) -> dict[str, Any]:
+async def unit_drift(_: Viewer, keeper: Keeper, live: Live, bus: str, unit: int) -> DriftShown:
     """Where the unit as last read departs from its golden set, and who changed it: ``changed_by`` null is
     somebody at the panel. ``unread``: parameters that could not be compared yet."""
     unit_or_404(live, bus, unit)
@@ -153,53 +149,21 @@ async def unit_drift(_: Viewer, keeper: Keeper, live: Live, bus: str, unit: int)
 @router.get("/buses/{bus}/set-schedule")
 async def read_schedule(
     _: Viewer, keeper: Keeper, schedules: Schedules, live: Live, bus: str
-) -> dict[str, Any]:
+) -> ScheduleShown:
     """At which minute of the day the units of the bus are read, and which are owed since, with why."""
     bus_or_404(live, bus)
-    owed = [{"unit": unit, "why": owed.why} for unit, owed in schedules.owed(bus).items()]
+    owed: list[OwedShown] = [{"unit": unit, "why": owed.why} for unit, owed in schedules.owed(bus).items()]
     return {"minute_of_day": (await keeper.store.schedule()).get(bus), "owed": owed}
 
 
 @router.put("/buses/{bus}/set-schedule")
 async def write_schedule(
     person: Engineer, schedules: Schedules, live: Live, bus: str, wanted: Schedule
-) -> dict[str, Any]:
+) -> ScheduleShown:
     """Read all units of the bus daily, or no longer."""
     bus_or_404(live, bus)
     await schedules.set(person, bus, wanted.minute_of_day)
     return {"minute_of_day": wanted.minute_of_day, "owed": []}
-
-
-@router.post("/buses/{bus}/units/{unit}/restores", status_code=201)
-async def plan_unit_restore(
-    person: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int, wanted: PlanRestore
-) -> dict[str, Any]:
-    """Read the unit and say what a restore would write. Nothing is written."""
-    unit_or_404(live, bus, unit)
-    rows = await wanted_rows(keeper, unit, wanted.set, wanted.document, wanted.from_unit)
-    return restore_json(await plan(restores, person, live.buses[bus], unit, rows, wanted.ticked))
-
-
-@router.post("/restores/{restore_id}/start", status_code=202)
-async def start_restore(person: Engineer, restores: Restores, restore_id: str) -> dict[str, Any]:
-    """Write what the plan says."""
-    restore = await restore_or_404(restores, restore_id)
-    restores.start(person, restore)
-    return restore_json(restore)
-
-
-@router.post("/restores/{restore_id}/cancel", status_code=202)
-async def cancel_restore(_: Engineer, restores: Restores, restore_id: str) -> dict[str, Any]:
-    """Leave off after the row in hand."""
-    restore = await restore_or_404(restores, restore_id)
-    restore.cancel()
-    return restore_json(restore)
-
-
-@router.get("/restores/{restore_id}")
-async def one_restore(_: Viewer, restores: Restores, restore_id: str) -> dict[str, Any]:
-    """How far it is, row by row."""
-    return restore_json(await restore_or_404(restores, restore_id))
 
 
 async def _ask_for_secrets(person: Person, events: EventLog, stored: ParameterSet) -> None:

@@ -3,39 +3,47 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from app.commands.desk import Desk
 from app.errors import Problem
 from app.live.state import BusLive, UnitLive
 from app.sets.compare import with_unit
-from app.sets.reading import known_rows
+from app.sets.effects import warning_of
+from app.sets.reading import known_rows, status_of
 from app.web.access import Person
 from bus.catalogue.parameter import check_writable_value
 from bus.catalogue.parameters import PARAMETERS, Parameter
+from bus.catalogue.status import StatusBits
 from bus.catalogue.values import parameter_raw
 from bus.contract import ReadParameters, WriteParameter
 from bus.errors import CallerError
 
 _DECIMALS, _MODE = 3, 8
+_OF_THE_PERSON = frozenset({"rights_withdrawn", "controlled"})
+"""Refusals that hold for every other unit too."""
 _LEARN_WITHIN_S = 10.0
 """255 units at 9600 baud take 5 s for one parameter each, and twice that beside the scan."""
 
 
 @dataclass(frozen=True, slots=True)
 class BatchRow:
-    """One unit of a batch. ``wanted`` None: left as it is; ``fault``: why what was typed is refused."""
+    """One unit of a batch. ``wanted`` None: left as it is; ``fault``: why what was typed is refused;
+    ``warning``: what writing it does to the machine now."""
 
     unit: int
     name: str
     present: str
     present_raw: int | None
+    reviewed: str = ""
+    """What a form holds of the present value, to see whether it moves: raw, empty where secret or unknown."""
     typed: str = ""
     wanted: int | None = None
     shown: str = ""
     fault: str = ""
+    warning: str = ""
 
     @property
     def changes(self) -> bool:
@@ -45,7 +53,7 @@ class BatchRow:
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
-    """The fate at one unit; ``outcome`` as of any command, or the code of the refusal."""
+    """The result at one unit; ``outcome`` as of any command, or the code of the refusal."""
 
     unit: int
     name: str
@@ -55,7 +63,19 @@ class BatchResult:
 
 def rows_of_batch(bus: BusLive, number: int, typed: Mapping[int, str]) -> list[BatchRow]:
     """Every unit of the bus with its present value, and what was typed for it."""
-    return [_row(unit, PARAMETERS[number], typed.get(key, "").strip()) for key, unit in bus.units.items()]
+    return [
+        _row(unit, PARAMETERS[number], typed.get(key, "").strip(), status_of(bus, unit))
+        for key, unit in bus.units.items()
+    ]
+
+
+def refuse_moved(rows: Iterable[BatchRow], reviewed: Mapping[int, str]) -> None:
+    """Raises Problem 409 where a unit no longer has the value that the review showed. ``reviewed``: by unit
+    what :attr:`BatchRow.reviewed` was then."""
+    for row in rows:
+        if row.changes and reviewed.get(row.unit, row.reviewed) != row.reviewed:
+            text = "{name}: the value has moved since it was reviewed; nothing was sent"
+            raise Problem(409, "moved", text, params={"name": row.name})
 
 
 async def learn(desk: Desk, person: Person, bus: BusLive, number: int) -> None:
@@ -76,17 +96,29 @@ async def learn(desk: Desk, person: Person, bus: BusLive, number: int) -> None:
 async def write_batch(
     desk: Desk, person: Person, bus: str, number: int, rows: list[BatchRow], *, confirm: bool
 ) -> list[BatchResult]:
-    """Write the rows that change something, one after another; a refusal does not end the rest."""
-    return [await _write(desk, person, bus, number, row, confirm=confirm) for row in rows if row.changes]
+    """Write the rows that change something, one after another. A refusal of one unit does not end the rest, a
+    refusal of the person does."""
+    results: list[BatchResult] = []
+    stopped_by = ""
+    for row in rows:
+        if row.changes and stopped_by:
+            results.append(BatchResult(row.unit, row.name, "not_sent", stopped_by))
+        elif row.changes:
+            result = await _write(desk, person, bus, number, row, confirm=confirm)
+            results.append(result)
+            stopped_by = result.message if result.outcome in _OF_THE_PERSON else ""
+    return results
 
 
-def _row(unit: UnitLive, parameter: Parameter, typed: str) -> BatchRow:
+def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | None) -> BatchRow:
     known = known_rows(unit)
     raw = unit.parameter_raw(parameter.number)
     present = (
         "not known" if raw is None else "hidden" if parameter.secret else with_unit(parameter, raw, known)
     )
-    row = BatchRow(unit.settings.id, unit.settings.name, present, raw, typed)
+    warning = warning_of(parameter.number, running=None if status is None else status.run)
+    reviewed = "" if raw is None or parameter.secret else str(raw)
+    row = BatchRow(unit.settings.id, unit.settings.name, present, raw, reviewed, typed, warning=warning)
     if not typed:
         return row
     try:
@@ -98,9 +130,9 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str) -> BatchRow:
         )
         check_writable_value(parameter, wanted)
     except CallerError as error:
-        return BatchRow(row.unit, row.name, present, raw, typed, fault=str(error))
+        return replace(row, fault=str(error))
     shown = "hidden" if parameter.secret else with_unit(parameter, wanted, known)
-    return BatchRow(row.unit, row.name, present, raw, typed, wanted, shown)
+    return replace(row, wanted=wanted, shown=shown)
 
 
 async def _write(

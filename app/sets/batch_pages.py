@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Request, Response
+from starlette.datastructures import FormData
 
 from app.commands.desk import Desk
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404
-from app.sets.batch import learn, rows_of_batch, write_batch
+from app.sets.batch import learn, refuse_moved, rows_of_batch, write_batch
+from app.sets.effects import EFFECT_TEXTS, OPERATING_VALUES
 from app.web.access import Engineer
 from app.web.services import service
 from app.web.templating import render
@@ -40,7 +42,8 @@ async def batch_review(request: Request, _: Engineer, live: Live, bus: str) -> R
     number, typed = await _typed(request)
     parameter = _writable_or_404(number)
     rows = rows_of_batch(bus_or_404(live, bus), number, typed)
-    return render(request, "sets/_batch_review.html", bus=bus, parameter=parameter, rows=rows)
+    danger = EFFECT_TEXTS["setpoint"] if number in OPERATING_VALUES else parameter.dangerous
+    return render(request, "sets/_batch_review.html", bus=bus, parameter=parameter, rows=rows, danger=danger)
 
 
 @router.post("/batch/{bus}/write")
@@ -51,6 +54,7 @@ async def batch_write(request: Request, person: Engineer, live: Live, desk: AskD
     rows = rows_of_batch(bus_or_404(live, bus), number, typed)
     if any(row.fault for row in rows):
         raise Problem(422, "invalid", "a value cannot be written; nothing was sent")
+    refuse_moved(rows, _by_unit(await request.form(), "was-"))
     results = await write_batch(desk, person, bus, number, rows, confirm=bool(parameter.dangerous))
     undone = {result.unit for result in results if result.outcome != "verified"}
     rows = rows_of_batch(live.buses[bus], number, {unit: typed[unit] for unit in undone})
@@ -60,12 +64,16 @@ async def batch_write(request: Request, person: Engineer, live: Live, desk: AskD
 async def _typed(request: Request) -> tuple[int, dict[int, str]]:
     form = await request.form()
     number = str(form.get("number", ""))
-    typed = {
-        int(key.removeprefix("unit-")): str(value)
+    return int(number) if number.isdecimal() else 0, _by_unit(form, "unit-")
+
+
+def _by_unit(form: FormData, prefix: str) -> dict[int, str]:
+    """The fields whose names are ``prefix`` and an address."""
+    return {
+        int(address): str(value)
         for key, value in form.items()
-        if key.startswith("unit-") and key.removeprefix("unit-").isdecimal()
+        if key.startswith(prefix) and (address := key.removeprefix(prefix)).isdecimal() and len(address) <= 3
     }
-    return int(number) if number.isdecimal() else 0, typed
 
 
 def _choices() -> list[Parameter]:

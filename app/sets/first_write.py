@@ -55,7 +55,7 @@ class FirstWrites:
     async def _keep_behind(self, person: Person, bus: str, known: list[UnitRows]) -> None:
         try:
             await self._keep(person, bus, known)
-        except StoreError as error:
+        except (Problem, StoreError) as error:
             _log.error("the set before the first write of the day was not stored", error=str(error))
 
     async def _keep(self, person: Person, bus: str, known: list[UnitRows]) -> None:
@@ -68,7 +68,7 @@ class FirstWrites:
             self._kept[bus, rows.unit] = now.date()
         try:
             await self._keeper.keep(person, bus, fresh, "", _gaps(fresh), "before the first write of the day")
-        except StoreError:
+        except (Problem, StoreError):
             for rows in fresh:
                 del self._kept[bus, rows.unit]
             raise

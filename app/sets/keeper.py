@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import structlog
 
 from app.audit.log import EventLog
+from app.commands.authority import Authority
 from app.errors import Problem
 from app.live.state import LiveState
 from app.sets.drift import Drifts
@@ -25,8 +26,16 @@ _LEARN_EVERY_S = 5.0
 class SetKeeper:
     """One for the app."""
 
-    def __init__(self, state: LiveState, reader: ParameterReader, store: SetStore, events: EventLog) -> None:
+    def __init__(
+        self,
+        state: LiveState,
+        reader: ParameterReader,
+        store: SetStore,
+        events: EventLog,
+        rights: Authority,
+    ) -> None:
         self._state = state
+        self._rights = rights
         self._reader = reader
         self.store = store
         self._events = events
@@ -89,7 +98,9 @@ class SetKeeper:
     async def keep(
         self, person: Person, bus: str, rows: Sequence[UnitRows], name: str, comment: str, origin: Origin
     ) -> ParameterSet:
-        """Store what was read as a set, with an event."""
+        """Store what was read as a set, with an event. Reading takes a while: raises Problem 403 when the
+        rights of the person were withdrawn meanwhile."""
+        await self._rights.check(person)
         kept = await self.store.save(
             ParameterSet(bus, time.time(), person.name, origin, tuple(rows), name=name, comment=comment)
         )

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from fastapi import UploadFile
 
 from app.errors import Problem
-from app.live.state import BusLive
 from app.sets.document import LONGEST_DOCUMENT, DocumentError, read_document
 from app.sets.keeper import SetKeeper
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreDesk
 from app.sets.restore_record import Restore
-from app.web.access import Person
-from bus.catalogue.status import StatusBits, status_bits
 
 
 async def wanted_rows(
@@ -55,29 +50,6 @@ async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
     except UnicodeDecodeError as error:
         why = f"{name} is no text in UTF-8: {error.reason} at byte {error.start}; save it as UTF-8"
         raise Problem(422, "invalid", why) from error
-
-
-async def plan(
-    restores: RestoreDesk,
-    person: Person,
-    bus: BusLive,
-    unit: int,
-    wanted: UnitRows,
-    ticked: Iterable[int] = (),
-) -> Restore:
-    """Read the unit and say what a restore would write, by its Run input and its mode as last read."""
-    bits = _status(bus, unit)
-    running, remote = (None, None) if bits is None else (bits.run, bits.remote)
-    return await restores.plan(
-        person, bus.settings.name, unit, wanted, running=running, remote=remote, ticked=frozenset(ticked)
-    )
-
-
-def _status(bus: BusLive, unit: int) -> StatusBits | None:
-    reading = bus.units[unit].reading
-    if reading is None:
-        return None
-    return status_bits(reading.outputs, reading.inputs, bus.settings.estop_healthy)
 
 
 async def set_or_404(keeper: SetKeeper, set_id: int) -> ParameterSet:

@@ -1,22 +1,20 @@
-"""The pages of parameter sets: list, one set, comparison, restore with its proof."""
+"""The pages of parameter sets: list, one set, comparison."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from fastapi import APIRouter, Form, Request, Response, UploadFile
+from fastapi import APIRouter, Form, Request, Response
 
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
-from app.sets.api import Keeper, Restores, Schedules
+from app.sets.api import Keeper, Schedules
 from app.sets.compare import compare
-from app.sets.keeper import SetKeeper
-from app.sets.lookup import plan, restore_or_404, set_or_404, unit_rows_or_404, uploaded_rows
-from app.sets.model import UnitRows
+from app.sets.lookup import set_or_404
 from app.sets.sides import choices, side
 from app.sets.taking import Taking, Takings
-from app.sets.view import compared_json, restore_json, set_json
+from app.sets.view import set_json
 from app.web.access import Engineer, Viewer
 from app.web.services import service
 from app.web.shape import Units
@@ -74,7 +72,7 @@ async def take(
     for number in units:
         unit_or_404(live, bus, number)
     taking = readings.begin(person, bus, units, name, comment)
-    return _go_to(f"/sets/taking/{taking.id}")
+    return go_to(f"/sets/taking/{taking.id}")
 
 
 @router.get("/sets/taking/{taking_id}")
@@ -97,7 +95,7 @@ async def schedule(
     bus_or_404(live, bus)
     hour, _, minute = at.partition(":")
     await schedules.set(person, bus, int(hour) * 60 + int(minute) if at else None)
-    return _go_to("/sets")
+    return go_to("/sets")
 
 
 @router.get("/sets/compare")
@@ -151,7 +149,7 @@ async def one_page(request: Request, _: Viewer, keeper: Keeper, live: Live, set_
 async def golden(person: Engineer, keeper: Keeper, set_id: int, unit: Annotated[int, Form()]) -> Response:
     """Mark it as what the unit ought to be."""
     await keeper.mark_golden(person, set_id, unit)
-    return _go_to(f"/sets/{set_id}")
+    return go_to(f"/sets/{set_id}")
 
 
 @router.get("/units/{bus}/{unit}/drift")
@@ -172,109 +170,6 @@ async def drift_fragment(
     )
 
 
-@router.get("/units/{bus}/{unit}/restore")
-async def restore_page(
-    request: Request, _: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int
-) -> Response:
-    """Choose what the unit shall become; and what earlier restores of it came to."""
-    live_unit = unit_or_404(live, bus, unit)
-    own = await keeper.store.summaries(bus, unit)
-    every = await keeper.store.summaries(bus)
-    return render(
-        request,
-        "sets/restore.html",
-        bus=bus,
-        unit=live_unit,
-        sets=[*own, *(summary for summary in every if summary not in own)],
-        earlier=await restores.of_unit(bus, unit),
-    )
-
-
-@router.post("/units/{bus}/{unit}/restore")
-async def plan_page(
-    person: Engineer,
-    keeper: Keeper,
-    restores: Restores,
-    live: Live,
-    bus: str,
-    unit: int,
-    source: Annotated[str, Form()] = "",
-    file: UploadFile | None = None,
-    tick: Annotated[list[int] | None, Form()] = None,
-) -> Response:
-    """Read the unit, say what would be written. Nothing is."""
-    unit_or_404(live, bus, unit)
-    rows = await _wanted(keeper, unit, source, file)
-    restore = await plan(restores, person, live.buses[bus], unit, rows, tick or ())
-    return _go_to(f"/restores/{restore.id}")
-
-
-@router.get("/restores/{restore_id}")
-async def restore_progress(request: Request, _: Engineer, restores: Restores, restore_id: str) -> Response:
-    """The plan before, the progress during, the proof after."""
-    restore = await restore_or_404(restores, restore_id)
-    template = "sets/_restore.html" if request.headers.get("hx-request") else "sets/restoring.html"
-    dangerous = {left.number for left in restore.left_out if PARAMETERS[left.number].dangerous}
-    response = render(
-        request,
-        template,
-        restore=restore_json(restore),
-        planned_at=restore.planned_at,
-        name=restore.before.name,
-        tickable=dangerous,
-        swap=request.app.state.services.swaps.of(restore.bus, restore.unit),
-        proven=_proof(restore.wanted, restore.proven),
-    )
-    if restore.state != "running":
-        # The state has changed: so do the buttons, and the whole is drawn anew.
-        response.headers["HX-Retarget"] = response.headers["HX-Reselect"] = "#restore"
-    return response
-
-
-@router.post("/restores/{restore_id}/tick")
-async def tick_danger(
-    person: Engineer,
-    restores: Restores,
-    live: Live,
-    restore_id: str,
-    tick: Annotated[list[int] | None, Form()] = None,
-) -> Response:
-    """Plan again with dangerous rows that a person has confirmed one by one."""
-    old = await restore_or_404(restores, restore_id)
-    bus = bus_or_404(live, old.bus)
-    fresh = await plan(restores, person, bus, old.unit, old.wanted, tick or ())
-    return _go_to(f"/restores/{fresh.id}")
-
-
-@router.post("/restores/{restore_id}/again")
-async def plan_again(person: Engineer, restores: Restores, live: Live, restore_id: str) -> Response:
-    """The same restore once more: what is done is found equal, the rest is reviewed."""
-    old = await restore_or_404(restores, restore_id)
-    bus = bus_or_404(live, old.bus)
-    unit_or_404(live, old.bus, old.unit)
-    fresh = await plan(restores, person, bus, old.unit, old.wanted)
-    return _go_to(f"/restores/{fresh.id}")
-
-
-@router.post("/restores/{restore_id}/start")
-async def start(person: Engineer, restores: Restores, restore_id: str) -> Response:
-    """Write what the plan says."""
-    restores.start(person, await restore_or_404(restores, restore_id))
-    return _go_to(f"/restores/{restore_id}")
-
-
-@router.post("/restores/{restore_id}/cancel")
-async def cancel(_: Engineer, restores: Restores, restore_id: str) -> Response:
-    """Leave off after the row in hand."""
-    (await restore_or_404(restores, restore_id)).cancel()
-    return _go_to(f"/restores/{restore_id}")
-
-
-def _go_to(path: str) -> Response:
-    """The page to go on with after a form."""
-    return Response(status_code=303, headers={"Location": path})
-
-
 def _taking_or_404(readings: Takings, taking_id: str) -> Taking:
     taking = readings.get(taking_id)
     if taking is None:
@@ -282,15 +177,6 @@ def _taking_or_404(readings: Takings, taking_id: str) -> Taking:
     return taking
 
 
-async def _wanted(keeper: SetKeeper, unit: int, source: str, file: UploadFile | None) -> UnitRows:
-    if file is not None and file.filename:
-        return await uploaded_rows(unit, file)
-    number, _, of_unit = source.partition(":")
-    if not number.isdecimal() or not of_unit.isdecimal():
-        raise Problem(422, "invalid", "choose a stored set or a file")
-    return unit_rows_or_404(await set_or_404(keeper, int(number)), int(of_unit))
-
-
-def _proof(wanted: UnitRows, proven: UnitRows | None) -> list[dict[str, Any]]:
-    """All 40 rows as wanted and as read afterwards."""
-    return [compared_json(row) for row in compare(wanted, proven)] if proven is not None else []
+def go_to(path: str) -> Response:
+    """The page to go on with after a form."""
+    return Response(status_code=303, headers={"Location": path})

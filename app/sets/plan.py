@@ -1,48 +1,55 @@
-"""What a restore will write, in which order, and what it leaves out: known before anything is sent."""
+"""What a restore will write, in which order, and what it leaves out: known before anything is sent. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Literal
 
+from app.errors import Problem
+from app.sets.effects import EFFECT_TEXTS, OPERATING_VALUES
 from app.sets.model import UnitRows
+from app.sets.order import Write, in_order
+from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from bus.catalogue.parameters import PARAMETERS, check_writable_value, danger_of_writing
 from bus.errors import CallerError
 
-_FIRST = (1, 2, 3, 8)
-"""Full scale, display and mode give the other rows their meaning and their bounds."""
-_LAST = (21, 27, 18, 19)
-"""What may end the conversation comes when everything else is done."""
-_ALLOW_SETUP_DURING_RUN = 16
 _MODE, _CONTROL, _REMOTE = 8, 19, 1
 NOT_IN_REMOTE = (
     "the unit is not in REMOTE and refuses every write; set #19 to 1 at its keypad, then plan again"
 )
-_BOUNDS = ((38, 31), (22, 23), (29, 30))
-"""(low, high) pairs: the end that widens the window is written first."""
-_BOUNDED_LATE = (4, 37, 9, 10, 11, 12, 20)
-"""Ratios after #38…#31, presets and setpoints after #2: a maximum before what it bounds."""
+DESELECTED = "left out by choice"
 
-
-@dataclass(frozen=True, slots=True)
-class Write:
-    """One row to write."""
-
-    number: int
-    present: int
-    wanted: int
+Reason = Literal[
+    "address",
+    "secret",
+    "not_in_set",
+    "not_in_unit",
+    "not_read",
+    "running",
+    "illegal_value",
+    "dangerous",
+    "not_in_remote",
+    "operating_value",
+    "deselected",
+]
+"""Why a row is left out, for programs."""
+CHOSEN: frozenset[Reason] = frozenset({"operating_value", "deselected"})
+"""Rows that would be written had a person chosen so."""
 
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """One row that differs or may differ and is not written; ``reason`` is a sentence.
-
-    ``later``: once somebody has set the unit to REMOTE at its panel, the same restore writes it.
-    """
+    """One row that differs or may differ and is not written; ``text`` says why. ``reason`` None: it was left
+    out by a version that did not note the reason."""
 
     number: int
-    reason: str
-    later: bool = False
+    reason: Reason | None
+    text: str
+
+    @property
+    def later(self) -> bool:
+        """Whether the same restore writes it once a person has set the unit to REMOTE at its panel."""
+        return self.reason == "not_in_remote"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,105 +67,82 @@ def plan_restore(
     *,
     running: bool | None,
     remote: bool | None = None,
-    ticked: frozenset[int] = frozenset(),
+    selection: Selection = EVERYTHING_HARMLESS,
 ) -> RestorePlan:
     """``running``: the Run input of the unit (None: not known, taken as running).
 
     ``remote``: whether its status says REMOTE (None: not known; then its #19 alone says it).
-    ``ticked``: dangerous parameters that a person has confirmed one by one.
     """
     writes: list[Write] = []
     left_out: list[LeftOut] = []
     equal = 0
     refuses = remote is False or (remote is None and present.raw(_CONTROL) not in (None, _REMOTE))
     for number in PARAMETERS:
-        reason = _why_not(number, wanted, present, running=running is not False, ticked=ticked)
         new, old = wanted.raw(number), present.raw(number)
         if new is not None and new == old:
             equal += 1
-        elif reason:
-            left_out.append(LeftOut(number, reason))
-        elif refuses:
-            left_out.append(LeftOut(number, NOT_IN_REMOTE, later=True))
+            continue
+        why = _why_not(number, wanted, present, running=running is not False)
+        why = why or _why_not_chosen(number, new or 0, selection)
+        if why is None and refuses:
+            why = LeftOut(number, "not_in_remote", NOT_IN_REMOTE)
+        if why is not None:
+            left_out.append(why)
         elif new is not None and old is not None:
             writes.append(Write(number, old, new))
-    return RestorePlan(tuple(_in_order(writes)), tuple(left_out), equal)
+    return RestorePlan(in_order(writes, mode=present.raw(_MODE)), tuple(left_out), equal)
 
 
-def remarks(wanted: UnitRows, present: UnitRows) -> list[str]:
-    """What a person ought to know of the set before any row of it: whose it is, and of what kind."""
-    found: list[str] = []
-    if wanted.unit != present.unit:
-        found.append(f"the set is of unit {wanted.unit}, this is unit {present.unit}: read every row")
-    kinds = [rows.raw(_MODE) for rows in (wanted, present)]
-    if None not in kinds and (kinds[0] == 0) != (kinds[1] == 0):
-        found.append(
-            "the set is of a master, this unit follows by ratio (#8): another type of section"
-            if kinds[0] == 0
-            else "the set is of a follower by ratio, this unit is a master (#8): another type of section"
-        )
-    for rows, text in ((wanted, "the unit of the set"), (present, "this unit")):
-        lacks = sum(not row.available for row in rows.rows.values())
-        if lacks:
-            found.append(f"{text} has {len(rows.rows) - lacks} of {len(PARAMETERS)} parameters only")
-    return found
+def refuse_unwritable(plan: RestorePlan, selection: Selection) -> None:
+    """Raises Problem 409 ``dangerous`` or 422 ``invalid`` for a row that a person named and that would be
+    left out all the same. A unit that is not in REMOTE refuses every row, and the plan says so."""
+    for left in plan.left_out:
+        if left.number not in selection.include or left.later:
+            continue
+        params = {"number": left.number, "why": left.text}
+        if left.reason == "dangerous":
+            text = "#{number}: {why}; confirm it by itself to write it; nothing was written"
+            raise Problem(409, "dangerous", text, params=params)
+        raise Problem(422, "invalid", "#{number} cannot be written: {why}", params=params)
 
 
-def _why_not(
-    number: int, wanted: UnitRows, present: UnitRows, *, running: bool, ticked: frozenset[int]
-) -> str:
-    """Why a row that is not equal is left out, whatever the unit's mode; empty when it may be written."""
+def _why_not(number: int, wanted: UnitRows, present: UnitRows, *, running: bool) -> LeftOut | None:
+    """Why a row that is not equal cannot be written, whoever chooses it."""
     parameter = PARAMETERS[number]
     there, asked = present.rows.get(number), wanted.rows.get(number)
     if parameter.never_writable:
-        return "the address is set at the keypad only; the link cannot write it"
+        text = "the address is set at the keypad only; the link cannot write it"
+        return LeftOut(number, "address", text)
     if asked is None or asked.raw is None:
         return _not_held(number, wanted)
     if there is not None and not there.available:
-        return "this unit does not have it"
+        return LeftOut(number, "not_in_unit", "this unit does not have it")
     if there is None or there.raw is None:
-        return "it could not be read from the unit"
+        return LeftOut(number, "not_read", "it could not be read from the unit")
     if number == _MODE and running:
-        return "no change while Run is on"
+        return LeftOut(number, "running", "no change while Run is on")
     try:
         check_writable_value(parameter, asked.raw)
     except CallerError as error:
-        return str(error)
-    return "" if number in ticked else danger_of_writing(parameter, asked.raw)
+        return LeftOut(number, "illegal_value", str(error))
+    return None
 
 
-def _not_held(number: int, wanted: UnitRows) -> str:
+def _why_not_chosen(number: int, raw: int, selection: Selection) -> LeftOut | None:
+    danger = danger_of_writing(PARAMETERS[number], raw)
+    if number in selection.exclude:
+        return LeftOut(number, "deselected", DESELECTED)
+    if danger and number not in selection.confirmed:
+        return LeftOut(number, "dangerous", danger)
+    if number in OPERATING_VALUES - selection.include:
+        return LeftOut(number, "operating_value", EFFECT_TEXTS["setpoint"])
+    return None
+
+
+def _not_held(number: int, wanted: UnitRows) -> LeftOut:
     row = wanted.rows.get(number)
     if row is not None and not row.available:
-        return "the unit of the set did not have it"
-    return "secret, not held in the set" if PARAMETERS[number].secret else "the set does not hold it"
-
-
-def _in_order(writes: Iterable[Write]) -> list[Write]:
-    ordered = sorted(writes, key=_rank)
-    for low, high in _BOUNDS:
-        _widen_first(ordered, low, high)
-    return ordered
-
-
-def _rank(write: Write) -> tuple[int, int]:
-    number = write.number
-    if number == _ALLOW_SETUP_DURING_RUN:
-        return (0, 0) if write.wanted else (4, 0)
-    if number in _FIRST:
-        return (1, _FIRST.index(number))
-    if number in _LAST:
-        return (5, _LAST.index(number))
-    return (3, _BOUNDED_LATE.index(number)) if number in _BOUNDED_LATE else (2, number)
-
-
-def _widen_first(ordered: list[Write], low: int, high: int) -> None:
-    """Exchange the two where the order at hand would ask for low > high on the way."""
-    at = {write.number: index for index, write in enumerate(ordered) if write.number in (low, high)}
-    if len(at) < 2:
-        return
-    lower, upper = ordered[at[low]], ordered[at[high]]
-    wanted_first = upper if lower.wanted > upper.present else lower
-    first, second = sorted(at.values())
-    ordered[first] = wanted_first
-    ordered[second] = lower if wanted_first is upper else upper
+        return LeftOut(number, "not_in_set", "the unit of the set did not have it")
+    if PARAMETERS[number].secret:
+        return LeftOut(number, "secret", "secret, not held in the set")
+    return LeftOut(number, "not_in_set", "the set does not hold it")

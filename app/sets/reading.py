@@ -6,10 +6,11 @@ from collections.abc import Iterable
 
 from app.commands.desk import Desk
 from app.errors import Problem
-from app.live.state import LiveState, UnitLive
+from app.live.state import BusLive, LiveState, UnitLive
 from app.sets.model import Row, UnitRows
 from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.status import StatusBits, status_bits
 from bus.contract import ParameterValue, ReadParameters, Result
 
 READ_TIMEOUT_S = 300.0
@@ -28,12 +29,24 @@ def known_rows(unit: UnitLive) -> UnitRows:
     return UnitRows(unit.settings.id, unit.settings.name, rows_of(unit.parameters.values()))
 
 
+def status_of(bus: BusLive, unit: UnitLive) -> StatusBits | None:
+    """The inputs and the mode of a unit as last read; None for one that does not answer."""
+    if unit.reading is None or unit.link.link in ("unknown", "offline"):
+        return None
+    return status_bits(unit.reading.outputs, unit.reading.inputs, bus.settings.estop_healthy)
+
+
 class ParameterReader:
     """Reads units now; an unread or partly read unit is an answer too, never a guess."""
 
     def __init__(self, state: LiveState, desk: Desk) -> None:
         self._state = state
         self._desk = desk
+
+    def status(self, bus: str, unit: int) -> StatusBits | None:
+        """As :func:`status_of`, by the names of bus and unit."""
+        live = self._state.buses[bus]
+        return status_of(live, live.units[unit])
 
     async def read_unit(self, person: Person, bus: str, unit: int, *, urgent: bool = False) -> UnitRows:
         """All 40 parameters as the unit gives them now.

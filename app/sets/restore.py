@@ -1,4 +1,4 @@
-"""A restore as it runs: row after row, each verified, and what is done is always known.
+"""Restores: planned, reviewed, started, and remembered with what became of each row.
 
 Nothing is written before a person has seen the plan. Stopped half way, by whatever, the rows say
 exactly what was done; the same restore asked again finds the done rows equal and finishes the rest.
@@ -10,7 +10,6 @@ import asyncio
 import secrets
 import time
 from collections.abc import Awaitable, Callable
-from dataclasses import replace
 
 import structlog
 
@@ -19,13 +18,13 @@ from app.commands.desk import Desk
 from app.errors import Problem, StoreError
 from app.sets.background import Background
 from app.sets.model import UnitRows
-from app.sets.plan import plan_restore
+from app.sets.plan import plan_restore, refuse_unwritable
 from app.sets.reading import ParameterReader
 from app.sets.restore_record import UNDER_WAY, Restore, RowResult
-from app.sets.restore_store import ENDED_MEANWHILE, RestoreStore
+from app.sets.restore_run import RestoreRun
+from app.sets.restore_store import RestoreStore
+from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from app.web.access import Person
-from bus.contract import WriteParameter
-from bus.errors import unit_error_name
 
 _log = structlog.get_logger(__name__)
 
@@ -57,9 +56,9 @@ class RestoreDesk:
     async def load(self) -> None:
         """Once at start: what was under way when the server ended is stopped, and says what was done."""
         for restore in await self._store.under_way():
-            restore.state, restore.cause = "stopped", _UNDER_WAY_AT_END
+            restore.stop("server_ended", _UNDER_WAY_AT_END)
             await self._store.end(restore)
-            await self._record(restore.who, restore)
+            await self._record(restore)
 
     async def plan(
         self,
@@ -67,15 +66,18 @@ class RestoreDesk:
         bus: str,
         unit: int,
         wanted: UnitRows,
-        *,
-        running: bool | None,
-        remote: bool | None = None,
-        ticked: frozenset[int] = frozenset(),
+        selection: Selection = EVERYTHING_HARMLESS,
     ) -> Restore:
-        """Read the unit now and say what would be written; nothing is. ``running``, ``remote``: the Run
-        input and REMOTE as last read, None where not known."""
+        """Read the unit now and say what would be written; nothing is.
+
+        Raises Problem 503 or 504 when the unit cannot be read, 409 ``dangerous`` or 422 ``invalid`` for a row
+        that the selection includes and that cannot be written.
+        """
         before = await self._reader.read_unit(person, bus, unit, urgent=True)
-        plan = plan_restore(wanted, before, running=running, remote=remote, ticked=ticked)
+        status = self._reader.status(bus, unit)
+        running, remote = (None, None) if status is None else (status.run, status.remote)
+        plan = plan_restore(wanted, before, running=running, remote=remote, selection=selection)
+        refuse_unwritable(plan, selection)
         restore = Restore(
             id=secrets.token_hex(8),
             bus=bus,
@@ -86,17 +88,32 @@ class RestoreDesk:
             plan=plan,
             rows=[RowResult(write) for write in plan.writes],
             planned_at=time.time(),
+            selection=selection,
+            running=running,
+            remote=remote,
         )
         self._remember(restore)
         return restore
 
+    def select(self, restore: Restore, selection: Selection) -> None:
+        """Choose other rows of a plan that has not begun. Raises Problem as :meth:`plan` does."""
+        _refuse_begun(restore)
+        plan = plan_restore(
+            restore.wanted,
+            restore.before,
+            running=restore.running,
+            remote=restore.remote,
+            selection=selection,
+        )
+        refuse_unwritable(plan, selection)
+        restore.adopt(plan, selection)
+
     def start(self, person: Person, restore: Restore) -> None:
         """Begin writing. Raises Problem 409 when it has begun already or its unit is being restored."""
-        if restore.state != "planned":
-            raise Problem(409, "already_started", f"this restore has begun: it is {restore.state}")
+        _refuse_begun(restore)
         if any(other.state in UNDER_WAY and _same_unit(other, restore) for other in self._restores.values()):
             raise Problem(409, "busy", f"unit {restore.unit} is being restored by another; wait for its end")
-        restore.state = "running"
+        restore.state, restore.who = "running", person.name
         self._background.begin(self._run(person, restore), f"restore {restore.id}")
 
     async def close(self) -> None:
@@ -105,70 +122,38 @@ class RestoreDesk:
 
     async def _run(self, person: Person, restore: Restore) -> None:
         try:
-            await self._store.begin(restore)
-            await self._write_rows(person, restore)
-            await self._prove(person, restore)
+            await RestoreRun(self._reader, self._desk, self._store, person, restore).run()
         except Problem as problem:
-            restore.state, restore.cause = "stopped", problem.detail
+            restore.stop(problem.code, problem.detail)
         except StoreError as error:
-            restore.state, restore.cause = "stopped", str(error)
+            restore.stop("store", str(error))
         except asyncio.CancelledError:
-            restore.state, restore.cause = "stopped", "the server was shut down"
+            restore.stop("server_ended", "the server was shut down")
             raise
         except Exception:
             _log.exception("a restore failed", restore=restore.id)
-            restore.state, restore.cause = "stopped", "an error in the server; its log says more"
+            restore.stop("failed", "an error in the server; its log says more")
         finally:
-            await self._end(person, restore)
+            await self._end(restore)
 
-    async def _end(self, person: Person, restore: Restore) -> None:
+    async def _end(self, restore: Restore) -> None:
         try:
             await self._store.end(restore)
-            await self._record(person.name, restore)
+            await self._record(restore)
             if self.on_end is not None:
                 await self.on_end(restore)
         except StoreError as error:
             restore.cause = f"{restore.cause}; {error}" if restore.cause else str(error)
 
-    async def _write_rows(self, person: Person, restore: Restore) -> None:
-        for place, row in enumerate(restore.rows):
-            if restore.cancelled:
-                raise Problem(409, "cancelled", f"left off by {restore.who} after {restore.done} rows")
-            await self._store.sending(restore, place)
-            try:
-                restore.rows[place] = await self._write_row(person, restore, row)
-            except asyncio.CancelledError:
-                restore.rows[place] = replace(row, outcome="unverified", message=ENDED_MEANWHILE)
-                raise
-            finally:
-                await self._store.row(restore, place)
-            if restore.rows[place].outcome == "unverified":
-                raise Problem(504, "unverified", f"#{row.write.number}: {restore.rows[place].message}")
-
-    async def _write_row(self, person: Person, restore: Restore, row: RowResult) -> RowResult:
-        action = WriteParameter(unit=restore.unit, number=row.write.number, raw=row.write.wanted)
-        result = await self._desk.ask(person, restore.bus, action, confirm=True, origin="restore")
-        message = result.message
-        if result.outcome == "refused" and result.unit_error is not None:
-            message = f"refused: {unit_error_name(result.unit_error)}"
-        if result.outcome in ("not_sent", "bus_closed"):
-            raise Problem(503, result.outcome, message or "nothing more was sent")
-        return replace(row, outcome=result.outcome, message=message, read_back=result.read_back)
-
-    async def _prove(self, person: Person, restore: Restore) -> None:
-        """The proof is a full read afterwards."""
-        restore.state = "proving"
-        restore.proven = await self._reader.read_unit(person, restore.bus, restore.unit, urgent=True)
-        restore.state = "different" if restore.remaining else "equal"
-
-    async def _record(self, who: str, restore: Restore) -> None:
+    async def _record(self, restore: Restore) -> None:
         verified = sum(row.outcome == "verified" for row in restore.rows)
+        rows = "1 row" if len(restore.rows) == 1 else f"{len(restore.rows)} rows"
         await self._events.record(
             kind="restore",
-            who=who,
+            who=restore.who,
             bus=restore.bus,
             unit=restore.unit,
-            what=f"parameters restored: {verified} of {len(restore.rows)} rows verified",
+            what=f"parameters restored: {verified} of {rows} verified",
             outcome=restore.state,
             message="; ".join(part for part in (restore.cause, restore.account()) if part),
         )
@@ -178,6 +163,11 @@ class RestoreDesk:
         ended = [key for key, known in self._restores.items() if known.state not in UNDER_WAY]
         for key in ended[:-_KEEP_FINISHED]:
             del self._restores[key]
+
+
+def _refuse_begun(restore: Restore) -> None:
+    if restore.state != "planned":
+        raise Problem(409, "already_started", f"this restore has begun: it is {restore.state}")
 
 
 def _same_unit(one: Restore, other: Restore) -> bool:

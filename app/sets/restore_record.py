@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from app.sets.compare import Compared, differences
 from app.sets.model import UnitRows
-from app.sets.plan import LeftOut, RestorePlan, Write, remarks
+from app.sets.order import Write
+from app.sets.plan import CHOSEN, LeftOut, RestorePlan
+from app.sets.remarks import remarks
+from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from bus.contract import Outcome
 
 State = Literal["planned", "running", "proving", "equal", "different", "stopped"]
@@ -17,7 +20,7 @@ UNDER_WAY: frozenset[State] = frozenset({"running", "proving"})
 
 @dataclass(frozen=True, slots=True)
 class RowResult:
-    """One row of the plan and, once tried, its fate."""
+    """One row of the plan and, once tried or given up, its outcome."""
 
     write: Write
     outcome: Outcome | None = None
@@ -28,7 +31,8 @@ class RowResult:
 @dataclass(slots=True)
 class Restore:
     """``wanted`` the rows asked for, ``before`` what the unit was, ``proven`` what a full read found
-    afterwards (None until that read)."""
+    afterwards (None until that read). ``running``, ``remote``: the Run input and REMOTE when it was
+    planned, None where not known. ``cause``, ``cause_code``: why it stopped, for people and programs."""
 
     id: str
     bus: str
@@ -41,9 +45,13 @@ class Restore:
     planned_at: float
     state: State = "planned"
     cause: str = ""
+    cause_code: str | None = None
     proven: UnitRows | None = None
-    cancelled: bool = field(default=False, repr=False)
-    """Whether a person asked to leave off."""
+    selection: Selection = EVERYTHING_HARMLESS
+    running: bool | None = None
+    remote: bool | None = None
+    cancelled_by: str = ""
+    """Who asked to stop after the row in hand."""
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
@@ -51,13 +59,24 @@ class Restore:
         return self.plan.left_out
 
     @property
+    def offered(self) -> list[tuple[Write, LeftOut]]:
+        """Rows that a person may still choose to write, with the reason why they are left out."""
+        return [
+            (Write(left.number, present, wanted), left)
+            for left in self.left_out
+            if left.reason in CHOSEN
+            and (present := self.before.raw(left.number)) is not None
+            and (wanted := self.wanted.raw(left.number)) is not None
+        ]
+
+    @property
     def remarks(self) -> list[str]:
-        """What is to be known of the set before it is written."""
-        return remarks(self.wanted, self.before)
+        """What is to be known of the set and the unit before anything is written."""
+        return remarks(self.wanted, self.before, running=self.running, writes=self.plan.writes)
 
     @property
     def done(self) -> int:
-        """How many rows have their fate."""
+        """How many rows have their outcome."""
         return sum(row.outcome is not None for row in self.rows)
 
     @property
@@ -73,16 +92,26 @@ class Restore:
         never = {left.number for left in self.left_out if not left.later}
         return [row for row in differences(self.wanted, self.proven) if row.number not in never]
 
-    def cancel(self) -> None:
-        """Leave off after the row in hand."""
-        self.cancelled = True
+    def adopt(self, plan: RestorePlan, selection: Selection) -> None:
+        """Take over the plan for another selection of rows."""
+        self.plan, self.selection = plan, selection
+        self.rows = [RowResult(write) for write in plan.writes]
+
+    def stop(self, code: str, cause: str) -> None:
+        """End it before its time: every row without an outcome was not sent."""
+        self.state, self.cause_code, self.cause = "stopped", code, cause
+        self.rows = [row if row.outcome else replace(row, outcome="not_sent") for row in self.rows]
+
+    def cancel(self, who: str) -> None:
+        """Stop after the row in hand."""
+        self.cancelled_by = who
 
     def account(self) -> str:
         """Which rows were written and proven, which are in doubt or refused, which were not tried."""
         fates = {
             "done": [row for row in self.rows if row.outcome == "verified"],
             "in doubt": [row for row in self.rows if row.outcome in ("unverified", "acknowledged")],
-            "refused": [row for row in self.rows if row.outcome == "refused"],
+            "refused": [row for row in self.rows if row.outcome in ("refused", "invalid")],
             "not written": [row for row in self.rows if row.outcome in (None, "not_sent", "bus_closed")],
         }
         return "; ".join(f"{fate}: {_numbers(rows)}" for fate, rows in fates.items() if rows)

@@ -1,4 +1,4 @@
-"""Restores at rest: each row on disk before it is sent and again with its fate."""
+"""Restores at rest: each row on disk before it is sent and again with its outcome."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Mapping
 
 from app.database import Database
 from app.sets.model import Row, UnitRows
-from app.sets.plan import LeftOut, RestorePlan, Write
+from app.sets.order import Write
+from app.sets.plan import LeftOut, RestorePlan
 from app.sets.restore_record import UNDER_WAY, Restore, RowResult
 from bus.catalogue.parameters import PARAMETERS
 
@@ -71,7 +72,7 @@ class RestoreStore:
 
 def _insert(connection: sqlite3.Connection, restore: Restore) -> None:
     connection.execute(
-        "INSERT INTO restore VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        "INSERT INTO restore VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         (
             restore.id,
             restore.bus,
@@ -82,6 +83,7 @@ def _insert(connection: sqlite3.Connection, restore: Restore) -> None:
             restore.plan.equal,
             restore.state,
             restore.cause,
+            restore.cause_code,
         ),
     )
     connection.executemany(
@@ -92,8 +94,8 @@ def _insert(connection: sqlite3.Connection, restore: Restore) -> None:
         ],
     )
     connection.executemany(
-        "INSERT INTO restore_left_out VALUES (?, ?, ?, ?)",
-        [(restore.id, left.number, left.reason, left.later) for left in restore.left_out],
+        "INSERT INTO restore_left_out VALUES (?, ?, ?, ?, ?)",
+        [(restore.id, left.number, left.text, left.later, left.reason) for left in restore.left_out],
     )
     _insert_values(connection, restore.id, "wanted", restore.wanted.rows)
     _insert_values(connection, restore.id, "before", restore.before.rows)
@@ -134,20 +136,24 @@ def _update_row(connection: sqlite3.Connection, restore_id: str, place: int, row
 
 def _end(connection: sqlite3.Connection, restore: Restore) -> None:
     connection.execute(
-        "UPDATE restore SET state = ?, cause = ? WHERE id = ?", (restore.state, restore.cause, restore.id)
+        "UPDATE restore SET state = ?, cause = ?, cause_code = ? WHERE id = ?",
+        (restore.state, restore.cause, restore.cause_code, restore.id),
     )
+    for place, row in enumerate(restore.rows):
+        _update_row(connection, restore.id, place, row)
     if restore.proven is not None:
         _insert_values(connection, restore.id, "proven", restore.proven.rows)
 
 
 def _load(connection: sqlite3.Connection, restore_id: str) -> Restore | None:
     head = connection.execute(
-        "SELECT bus, unit, unit_name, who, planned_at, equal_rows, state, cause FROM restore WHERE id = ?",
+        "SELECT bus, unit, unit_name, who, planned_at, equal_rows, state, cause, cause_code"
+        " FROM restore WHERE id = ?",
         (restore_id,),
     ).fetchone()
     if head is None:
         return None
-    bus, unit, name, who, planned_at, equal, state, cause = head
+    bus, unit, name, who, planned_at, equal, state, cause, cause_code = head
     rows = _rows(connection, restore_id)
     proven = _values(connection, restore_id, "proven")
     return Restore(
@@ -162,6 +168,7 @@ def _load(connection: sqlite3.Connection, restore_id: str) -> Restore | None:
         planned_at=planned_at,
         state=state,
         cause=cause,
+        cause_code=cause_code,
         proven=UnitRows(unit, name, proven) if proven else None,
     )
 
@@ -177,10 +184,13 @@ def _rows(connection: sqlite3.Connection, restore_id: str) -> list[RowResult]:
 
 def _left_out(connection: sqlite3.Connection, restore_id: str) -> tuple[LeftOut, ...]:
     found = connection.execute(
-        "SELECT number, reason, later FROM restore_left_out WHERE restore_id = ? ORDER BY number",
+        "SELECT number, code, reason, later FROM restore_left_out WHERE restore_id = ? ORDER BY number",
         (restore_id,),
     )
-    return tuple(LeftOut(number, reason, bool(later)) for number, reason, later in found)
+    return tuple(
+        LeftOut(number, code or ("not_in_remote" if later else None), text)
+        for number, code, text, later in found
+    )
 
 
 def _values(connection: sqlite3.Connection, restore_id: str, side: str) -> dict[int, Row]:

@@ -21,7 +21,8 @@ AT_ONCE = 4
 
 @dataclass(slots=True)
 class Taking:
-    """A set being read. ``set_id`` once it is kept; ``silent`` the units that did not answer, with why."""
+    """A set being read. ``set_id`` once it is kept; ``silent`` the units that did not answer, with why;
+    ``cause``: why nothing was kept although units answered."""
 
     id: str
     bus: str
@@ -32,6 +33,7 @@ class Taking:
     read: list[UnitRows] = field(default_factory=list)
     silent: dict[int, str] = field(default_factory=dict)
     set_id: int | None = None
+    cause: str = ""
 
     @property
     def done(self) -> int:
@@ -69,9 +71,13 @@ class Takings:
         if not taking.read:
             taking.state = "failed"
             return
-        kept = await self._keeper.keep(
-            person, taking.bus, taking.read, taking.name, taking.comment, "by hand"
-        )
+        try:
+            kept = await self._keeper.keep(
+                person, taking.bus, taking.read, taking.name, taking.comment, "by hand"
+            )
+        except Problem as problem:
+            taking.state, taking.cause = "failed", problem.detail
+            return
         taking.set_id, taking.state = kept.id, "kept"
 
 

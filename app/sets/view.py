@@ -1,37 +1,41 @@
-"""Sets, comparisons and restores as JSON. #21 never leaves here."""
+"""Sets and comparisons as JSON. #21 never leaves here."""
 
 from __future__ import annotations
 
-from typing import Any
-
-from app.sets.compare import Compared, meaning, with_unit
+from app.sets.compare import Compared, with_unit
 from app.sets.drift import Departure
 from app.sets.model import ParameterSet, UnitRows
-from app.sets.restore_record import Restore, RowResult
+from app.sets.shown import (
+    ComparedShown,
+    DepartureShown,
+    SetHead,
+    SetParameterShown,
+    SetShown,
+    SetUnitShown,
+    SummaryShown,
+)
 from app.sets.store import SetSummary
 from app.web.shape import iso
 from bus.catalogue.parameters import PARAMETERS
 
 
-def summary_json(summary: SetSummary) -> dict[str, Any]:
+def summary_json(summary: SetSummary) -> SummaryShown:
     """One line of the list."""
     return {
         **_head(summary),
         "units": list(summary.units),
-        "golden_for": list(summary.golden_for),
     }
 
 
-def set_json(stored: ParameterSet) -> dict[str, Any]:
+def set_json(stored: ParameterSet) -> SetShown:
     """A whole set; secrets masked."""
     return {
         **_head(stored),
-        "golden_for": sorted(stored.golden_for),
         "units": [_unit_json(rows) for rows in stored.units],
     }
 
 
-def _head(of: SetSummary | ParameterSet) -> dict[str, Any]:
+def _head(of: SetSummary | ParameterSet) -> SetHead:
     return {
         "id": of.id,
         "bus": of.bus,
@@ -40,11 +44,12 @@ def _head(of: SetSummary | ParameterSet) -> dict[str, Any]:
         "taken_at": iso(of.taken_at),
         "who": of.who,
         "origin": of.origin,
+        "golden_for": sorted(of.golden_for),
     }
 
 
-def _unit_json(rows: UnitRows) -> dict[str, Any]:
-    parameters = []
+def _unit_json(rows: UnitRows) -> SetUnitShown:
+    parameters: list[SetParameterShown] = []
     for number, row in sorted(rows.rows.items()):
         parameter = PARAMETERS[number]
         shown = parameter.secret or row.raw is None
@@ -62,7 +67,7 @@ def _unit_json(rows: UnitRows) -> dict[str, Any]:
     return {"id": rows.unit, "name": rows.name, "parameters": parameters}
 
 
-def compared_json(row: Compared) -> dict[str, Any]:
+def compared_json(row: Compared) -> ComparedShown:
     """One row of a comparison, as shown to people and raw."""
     secret = PARAMETERS[row.number].secret
     return {
@@ -77,33 +82,7 @@ def compared_json(row: Compared) -> dict[str, Any]:
     }
 
 
-def restore_json(restore: Restore) -> dict[str, Any]:
-    """A restore: its plan, how far it is, and what a full read found afterwards."""
-    return {
-        "id": restore.id,
-        "bus": restore.bus,
-        "unit": restore.unit,
-        "who": restore.who,
-        "state": restore.state,
-        "cause": restore.cause,
-        "done": restore.done,
-        "equal": restore.plan.equal,
-        "remarks": restore.remarks,
-        "rows": [_row_json(restore, row) for row in restore.rows],
-        "left_out": [
-            {
-                "number": left.number,
-                "name": PARAMETERS[left.number].name,
-                "reason": left.reason,
-                "later": left.later,
-            }
-            for left in restore.left_out
-        ],
-        "remaining": None if restore.remaining is None else [compared_json(row) for row in restore.remaining],
-    }
-
-
-def departure_json(departure: Departure) -> dict[str, Any]:
+def departure_json(departure: Departure) -> DepartureShown:
     """A row of a comparison with the golden set, and whose change it is."""
     change = departure.change
     return {
@@ -112,28 +91,3 @@ def departure_json(departure: Departure) -> dict[str, Any]:
         "changed_at": None if change is None else iso(change["time"]),
         "changed": "at the panel" if change is None else f"by {change['who']}",
     }
-
-
-def _row_json(restore: Restore, row: RowResult) -> dict[str, Any]:
-    parameter = PARAMETERS[row.write.number]
-    present = _shown(restore.before, row.write.number, row.write.present)
-    wanted = _shown(restore.wanted, row.write.number, row.write.wanted)
-    words = meaning(parameter.number)
-    return {
-        "number": parameter.number,
-        "name": parameter.name,
-        "present_raw": None if parameter.secret else row.write.present,
-        "wanted_raw": None if parameter.secret else row.write.wanted,
-        "present": present,
-        "wanted": wanted,
-        "words": words,
-        "meaning": words.format(new=wanted, old=present),
-        "outcome": row.outcome,
-        "message": row.message,
-        "read_back": None if parameter.secret else row.read_back,
-    }
-
-
-def _shown(rows: UnitRows, number: int, raw: int) -> str:
-    parameter = PARAMETERS[number]
-    return "secret" if parameter.secret else with_unit(parameter, raw, rows)

@@ -106,7 +106,7 @@ class SwapDesk:
         await self._store.save(swap)
         if not swap.proven:
             return
-        left_out = ", ".join(f"#{left.number}: {left.reason}" for left in restore.left_out)
+        left_out = ", ".join(f"#{left.number}: {left.text}" for left in restore.left_out)
         story = [
             f"seen: {', then '.join(swap.seen)}",
             f"restored from {swap.source_words}: {restore.account() or 'nothing had to be written'}",

@@ -11,13 +11,17 @@ from app.commands.desk import Desk
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import unit_or_404
-from app.sets.api import Keeper, Restores
-from app.sets.lookup import plan, set_or_404, unit_rows_or_404
+from app.sets.api import Keeper
+from app.sets.lookup import set_or_404, unit_rows_or_404
+from app.sets.offers import offers
+from app.sets.restore_api import Restores
+from app.sets.restore_shown import LeftOutShown
+from app.sets.restore_view import restore_json
 from app.swap.desk import SwapDesk, step_text
 from app.swap.looking import look
 from app.swap.record import Swap
 from app.swap.rules import FACTORY_ADDRESS, PROVEN, STEPS, Advice, advice, done_steps
-from app.swap.sources import offers, source_of
+from app.swap.sources import source_of
 from app.web.access import Engineer, Person
 from app.web.services import service
 from app.web.templating import render
@@ -75,6 +79,7 @@ async def look_again(
         unit=unit,
         advice=now,
         swap=swap,
+        setpoints=_setpoints_left(swap),
         text=step_text(now, swap),
         words={"target": unit, "factory": FACTORY_ADDRESS, "baud": baud, "hundreds": baud // 100},
         steps=STEPS,
@@ -108,7 +113,7 @@ async def begin_restore(
     if swap.source is None:
         raise Problem(409, "no_set", "this swap has no set to restore from; enter the sheet, or leave it")
     rows = unit_rows_or_404(await set_or_404(keeper, swap.source.set), swap.source.unit)
-    restore = await plan(restores, person, live.buses[bus], unit, rows)
+    restore = await restores.plan(person, bus, unit, rows)
     await swaps.restoring(swap, restore)
     return Response(status_code=303, headers={"Location": f"/restores/{restore.id}"})
 
@@ -130,6 +135,15 @@ async def give_up(person: Engineer, swaps: Swaps, bus: str, unit: int) -> Respon
     """Leave it; whatever was done at the unit stays."""
     await swaps.give_up(person, swaps.of_or_404(bus, unit))
     return Response(status_code=303, headers={"Location": f"/units/{bus}/{unit}"})
+
+
+def _setpoints_left(swap: Swap) -> list[LeftOutShown]:
+    """The setpoints that the spare does not have from the old unit, for nobody chose to write them."""
+    if swap.restore is None or not swap.proven:
+        return []
+    return [
+        left for left in restore_json(swap.restore)["left_out"] if left["reason_code"] == "operating_value"
+    ]
 
 
 def _to_swap(bus: str, unit: int) -> Response:

@@ -11,7 +11,7 @@ FACTORY_ADDRESS = 1
 FACTORY_BAUD = 9600
 """Its #18 then, in bits a second."""
 
-Kind = Literal["silent", "digimax", "garbled", "foreign"]
+Kind = Literal["silent", "digimax", "garbled", "foreign", "late"]
 StepName = Literal["find", "address", "remote", "restore", "proven"]
 STEPS: tuple[StepName, ...] = ("find", "address", "remote", "restore", "proven")
 
@@ -55,7 +55,7 @@ PROVEN = Advice("proven", "The new unit is what the old one was, proven by a ful
 
 def advice(sight: Sight) -> Advice:
     """What to do now."""
-    if sight.at_target in ("garbled", "foreign"):
+    if sight.at_target in ("garbled", "foreign", "late"):
         return _at_target_wrong(sight)
     if sight.at_target == "silent":
         return _nothing_at_target(sight)
@@ -79,6 +79,12 @@ def advice(sight: Sight) -> Advice:
 def _at_target_wrong(sight: Sight) -> Advice:
     if sight.at_target == "foreign":
         text = "Something that is no DIGIMAX IV answers at address {target}. Take it off the cable."
+    elif sight.at_target == "late":
+        text = (
+            "Responses from address {target} come too late to be identified. Increase turnaround_ms for this "
+            "bus in lineside.toml and restart Lineside."
+        )
+        return Advice("find", text, at_panel=False)
     else:
         text = (
             "Two units answer at address {target} at once. Take the old one off the cable, or give the other "
@@ -119,6 +125,7 @@ _KIND_WORDS: dict[Kind, str] = {
     "digimax": "a unit answers",
     "garbled": "two units answer",
     "foreign": "something that is no unit answers",
+    "late": "responses come too late",
 }
 
 

@@ -7,22 +7,22 @@ not start otherwise (`app.web.routes`). The person is put into the ASGI scope by
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Literal
 
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from app.errors import Problem
+from app.errors import InvalidError, Problem
 from app.web.arrival import refuse_late
-from bus.errors import CallerError
 
 Via = Literal["session", "token", "worker", "demo"]
 
 
 class Role(StrEnum):
-    """What someone may do. The first four each include the ones before; ``worker`` is for /feed alone."""
+    """What someone may do. The first four each include the ones before; ``worker`` opens /feed and nothing
+    else, and nothing else opens /feed: what a worker reports is what commands are verified by."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"
@@ -34,7 +34,7 @@ class Role(StrEnum):
         """Whether this role may do what ``other`` may (templates name it by its word)."""
         other = Role(other)
         if Role.WORKER in (self, other):
-            return self is other or self in (Role.ENGINEER, Role.ADMIN)
+            return self is other
         return PEOPLE_ROLES.index(self) >= PEOPLE_ROLES.index(other)
 
 
@@ -44,10 +44,12 @@ _TOKEN = " (token)"
 
 
 def role_named(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
-    """Raises CallerError for a word that is none of these."""
+    """Raises InvalidError for a word that is none of these."""
     roles = list(among)
     if word not in roles:
-        raise CallerError(f"there is no role {word!r}; take one of {', '.join(roles)}")
+        raise InvalidError(
+            "there is no role {called}; choose one of {roles}", called=repr(word[:80]), roles=", ".join(roles)
+        )
     return Role(word)
 
 
@@ -63,6 +65,15 @@ class Person:
     home: str = "/"
     created_at: float = 0.0
     """When the account was made, Unix time in seconds: a later one of the same name is another."""
+    bus: str = ""
+    """The one bus that a worker speaks for."""
+    credential: str = field(default="", repr=False, compare=False)
+    """What the person was authenticated by, told from an earlier one of the same account."""
+
+    @property
+    def has_account(self) -> bool:
+        """Whether it is a user or a token of the store, whose rights can be withdrawn."""
+        return self.via in ("session", "token")
 
     @property
     def account(self) -> str:
@@ -110,7 +121,10 @@ class Requires:
             raise not_signed_in()
         if not person.role.includes(self.role):
             raise Problem(
-                403, "forbidden", f"this needs the role {self.role}; {person.name} is {person.role}"
+                403,
+                "forbidden",
+                "this needs the role {role}; {called} is {present}",
+                params={"role": self.role, "called": person.name, "present": person.role},
             )
         return person
 

@@ -14,6 +14,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.errors import Problem
+from app.web.schema_names import operation_name
+from app.web.schema_problem import usual_problems
 
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]
 
@@ -24,6 +26,13 @@ class ApiRoute(APIRoute):
     Most servers take the last of two and pass over what they do not know. A filter with a slip in its name
     would then let everything through, and of two setpoints one would be set that another program did not see.
     """
+
+    def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:
+        name = operation_name(endpoint.__name__)
+        options["operation_id"] = options.get("operation_id") or name
+        options["summary"] = options.get("summary") or name.replace("_", " ").capitalize()
+        usual = usual_problems(path, options.get("methods") or ["GET"])
+        super().__init__(path, endpoint, **{**options, "responses": usual | (options.get("responses") or {})})
 
     def get_route_handler(self) -> Handler:
         """As FastAPI has it, behind the checks."""

@@ -16,14 +16,20 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 from starlette.websockets import WebSocket
 
-from app.errors import Problem, StoreError
+from app.errors import Problem, ProblemCode, StoreError
 from app.web.access import person_of
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
 
 log = structlog.get_logger()
 
-_CODES = {401: "unauthorized", 403: "forbidden", 404: "not_found", 405: "method_not_allowed", 422: "invalid"}
+_CODES: dict[int, ProblemCode] = {
+    401: "unauthorized",
+    403: "forbidden",
+    404: "not_found",
+    405: "method_not_allowed",
+    422: "invalid",
+}
 
 _HTTP_DETAILS = {
     404: ("there is nothing at {path}", ("path",)),

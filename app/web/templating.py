@@ -21,7 +21,7 @@ from app.web.languages import Language, Languages
 
 
 class Templates:
-    """Renders templates. In every template: ``t()``, ``asset()``, ``imports()``, ``formats``,
+    """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
     ``language``, ``languages``, ``site``, ``Role``, ``demo``; in a page or fragment of a request also
     ``person``, ``request`` and ``path``. ``kept_in``: where they stay compiled from one start to the next."""
 
@@ -58,6 +58,7 @@ class Templates:
     def _globals(self, language: Language) -> Mapping[str, Any]:
         return {
             "t": language.t,
+            "tn": language.tn,
             "language": language,
             "languages": self.languages,
             "formats": self.formats(language.tag),

@@ -36,11 +36,12 @@ class UnitOutcome(Message, frozen=True, tag="unit_outcome"):
 
 
 class FoundUnit(Message, frozen=True, tag="found_unit"):
-    """What a scan saw at one address. ``kind``: digimax, garbled (two units?), foreign."""
+    """What a scan saw at one address. ``kind``: digimax, garbled (two units?), foreign, or late where
+    responses come too late to be told apart."""
 
     unit: int
     baud: int
-    kind: Literal["digimax", "garbled", "foreign"]
+    kind: Literal["digimax", "garbled", "foreign", "late"]
     parameters: list[int] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 

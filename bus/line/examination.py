@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from bus.catalogue.parameters import OWN_ADDRESS, PARAMETERS
 from bus.catalogue.status import status_bits
@@ -56,8 +56,8 @@ class Outcome:
     """Bytes that are no frame."""
     strange: bool = False
     """Good frames that no unit gives as this answer."""
-    twice: bool = False
-    """More than one answer."""
+    surplus: int = 0
+    """Good frames of this unit beside the response: responses to earlier requests, or a second copy."""
     checksum_10h: Checksum10h | None = None
     """How the answer's checksum came, where it was 10h."""
     answered_after_s: float | None = None
@@ -66,7 +66,14 @@ class Outcome:
     @property
     def silent(self) -> bool:
         """Nothing came at all."""
-        return self.reply is None and not (self.spoilt or self.strange or self.twice)
+        return self.reply is None and not (self.spoilt or self.strange or self.surplus)
+
+
+class Responses(NamedTuple):
+    """How many responses came after their window, and how many that no request explains."""
+
+    late: int
+    doubled: int
 
 
 Examining = Generator[Question, Outcome, Found | None]
@@ -110,6 +117,7 @@ class _Examination:
             checksum_10h=self._sends_checksum_10h() or takes,
             reply_bytes=self._reply_bytes(),
             estop_healthy=self._estop_healthy(),
+            late=self._responses().late > 0,
             answered_within_s=max(
                 (o.answered_after_s for o in self.outcomes if o.answered_after_s is not None), default=None
             ),
@@ -211,7 +219,17 @@ class _Examination:
         return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS_OR_ELSE,))
 
     def _garbled_share(self) -> float:
-        return sum(outcome.spoilt or outcome.twice for outcome in self.outcomes) / len(self.outcomes)
+        spoilt = sum(outcome.spoilt for outcome in self.outcomes)
+        return (spoilt + self._responses().doubled) / len(self.outcomes)
+
+    def _responses(self) -> Responses:
+        """A unit owes one response to each request: one that comes after its window is late, not doubled."""
+        owed = late = doubled = 0
+        for outcome in self.outcomes:
+            paid = min(owed, outcome.surplus)
+            late, doubled = late + paid, doubled + outcome.surplus - paid
+            owed += (outcome.reply is None and not outcome.spoilt) - paid
+        return Responses(late, doubled)
 
     def _reply_bytes(self) -> tuple[int, ...]:
         replies = [outcome.reply for outcome in self.outcomes]

@@ -16,6 +16,7 @@ TWO_UNITS = "its answers are garbled or come twice: two units at this address? S
 TWO_UNITS_OR_ELSE = (
     "every answer is garbled: two units at this address, another protocol, or another baud rate"
 )
+LATE = "units respond later than turnaround_ms allows: increase it for this bus and scan again"
 STRANGE = "answers in whole frames, but not as a DIGIMAX IV does"
 _HIGHEST = max(PARAMETERS)
 
@@ -26,7 +27,7 @@ class Found:
 
     unit: int
     baud: int
-    kind: Literal["digimax", "garbled", "foreign"]
+    kind: Literal["digimax", "garbled", "foreign", "late"]
     parameters: tuple[int, ...] = ()
     remarks: tuple[str, ...] = ()
     remote: bool | None = None
@@ -37,6 +38,8 @@ class Found:
     estop_healthy: Literal[0, 1] | None = None
     """Its e-stop bit while it turns at speed; None where it never did."""
     answered_within_s: float | None = None
+    late: bool = False
+    """Whether some of its responses came after their window."""
 
     def for_contract(self) -> FoundUnit:
         """The part of it that the app is told."""
@@ -74,7 +77,7 @@ def _on_its_address(one: Found) -> list[str]:
 
 def conclude(found: Sequence[Found]) -> list[str]:
     """What only all addresses together show."""
-    remarks = []
+    remarks = [LATE] if any(one.late for one in found) else []
     owners = [one.own_address for one in found if one.own_address not in (None, one.unit)]
     for owner in sorted({owner for owner in owners if owner is not None}):
         if owners.count(owner) > 1:

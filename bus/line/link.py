@@ -27,15 +27,13 @@ from bus.line.roster import Roster
 from bus.line.tally import Tally, WireCounts
 from bus.line.trace import Passed, Trace
 from bus.line.underway import UnderWay
-from bus.line.window import QUIET_BYTES, Window
+from bus.line.window import MARGIN_S, QUIET_BYTES, Window
 from bus.settings import BITS_PER_BYTE, Dialect
 from bus.wire.commands import Request
 from bus.wire.exchange import Answered, Event, Exchange, Foreign, Unexpected
 from bus.wire.fence import Doubt, Doubts
 from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise
 
-MARGIN_S = 0.010
-"""What the machine and the adapter may add to a unit's turnaround."""
 UNHEARD = 0.93
 """So long a part of the least time bytes are left to gather, as each few that are heard alone cost as much as
 an answer; less than ``port_pace.EARLY``."""
@@ -171,7 +169,7 @@ class Link:
             return
         events = exchange.receive(data, now)
         followed_at = self._follow(current, events, now) if current is not None and self._next else None
-        self._window.heard(now)
+        self._window.heard(now, inside_frame=self._decoder.pending > 0)
         for event in events:
             self._take(event, exchange, now)
         if current is not None and current.exchange.reply is not None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator
 
+from bus.line.window import MARGIN_S
 from bus.settings import Dialect
 from bus.wire.bodies import encode_request
 from bus.wire.commands import ReadStatus
@@ -16,8 +17,6 @@ from bus.wire.lengths import wire_seconds
 
 PASSES = 2
 MOST_PASSES = 4
-MARGIN_S = 0.010
-"""What the machine and the adapter may add to a unit's turnaround."""
 
 
 def silent_seconds(baud: int, turnaround_s: float) -> float:

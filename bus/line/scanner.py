@@ -9,14 +9,13 @@ from dataclasses import dataclass, field
 from bus.errors import WireError
 from bus.line.found import Found
 from bus.line.passes import Passes
-from bus.line.scan_port import PATIENCE_S, ScanPort, SlowUnitError, scan_port
+from bus.line.prober import Prober, SlowUnitError
+from bus.line.scan_port import ScanPort, scan_port
 
 LISTEN_S = 0.2
 """How long the line is listened to before anything is asked."""
 MOST_UNASKED_BYTES = 10
 """More than this in that time, and nothing on the line can be told from anything else."""
-SLOWER_STILL = 2.0
-"""What a unit that was found slow may take, as a multiple of what it took."""
 
 
 @dataclass(slots=True)
@@ -42,31 +41,38 @@ async def scan_baud(
     negative number when all are asked again, as a unit proved slower than was allowed.
     Raises WireError when the port cannot be opened or is lost, or when bytes come that nobody asked for.
     """
-    began = asyncio.get_running_loop().time()
     async with scan_port(port, scan.baud) as line:
-        if (unasked := await line.listen(LISTEN_S)) > MOST_UNASKED_BYTES:
-            raise WireError(
-                f"{unasked} bytes came in {LISTEN_S} s although nobody asked: is another host on this line, "
-                "or is the cable open? Silence it and scan again"
-            )
-        complete = False
-        while not complete:
-            passes = Passes(addresses)
-            try:
-                await _ask_all(scan, line, passes, progress, began)
-                complete = True
-            except SlowUnitError as slow:
-                scan.turnaround_s = min(SLOWER_STILL * slow.seconds, PATIENCE_S)
-                scan.found.clear()
-                progress(-passes.settled)
+        await scan_addresses(scan, line, addresses, progress)
+
+
+async def scan_addresses(
+    scan: BaudScan, line: ScanPort, addresses: Sequence[int], progress: Callable[[int], None]
+) -> None:
+    """As ``scan_baud``, over an open port."""
+    began = asyncio.get_running_loop().time()
+    if (unasked := await line.listen(LISTEN_S)) > MOST_UNASKED_BYTES:
+        raise WireError(
+            f"{unasked} bytes came in {LISTEN_S} s although nobody asked: is another host on this line, "
+            "or is the cable open? Silence it and scan again"
+        )
+    complete = False
+    while not complete:
+        passes = Passes(addresses)
+        try:
+            await _ask_all(scan, line, passes, progress, began)
+            complete = True
+        except SlowUnitError as slow:
+            scan.turnaround_s = slow.allowance_s
+            scan.found.clear()
+            progress(-passes.settled)
 
 
 async def _ask_all(
     scan: BaudScan, line: ScanPort, passes: Passes, progress: Callable[[int], None], began: float
 ) -> None:
-    line.turnaround_s = scan.turnaround_s
+    prober = Prober(line, scan.baud, scan.turnaround_s)
     for unit in passes:
-        settled, one = passes.settled, await line.examine(unit)
+        settled, one = passes.settled, await prober.examine(unit)
         if one is None:
             passes.silent()
         else:

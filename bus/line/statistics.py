@@ -57,12 +57,16 @@ def _middle_of(place: int) -> float:
 
 
 class UnitStatistics:
-    """What became of every request to one unit since the worker started."""
+    """What became of every request to one unit since the worker started.
 
-    __slots__ = ("counts", "times")
+    ``overdue``: how many responses came after their window, while another unit was asked.
+    """
+
+    __slots__ = ("counts", "overdue", "times")
 
     def __init__(self, unit: int) -> None:
         self.counts = UnitCounts(unit)
+        self.overdue = 0
         self.times = AnswerTimes()
 
     def refused(self, code: int) -> None:

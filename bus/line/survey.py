@@ -6,7 +6,7 @@ The questions and the conclusions are those of ``bus.line.examination``; they ar
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bus.contract import Result
 from bus.line.examination import Outcome, Question, examine
@@ -20,6 +20,8 @@ from bus.wire.lengths import wire_seconds
 
 SHARE = 1 / 3
 """Of the wire, at most: a unit that is polled keeps two thirds of its rate."""
+OVERDUE = 3
+"""So many overdue responses during a scan, and what is garbled may be one of them beside another's."""
 ANSWERED_BYTES = 25
 """An 81h and its answer."""
 
@@ -49,6 +51,7 @@ class _Lost(Exception):
 def survey(roster: Roster, first: int, last: int, pace: Pace, wish: Wish) -> Procedure:
     """Which of the addresses ``first`` to ``last`` answer at the bus's present rate."""
     found: list[Found] = []
+    overdue = _overdue(roster)
     passes = Passes(range(first, last + 1))
     of = last - first + 1
     for unit in passes:
@@ -64,7 +67,20 @@ def survey(roster: Roster, first: int, last: int, pace: Pace, wish: Wish) -> Pro
         else:
             passes.found()
             found.append(one)
+    if _overdue(roster) - overdue >= OVERDUE:
+        found = [_doubted(one) for one in found]
     return _result(found, "")
+
+
+def _overdue(roster: Roster) -> int:
+    return sum(record.statistics.overdue for record in roster)
+
+
+def _doubted(one: Found) -> Found:
+    """What is left of a finding where responses come into the windows of other requests."""
+    if one.kind == "digimax":
+        return replace(one, late=True)
+    return replace(one, kind="late", remarks=(), late=True)
 
 
 def _result(found: list[Found], trouble: str) -> Result:
@@ -92,7 +108,7 @@ def _examine(roster: Roster, unit: int, pace: Pace) -> Generator[Step, Answer | 
 
 
 def _outcome(roster: Roster, question: Question) -> Generator[Step, Answer | None, Outcome]:
-    """One question as the bus asks it. A second copy shows as one more late frame of that unit."""
+    """One question as the bus asks it. Late responses and second copies count as late frames of that unit."""
     counts = roster[question.request.unit].statistics.counts
     late = counts.late
     dialect = _DOUBLED if question.doubled else _PLAIN
@@ -103,5 +119,5 @@ def _outcome(roster: Roster, question: Question) -> Generator[Step, Answer | Non
         reply=answer.reply,
         spoilt=answer.rubbish.spoilt,
         strange=answer.rubbish.strange,
-        twice=counts.late > late,
+        surplus=counts.late - late,
     )

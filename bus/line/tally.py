@@ -77,7 +77,9 @@ class Tally:
 
         It ends no doubt about that unit, for it may be of a third one that answers to a wrong address.
         """
-        if doubts.about(event.unit).outstanding or event.frame.wire == self._last_answer:
+        overdue = bool(doubts.about(event.unit).outstanding)
+        self._roster[event.unit].statistics.overdue += overdue
+        if overdue or event.frame.wire == self._last_answer:
             self.heard_twice(event.unit)
         elif asked:
             self._roster[asked].statistics.counts.foreign += 1

@@ -18,6 +18,11 @@ from bus.line.port import OpenPort
 QUIET_BYTES = 4
 """An answer that pauses for so many byte times is over."""
 LEAST_QUIET_S = 0.005
+LEAST_FRAME_GAP_S = 0.020
+"""Inside a frame. An FTDI adapter hands over what it received every 16 ms where its latency timer cannot be
+set (FTDI AN232B-04, 3.3)."""
+MARGIN_S = 0.010
+"""What the machine and the adapter may add to a unit's turnaround."""
 TIMER_SLACK_S = 0.0005
 LATE_S = 0.002
 """An alarm later than this means that the process was kept from running."""
@@ -41,7 +46,7 @@ class Window:
         self._hears_at: float | None = None
         self._looked = False
         self._quiet_s = LEAST_QUIET_S
-        self._last_byte_at = 0.0
+        self._quiet_at = 0.0
 
     def attach(self, port: OpenPort | None, byte_s: float) -> None:
         """Another port, or none; ``byte_s``: what a byte takes on it."""
@@ -55,9 +60,9 @@ class Window:
         self._hear_from(hears_at)
         self._ring_at(ends if hears_at is None else hears_at)
 
-    def heard(self, now: float) -> None:
-        """Bytes came in."""
-        self._last_byte_at = now
+    def heard(self, now: float, *, inside_frame: bool) -> None:
+        """Bytes came in; ``inside_frame``: they end in the middle of what may be a frame."""
+        self._quiet_at = now + (max(self._quiet_s, LEAST_FRAME_GAP_S) if inside_frame else self._quiet_s)
 
     def shorten(self, ends: float) -> None:
         """Only quiet is waited for any more."""
@@ -90,7 +95,7 @@ class Window:
         if self._hears_at is not None:
             self._ring_again(now, self._ends)
             return
-        ends = max(self._ends, min(self._last_byte_at + self._quiet_s, self._last_moment))
+        ends = max(self._ends, min(self._quiet_at, self._last_moment))
         if now < ends - TIMER_SLACK_S:
             self._ends = ends
             self._ring_at(ends)

@@ -106,6 +106,6 @@ class ReplyLine:
             if merged and slot.due - merged[-1].due < byte_s * 0.999:
                 before = merged.pop()
                 value = before.value & slot.value & self._random.randrange(256)
-                slot = Slot(slot.due, value, before.first or slot.first, before.last or slot.last)
+                slot = Slot(before.due, value, before.first or slot.first, before.last or slot.last)
             merged.append(slot)
         return merged

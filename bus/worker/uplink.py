@@ -108,7 +108,7 @@ class Uplink:
             except InvalidStatus as error:
                 self._tell(_about_status(error.response.status_code))
                 pause = LONGEST_PAUSE_S
-            except (OSError, TimeoutError, WebSocketException, msgspec.DecodeError) as error:
+            except (OSError, UnicodeError, WebSocketException, msgspec.DecodeError) as error:
                 self._tell(f"no dashboard at {self._url}: {_words(error)}")
             self._outbox.disconnected()
             self._duty.watch(Watch(units=[]))

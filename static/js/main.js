@@ -1,6 +1,7 @@
 // What every page has. Most begin here; one that draws something of its own first imports this afterwards.
 import "../vendor/htmx.min.js";
 import { draw, drawAll, rebind } from "./bind.js";
+import * as counts from "./counts.js";
 import * as focus from "./focus.js";
 import * as keypad from "./keypad.js";
 import * as kiosk from "./kiosk.js";
@@ -30,6 +31,7 @@ trace.start();
 people.start();
 redraw.start();
 told.start();
+counts.start();
 keypad.start();
 kiosk.start();
 minutes.start();

@@ -152,8 +152,10 @@ function showControls() {
   }
   byId("trend-scale").value = view.scale;
   byId("trend-marks").checked = view.marks;
-  for (const file of ["csv", "parquet"])
-    byId(`export-${file}`).href = exportAddress(view.series, [from, to], file);
+  for (const file of ["csv", "parquet"]) {
+    const link = byId(`export-${file}`);
+    if (link) link.href = exportAddress(view.series, [from, to], file);
+  }
 }
 
 /** No moment that passes while one looks: what follows now is said by its length. */

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.settings import BusSettings
+from tests.app.played_rights import PlayedRights
 
 ANNA = Person("anna", Role.ENGINEER, "session")
 REMOTE, HEALTHY, RUN = 0b0100_0000, 0b0000_0010, 0b0000_0001
@@ -40,11 +42,14 @@ REMOTE, HEALTHY, RUN = 0b0100_0000, 0b0000_0010, 0b0000_0001
 @dataclass
 class PlayedDesk:
     """``memory``: unit → number → raw. ``silent_after``: writes after which nothing answers any more;
-    ``hangs_after``: writes after which the next one never gets its fate."""
+    ``hangs_after``: writes after which the next one never gets its fate; ``objects``: by parameter the
+    Problem with which a write of it is not sent; ``before_write``: called as each write arrives."""
 
     live: LiveState
     memory: dict[int, dict[int, int]]
     refuses: dict[int, int] = field(default_factory=dict)
+    objects: dict[int, Problem] = field(default_factory=dict)
+    before_write: Callable[[WriteParameter], None] = lambda _: None
     lacks: frozenset[int] = frozenset()
     silent_after: int | None = None
     hangs_after: int | None = None
@@ -63,6 +68,7 @@ class PlayedDesk:
                 self.hanging.set()
                 await asyncio.Event().wait()
             case WriteParameter():
+                self.before_write(action)
                 return self._write(action)
             case SetLine():
                 return Result(id="x", at=time.time(), outcome="verified")
@@ -95,6 +101,8 @@ class PlayedDesk:
         return ParameterValue(unit=unit, number=number, at=1.0, raw=self.memory[unit][number], frame=b"\x10")
 
     def _write(self, action: WriteParameter) -> Result:
+        if action.number in self.objects:
+            raise self.objects[action.number]
         if self._silent:
             return Result(id="w", at=time.time(), outcome="unverified", message="no answer after 4 tries")
         if action.number in self.refuses:
@@ -165,8 +173,9 @@ class SetScene:
         self.events = Noted()
         self.database = Database(folder / "store.db")
         self.store = SetStore(self.database)
+        self.rights = PlayedRights()
         reader = ParameterReader(self.live, self.desk)  # type: ignore[arg-type]
-        self.keeper = SetKeeper(self.live, reader, self.store, self.events)  # type: ignore[arg-type]
+        self.keeper = SetKeeper(self.live, reader, self.store, self.events, self.rights)  # type: ignore[arg-type]
 
     def tells(self, unit: int, *numbers: int, raw: int = 30) -> None:
         """A unit says that these of its parameters are ``raw``."""

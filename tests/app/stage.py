@@ -36,7 +36,7 @@ from app.live.api import router as live_router
 from app.live.state import LiveState
 from app.pipeline import Pipeline
 from app.settings import Site
-from app.web.access import Person, Role
+from app.web.access import Person, Role, Via
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
 from app.web.templating import Templates
@@ -60,6 +60,7 @@ from bus.contract import (
     encode,
 )
 from bus.settings import BusSettings, UnitSettings
+from tests.app.played_rights import PlayedRights
 
 REMOTE, HEALTHY = 0b0100_0000, 0b0000_0010
 PARAMETERS = {1: 1750, 2: 20000, 3: 1, 8: 0, 22: 0, 23: 500, 28: 2, 29: 100, 30: 2000, 12: 20}
@@ -206,8 +207,13 @@ class Stage:
         self.history = History()
         self.pipeline = Pipeline(self.live, self.history, self.events)
         self.workers = Workers([settings.name], self.pipeline, silent_ticks=silent_ticks)
-        self.guards = Safeguards(self.database, self.events, control_required=control, find=find)
-        self.desk = Desk(self.live, self.workers.channels, self.events, self.database, self.guards)
+        self.rights = PlayedRights()
+        self.guards = Safeguards(
+            self.database, self.events, control_required=control, find=find, rights=self.rights
+        )
+        self.desk = Desk(
+            self.live, self.workers.channels, self.events, self.database, self.guards, self.rights
+        )
         self.app = FastAPI()
         self.app.state.services = SimpleNamespace(
             live=self.live,
@@ -261,9 +267,10 @@ class Stage:
         await until(lambda: self.workers.channels["dry-end"].connected, "the way down open")
         return played
 
-    async def connect(self, role: str = "worker") -> PlayedWorker:
-        """A connection to /feed that has said nothing yet."""
-        return PlayedWorker(await connect(f"ws://{self.url}/feed", additional_headers={"X-Role": role}))
+    async def connect(self, role: str = "worker", bus: str = "dry-end", name: str = "") -> PlayedWorker:
+        """A connection to /feed that has said nothing yet, by the token ``name`` of ``bus``."""
+        headers = {"X-Role": role, "X-Bus": bus, "X-Name": name or role}
+        return PlayedWorker(await connect(f"ws://{self.url}/feed", additional_headers=headers))
 
     async def close(self) -> None:
         """End the clients."""
@@ -279,7 +286,9 @@ class _ByHeader:
         headers = dict(scope.get("headers", ()))
         role = headers.get(b"x-role", b"").decode()
         name = headers.get(b"x-name", role.encode()).decode()
-        scope["person"] = Person(name, Role(role), "session") if role else None
+        via: Via = "token" if role == Role.WORKER else "session"
+        bus = headers.get(b"x-bus", b"").decode()
+        scope["person"] = Person(name, Role(role), via, bus=bus) if role else None
         await self._app(scope, receive, send)
 
 

@@ -59,7 +59,7 @@ async def test_an_admin_remains(accounts: Accounts, ending: str) -> None:
     }
     await accounts.add_user("ann", Role.ADMIN, "password1", **BY)
     await accounts.add_user("bob", Role.VIEWER, "password1", **BY)
-    with pytest.raises(CallerError, match="ann is the last admin; make somebody else admin first"):
+    with pytest.raises(CallerError, match="ann is the last admin; give another user the role admin first"):
         await changes[ending]()
     assert (await accounts.users())[0].role is Role.ADMIN
     await accounts.set_role("bob", Role.ADMIN, **BY)

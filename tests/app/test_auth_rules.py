@@ -61,8 +61,8 @@ def test_secrets_are_long_and_never_the_same() -> None:
     [
         (Role.VIEWER, "viewer"),
         (Role.OPERATOR, "viewer operator"),
-        (Role.ENGINEER, "viewer operator engineer worker"),
-        (Role.ADMIN, "viewer operator engineer admin worker"),
+        (Role.ENGINEER, "viewer operator engineer"),
+        (Role.ADMIN, "viewer operator engineer admin"),
         (Role.WORKER, "worker"),
     ],
 )

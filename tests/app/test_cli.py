@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import re
+import select
 import sqlite3
 import subprocess
 import sys
@@ -14,6 +18,8 @@ from typer.testing import CliRunner
 
 from app.cli import COMMANDS, cli
 
+PATIENCE_S = 60.0
+"""This machine may be busy."""
 CONFIG = """\
 [site]
 name = "Mill 7"
@@ -76,12 +82,6 @@ def test_wrong_use_is_2(words: list[str]) -> None:
     assert result.stdout == ""
 
 
-def test_check(lineside: Shell) -> None:
-    code, out, _ = lineside("check")
-    assert code == 0
-    assert "dry-end: 1 units at /dev/ttyUSB99, which is not there now, 9600 baud" in out
-
-
 def test_check_says_what_is_wrong(lineside: Shell) -> None:
     lineside.config.write_text(CONFIG.replace("id = 1", "id = 0"))
     code, out, err = lineside("check")
@@ -102,7 +102,7 @@ def test_users(lineside: Shell) -> None:
     assert lineside("user", "list")[1] == "ann\toperator\n"
     assert lineside("user", "password", "ann", "--password-stdin", typed="another one") == (0, "", "")
     code, _, err = lineside(*add, typed="correct horse")
-    assert (code, err) == (2, "lineside: there is a user ann already; take another name\n")
+    assert (code, err) == (2, "lineside: there is a user ann already; choose another name\n")
     assert lineside("user", "remove", "ann")[0] == 0
     assert lineside("user", "list")[1] == ""
 
@@ -111,6 +111,30 @@ def test_a_password_typed_by_hand_is_asked_for_twice(lineside: Shell) -> None:
     code, out, _ = lineside("user", "add", "ann", "--role", "viewer", typed="correct horse\ncorrect horse\n")
     assert code == 0
     assert "correct horse" not in out
+
+
+def test_a_terminal_is_asked_for_the_password_and_shows_nothing_of_it(lineside: Shell) -> None:
+    """README, step 4: typed at a terminal, it must not wait in silence."""
+    master, slave = pty.openpty()
+    words = ("user", "add", "ann", "--role", "admin", "--password-stdin", "--config", str(lineside.config))
+    with subprocess.Popen(
+        [sys.executable, "-m", "app.cli", *words],
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
+        start_new_session=True,
+    ) as asked:
+        os.close(slave)
+        shown = b""
+        for prompt in (b"Password: ", b"confirmation: "):
+            while prompt not in shown.rpartition(b"\n")[2]:
+                assert select.select([master], [], [], PATIENCE_S)[0], f"nothing asked for: {shown!r}"
+                shown += os.read(master, 1024)
+            os.write(master, b"correct horse battery\n")
+        assert asked.wait(PATIENCE_S) == 0
+    os.close(master)
+    assert b"horse" not in shown
+    assert lineside("user", "list")[1] == "ann\tadmin\n"
 
 
 def test_a_short_password_is_taken_from_here_with_a_word(lineside: Shell) -> None:
@@ -128,6 +152,18 @@ def test_a_short_password_is_taken_from_here_with_a_word(lineside: Shell) -> Non
         (["user", "remove", "eve"], "", "there is no user eve"),
         (["token", "create", "t", "--role", "king"], "", "there is no role 'king'"),
         (["token", "revoke", "t"], "", "there is no token t"),
+        (
+            ["token", "create", "t", "--role", "worker"],
+            "",
+            "a worker's token is for one bus; name it: dry-end",
+        ),
+        (
+            ["token", "create", "t", "--role", "worker", "--bus", "x"],
+            "",
+            "there is no bus x; the buses are: dry-end",
+        ),
+        (["token", "create", "t", "--role", "viewer", "--bus", "dry-end"], "", "is not for one bus"),
+        (["token", "create", "t", "--role", "viewer", "--expires", "0"], "", "after 1 to 3650 days"),
     ],
 )
 def test_what_cannot_be_done_as_asked_is_2(lineside: Shell, words: list[str], typed: str, said: str) -> None:
@@ -137,11 +173,11 @@ def test_what_cannot_be_done_as_asked_is_2(lineside: Shell, words: list[str], ty
 
 
 def test_tokens(lineside: Shell) -> None:
-    code, out, err = lineside("token", "create", "plc", "--role", "worker")
+    code, out, err = lineside("token", "create", "plc", "--role", "worker", "--bus", "dry-end")
     assert (code, err) == (0, "")
     assert len(out.strip()) >= 43
     assert out.count("\n") == 1
-    assert lineside("token", "list")[1].startswith("plc\tworker\t")
+    assert re.fullmatch(r"plc\tworker\t[^\t]+\tdry-end\n", lineside("token", "list")[1])
     assert out.strip() not in lineside("token", "list")[1]
     assert lineside("token", "revoke", "plc")[0] == 0
     assert lineside("token", "list")[1] == ""
@@ -208,3 +244,26 @@ def test_a_worker_without_its_bus(lineside: Shell) -> None:
     assert code == 1
     assert "there is no [[bus]] named 'nix'; it has dry-end" in err
     assert lineside("worker", "--bus", "dry-end", "--app", "plant", "--token", "t")[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["simulate", "--link", "/nonexistent/line"], 1, "the link /nonexistent/line cannot be made"),
+        (
+            ["backup", "--url", "http://a..b", "--token", "t", "--bus", "b", "--out", "o"],
+            1,
+            "cannot be reached",
+        ),
+        (
+            ["backup", "--url", "http://127.0.0.1:1", "--token", "ü", "--bus", "b", "--out", "o"],
+            2,
+            "no token",
+        ),
+    ],
+)
+def test_what_cannot_be_is_said_in_a_sentence(words: list[str], code: int, said: str) -> None:
+    done = subprocess.run([sys.executable, "-m", "app.cli", *words], capture_output=True, text=True)
+    assert (done.returncode, done.stderr.count("\n")) == (code, 1)
+    assert done.stderr.startswith("lineside: ")
+    assert said in done.stderr

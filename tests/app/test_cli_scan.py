@@ -17,7 +17,7 @@ from app.cli import scan
 from app.cli.scan import announcement, bauds_to_try
 from bus.errors import WireError
 from bus.line.found import Found
-from bus.line.scan_port import ScanPort
+from bus.line.prober import Prober
 from bus.settings import Dialect
 from bus.simulator.faults import Faults, Kind
 from bus.simulator.line import SimulatedLine
@@ -140,13 +140,13 @@ def test_nothing_there() -> None:
 
 
 def test_nobody_is_called_absent_after_one_question(monkeypatch: pytest.MonkeyPatch) -> None:
-    examine, asked = ScanPort.examine, list[int]()
+    examine, asked = Prober.examine, list[int]()
 
     async def deaf_at_first(line: Any, address: int) -> Found | None:
         asked.append(address)
         return await examine(line, address) if asked.count(address) > 1 else None
 
-    monkeypatch.setattr(ScanPort, "examine", deaf_at_first)
+    monkeypatch.setattr(Prober, "examine", deaf_at_first)
     with line(unit(3), unit(2)) as port:
         answer = scanned(port, "--baud", "9600", last=4)
     assert [one["id"] for one in answer["units"]] == [2, 3]
@@ -160,14 +160,14 @@ def test_nobody_is_called_absent_after_one_question(monkeypatch: pytest.MonkeyPa
 def test_what_was_found_before_the_end_is_told(
     monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int, words: str
 ) -> None:
-    examine = ScanPort.examine
+    examine = Prober.examine
 
     async def ended(line: Any, address: int) -> Found | None:
         if address == 4:
             raise error
         return await examine(line, address)
 
-    monkeypatch.setattr(ScanPort, "examine", ended)
+    monkeypatch.setattr(Prober, "examine", ended)
     with line(unit(2), unit(5)) as port:
         result = run(port, "--json", "--baud", "9600", "--last", "6", "--turnaround-ms", PATIENCE_MS)
     assert result.exit_code == code
@@ -202,6 +202,13 @@ def test_a_port_that_another_program_holds() -> None:
 
 def test_a_port_that_is_no_serial_port() -> None:
     assert run(os.devnull).exit_code == 1
+
+
+@pytest.mark.parametrize("port", ["nonsense://x:1", "socket://x", ""])
+def test_a_port_that_cannot_be_named_so_is_wrong_use(port: str) -> None:
+    result = run(port)
+    assert result.exit_code == 2
+    assert "--port" in result.stderr
 
 
 @pytest.mark.parametrize("options", [["--baud", "19200"], ["--first", "7", "--last", "3"], ["--last", "256"]])

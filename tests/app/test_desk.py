@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+import time
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
 import pytest
@@ -14,7 +15,18 @@ from app.errors import Problem, StoreError
 from app.live.state import LiveState
 from app.web.access import Person, Role
 from app.web.deadline import DEFAULT_TIMEOUT_S
-from bus.contract import Cancel, Command, Progress, ReadParameters, SetSpeed, Update, WriteParameter
+from bus.contract import (
+    Action,
+    Cancel,
+    ChangeBaud,
+    Command,
+    Progress,
+    ReadParameters,
+    SetLine,
+    SetSpeed,
+    Update,
+    WriteParameter,
+)
 from tests.app.stage import PlayedWorker, Stage, answering, bus_settings, fate
 
 ANNA = Person("anna", Role.OPERATOR, "token")
@@ -89,6 +101,52 @@ async def test_whoever_asked_may_go_and_the_fate_is_still_written_down(
     assert (await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")).outcome == "verified"
     assert [event["outcome"] for event in await commands(stage)] == ["verified"]
     assert len(worker.commands) == 1
+
+
+async def test_whoever_has_lost_the_right_sends_nothing(stage: Stage, worker: PlayedWorker) -> None:
+    stage.rights.withdrawn["anna"] = "rights withdrawn: the role was lowered; nothing more was sent"
+    for action in (WISH, ReadParameters(unit=1, numbers=[6])):
+        with pytest.raises(Problem, match="the role was lowered") as refused:
+            await stage.desk.ask(ANNA, "dry-end", action)
+        assert (refused.value.status, refused.value.code) == (403, "rights_withdrawn")
+    assert worker.commands == []
+    assert (await commands(stage))[-1]["outcome"] == "rights_withdrawn"
+
+
+async def block(stage: Stage) -> str:
+    await stage.guards.block(ANNA, "dry-end", 2, "belt off")
+    return "unit 2 is blocked by anna: belt off"
+
+
+async def withdraw(stage: Stage) -> str:
+    stage.rights.withdrawn["anna"] = "rights withdrawn"
+    return "rights withdrawn"
+
+
+async def hand_over(stage: Stage) -> str:
+    stage.guards.control.required = True
+    stage.guards.control.hand_over("dry-end", "", "ben", time.time(), by_force=True)
+    return "ben holds control of this line"
+
+
+@pytest.mark.parametrize("trouble", [block, withdraw, hand_over])
+@pytest.mark.parametrize(
+    "action", [ChangeBaud(baud=4800), SetLine(setpoints={1: 5, 2: 6})], ids=["baud", "line"]
+)
+async def test_a_long_command_is_given_up_when_it_may_not_go_on(
+    stage: Stage, worker: PlayedWorker, trouble: Callable[[Stage], Awaitable[str]], action: Action
+) -> None:
+    asked = asyncio.create_task(
+        stage.desk.ask(ANNA, "dry-end", action, timeout_s=30, confirm=True, id="mine")
+    )
+    command = await worker.hear(Command)
+    assert isinstance(command, Command)
+    reason = await trouble(stage)
+    assert await worker.hear(Cancel) == Cancel(command.id)
+    await worker.update(fate(command, "not_sent", message="given up: every unit is back"))
+    assert (await asked).message == f"{reason}; given up: every unit is back"
+    event = next(event for event in await commands(stage) if event["unit"] is None)
+    assert (event["outcome"], event["message"]) == ("not_sent", f"{reason}; given up: every unit is back")
 
 
 async def test_checking_alone_sends_and_writes_nothing(stage: Stage, worker: PlayedWorker) -> None:

@@ -13,22 +13,35 @@ from bus.contract import CONTRACT_VERSION, Batch, Clock, Command, Delivered, Wan
 from tests.app.stage import Stage, fate, hello, reading, snapshot, staged, until
 
 
-async def test_only_whoever_may_feed_is_let_in(stage: Stage) -> None:
-    for role in ("viewer", "operator", ""):
-        with pytest.raises(websockets.InvalidStatus):
-            await stage.connect(role)
-    for role in ("worker", "engineer", "admin"):
-        worker = await stage.connect(role)
-        await worker.say(hello(bus="nowhere"))
-        await worker.hear(Welcome)
+@pytest.mark.parametrize("role", ["", "viewer", "operator", "engineer", "admin"])
+async def test_only_a_worker_is_let_in(stage: Stage, role: str) -> None:
+    with pytest.raises(websockets.InvalidStatus):
+        await stage.connect(role)
 
 
-async def test_a_bus_that_is_not_configured_is_refused_in_words(stage: Stage) -> None:
-    worker = await stage.connect()
+async def test_a_worker_without_a_bus_is_not_let_in(stage: Stage) -> None:
+    with pytest.raises(websockets.InvalidStatus) as refused:
+        await stage.connect(bus="")
+    assert refused.value.response.status_code == 403
+    assert b"--bus BUS" in (refused.value.response.body or b"")
+
+
+@pytest.mark.parametrize(("of_token", "said"), [("dry-end", "wet-end"), ("wet-end", "dry-end")])
+async def test_a_token_speaks_for_its_own_bus_only(stage: Stage, of_token: str, said: str) -> None:
+    worker = await stage.connect(bus=of_token)
+    await worker.say(hello(bus=said))
+    welcome = await worker.hear(Welcome)
+    assert isinstance(welcome, Welcome)
+    assert f"the token is for bus '{of_token}', not for '{said}'" in welcome.refused
+    await worker.gone()
+
+
+async def test_a_bus_that_is_not_configured_any_more_is_refused_in_words(stage: Stage) -> None:
+    worker = await stage.connect(bus="wet-end")
     await worker.say(hello(bus="wet-end"))
     welcome = await worker.hear(Welcome)
     assert isinstance(welcome, Welcome)
-    assert "wet-end" in welcome.refused
+    assert "no [[bus]] is called 'wet-end'" in welcome.refused
     assert "dry-end" in welcome.refused
     await worker.gone()
 

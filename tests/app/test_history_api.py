@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import sys
 import time
 from collections.abc import AsyncIterator
 from datetime import UTC, datetime
@@ -226,6 +227,17 @@ async def test_parquet_holds_the_same(client: httpx.AsyncClient, history: Histor
     assert len(values) == 50 + 1 + 35
     assert values[:2] == [100.0, 100.1]
     assert table.column("time").to_pylist()[0] == datetime.fromtimestamp(NOON, UTC)
+
+
+async def test_parquet_without_pyarrow_is_refused_in_words(
+    client: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    params = {"series": ["dry-end/1/actual"], "format": "parquet"}
+    answer = await client.get("/history/export", params=params)
+    assert (answer.status_code, answer.json()["code"]) == (501, "no_parquet")
+    assert "lineside[parquet]" in answer.json()["detail"]
+    assert (await client.get("/history/export", params={**params, "format": "csv"})).status_code == 200
 
 
 async def test_an_export_by_minutes_has_least_greatest_and_average(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -120,3 +121,13 @@ async def test_who_may_only_look_is_told_so_where_the_line_is_set_to_zero(house:
     assert "An operator may set the line to zero" in said.text
     assert "data-review-act" not in said.text
     assert (await viewer.post("/line/zero", data={"id": "a", "reviewed_at": "1"})).status_code == 403
+
+
+async def test_the_trends_page_offers_parquet_only_where_it_can_be_written(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    viewer = await house.program(Role.VIEWER)
+    assert 'id="export-parquet"' in (await viewer.get("/trends")).text
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    page = (await viewer.get("/trends")).text
+    assert ('id="export-parquet"' in page, 'id="export-csv"' in page) == (False, True)

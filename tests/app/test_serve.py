@@ -22,8 +22,10 @@ from websockets.sync.client import ClientConnection, connect
 
 from app.cli import hosting
 from app.cli.hosting import HostingError, only_one
+from app.cli.listening import ListenError, listen
 from app.settings import load
 
+ROOT = Path(__file__).resolve().parents[2]
 LINESIDE = Path(sys.executable).with_name("lineside")
 PATIENCE_S = 60.0
 """This machine may be busy; nothing here is a measurement but the end within 5 s."""
@@ -137,7 +139,8 @@ def test_asked_to_end_while_the_dashboard_is_still_read_it_ends_its_workers_at_o
     monkeypatch.setattr(hosting, "Workers", Workers)
     monkeypatch.setattr(hosting, "import_module", import_module)
     monkeypatch.setattr(hosting, "configure_log", lambda: None)
-    hosting.host(load(config), config)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        hosting.host(load(config), config, listening)
     assert happened == ["workers ended", "dashboard read"]
 
 
@@ -182,7 +185,7 @@ def test_a_worker_that_dies_is_started_again(config: Path) -> None:
 def test_the_app_knows_its_worker_and_says_that_the_port_is_not_there(config: Path) -> None:
     create = [LINESIDE, "token", "create", "t", "--role", "viewer", "--config", str(config)]
     token = subprocess.run(create, capture_output=True, text=True, check=True).stdout.strip()
-    with started("serve", "--config", str(config)) as (_, url):
+    with started("serve", "--config", str(config)) as (process, url):
 
         def bus() -> Any:
             headers = {"Authorization": f"Bearer {token}"}
@@ -191,6 +194,16 @@ def test_the_app_knows_its_worker_and_says_that_the_port_is_not_there(config: Pa
         eventually(lambda: bus()["worker"], "the worker is linked")
         eventually(lambda: "absent" in bus()["link_cause"], "the cause names the port")
         assert bus()["link"] == "closed"
+        harmless = {"LINESIDE_PARENT", "PYDANTIC_DISABLE_PLUGINS", "COLUMNS", "LINES"}
+        assert shown_by_ps(only_child(process)) <= harmless
+
+
+def shown_by_ps(pid: int) -> set[str]:
+    """The variables that a listing shows of a worker, beyond those of this test."""
+    shown = Path(f"/proc/{pid}/environ").read_text().split("\0")
+    arguments = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+    assert {each for each in arguments if each.startswith("--")} == {"--config", "--bus", "--app", "--child"}
+    return {each.partition("=")[0] for each in shown} - os.environ.keys() - {""}
 
 
 def test_a_busy_port_is_one_sentence_and_1(config: Path) -> None:
@@ -200,7 +213,31 @@ def test_a_busy_port_is_one_sentence_and_1(config: Path) -> None:
         done = subprocess.run([LINESIDE, "serve", "--config", str(config)], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.count("\n") == 1
-    assert f"port {port} of 127.0.0.1 is taken by another program" in done.stderr
+    assert f"port {port} of 127.0.0.1 is in use by another program" in done.stderr
+    assert f"set port in [server] of {config}" in done.stderr
+
+
+def test_a_demo_on_a_busy_port_names_its_option() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        done = subprocess.run([LINESIDE, "demo", "--port", port], capture_output=True, text=True)
+        made = subprocess.run(
+            ["make", "--no-print-directory", "demo", f"PORT={port}"], capture_output=True, text=True, cwd=ROOT
+        )
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert "lineside demo --port 8100, or make demo PORT=8100" in done.stderr
+    assert made.returncode != 0
+    assert made.stderr.startswith(f"Port {port} is in use."), "before everything else that make would do"
+    assert "make demo PORT=8100" in made.stderr
+
+
+@pytest.mark.parametrize(
+    ("host", "words"),
+    [("192.0.2.1", "is no address of this machine"), ("a..b", "there is no host 'a..b'")],
+)
+def test_an_impossible_address_is_said(host: str, words: str) -> None:
+    with pytest.raises(ListenError, match=words):
+        listen(host, 0, "choose another")
 
 
 def test_two_servers_never_share_their_data(config: Path) -> None:

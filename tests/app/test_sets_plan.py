@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from app.errors import Problem
+from app.sets.effects import OPERATING_VALUES, warning_of
 from app.sets.model import Row, UnitRows
-from app.sets.plan import plan_restore
+from app.sets.plan import plan_restore, refuse_unwritable
+from app.sets.remarks import MAY_RUN, RUNS, remarks
+from app.sets.selection import Selection
 from bus.catalogue.parameters import PARAMETERS
 
 
@@ -47,41 +52,87 @@ def test_the_address_is_never_written_and_danger_only_when_ticked(
     wanted[27], present[27] = 1, 0
     plan = plan_restore(rows(dict(wanted)), rows(dict(present)), running=False)
     assert not {17, 19, 27} & {write.number for write in plan.writes}
-    ticked = plan_restore(rows(dict(wanted)), rows(dict(present)), running=False, ticked=frozenset({19}))
+    confirmed = Selection(confirmed=frozenset({19}))
+    ticked = plan_restore(rows(dict(wanted)), rows(dict(present)), running=False, selection=confirmed)
     assert [write.number for write in ticked.writes][-1] == 19
     assert 17 not in {write.number for write in ticked.writes}
 
 
-bounds = st.tuples(st.integers(0, 999), st.integers(0, 999)).map(sorted)
+@given(wanted=raws, present=raws, running=st.sampled_from([True, False, None]))
+def test_a_setpoint_is_written_only_when_it_was_chosen(
+    wanted: dict[int, int], present: dict[int, int], running: bool | None
+) -> None:
+    now, then = rows(dict(present)), rows(dict(wanted) | {20: (present[20] + 1) % 99999, 37: present[37] ^ 1})
+    plan = plan_restore(then, now, running=running)
+    assert not OPERATING_VALUES & {write.number for write in plan.writes}
+    named = {left.number: left.reason for left in plan.left_out}
+    assert (named[20], named[37]) == ("operating_value", "operating_value")
+    chosen = plan_restore(then, now, running=running, selection=Selection(include=frozenset({20})))
+    if present[19] == 1:
+        assert {write.number for write in chosen.writes} - {write.number for write in plan.writes} == {20}
 
 
-@given(present=bounds, wanted=bounds)
-def test_no_step_on_the_way_has_a_low_end_above_its_high_end(present: list[int], wanted: list[int]) -> None:
-    now = every({22: present[0], 23: present[1]})
-    plan = plan_restore(rows(every({22: wanted[0], 23: wanted[1]})), rows(now), running=False)
-    for write in plan.writes:
-        now[write.number] = write.wanted
-        low, high = now[22], now[23]
-        assert low is not None
-        assert high is not None
-        assert low <= high
+@given(numbers=st.frozensets(st.sampled_from(sorted(PARAMETERS))), present=raws, wanted=raws)
+def test_every_row_can_be_deselected(
+    numbers: frozenset[int], present: dict[int, int], wanted: dict[int, int]
+) -> None:
+    now, then = rows(dict(present) | {19: 1}), rows(dict(wanted) | {19: 1})
+    plan = plan_restore(then, now, running=False, selection=Selection(exclude=numbers))
+    written = {write.number for write in plan.writes}
+    assert written == {write.number for write in plan_restore(then, now, running=False).writes} - numbers
+    left_out = {left.number: left.reason for left in plan.left_out}
+    assert all(
+        left_out[number] in ("deselected", "address", "illegal_value") for number in numbers & left_out.keys()
+    )
 
 
-def test_a_maximum_comes_before_what_it_bounds() -> None:
-    wanted = every({2: 5000, 8: 1, 9: 4000, 20: 4500, 31: 30000, 37: 20000, 38: 5000, 4: 10000})
-    order = [write.number for write in plan_restore(rows(wanted), rows(every()), running=False).writes]
-    assert order.index(2) < order.index(9) < order.index(20)
-    assert order.index(31) < order.index(4) < order.index(37)
-    assert order.index(38) < order.index(37)
-    assert order.index(8) < order.index(37)
+@pytest.mark.parametrize(
+    ("number", "running", "status", "code", "says"),
+    [
+        (17, False, 422, "invalid", "#17 cannot be written: the address is set at the keypad only"),
+        (8, True, 422, "invalid", "#8 cannot be written: no change while Run is on"),
+        (18, False, 409, "dangerous", "#18: The unit answers at the new baud rate only"),
+    ],
+)
+def test_a_row_that_was_named_is_never_left_out_in_silence(
+    number: int, running: bool, status: int, code: str, says: str
+) -> None:
+    wanted, selection = rows(every({17: 5, 8: 1, 18: 96})), Selection(include=frozenset({number}))
+    plan = plan_restore(wanted, rows(every({18: 48})), running=running, selection=selection)
+    with pytest.raises(Problem, match=says) as refused:
+        refuse_unwritable(plan, selection)
+    assert (refused.value.status, refused.value.code) == (status, code)
+
+
+def test_a_row_cannot_be_named_and_excluded() -> None:
+    with pytest.raises(Problem, match="#20 is both included and excluded"):
+        Selection(include=frozenset({20}), exclude=frozenset({20}))
+
+
+def test_who_changes_a_running_machine_is_told_so() -> None:
+    for number in (1, 2, 4, 5, 6, 7, 9, 20, 31, 33, 37, 38):
+        assert warning_of(number, running=True)
+        assert warning_of(number, running=None) == warning_of(number, running=True)
+    assert not any(warning_of(number, running=True) for number in (12, 15, 17, 21, 39))
+    assert not any(warning_of(number, running=False) for number in PARAMETERS if number not in (20, 37))
+    assert warning_of(20, running=False) == "Changes the machine's speed now"
+    ramp, window = ({number: 50} for number in (6, 12))
+    for running, values, told in (
+        (True, ramp, [RUNS]),
+        (None, ramp, [MAY_RUN]),
+        (False, ramp, []),
+        (True, window, []),
+    ):
+        wanted, present = rows(every(values)), rows(every())
+        writes = plan_restore(wanted, present, running=running).writes
+        assert remarks(wanted, present, running=running, writes=writes) == told
 
 
 def test_the_mode_waits_for_run_to_go_off_and_unknown_counts_as_running() -> None:
     wanted, present = rows(every({8: 1})), rows(every())
     for running in (True, None):
         plan = plan_restore(wanted, present, running=running)
-        assert [left.number for left in plan.left_out] == [8]
-        assert "Run" in plan.left_out[0].reason
+        assert [(left.number, left.reason) for left in plan.left_out] == [(8, "running")]
     assert [write.number for write in plan_restore(wanted, present, running=False).writes] == [8]
 
 
@@ -95,10 +146,10 @@ def test_setup_during_run_is_allowed_first_and_forbidden_late() -> None:
 def test_what_a_unit_does_not_have_and_what_the_set_does_not_hold_is_named() -> None:
     present = UnitRows(1, "Nip", {6: Row(6, 10), 40: Row(40, None, available=False)})
     plan = plan_restore(rows({6: 50, 40: 1, 21: None}), present, running=False)
-    reasons = {left.number: left.reason for left in plan.left_out}
+    reasons = {left.number: (left.reason, left.text) for left in plan.left_out}
     assert [write.number for write in plan.writes] == [6]
-    assert "does not have" in reasons[40]
-    assert "secret" in reasons[21]
+    assert reasons[40] == ("not_in_unit", "this unit does not have it")
+    assert reasons[21] == ("secret", "secret, not held in the set")
 
 
 def test_local_is_named_beforehand_and_may_be_written_later() -> None:
@@ -113,12 +164,14 @@ def test_local_is_named_beforehand_and_may_be_written_later() -> None:
             17: False,
             19: True,
         }
-        assert "REMOTE" in plan.left_out[0].reason
+        assert "REMOTE" in plan.left_out[0].text
     told_by_status = plan_restore(wanted, local, running=False, remote=True)
     assert 6 in {write.number for write in told_by_status.writes}
 
 
 def test_a_value_that_no_unit_takes_is_named_and_not_sent() -> None:
-    plan = plan_restore(rows(every({18: 7})), rows(every({18: 96})), running=False, ticked=frozenset({18}))
+    confirmed = Selection(confirmed=frozenset({18}))
+    plan = plan_restore(rows(every({18: 7})), rows(every({18: 96})), running=False, selection=confirmed)
     assert plan.writes == ()
-    assert "it takes 3, 6, 12, 24, 48 or 96" in plan.left_out[0].reason
+    assert plan.left_out[0].reason == "illegal_value"
+    assert "it takes 3, 6, 12, 24, 48 or 96" in plan.left_out[0].text

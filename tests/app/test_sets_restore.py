@@ -1,4 +1,4 @@
-"""A restore as it runs: each row with its fate, stopped by anything, finished by running it again."""
+"""A restore as it runs: each row with its outcome, stopped by anything, finished by running it again."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ from app.sets.reading import ParameterReader
 from app.sets.restore import RestoreDesk
 from app.sets.restore_record import Restore
 from app.sets.restore_store import RestoreStore
-from tests.app.played_desk import ANNA, Noted, PlayedDesk, a_bus, factory
+from app.sets.selection import Selection
+from bus.contract import WriteParameter
+from tests.app.played_desk import ANNA, Noted, PlayedDesk, a_bus, answering, factory
 
-WANTED = {6: 50, 7: 60, 9: 1234, 12: 7}
+WANTED = {6: 50, 7: 60, 12: 7, 9: 1234}
 
 
 def rows(values: dict[int, int]) -> UnitRows:
@@ -27,7 +29,8 @@ def rows(values: dict[int, int]) -> UnitRows:
 
 class Scene:
     def __init__(self, database: Database, **desk: object) -> None:
-        live = a_bus()
+        self.live = live = a_bus()
+        answering(live)
         self.desk = PlayedDesk(live, {1: factory(), 2: factory()}, **desk)  # type: ignore[arg-type]
         self.events = Noted()
         reader = ParameterReader(live, self.desk)  # type: ignore[arg-type]
@@ -38,8 +41,11 @@ class Scene:
         """The desk of a server that has just been started."""
         return RestoreDesk(self.reader, self.desk, self.events, self.store)  # type: ignore[arg-type]
 
-    async def run(self, wanted: dict[int, int] = WANTED) -> Restore:
-        restore = await self.restores.plan(ANNA, "dry-end", 2, rows(wanted), running=False)
+    async def plan(self, wanted: dict[int, int] = WANTED, **chosen: frozenset[int]) -> Restore:
+        return await self.restores.plan(ANNA, "dry-end", 2, rows(wanted), Selection(**chosen))
+
+    async def run(self, wanted: dict[int, int] = WANTED, **chosen: frozenset[int]) -> Restore:
+        restore = await self.plan(wanted, **chosen)
         await self.finish(restore)
         return restore
 
@@ -61,17 +67,17 @@ def a_scene(tmp_path: Path) -> Iterator[SetsScene]:
 
 async def test_nothing_is_written_before_the_start(a_scene: SetsScene) -> None:
     scene = a_scene()
-    restore = await scene.restores.plan(ANNA, "dry-end", 2, rows(WANTED), running=False)
+    restore = await scene.plan()
     assert scene.desk.written == []
     assert (restore.state, restore.done) == ("planned", 0)
-    assert [row.write.number for row in restore.rows] == [6, 7, 9, 12]
+    assert [row.write.number for row in restore.rows] == [6, 7, 12, 9]
 
 
 async def test_only_what_differs_is_written_and_a_full_read_proves_it(a_scene: SetsScene) -> None:
     scene = a_scene()
     scene.desk.memory[2][6] = 50
     restore = await scene.run()
-    assert scene.desk.written == [(2, 7, 60), (2, 9, 1234), (2, 12, 7)]
+    assert scene.desk.written == [(2, 7, 60), (2, 12, 7), (2, 9, 1234)]
     assert restore.state == "equal"
     assert restore.remaining == []
     assert {row.outcome for row in restore.rows} == {"verified"}
@@ -94,26 +100,27 @@ async def test_silence_stops_it_and_running_it_again_finishes_the_rest(a_scene: 
     restore = await scene.run()
     assert restore.state == "stopped"
     assert "no answer" in restore.cause
-    assert [row.outcome for row in restore.rows] == ["verified", "verified", "unverified", None]
+    assert [row.outcome for row in restore.rows] == ["verified", "verified", "unverified", "not_sent"]
     scene.desk.silent_after = None
     again = await scene.run()
-    assert [row.write.number for row in again.rows] == [9, 12]
+    assert [row.write.number for row in again.rows] == [12, 9]
     assert again.state == "equal"
 
 
 async def test_left_off_it_says_which_rows_are_done(a_scene: SetsScene) -> None:
     scene = a_scene()
-    restore = await scene.restores.plan(ANNA, "dry-end", 2, rows(WANTED), running=False)
-    restore.cancel()
+    restore = await scene.plan()
+    restore.cancel("ben")
     await scene.finish(restore)
-    assert restore.state == "stopped"
+    assert (restore.state, restore.cause) == ("stopped", "left off by ben after 0 of 4 rows")
+    assert {row.outcome for row in restore.rows} == {"not_sent"}
     assert scene.desk.written == []
 
 
 async def test_it_starts_once_and_one_at_a_time_for_a_unit(a_scene: SetsScene) -> None:
     scene = a_scene()
-    one = await scene.restores.plan(ANNA, "dry-end", 2, rows(WANTED), running=False)
-    other = await scene.restores.plan(ANNA, "dry-end", 2, rows(WANTED), running=False)
+    one = await scene.plan()
+    other = await scene.plan()
     scene.restores.start(ANNA, one)
     for restore in (one, other):
         with pytest.raises(Problem):
@@ -127,21 +134,21 @@ async def test_it_starts_once_and_one_at_a_time_for_a_unit(a_scene: SetsScene) -
 async def test_a_unit_with_the_first_twenty_parameters_only(a_scene: SetsScene) -> None:
     scene = a_scene(lacks=frozenset(range(21, 41)))
     restore = await scene.run(WANTED | {29: 5, 39: 3})
-    assert {left.number: left.reason for left in restore.left_out}[29] == "this unit does not have it"
+    assert {left.number: left.reason for left in restore.left_out}[29] == "not_in_unit"
     assert restore.state == "equal"
 
 
 async def test_a_unit_that_does_not_answer_has_no_plan(a_scene: SetsScene) -> None:
     scene = a_scene(silent_after=0)
     with pytest.raises(Problem) as refused:
-        await scene.restores.plan(ANNA, "dry-end", 2, rows(WANTED), running=False)
+        await scene.plan()
     assert refused.value.status == 504
     assert scene.desk.written == []
 
 
 async def test_a_killed_server_left_the_exact_list_of_what_was_done(a_scene: SetsScene) -> None:
     scene = a_scene(hangs_after=2)
-    killed = await scene.restores.plan(ANNA, "dry-end", 2, rows(WANTED), running=False)
+    killed = await scene.plan()
     scene.restores.start(ANNA, killed)
     await asyncio.wait_for(scene.desk.hanging.wait(), 10)
 
@@ -150,14 +157,14 @@ async def test_a_killed_server_left_the_exact_list_of_what_was_done(a_scene: Set
     found = await after.find(killed.id)
     assert found is not None
     assert (found.state, found.who) == ("stopped", "anna")
-    assert [row.outcome for row in found.rows] == ["verified", "verified", "unverified", None]
+    assert [row.outcome for row in found.rows] == ["verified", "verified", "unverified", "not_sent"]
     assert scene.events.events[-1]["outcome"] == "stopped"
-    assert scene.events.events[-1]["message"].endswith("done: #6, #7; in doubt: #9; not written: #12")
+    assert scene.events.events[-1]["message"].endswith("done: #6, #7; in doubt: #12; not written: #9")
     await scene.restores.close()
 
     scene.desk.hangs_after, scene.restores = None, after
     again = await scene.run()
-    assert [row.write.number for row in again.rows] == [9, 12]
+    assert [row.write.number for row in again.rows] == [12, 9]
     assert [one.id for one in await after.of_unit("dry-end", 2)] == [again.id, killed.id]
     assert (await scene.server().find(again.id)) is not None
 
@@ -175,7 +182,107 @@ async def test_what_a_restore_found_is_the_same_after_the_next_start(a_scene: Se
 async def test_a_unit_in_local_is_said_beforehand_and_is_not_called_equal(a_scene: SetsScene) -> None:
     scene = a_scene()
     scene.desk.memory[2][19] = 0
+    answering(scene.live, remote=False)
     restore = await scene.run()
     assert scene.desk.written == []
     assert {left.number for left in restore.left_out if left.later} == set(WANTED)
     assert restore.state == "different"
+
+
+async def test_a_running_unit_keeps_its_setpoint_unless_it_was_chosen(a_scene: SetsScene) -> None:
+    scene = a_scene()
+    scene.desk.memory[2] |= {20: 1216, 37: 9000}
+    restore = await scene.run(WANTED | {20: 1134, 37: 10000})
+    assert {number for _, number, _ in scene.desk.written} == set(WANTED)
+    assert restore.state == "equal"
+    assert {20: "operating_value", 37: "operating_value"}.items() <= {
+        left.number: left.reason for left in restore.left_out
+    }.items()
+    chosen = await scene.run({20: 1134, 37: 10000}, include=frozenset({20}))
+    assert scene.desk.written[-1] == (2, 20, 1134)
+    assert (chosen.state, scene.desk.memory[2][37]) == ("equal", 9000)
+
+
+async def test_a_deselected_row_is_not_written_and_not_missed(a_scene: SetsScene) -> None:
+    scene = a_scene()
+    restore = await scene.run(exclude=frozenset({7, 9}))
+    assert scene.desk.written == [(2, 6, 50), (2, 12, 7)]
+    assert restore.state == "equal"
+    assert [left.number for left in restore.left_out if left.reason == "deselected"] == [7, 9]
+
+
+async def test_a_plan_takes_another_choice_until_it_begins(a_scene: SetsScene) -> None:
+    scene = a_scene()
+    restore = await scene.plan(WANTED | {20: 5})
+    scene.restores.select(restore, Selection(include=frozenset({20}), exclude=frozenset({6})))
+    await scene.finish(restore)
+    assert {number for _, number, _ in scene.desk.written} == {7, 9, 12, 20}
+    with pytest.raises(Problem) as refused:
+        scene.restores.select(restore, Selection())
+    assert refused.value.code == "already_started"
+
+
+@pytest.mark.parametrize(("number", "raw"), [(6, 51), (15, 99)], ids=["to be written", "equal before"])
+async def test_a_value_that_moved_since_the_review_stops_it(
+    a_scene: SetsScene, number: int, raw: int
+) -> None:
+    scene = a_scene()
+    wanted = WANTED | {15: scene.desk.memory[2][15]}
+    restore = await scene.plan(wanted)
+    scene.desk.memory[2][number] = raw
+    await scene.finish(restore)
+    assert (restore.state, restore.cause_code, scene.desk.written) == ("stopped", "moved", [])
+    assert {row.outcome for row in restore.rows} == {"not_sent"}
+    kept = await scene.server().find(restore.id)
+    assert kept is not None
+    assert (kept.cause_code, kept.rows) == ("moved", restore.rows)
+
+
+async def test_a_setpoint_that_moves_stops_no_restore_that_leaves_it_alone(a_scene: SetsScene) -> None:
+    scene = a_scene()
+    restore = await scene.plan(WANTED | {20: 1134})
+    scene.desk.memory[2][20] = 1300
+    await scene.finish(restore)
+    assert (restore.state, scene.desk.memory[2][20]) == ("equal", 1300)
+
+
+async def test_a_unit_that_is_started_meanwhile_is_not_changed_unreviewed(a_scene: SetsScene) -> None:
+    scene = a_scene()
+
+    def press_run(action: WriteParameter) -> None:
+        if action.number == 6:
+            answering(scene.live, run=True)
+
+    scene.desk.before_write = press_run
+    restore = await scene.run({2: 1, 6: 50, 7: 60, 12: 7})
+    assert (restore.state, restore.cause_code) == ("stopped", "moved")
+    assert [(row.write.number, row.outcome) for row in restore.rows] == [
+        (2, "verified"),
+        (6, "verified"),
+        (7, "not_sent"),
+        (12, "not_sent"),
+    ]
+
+
+async def test_a_unit_that_ran_at_the_review_may_go_on_running(a_scene: SetsScene) -> None:
+    scene = a_scene()
+    answering(scene.live, run=True)
+    restore = await scene.run()
+    assert (restore.running, restore.state) == (True, "equal")
+
+
+async def test_an_objection_to_one_row_does_not_cost_the_others(a_scene: SetsScene) -> None:
+    scene = a_scene(objects={7: Problem(422, "invalid", "above the engineer's limit")})
+    restore = await scene.run()
+    assert [row.outcome for row in restore.rows] == ["verified", "invalid", "verified", "verified"]
+    assert restore.rows[1].message == "above the engineer's limit"
+    assert restore.state == "different"
+
+
+@pytest.mark.parametrize("code", ["rights_withdrawn", "controlled", "blocked"])
+async def test_an_objection_to_whoever_asks_stops_it_between_two_rows(a_scene: SetsScene, code: str) -> None:
+    scene = a_scene(objects={12: Problem(403, code, "no longer")})
+    restore = await scene.run()
+    assert (restore.state, restore.cause_code, restore.cause) == ("stopped", code, "no longer")
+    assert [row.outcome for row in restore.rows] == ["verified", "verified", "not_sent", "not_sent"]
+    assert scene.events.events[-1]["message"] == "no longer; done: #6, #7; not written: #12, #9"

@@ -9,8 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from app.errors import Problem
 from app.sets.first_write import FirstWrites
 from app.sets.schedule import SAID_AFTER, SetSchedule, due_between
+from app.web.access import Person, Role
+from bus.catalogue.parameters import PARAMETERS
 from bus.contract import UnitLink, UnitLinkState
 from tests.app.played_desk import ANNA, SetScene
 
@@ -41,6 +44,18 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
 
 
 BEFORE, AFTER = "before the first write of the day", "after the first write of the day"
+
+
+async def test_what_could_not_be_kept_for_one_person_is_kept_for_the_next(scene: Scene) -> None:
+    scene.tells(1, *PARAMETERS)
+    scene.rights.withdrawn["anna"] = "rights withdrawn"
+    with pytest.raises(Problem):
+        await scene.first.before(ANNA, "dry-end", [1], parameters=True)
+    await scene.first.before(ANNA, "dry-end", [1], parameters=False)
+    await scene.first.settled()
+    assert await scene.kept(1) == []
+    await scene.first.before(Person("ben", Role.ENGINEER, "session"), "dry-end", [1], parameters=True)
+    assert await scene.kept(1) == [BEFORE]
 
 
 async def test_before_the_first_parameter_write_what_is_known_is_stored_once_and_the_rest_follows(

@@ -6,7 +6,8 @@ import time
 
 from pydantic import ConfigDict, TypeAdapter, with_config
 
-from app.commands.answers import FateShown, fate_json
+from app.commands.answers import fate_json
+from app.commands.shown import FateShown
 from app.live.shown import BusShown, CauseShown, ParameterShown, UnitShown
 from app.live.state import LiveState
 from app.live.view import bus_json, parameter_json

@@ -19,6 +19,7 @@ from app.errors import Problem
 from app.web.access import Role
 
 PASSWORD = "correct horse"
+OWN = {"dry-end": "token-of-dry-end", "wet-end": "token-of-wet-end"}
 
 
 class House:
@@ -29,8 +30,8 @@ class House:
         self.database = database
         self.passwords = Passwords()
         self.log = EventLog(database, lambda: self.now)
-        self.accounts = Accounts(database, self.passwords, self.log, lambda: self.now)
-        self.sign_in = SignIn(database, self.passwords, self.log, "the-workers-own", lambda: self.now)
+        self.accounts = Accounts(database, self.passwords, self.log, lambda: self.now, buses=OWN)
+        self.sign_in = SignIn(database, self.passwords, self.log, OWN, lambda: self.now)
 
     async def add(self, name: str = "ann", role: Role = Role.OPERATOR) -> None:
         await self.accounts.add_user(name, role, PASSWORD, by="t", origin="t")
@@ -184,10 +185,30 @@ async def test_what_is_no_token(house: House, bearer: str) -> None:
     assert await house.sign_in.by_token(bearer) is None
 
 
-async def test_the_workers_own_token_is_good_for_the_feed_only(house: House) -> None:
-    person = await house.sign_in.by_token(house.sign_in.worker_token)
+@pytest.mark.parametrize("bus", OWN)
+async def test_each_of_the_servers_own_workers_has_a_token_for_its_bus(house: House, bus: str) -> None:
+    person = await house.sign_in.by_token(OWN[bus])
     assert person is not None
-    assert person.role is Role.WORKER
+    assert (person.role, person.via, person.bus) == (Role.WORKER, "worker", bus)
+
+
+async def test_a_workers_token_names_its_bus(house: House) -> None:
+    token = await house.accounts.create_token("w", Role.WORKER, bus="dry-end", by="ann", origin="t")
+    person = await house.sign_in.by_token(token)
+    assert person is not None
+    assert (person.role, person.via, person.bus) == (Role.WORKER, "token", "dry-end")
+
+
+async def test_a_token_expires_and_says_so_to_who_holds_it(house: House) -> None:
+    token = await house.accounts.create_token("plc", Role.VIEWER, expires_days=30, by="ann", origin="t")
+    house.now += 30 * rules.DAY - 1
+    assert await house.sign_in.by_token(token)
+    house.now += 1
+    with pytest.raises(Problem) as caught:
+        await house.sign_in.by_token(token)
+    assert (caught.value.status, caught.value.code) == (401, "unauthorized")
+    assert caught.value.detail == "the token plc expired on 1970-02-11; an admin can create a new one"
+    assert 'error="invalid_token"' in caught.value.headers["WWW-Authenticate"]
 
 
 @pytest.fixture

@@ -14,14 +14,15 @@ from app.database import Database
 from app.errors import Problem
 from app.live.state import LiveState
 from app.sets.model import ParameterSet, UnitRows
-from app.sets.plan import LeftOut, RestorePlan, Write
+from app.sets.offers import offers
+from app.sets.order import Write
+from app.sets.plan import LeftOut, RestorePlan
 from app.sets.restore_record import Restore, RowResult, State
 from app.sets.store import SetStore, SetSummary
 from app.swap.desk import SwapDesk, step_text
 from app.swap.looking import LOOKS, look
 from app.swap.record import Source, Swap
 from app.swap.rules import STEPS, Kind, Sight, advice, done_steps
-from app.swap.sources import offers
 from app.swap.store import SwapStore
 from app.web.access import Person
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
@@ -235,7 +236,7 @@ async def test_a_look_that_came_to_no_end_shows_nothing(scene: Scene) -> None:
 
 def a_restore(state: State, planned_at: float = 101.0) -> Restore:
     write = Write(6, present=100, wanted=50)
-    plan = RestorePlan((write,), (LeftOut(17, "at the keypad"),), equal=38)
+    plan = RestorePlan((write,), (LeftOut(17, "address", "at the keypad"),), equal=38)
     empty = UnitRows(2, "Nip", {})
     rows = [RowResult(write, "verified")]
     return Restore("r", "dry-end", 2, "anna", empty, empty, plan, rows, planned_at, state)

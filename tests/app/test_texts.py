@@ -25,10 +25,15 @@ APP = Path(__file__).resolve().parents[2] / "app"
 BUS = APP.parent / "bus"
 COMMENT = re.compile(r"\{#.*?#\}", re.DOTALL)
 CALL = re.compile(r"""(?<![\w.])t\(\s*(?:"((?:[^"\\]|\\.)*)"|'((?:[^'\\]|\\.)*)')""")
+LITERAL = r"""(?:"((?:[^"\\]|\\.)*)"|'((?:[^'\\]|\\.)*)')"""
+COUNTED = re.compile(rf"(?<![\w.])tn\(\s*{LITERAL}\s*,\s*{LITERAL}")
+"""One of something, and many."""
+TEXTS_OF = {"t": 1, "tn": 2}
+"""How many texts a call begins with."""
 FILLED = "X1"
 SQL = re.compile(r"\s*(SELECT|INSERT|UPDATE|DELETE|CREATE|PRAGMA|WITH|ALTER|DROP|FROM|WHERE|AND|ORDER|JOIN) ")
 FOR_PROGRAMS = (
-    *("app/cli", "app/metrics", "app/settings.py", "app/web/schema.py"),
+    *("app/cli", "app/metrics", "app/settings.py", "app/web/schema"),
     *("app/audit/walk.py", "app/audit/key_file.py", "app/audit/keys.py", "app/audit/anchor.py"),
     "app/database/private.py",
     *("app/feed/ingest.py", "app/feed/socket.py", "bus/configuration.py", "bus/settings.py"),
@@ -60,6 +65,7 @@ PARTS = {
     "bus worker X1, port X1": "bus worker is back, port /dev/ttyUSB0",
     "clock of X1 stepped by X1 s": "clock of the bus worker stepped by +1.000 s",
     "parameter set X1 taken of unit X1, X1": "parameter set 3 taken of unit 1, 2, by hand",
+    "parameters restored: X1 of X1 verified": "parameters restored: 1 of 1 row verified",
     "the unit of the set": "the unit of the set has 20 of 40 parameters only",
     "X1 has X1 of X1 parameters only": "this unit has 20 of 40 parameters only",
     "restored from X1: X1": "restored from set 3 of unit 1: done: #6; in doubt: #7",
@@ -94,6 +100,7 @@ UNSEEN = {
     "no history is kept, everything else works": "said with its time and cause",
     "of a size that cannot be known now": "has a pattern of its own",
     "a worker says hello first": "said to a program",
+    'Bearer error="invalid_token", error_description="The access token expired"': "a header",
     'it must be a JSON object, {"…": …}, sent as Content-Type: application/json': "said to a program",
     "X1 needs one more package: pip install 'lineside[rfc2217]'": "what is to be typed stays",
 }
@@ -104,8 +111,10 @@ OTHERS = [tag.tag for tag in Languages() if tag.tag != "en"]
 def in_templates() -> set[str]:
     found = set()
     for path in templates_dir().rglob("*.html"):
-        for match in CALL.finditer(COMMENT.sub("", path.read_text(encoding="utf-8"))):
-            found.add(match[1] if match[1] is not None else match[2])
+        template = COMMENT.sub("", path.read_text(encoding="utf-8"))
+        for expression in (CALL, COUNTED):
+            for match in expression.finditer(template):
+                found |= {text for text in match.groups() if text is not None}
     return found
 
 
@@ -113,10 +122,11 @@ def in_code() -> set[str]:
     found = set()
     for path in APP.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "t" and node.args:
-                text = node.args[0]
-                if isinstance(text, ast.Constant) and isinstance(text.value, str):
-                    found.add(text.value)
+            name = getattr(node.func, "attr", "") if isinstance(node, ast.Call) else ""
+            if isinstance(node, ast.Call) and name in TEXTS_OF:
+                for text in node.args[: TEXTS_OF[name]]:
+                    if isinstance(text, ast.Constant) and isinstance(text.value, str):
+                        found.add(text.value)
     return found
 
 
@@ -263,6 +273,7 @@ def test_every_word_of_the_events_is_translated(tag: str) -> None:
 
 def test_the_search_finds_texts_at_all() -> None:
     assert "Set line to zero" in in_templates()
+    assert in_templates() >= {"{n} row differs", "{n} rows differ"}
     assert "verified" in in_code()
     assert f"set {FILLED} does not hold unit {FILLED}" in built()
     assert f"no answer to {FILLED} questions in a row" in spoken()

@@ -136,7 +136,7 @@ def test_two_units_that_let_some_answers_through() -> None:
 
 
 def test_two_units_that_answer_one_after_the_other() -> None:
-    one = found(lambda question: replace(unit()(question), twice=True))
+    one = found(lambda question: replace(unit()(question), surplus=1))
     assert one.kind == "garbled"
 
 

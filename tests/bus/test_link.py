@@ -9,10 +9,11 @@ from msgspec.structs import replace
 
 from bus.errors import WireError
 from bus.line.asking import Heard
-from bus.line.link import MARGIN_S, SECRET_LINGERS_S, Link
+from bus.line.link import SECRET_LINGERS_S, Link
 from bus.line.port_pace import PortPace
 from bus.line.roster import Roster
 from bus.line.trace import HIDDEN, Interpreter, Passed, Trace
+from bus.line.window import MARGIN_S
 from bus.settings import Dialect
 from bus.wire.bodies import encode_reply
 from bus.wire.commands import (

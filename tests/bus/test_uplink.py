@@ -164,3 +164,15 @@ async def _said(logs: list[MutableMapping[str, Any]]) -> None:
             return
         await asyncio.sleep(0.02)
     raise AssertionError("nothing was logged")
+
+
+async def test_an_address_that_names_no_host_is_said_and_does_not_end_the_worker() -> None:
+    desk = Desk()
+    uplink = Uplink("http://a..b:8000", TOKEN, Outbox(), desk, AppClock(), time.time)
+    with capture_logs() as logs:
+        linking = asyncio.create_task(uplink.run())
+        async with asyncio.timeout(20):
+            await desk.news.wait()
+        assert not linking.done()
+        linking.cancel()
+    assert "no dashboard at ws://a..b:8000/feed" in logs[0]["why"]

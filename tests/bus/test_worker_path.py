@@ -260,13 +260,13 @@ async def test_it_leaves_with_its_parent(line: LineServer, tmp_path: Path) -> No
     script = (
         "import subprocess, sys, time\n"
         f"child = subprocess.Popen([sys.executable, *{['-m', 'bus', '--config', str(file), '--bus', 'b']!r},"
-        " '--app', sys.argv[1], '--child'])\n"
+        " '--app', sys.argv[1], '--child'], stdin=subprocess.PIPE)\n"
+        f"child.stdin.write(b'{TOKEN}\\n')\nchild.stdin.flush()\n"
         "print(child.pid, flush=True)\ntime.sleep(600)\n"
     )
     async with FakeApp() as app:
         parent = await asyncio.create_subprocess_exec(
             *(sys.executable, "-c", script, app.url),
-            env={**os.environ, "LINESIDE_WORKER_TOKEN": TOKEN},
             cwd=ROOT,
             stdout=asyncio.subprocess.PIPE,
         )

@@ -55,7 +55,7 @@ def test_a_set_is_taken_marked_golden_and_compared_with_the_unit_now(
         assert answer.json()["outcome"] == "verified"
     page.goto(address)
     page.get_by_role("link", name="Compare with the unit now").first.click()
-    expect(page.get_by_role("heading", level=1)).to_have_text("1 rows differ")
+    expect(page.get_by_role("heading", level=1)).to_have_text("1 row differs")
     expect(page.get_by_text("accelerates in 7.7 s instead of 20.0 s")).to_be_visible()
 
 
@@ -299,8 +299,8 @@ def test_what_a_unit_is_already_is_not_written_again(site: Site, browser_page: O
     page.get_by_label("New value for Coater").fill("31.5")
     page.get_by_role("button", name="Review").click()
     expect(page.locator("#review tr", has_text="Unwind")).to_contain_text("is so already")
-    page.get_by_role("button", name="Write Preset Speed to 1 units").click()
-    expect(page.get_by_text("1 of 1 units verified")).to_be_visible()
+    page.get_by_role("button", name="Write Preset Speed to 1 unit").click()
+    expect(page.get_by_text("1 of 1 unit verified")).to_be_visible()
     assert len(writes(site, 0x86)) == before + 1
 
 

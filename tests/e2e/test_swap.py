@@ -19,7 +19,8 @@ OFFICE = {"width": 1280, "height": 900}
 
 GOOD = {1: 1500, 2: 1600, 4: 9000, 5: 100, 6: 33, 7: 44, 9: 444, 10: 6, 11: 7, 12: 8, 15: 11}
 GOOD |= {22: 7, 23: 200, 25: 9, 29: 1, 30: 1900, 31: 19000, 38: 5500, 39: 21}
-"""What the third unit differs in from one out of its box, beside its address."""
+"""What the third unit differs in from one out of its box, beside its address and its setpoint."""
+SETPOINT = 1216
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +29,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     folder = tmp_path_factory.mktemp("swap")
     # Each question to an address where two answer is waited for to its end.
     with one_site(folder, 3, line_options=("--no-script", "--speedup", "10"), turnaround_ms=250) as made:
-        new_section(made, GOOD)
+        new_section(made, GOOD | {20: SETPOINT})
         with made.api("engineer") as client:
             taken = client.post("/buses/line/sets", json={"units": [3], "name": "the good one"})
             assert taken.status_code == 201, taken.text
@@ -116,7 +117,8 @@ def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensP
     says(page, "The new unit is what the old one was, proven by a full read.")
     expect(page.get_by_role("link", name="The proof, to read or print")).to_be_visible()
 
-    assert [hands.do("parameter", unit=3, number=number) for number in (6, 9, 22)] == [33, 444, 7]
+    expect(page.get_by_text("The setpoint is not restored: #20 is 0")).to_be_visible()
+    assert [hands.do("parameter", unit=3, number=number) for number in (6, 9, 22, 20)] == [33, 444, 7, 0]
     [end, start] = events(site, "swap")
     assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and proven", "verified", 3)
     assert "begun" in start["what"]
@@ -197,7 +199,7 @@ def test_a_server_killed_in_the_midst_of_a_restore_says_what_was_done(
     expect(page.locator("#restore").get_by_text("It ended early: the server ended")).to_be_visible()
     done = page.get_by_role("cell", name="verified", exact=True).count()
     assert 1 <= done < len(GOOD)
-    assert done + page.get_by_role("cell", name=re.compile("not written|unverified")).count() == len(GOOD)
+    assert done + page.get_by_role("cell", name=re.compile("not sent|unverified")).count() == len(GOOD)
     eventually(lambda: site.unit(3)["link"] == "online", "the unit of section 3")
     page.get_by_role("button", name="Review what is left").click()
     left = page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3"))

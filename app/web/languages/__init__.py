@@ -35,6 +35,10 @@ class Language:
             return (translated or text).format(**values)
         return self.sentences.say(text, self.t) if translated is None else translated
 
+    def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
+        """The text for a count: ``one`` for exactly one, else ``many``; ``{n}`` in it is the count."""
+        return self.t(one if n == 1 else many, n=n, **values)
+
 
 class Languages:
     """Every language there is a file for."""

@@ -71,7 +71,9 @@ class DevicePort:
             return
         self._protocol.closed = True
         self.drop_output()
-        self._transport.abort()
+        # Once it closes after a failed read, abort() would have pyserial-asyncio 0.6 close it a second time.
+        if not self._transport.is_closing():
+            self._transport.abort()
 
 
 async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
@@ -87,7 +89,11 @@ async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
     _prefer_low_latency(instance)
     protocol = Reception(receiver, f"{path} is gone: was the adapter pulled out?")
     transport, _ = await serial_asyncio.connection_for_serial(loop, lambda: protocol, instance)
-    await protocol.made
+    try:
+        await protocol.made
+    except asyncio.CancelledError:
+        transport.abort()
+        raise
     return DevicePort(instance, transport, protocol, path)
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
+from collections.abc import Callable
 from typing import Any
 
 from bus.line.port import OpenPort, PortUnavailable, Receiver
@@ -29,17 +32,33 @@ async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
         raise PortUnavailable(
             f"{url} does not answer: is the device server on, in RFC 2217 mode, and its address right?"
         ) from error
+    except UnicodeError as error:
+        raise PortUnavailable(f"{url} names no host: check the part before the port number") from error
     except (OSError, ValueError) as error:
         raise PortUnavailable(f"{url} cannot be opened ({error})") from error
     return tcp.TcpPort(transport, protocol, url)
+
+
+def _parsed(feed: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
+    """``feed`` of the parser, raising OSError for what is not RFC 2217."""
+
+    def parse(data: bytes) -> Any:
+        try:
+            return feed(data)
+        except (ValueError, IndexError) as error:
+            raise OSError(errno.EPROTO, os.strerror(errno.EPROTO)) from error
+
+    return parse
 
 
 def _rfc2217_transport() -> Any:
     """serialx's own, which takes servers as they are.
 
     Many never acknowledge the masks of line and modem states (RFC 2217, 3), which mean nothing on RS-422, and
-    many speak first: what they say before the connection is known to be there would be an error. serialx has
-    neither a setting nor a public method for that, so inner ones are overridden, and its version is bounded.
+    many speak first: what they say before the connection is known to be there would be an error. A command
+    that cannot be parsed is the fault of the server: it is raised as OSError, as asyncio prints any other
+    with its traceback. serialx has neither a setting nor a public method for all that, so inner ones are
+    overridden, and its version is bounded.
     """
     from serialx.platforms.serial_rfc2217 import RFC2217SerialTransport
     from serialx.platforms.serial_rfc2217.types import SetLinestateMaskCmd, SetModemstateMaskCmd
@@ -55,7 +74,9 @@ def _rfc2217_transport() -> Any:
 
         async def _negotiate(self) -> None:
             assert self._tcp_transport is not None
+            assert self._serial is not None
             tcp.be_quick_to_notice(self._tcp_transport.get_extra_info("socket"))
+            self._serial._engine.feed = _parsed(self._serial._engine.feed)  # type: ignore[assignment, method-assign, unused-ignore]
             super()._data_received(self._said_first)
             await super()._negotiate()
 

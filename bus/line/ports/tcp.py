@@ -67,6 +67,8 @@ async def open_socket(url: str, receiver: Receiver) -> OpenPort:
     except ConnectionRefusedError as error:
         message = f"{url} refuses the connection: is its port number right, or is another host connected?"
         raise PortUnavailable(message) from error
+    except UnicodeError as error:
+        raise PortUnavailable(f"{url} names no host: check the part before the port number") from error
     except OSError as error:
         raise PortUnavailable(f"{url} cannot be reached ({error.strerror or error})") from error
     be_quick_to_notice(transport.get_extra_info("socket"))

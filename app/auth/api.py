@@ -1,0 +1,25 @@
+"""``GET /me``: as whom a program or a page is signed in."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+from typing_extensions import TypedDict
+
+from app.web.access import Role, Via, Viewer
+from app.web.api_route import ApiRoute
+
+router = APIRouter(prefix="/api/v1", tags=["who"], route_class=ApiRoute)
+
+
+class MeShown(TypedDict):
+    """Who asks."""
+
+    name: str
+    role: Role
+    via: Via
+
+
+@router.get("/me")
+async def me(person: Viewer) -> MeShown:
+    """Who asks, by name and role."""
+    return {"name": person.name, "role": person.role, "via": person.via}

@@ -1,0 +1,141 @@
+"""What every account may do now, in memory: looked up before each command of work that lasts.
+
+A request is authorized when it comes. A restore, a batch or a change of the baud rate goes on for minutes
+after that, and its account may be disabled meanwhile, also by the command line in another process.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import sqlite3
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+
+import structlog
+
+from app.auth import store
+from app.auth.store import Token, User
+from app.database import Database
+from app.errors import Problem, StoreError
+from app.web.access import Person, Role, account_of
+
+WATCH_EVERY_S = 0.5
+FRESH_S = 1.0
+"""What was read longer ago permits nothing before the store has been read again."""
+
+USER_ENDED = "rights withdrawn: the user was removed or disabled; nothing more was sent"
+TOKEN_ENDED = "rights withdrawn: the token was revoked or has expired; nothing more was sent"
+PASSWORD_CHANGED = "rights withdrawn: the password was changed; nothing more was sent"
+ROLE_LOWERED = "rights withdrawn: the role was lowered; nothing more was sent"
+
+Withdrawn = Callable[[str], Awaitable[None]]
+
+_log = structlog.get_logger()
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What one account may do. ``credential`` tells it from an earlier one of the same name."""
+
+    role: Role
+    credential: str
+
+
+def credential_of_user(user: User, secret_hash: str) -> str:
+    """Another text once the user was added again, or has another password."""
+    return hashlib.sha256(f"{user.created_at}\0{secret_hash}".encode()).hexdigest()
+
+
+def credential_of_token(token: Token) -> str:
+    """Another text once the token was revoked and created again."""
+    return f"{token.id} {token.created_at}"
+
+
+def why_withdrawn(person: Person, standing: Standing | None) -> str:
+    """Why what a person began must stop; empty while it may go on. ``standing``: of the account now."""
+    is_token = person.via == "token"
+    if standing is None:
+        return TOKEN_ENDED if is_token else USER_ENDED
+    if standing.credential != person.credential:
+        return TOKEN_ENDED if is_token else PASSWORD_CHANGED
+    return "" if standing.role.includes(person.role) else ROLE_LOWERED
+
+
+class Rights:
+    """One for the app."""
+
+    def __init__(
+        self,
+        database: Database,
+        clock: Callable[[], float] = time.time,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._database = database
+        self._clock = clock
+        self._monotonic = monotonic
+        self._standings: Mapping[str, Standing] = {}
+        self._read_at = float("-inf")
+        self._subscribers: list[Withdrawn] = []
+
+    def on_withdrawn(self, subscriber: Withdrawn) -> None:
+        """Call ``subscriber`` with each account that may do less than before."""
+        self._subscribers.append(subscriber)
+
+    async def check(self, person: Person) -> None:
+        """Raises Problem 403 ``rights_withdrawn`` when the account of a person may no longer do what it could
+        when the person was authenticated; StoreError when that cannot be known."""
+        if not person.has_account:
+            return
+        if self._monotonic() - self._read_at > FRESH_S or self._why_withdrawn(person):
+            await self.refresh()
+        reason = self._why_withdrawn(person)
+        if reason:
+            raise Problem(403, "rights_withdrawn", reason, outcome="rights_withdrawn")
+
+    async def refresh(self) -> None:
+        """Read the store now. Raises StoreError."""
+        began = self._monotonic()
+        standings = await self._database.read(self._read)
+        if began < self._read_at:
+            return  # another read began later and is here already
+        before, self._standings, self._read_at = self._standings, standings, began
+        for account, standing in before.items():
+            if _is_less(standing, self._standings.get(account)):
+                for subscriber in self._subscribers:
+                    await subscriber(account)
+
+    async def watch(self) -> None:
+        """Run forever: notice what the command line changes in the store."""
+        fault = ""
+        while True:
+            try:
+                await self.refresh()
+                fault = ""
+            except StoreError as error:
+                if str(error) != fault:
+                    _log.error("rights not read", error=str(error))
+                fault = str(error)
+            await asyncio.sleep(WATCH_EVERY_S)
+
+    def _why_withdrawn(self, person: Person) -> str:
+        return why_withdrawn(person, self._standings.get(person.account))
+
+    def _read(self, connection: sqlite3.Connection) -> dict[str, Standing]:
+        now = self._clock()
+        return {
+            user.name: Standing(user.role, credential_of_user(user, secret_hash))
+            for user, secret_hash in store.users_with_secrets(connection)
+            if not user.disabled
+        } | {
+            account_of(token.name, token=True): Standing(token.role, credential_of_token(token))
+            for token in store.tokens(connection)
+            if token.expires_at is None or token.expires_at > now
+        }
+
+
+def _is_less(before: Standing, now: Standing | None) -> bool:
+    if now is None or now.credential != before.credential:
+        return True
+    return not now.role.includes(before.role)

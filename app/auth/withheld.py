@@ -1,0 +1,87 @@
+"""What a store that is put back from a backup must not give again: rights that were withdrawn since.
+
+Sessions all end. A token holds only where the present store knows it too, and a user may do what both stores
+allow, under the present password. Where there is no present store with users in it, as on a new machine,
+nobody knows which tokens were revoked, so that all of them are; users are as they were then.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import dataclass
+
+from app.auth import store
+from app.auth.store import User
+from app.web.access import PEOPLE_ROLES, Role
+
+
+@dataclass(frozen=True, slots=True)
+class Withheld:
+    """By name, in order: tokens that are revoked, users that are disabled, users with a lower role than in
+    the backup. ``admins``: how many admins can sign in."""
+
+    tokens: tuple[str, ...]
+    disabled: tuple[str, ...]
+    lowered: tuple[str, ...]
+    admins: int
+
+
+@dataclass(frozen=True, slots=True)
+class PresentUser:
+    """A user of the present store."""
+
+    role: Role
+    panel: bool
+    disabled: bool
+    secret_hash: str
+
+
+@dataclass(frozen=True, slots=True)
+class Present:
+    """What the present store says of who may do what: hashes of tokens, and users by name."""
+
+    tokens: frozenset[bytes]
+    users: dict[str, PresentUser]
+
+
+def read_present(connection: sqlite3.Connection) -> Present | None:
+    """From a store of any version; None from one without users. Raises sqlite3.Error for one that cannot be
+    read."""
+    tokens = frozenset(hash_ for (hash_,) in connection.execute("SELECT hash FROM tokens"))
+    rows = connection.execute("SELECT name, role, panel, disabled, secret_hash FROM users")
+    users = {
+        name: PresentUser(Role(role), bool(panel), bool(disabled), secret_hash)
+        for name, role, panel, disabled, secret_hash in rows
+    }
+    return Present(tokens, users) if users else None
+
+
+def withhold(restored: sqlite3.Connection, present: Present | None) -> Withheld:
+    """Take away in the restored store what was withdrawn since; ``present`` None: nobody knows what was."""
+    restored.execute("DELETE FROM sessions")
+    tokens = _withhold_tokens(restored, frozenset() if present is None else present.tokens)
+    disabled: list[str] = []
+    lowered: list[str] = []
+    for user in store.users(restored) if present is not None else ():
+        now = present.users.get(user.name) if present is not None else None
+        if now is None or now.disabled or now.panel is not user.panel:
+            restored.execute("UPDATE users SET disabled = 1 WHERE name = ?", (user.name,))
+            disabled += [] if user.disabled else [user.name]
+        elif _take_over(restored, user, now):
+            lowered.append(user.name)
+    return Withheld(tokens, tuple(disabled), tuple(lowered), store.admins_left(restored))
+
+
+def _withhold_tokens(restored: sqlite3.Connection, known: frozenset[bytes]) -> tuple[str, ...]:
+    rows = restored.execute("SELECT hash, name FROM tokens ORDER BY name").fetchall()
+    gone = [(hash_, name) for hash_, name in rows if hash_ not in known]
+    restored.executemany("DELETE FROM tokens WHERE hash = ?", [(hash_,) for hash_, _ in gone])
+    return tuple(name for _, name in gone)
+
+
+def _take_over(restored: sqlite3.Connection, user: User, now: PresentUser) -> bool:
+    """The present password, and the lower role. Whether the role is lower than in the backup."""
+    role = min(user.role, now.role, key=PEOPLE_ROLES.index)
+    change = "UPDATE users SET role = ?, secret_hash = ? WHERE name = ?"
+    restored.execute(change, (role, now.secret_hash, user.name))
+    return role is not user.role

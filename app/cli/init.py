@@ -1,0 +1,56 @@
+"""``lineside init``: a configuration to start from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import typer
+
+from app.cli.ending import ending
+from app.cli.serve import LINESIDE_TOML, Config
+from bus.errors import LinesideError
+
+BY_ID = Path("/dev/serial/by-id")
+STARTER = Path(__file__).with_name("starter.toml")
+
+
+class InitError(LinesideError):
+    """The file was not written; the text says why and what to do."""
+
+
+def register(cli: typer.Typer) -> None:
+    """Add the command."""
+    cli.command()(init)
+
+
+def init(config: Config = LINESIDE_TOML) -> None:
+    """Write a commented lineside.toml to start from. An existing file is never overwritten."""
+    with ending():
+        try:
+            with config.open("x", encoding="utf-8") as file:
+                file.write(starter(config, likely_port()))
+        except FileExistsError as error:
+            raise InitError(
+                f"{config} exists and is kept. Name another file with --config, or move this one away."
+            ) from error
+        except OSError as error:
+            raise InitError(
+                f"{config} cannot be written: {error.strerror}. Create its folder, or name another file with "
+                "--config."
+            ) from error
+        typer.echo(f"{config} is written. Set the port and the units, then: lineside check --config {config}")
+
+
+def likely_port(folder: Path = BY_ID) -> str:
+    """The first serial adapter of this machine by its lasting path; else a usual name."""
+    adapters = sorted(str(entry) for entry in folder.iterdir()) if folder.is_dir() else []
+    return adapters[0] if adapters else "/dev/ttyUSB0"
+
+
+def starter(config: Path, port: str) -> str:
+    """The text of a new configuration. JSON's strings are TOML's too."""
+    text = STARTER.read_text(encoding="utf-8")
+    for name, value in {"config": str(config), "quoted_port": json.dumps(port), "port": port}.items():
+        text = text.replace(f"{{{name}}}", value)
+    return text

@@ -1,0 +1,90 @@
+"""A store from a backup, made ready to be put in the place of the present one: rights that were withdrawn
+since stay so, what protects the machine stays in force, and an event says who put it back."""
+
+from __future__ import annotations
+
+import asyncio
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from app.audit.log import EventLog
+from app.auth.withheld import Present, Withheld, read_present, withhold
+from app.cli.accounts import ORIGIN, who_calls
+from app.commands.in_force import Protection, keep_in_force, read_protection
+from app.database import Database
+from app.database.connection import open_for_reading
+
+WHAT = "the stores were restored from a backup"
+
+
+@dataclass(frozen=True, slots=True)
+class Backup:
+    """Which backup it is: the name of its file, when it was taken (Unix time), its SHA-256."""
+
+    file: str
+    taken_at: float
+    digest: str
+
+    def __str__(self) -> str:
+        taken = datetime.fromtimestamp(self.taken_at, UTC).isoformat(timespec="seconds")
+        return f"{self.file} of {taken}, SHA-256 {self.digest}"
+
+
+def make_ready(fresh: Path, present: Path, backup: Backup) -> Withheld:
+    """Change ``fresh``, the main store of a backup, before it takes the place of ``present``. Raises
+    StoreError for one that cannot be used."""
+    standing = _standing(present)
+    database = Database(fresh)
+    try:
+        return asyncio.run(_bring_in(database, standing, backup))
+    finally:
+        database.close()
+
+
+def _standing(present: Path) -> tuple[Present | None, Protection] | None:
+    """None where there is no present store, or none that can be read: it may be why a backup is put back."""
+    if not present.exists():
+        return None
+    try:
+        with closing(open_for_reading(present)) as connection:
+            return read_present(connection), read_protection(connection)
+    except (sqlite3.Error, ValueError):
+        return None
+
+
+async def _bring_in(
+    database: Database, standing: tuple[Present | None, Protection] | None, backup: Backup
+) -> Withheld:
+    def work(connection: sqlite3.Connection) -> Withheld:
+        if standing is None:
+            return withhold(connection, None)
+        keep_in_force(connection, standing[1])
+        return withhold(connection, standing[0])
+
+    withheld = await database.write(work)
+    await EventLog(database).record(
+        kind="server",
+        what=WHAT,
+        who=who_calls(),
+        origin=ORIGIN,
+        message="; ".join([str(backup), *consequences(withheld)]),
+    )
+    return withheld
+
+
+def consequences(withheld: Withheld) -> list[str]:
+    """What does not come back, a sentence each."""
+    found = ["every session has ended"]
+    for names, words in (
+        (withheld.tokens, "tokens revoked"),
+        (withheld.disabled, "users disabled, as they are or were removed now"),
+        (withheld.lowered, "users with the lower role of now"),
+    ):
+        if names:
+            found.append(f"{words}: {', '.join(names)}")
+    if not withheld.admins:
+        found.append("no admin can sign in; add one with 'lineside user add'")
+    return found

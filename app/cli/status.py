@@ -1,0 +1,90 @@
+"""``lineside status``: whether the dashboard of a configuration runs, and how its buses are."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+import httpx
+import typer
+
+from app.cli.credentials import Token, TokenFile, token_if_given
+from app.cli.dashboard import dashboard
+from app.cli.ending import ending
+from app.cli.serve import LINESIDE_TOML, Config
+from app.settings import Server, load
+from bus.errors import LinesideError
+
+WITHIN_S = 5.0
+
+
+class NotServingError(LinesideError):
+    """No dashboard answers where the configuration says."""
+
+
+def register(cli: typer.Typer) -> None:
+    """Add the command."""
+    cli.command()(status)
+
+
+def status(
+    config: Config = LINESIDE_TOML,
+    token: Token = "",
+    token_file: TokenFile = None,
+    as_json: Annotated[bool, typer.Option("--json", help="The result as JSON.")] = False,
+) -> None:
+    """Say whether the dashboard serves, and how each bus is with a token of any role but worker.
+
+    Exit 0 when it serves, else 1.
+    """
+    with ending():
+        settings, bearer = load(config), token_if_given(token, token_file)
+        url = url_of(settings.server)
+        serves = is_serving(url)
+        buses = _buses(url, bearer) if serves and bearer else None
+        if as_json:
+            typer.echo(json.dumps({"serving": serves, "url": url, "buses": buses}))
+        elif serves:
+            typer.echo("\n".join([f"{settings.site.name}: serving at {url}", *map(_line, buses or ())]))
+        if not serves:
+            raise NotServingError(
+                f"no dashboard answers at {url}. Start it with lineside serve --config {config}, or read the "
+                "log of its service."
+            )
+
+
+def url_of(server: Server) -> str:
+    """Where the dashboard of a configuration is found from this machine."""
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(server.host, server.host)
+    return f"http://[{host}]:{server.port}" if ":" in host else f"http://{host}:{server.port}"
+
+
+def is_serving(url: str) -> bool:
+    """Whether a Lineside dashboard says at ``url`` that it serves."""
+    try:
+        answer = httpx.get(f"{url}/healthz", timeout=WITHIN_S, trust_env=False)
+        return answer.status_code == 200 and answer.json() == {"status": "ok"}
+    except (httpx.HTTPError, httpx.InvalidURL, ValueError):
+        return False
+
+
+def _buses(url: str, token: str) -> list[dict[str, Any]]:
+    with dashboard(url, token) as client:
+        found = client.get("/line")["buses"]
+    return [
+        {
+            "name": bus["name"],
+            "worker": bus["worker"],
+            "link": bus["link"],
+            "link_cause": bus["link_cause"],
+            "units": len(bus["units"]),
+            "units_online": sum(unit["link"] == "online" for unit in bus["units"]),
+        }
+        for bus in found
+    ]
+
+
+def _line(bus: dict[str, Any]) -> str:
+    cause = f": {bus['link_cause']}" if bus["link_cause"] else ""
+    units = f"{bus['units_online']} of {bus['units']} units online"
+    return f"  bus {bus['name']}: {units}, port {bus['link']}{cause}"

@@ -1,0 +1,45 @@
+"""Whether whoever asked for a command may still have it, while it is under way."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Coroutine
+from typing import Any, Protocol
+
+import msgspec
+
+from app.web.access import Person
+from bus.contract import Result
+
+RECHECK_S = 0.25
+"""Most commands are over by then; a change of the baud rate or of many units is not."""
+
+
+class Authority(Protocol):
+    """What accounts may do now."""
+
+    async def check(self, person: Person) -> None:
+        """Raises Problem 403 ``rights_withdrawn``."""
+
+
+async def while_permitted(
+    work: Coroutine[Any, Any, Result],
+    why_not: Callable[[], Awaitable[str]],
+    give_up: Callable[[], Awaitable[None]],
+) -> Result:
+    """The result of ``work``, a command on its way. When ``why_not`` gives a reason, ``give_up`` is called
+    once, the worker stops where nothing is half done, and the reason stands before the result's message."""
+    task = asyncio.ensure_future(work)
+    reason = ""
+    try:
+        while not task.done():
+            await asyncio.wait({task}, timeout=RECHECK_S)
+            if not task.done() and not reason:
+                reason = await why_not()
+                if reason:
+                    await give_up()
+        result = task.result()
+    finally:
+        task.cancel()
+    message = "; ".join(part for part in (reason, result.message) if part)
+    return msgspec.structs.replace(result, message=message)

@@ -1,0 +1,50 @@
+"""What a person ought to know of a restore as a whole before any row of it is written. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from app.sets.effects import warning_of
+from app.sets.model import UnitRows
+from app.sets.order import Write
+from bus.catalogue.parameters import PARAMETERS
+
+_MODE = 8
+RUNS = "the unit runs: the marked rows change what the machine does at once"
+MAY_RUN = "it is not known whether the unit runs: the marked rows may change what the machine does at once"
+
+
+def remarks(
+    wanted: UnitRows, present: UnitRows, *, running: bool | None, writes: Iterable[Write]
+) -> list[str]:
+    """Whether the machine runs, whose set it is, and of what kind. ``running``: the Run input of the unit,
+    None where not known."""
+    return [*_motion(running, writes), *_origin(wanted, present), *_kind(wanted, present)]
+
+
+def _motion(running: bool | None, writes: Iterable[Write]) -> list[str]:
+    if not any(warning_of(write.number, running=running) for write in writes):
+        return []
+    return [] if running is False else [MAY_RUN if running is None else RUNS]
+
+
+def _origin(wanted: UnitRows, present: UnitRows) -> list[str]:
+    if wanted.unit == present.unit:
+        return []
+    return [f"the set is of unit {wanted.unit}, this is unit {present.unit}: read every row"]
+
+
+def _kind(wanted: UnitRows, present: UnitRows) -> list[str]:
+    found: list[str] = []
+    kinds = [rows.raw(_MODE) for rows in (wanted, present)]
+    if None not in kinds and (kinds[0] == 0) != (kinds[1] == 0):
+        found.append(
+            "the set is of a master, this unit follows by ratio (#8): another type of section"
+            if kinds[0] == 0
+            else "the set is of a follower by ratio, this unit is a master (#8): another type of section"
+        )
+    for rows, text in ((wanted, "the unit of the set"), (present, "this unit")):
+        lacks = sum(not row.available for row in rows.rows.values())
+        if lacks:
+            found.append(f"{text} has {len(rows.rows) - lacks} of {len(PARAMETERS)} parameters only")
+    return found

@@ -1,0 +1,89 @@
+"""Restores over HTTP: planned, started, followed."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter
+from pydantic import Field
+
+from app.live.api import Live
+from app.live.lookup import unit_or_404
+from app.sets.api import Keeper
+from app.sets.lookup import restore_or_404, wanted_rows
+from app.sets.restore import RestoreDesk
+from app.sets.restore_shown import RestoreShown
+from app.sets.restore_view import restore_json
+from app.sets.selection import Selection
+from app.web.access import Engineer, Viewer
+from app.web.api_route import ApiRoute
+from app.web.schema_problem import problems
+from app.web.services import service
+from app.web.shape import Numbers, Strict
+
+router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
+
+Restores = Annotated[RestoreDesk, service("restores")]
+Included = Annotated[
+    Numbers, Field(description="rows that are left out unless named: the setpoints #20 and #37")
+]
+Excluded = Annotated[Numbers, Field(description="rows not to write")]
+
+
+class PlanRestore(Strict):
+    """What a unit shall become: a stored set, or a TOML document with one unit (or with this one).
+    ``ticked``: dangerous rows (#18, #19, #27) to write, each confirmed by its number."""
+
+    set: int | None = None
+    document: str | None = None
+    from_unit: int | None = None
+    include: Annotated[Included, Field(default_factory=list)]
+    exclude: Annotated[Excluded, Field(default_factory=list)]
+    ticked: Annotated[Numbers, Field(default_factory=list)]
+
+
+class StartRestore(Strict):
+    """Another choice of rows than the plan was made with; what is left out or null stays as planned."""
+
+    include: Included | None = None
+    exclude: Excluded | None = None
+
+
+@router.post("/buses/{bus}/units/{unit}/restores", status_code=201, responses=problems(504))
+async def plan_unit_restore(
+    person: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int, wanted: PlanRestore
+) -> RestoreShown:
+    """Read the unit and say what a restore would write. Nothing is written."""
+    unit_or_404(live, bus, unit)
+    selection = Selection(frozenset(wanted.include), frozenset(wanted.exclude), frozenset(wanted.ticked))
+    rows = await wanted_rows(keeper, unit, wanted.set, wanted.document, wanted.from_unit)
+    return restore_json(await restores.plan(person, bus, unit, rows, selection))
+
+
+@router.post("/restores/{restore_id}/start", status_code=202)
+async def start_restore(
+    person: Engineer, restores: Restores, restore_id: str, chosen: StartRestore | None = None
+) -> RestoreShown:
+    """Write the selected rows, unless the unit has changed since the plan."""
+    restore = await restore_or_404(restores, restore_id)
+    if chosen is not None and (chosen.include is not None or chosen.exclude is not None):
+        planned = restore.selection
+        include = planned.include if chosen.include is None else frozenset(chosen.include)
+        exclude = planned.exclude if chosen.exclude is None else frozenset(chosen.exclude)
+        restores.select(restore, planned.choosing(include, exclude))
+    restores.start(person, restore)
+    return restore_json(restore)
+
+
+@router.post("/restores/{restore_id}/cancel", status_code=202)
+async def cancel_restore(person: Engineer, restores: Restores, restore_id: str) -> RestoreShown:
+    """Stop after the row in hand."""
+    restore = await restore_or_404(restores, restore_id)
+    restore.cancel(person.name)
+    return restore_json(restore)
+
+
+@router.get("/restores/{restore_id}")
+async def one_restore(_: Viewer, restores: Restores, restore_id: str) -> RestoreShown:
+    """How far it is, row by row."""
+    return restore_json(await restore_or_404(restores, restore_id))

@@ -1,0 +1,155 @@
+"""The pages of a restore: choose a set, review every row, follow it, read the proof."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Form, Request, Response, UploadFile
+
+from app.errors import Problem
+from app.live.api import Live
+from app.live.lookup import unit_or_404
+from app.live.state import LiveState
+from app.sets.api import Keeper
+from app.sets.compare import compare
+from app.sets.effects import OPERATING_VALUES
+from app.sets.keeper import SetKeeper
+from app.sets.lookup import restore_or_404, uploaded_rows
+from app.sets.model import UnitRows
+from app.sets.offers import offers
+from app.sets.pages import go_to
+from app.sets.restore_api import Restores
+from app.sets.restore_record import Restore
+from app.sets.restore_view import restore_json
+from app.sets.selection import Selection
+from app.sets.shown import ComparedShown
+from app.sets.sides import side
+from app.sets.view import compared_json
+from app.web.access import Engineer
+from app.web.templating import render
+from bus.catalogue.parameters import PARAMETERS
+
+router = APIRouter(include_in_schema=False)
+
+Ticks = Annotated[list[int] | None, Form()]
+
+
+@router.get("/units/{bus}/{unit}/restore")
+async def restore_page(
+    request: Request, _: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int
+) -> Response:
+    """Choose what the unit shall become; and the results of earlier restores of it."""
+    live_unit = unit_or_404(live, bus, unit)
+    return render(
+        request,
+        "sets/restore.html",
+        bus=bus,
+        unit=live_unit,
+        offers=offers(live, await keeper.store.summaries(), bus, unit),
+        earlier=await restores.of_unit(bus, unit),
+    )
+
+
+@router.post("/units/{bus}/{unit}/restore")
+async def plan_page(
+    person: Engineer,
+    keeper: Keeper,
+    restores: Restores,
+    live: Live,
+    bus: str,
+    unit: int,
+    source: Annotated[str, Form()] = "",
+    file: UploadFile | None = None,
+) -> Response:
+    """Read the unit and say what would be written. Nothing is."""
+    unit_or_404(live, bus, unit)
+    rows = await _chosen(keeper, live, unit, source, file)
+    restore = await restores.plan(person, bus, unit, rows)
+    return go_to(f"/restores/{restore.id}")
+
+
+@router.get("/restores/{restore_id}")
+async def restore_progress(request: Request, _: Engineer, restores: Restores, restore_id: str) -> Response:
+    """The review before, the progress during, the proof after."""
+    restore = await restore_or_404(restores, restore_id)
+    template = "sets/_restore.html" if request.headers.get("hx-request") else "sets/restoring.html"
+    dangerous = {left.number for left in restore.left_out if PARAMETERS[left.number].dangerous}
+    response = render(
+        request,
+        template,
+        restore=restore_json(restore),
+        planned_at=restore.planned_at,
+        name=restore.before.name,
+        tickable=dangerous,
+        swap=request.app.state.services.swaps.of(restore.bus, restore.unit),
+        proven=_proof(restore.wanted, restore.proven),
+    )
+    if restore.state != "running":
+        # The state has changed: so do the buttons, and the whole is drawn anew.
+        response.headers["HX-Retarget"] = response.headers["HX-Reselect"] = "#restore"
+    return response
+
+
+@router.post("/restores/{restore_id}/tick")
+async def confirm_dangerous(
+    person: Engineer, restores: Restores, live: Live, restore_id: str, tick: Ticks = None
+) -> Response:
+    """Plan again with dangerous rows that a person has confirmed one by one."""
+    old = await restore_or_404(restores, restore_id)
+    unit_or_404(live, old.bus, old.unit)
+    selection = Selection(confirmed=old.selection.confirmed | frozenset(tick or ()))
+    fresh = await restores.plan(person, old.bus, old.unit, old.wanted, selection)
+    return go_to(f"/restores/{fresh.id}")
+
+
+@router.post("/restores/{restore_id}/again")
+async def plan_again(person: Engineer, restores: Restores, live: Live, restore_id: str) -> Response:
+    """The same restore once more: what is done is found equal, the rest is reviewed."""
+    old = await restore_or_404(restores, restore_id)
+    unit_or_404(live, old.bus, old.unit)
+    deselected = frozenset(left.number for left in old.left_out if left.reason == "deselected")
+    fresh = await restores.plan(person, old.bus, old.unit, old.wanted, Selection(exclude=deselected))
+    return go_to(f"/restores/{fresh.id}")
+
+
+@router.post("/restores/{restore_id}/start")
+async def start(person: Engineer, restores: Restores, restore_id: str, row: Ticks = None) -> Response:
+    """Write the rows that are ticked."""
+    restore = await restore_or_404(restores, restore_id)
+    restores.select(restore, _ticked(restore, frozenset(row or ())))
+    restores.start(person, restore)
+    return go_to(f"/restores/{restore_id}")
+
+
+@router.post("/restores/{restore_id}/cancel")
+async def cancel(person: Engineer, restores: Restores, restore_id: str) -> Response:
+    """Stop after the row in hand."""
+    (await restore_or_404(restores, restore_id)).cancel(person.name)
+    return go_to(f"/restores/{restore_id}")
+
+
+async def _chosen(
+    keeper: SetKeeper, live: LiveState, unit: int, source: str, file: UploadFile | None
+) -> UnitRows:
+    """The rows of an uploaded file, else of a stored set named ``set:12:3``. Raises Problem 422 or 404."""
+    if file is not None and file.filename:
+        return await uploaded_rows(unit, file)
+    if not source.startswith("set:"):
+        raise Problem(422, "invalid", "choose a stored set or a file")
+    return (await side(source, keeper, live)).rows
+
+
+def _ticked(restore: Restore, rows: frozenset[int]) -> Selection:
+    """Raises Problem 422 for no row at all, and for one that was not in the review."""
+    reviewed = frozenset(write.number for write in restore.plan.writes)
+    reviewed |= frozenset(write.number for write, _ in restore.offered)
+    if not rows:
+        raise Problem(422, "invalid", "no row was chosen; nothing was written")
+    if rows - reviewed:
+        raise Problem(422, "invalid", "this is not what was reviewed; nothing was sent")
+    return restore.selection.choosing(rows, reviewed - rows - OPERATING_VALUES)
+
+
+def _proof(wanted: UnitRows, proven: UnitRows | None) -> list[ComparedShown]:
+    """All 40 rows as wanted and as read afterwards."""
+    return [compared_json(row) for row in compare(wanted, proven)] if proven is not None else []

@@ -1,0 +1,114 @@
+"""One restore from start to end: the review checked, each row verified, all proven by a full read."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+
+from app.commands.desk import Desk
+from app.errors import Problem
+from app.sets.effects import warning_of
+from app.sets.plan import plan_restore
+from app.sets.reading import ParameterReader
+from app.sets.restore_record import Restore, RowResult
+from app.sets.restore_store import ENDED_MEANWHILE, RestoreStore
+from app.web.access import Person
+from bus.contract import WriteParameter
+from bus.errors import unit_error_name
+
+MOVED = "the unit has changed since the review; nothing was written, review it again"
+STARTED = "the unit was started after the review; the rest was not written, review it again"
+_OF_ITS_ROW = frozenset({"invalid"})
+"""Refusals that say something of one row only."""
+_STOPS = frozenset({"unverified", "not_sent", "bus_closed"})
+"""Outcomes of a row after which the others cannot be expected to do better."""
+
+
+class RestoreRun:
+    """Carries out what was reviewed, for ``person``. Raises Problem for whatever stops it."""
+
+    def __init__(
+        self, reader: ParameterReader, desk: Desk, store: RestoreStore, person: Person, restore: Restore
+    ) -> None:
+        self._reader = reader
+        self._desk = desk
+        self._store = store
+        self._person = person
+        self._restore = restore
+
+    async def run(self) -> None:
+        """Leaves the restore ``equal`` or ``different``."""
+        await self._store.begin(self._restore)
+        await self._check_review()
+        await self._write_rows()
+        await self._prove()
+
+    async def _check_review(self) -> None:
+        """Plan again on what the unit says now: a review of other rows or other values is none."""
+        restore = self._restore
+        if not restore.rows:
+            return
+        before = await self._reader.read_unit(self._person, restore.bus, restore.unit, urgent=True)
+        status = self._reader.status(restore.bus, restore.unit)
+        running, remote = (None, None) if status is None else (status.run, status.remote)
+        now = plan_restore(
+            restore.wanted, before, running=running, remote=remote, selection=restore.selection
+        )
+        if now.writes != restore.plan.writes:
+            raise Problem(409, "moved", MOVED)
+
+    async def _write_rows(self) -> None:
+        restore = self._restore
+        for place, row in enumerate(restore.rows):
+            if restore.cancelled_by:
+                who, done, rows = restore.cancelled_by, restore.done, len(restore.rows)
+                text = f"left off by {who} after {done} of {rows} rows"
+                raise Problem(409, "cancelled", text)
+            if self._would_surprise(row):
+                raise Problem(409, "moved", STARTED)
+            await self._store.sending(restore, place)
+            try:
+                restore.rows[place] = await self._write(row)
+            except asyncio.CancelledError:
+                restore.rows[place] = replace(row, outcome="unverified", message=ENDED_MEANWHILE)
+                raise
+            except Problem as problem:
+                restore.rows[place] = replace(row, outcome="not_sent", message=problem.detail)
+                raise
+            finally:
+                await self._store.row(restore, place)
+            _go_on_or_raise(restore.rows[place])
+
+    async def _write(self, row: RowResult) -> RowResult:
+        restore, write = self._restore, row.write
+        action = WriteParameter(unit=restore.unit, number=write.number, raw=write.wanted)
+        try:
+            result = await self._desk.ask(self._person, restore.bus, action, confirm=True, origin="restore")
+        except Problem as problem:
+            if problem.code not in _OF_ITS_ROW:
+                raise
+            return replace(row, outcome="invalid", message=problem.detail)
+        message = result.message
+        if result.outcome == "refused" and result.unit_error is not None:
+            message = f"refused: {unit_error_name(result.unit_error)}"
+        return replace(row, outcome=result.outcome, message=message, read_back=result.read_back)
+
+    async def _prove(self) -> None:
+        restore = self._restore
+        restore.state = "proving"
+        restore.proven = await self._reader.read_unit(self._person, restore.bus, restore.unit, urgent=True)
+        restore.state = "different" if restore.remaining else "equal"
+
+    def _would_surprise(self, row: RowResult) -> bool:
+        """Whether this row changes what a unit does that runs now and did not when it was reviewed."""
+        restore = self._restore
+        status = self._reader.status(restore.bus, restore.unit)
+        runs = status is not None and status.run
+        return runs and restore.running is False and bool(warning_of(row.write.number, running=True))
+
+
+def _go_on_or_raise(row: RowResult) -> None:
+    if row.outcome is None or row.outcome not in _STOPS:
+        return
+    status = 504 if row.outcome == "unverified" else 503
+    raise Problem(status, row.outcome, f"#{row.write.number}: {row.message or 'nothing more was sent'}")

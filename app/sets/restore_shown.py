@@ -1,0 +1,83 @@
+"""What the API's answers about restores hold, for its OpenAPI document."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from app.sets.effects import Effect
+from app.sets.plan import Reason
+from app.sets.restore_record import State
+from app.sets.shown import ComparedShown, Number, Raw, UnitAddress
+from bus.contract import Outcome
+
+MaybeReason = Annotated[
+    Reason | None, Field(description="The reason, for programs; null: none, or noted by an earlier version.")
+]
+
+
+class RestoreValues(TypedDict):
+    """A row as the unit has it and as the set has it."""
+
+    number: Number
+    name: str
+    present_raw: Raw
+    wanted_raw: Raw
+    present: Annotated[str | None, Field(description="As shown to people; null: not known.")]
+    wanted: Annotated[str | None, Field(description="As shown to people; null: not known.")]
+
+
+class RestoreRowShown(RestoreValues):
+    """A row that differs and can be written."""
+
+    selected: Annotated[bool, Field(description="Whether this restore writes it.")]
+    reason: Annotated[str | None, Field(description="Why it is not selected; null: it is.")]
+    reason_code: MaybeReason
+    effect: Annotated[
+        Effect | None, Field(description="What writing it does to a running unit; null: nothing.")
+    ]
+    warning: Annotated[
+        str | None, Field(description="The effect in words, where the unit runs or may run; null: none.")
+    ]
+    words: Annotated[str, Field(description="What the change means, a template for old and new.")]
+    meaning: Annotated[str, Field(description="What the change means.")]
+    outcome: Annotated[Outcome | None, Field(description="null: not written yet.")]
+    message: str
+    read_back: Raw
+
+
+class LeftOutShown(RestoreValues):
+    """A row that a restore does not write."""
+
+    reason: Annotated[str, Field(description="Why it is not written.")]
+    reason_code: MaybeReason
+    later: Annotated[
+        bool, Field(description="Whether the same restore writes it once the unit is in REMOTE.")
+    ]
+    differs: Annotated[bool | None, Field(description="null: not known, as one side is not.")]
+
+
+class RestoreShown(TypedDict):
+    """A restore: its plan, how far it is, and what a full read found afterwards. In state ``equal`` the unit
+    equals the set in all rows selected."""
+
+    id: str
+    bus: str
+    unit: UnitAddress
+    who: str
+    state: State
+    cause: Annotated[str, Field(description="Why it stopped; empty: it did not.")]
+    cause_code: Annotated[str | None, Field(description="The cause, for programs; null: it did not stop.")]
+    running: Annotated[
+        bool | None, Field(description="The Run input when the restore was planned; null: not known.")
+    ]
+    done: Annotated[int, Field(description="Rows that have an outcome.")]
+    equal: Annotated[int, Field(description="Rows that were equal beforehand.")]
+    remarks: list[str]
+    rows: list[RestoreRowShown]
+    left_out: list[LeftOutShown]
+    remaining: Annotated[
+        list[ComparedShown] | None, Field(description="What still differs; null: not read afterwards yet.")
+    ]

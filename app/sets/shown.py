@@ -1,0 +1,112 @@
+"""What the API's answers about parameter sets hold, for its OpenAPI document."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from app.sets.compare import Kind
+
+Time = Annotated[str, Field(description="ISO 8601 in UTC, milliseconds.")]
+MaybeTime = Annotated[str | None, Field(description="ISO 8601 in UTC, milliseconds; null: never.")]
+UnitAddress = Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
+Number = Annotated[int, Field(description="Number of the parameter, 1 to 40.")]
+Raw = Annotated[int | None, Field(description="Integer on the wire; null: not known, or a secret (#21).")]
+
+
+class SetHead(TypedDict):
+    """What every answer about a set begins with."""
+
+    id: int
+    bus: str
+    name: str
+    comment: str
+    taken_at: Time
+    who: str
+    origin: Annotated[str, Field(description="What made it: by hand, on schedule, before the first write …")]
+    golden_for: Annotated[list[int], Field(description="Addresses of the units whose golden set it is.")]
+
+
+class SummaryShown(SetHead):
+    """A stored parameter set without its values."""
+
+    units: Annotated[list[int], Field(description="Addresses of its units.")]
+
+
+class SetParameterShown(TypedDict):
+    """One parameter in a set."""
+
+    number: Number
+    name: str
+    raw: Raw
+    value: Annotated[str | None, Field(description="As shown to people; null: not known, or a secret.")]
+    available: Annotated[bool, Field(description="Whether the unit has it.")]
+    read_at: MaybeTime
+    frame: Annotated[str | None, Field(description="The response that said so, hexadecimal; null: a secret.")]
+
+
+class SetUnitShown(TypedDict):
+    """One unit in a set."""
+
+    id: UnitAddress
+    name: str
+    parameters: list[SetParameterShown]
+
+
+class SetShown(SetHead):
+    """A stored parameter set with its values."""
+
+    units: list[SetUnitShown]
+
+
+class GoldenShown(TypedDict):
+    """The golden set of a unit."""
+
+    set: int
+    unit: UnitAddress
+    golden: bool
+
+
+class ComparedShown(TypedDict):
+    """One row of a comparison."""
+
+    number: Number
+    name: str
+    kind: Kind
+    left: Annotated[str, Field(description="Value of the first set, as shown to people.")]
+    right: Annotated[str, Field(description="Value of the second.")]
+    left_raw: Raw
+    right_raw: Raw
+    meaning: Annotated[str, Field(description="What the difference means; empty: none.")]
+
+
+class DepartureShown(ComparedShown):
+    """A row in which a unit differs from its golden set, and whose change it is."""
+
+    changed_by: Annotated[str | None, Field(description="User or token; null: somebody at the panel.")]
+    changed_at: MaybeTime
+    changed: str
+
+
+class DriftShown(TypedDict):
+    """Where a unit as last read differs from its golden set."""
+
+    golden: Annotated[bool, Field(description="Whether it has a golden set.")]
+    unread: Annotated[int, Field(description="How many parameters could not be compared yet, 0 to 40.")]
+    rows: list[DepartureShown]
+
+
+class OwedShown(TypedDict):
+    """A unit whose set of the day could not be saved yet."""
+
+    unit: UnitAddress
+    why: str
+
+
+class ScheduleShown(TypedDict):
+    """When the sets of a bus are saved."""
+
+    minute_of_day: Annotated[int | None, Field(description="Local time, 0 to 1439; null: not by schedule.")]
+    owed: list[OwedShown]

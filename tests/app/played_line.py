@@ -1,0 +1,90 @@
+"""Two units behind the app without a worker, a socket or a port: they answer every command at once."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+
+from app.feed.channel import Channel
+from app.live.state import LiveState
+from app.wiring import Services
+from bus.contract import (
+    AppMessage,
+    BusLink,
+    Cancel,
+    Command,
+    ParameterValue,
+    Reading,
+    ReadParameters,
+    Result,
+    UnitLink,
+    WriteParameter,
+)
+from tests.app.played_desk import HEALTHY, REMOTE, factory
+
+BUS = "dry-end"
+Before = Callable[[int], Awaitable[None]]
+
+
+async def _nothing(_: int) -> None:
+    """Nothing happens before."""
+
+
+@dataclass
+class PlayedLine:
+    """``memory``: unit → number → raw. ``before_read`` is awaited with the unit of each read,
+    ``before_write`` with the count of writes before each one; commands that are neither reads nor writes of
+    parameters are ``held`` for the test to end."""
+
+    channel: Channel
+    live: LiveState
+    memory: dict[int, dict[int, int]] = field(default_factory=lambda: {1: factory(), 2: factory()})
+    before_read: Before = _nothing
+    before_write: Before = _nothing
+    written: list[tuple[int, int, int]] = field(default_factory=list)
+    held: list[Command] = field(default_factory=list)
+    cancelled: list[str] = field(default_factory=list)
+    _answers: set[asyncio.Task[None]] = field(default_factory=set)
+
+    async def send(self, message: AppMessage) -> None:
+        """As the connection of a worker."""
+        if isinstance(message, Command):
+            task = asyncio.create_task(self._answer(message))
+            self._answers.add(task)
+            task.add_done_callback(self._answers.discard)
+        elif isinstance(message, Cancel):
+            self.cancelled.append(message.id)
+
+    async def _answer(self, command: Command) -> None:
+        match command.action:
+            case ReadParameters(unit=unit, numbers=numbers):
+                values = [_value(unit, number, self.memory[unit][number]) for number in numbers]
+                await self.before_read(unit)
+                self.live.apply(BUS, values)
+                self.channel.heard(Result(command.id, time.time(), "verified", values=values))
+            case WriteParameter(unit=unit, number=number, raw=raw):
+                await self.before_write(len(self.written))
+                self.memory[unit][number] = raw
+                self.written.append((unit, number, raw))
+                self.live.apply(BUS, [_value(unit, number, raw)])
+                self.channel.heard(Result(command.id, time.time(), "verified", read_back=raw))
+            case _:
+                self.held.append(command)
+
+
+def _value(unit: int, number: int, raw: int) -> ParameterValue:
+    return ParameterValue(unit=unit, number=number, at=time.time(), raw=raw, frame=b"\x10")
+
+
+async def played_line(services: Services) -> PlayedLine:
+    """Both units of ``settings_in`` are online, in REMOTE, and stand still."""
+    line = PlayedLine(services.workers.channels[BUS], services.live)
+    now = time.time()
+    services.live.apply(BUS, [BusLink(at=now, link="open")])
+    for unit in line.memory:
+        services.live.apply(BUS, [UnitLink(unit=unit, at=now, link="online")])
+        services.live.apply(BUS, [Reading(unit, now, 0, 0, 0, REMOTE, HEALTHY)])
+    await line.channel.opened(line, "w1")
+    return line

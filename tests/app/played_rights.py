@@ -1,0 +1,19 @@
+"""Rights that a test grants and withdraws."""
+
+from __future__ import annotations
+
+from app.errors import Problem
+from app.web.access import Person
+
+
+class PlayedRights:
+    """Everyone may do what they ask for, but those in ``withdrawn``: by name why not."""
+
+    def __init__(self) -> None:
+        self.withdrawn: dict[str, str] = {}
+
+    async def check(self, person: Person) -> None:
+        """As the real ones."""
+        reason = self.withdrawn.get(person.name)
+        if reason is not None:
+            raise Problem(403, "rights_withdrawn", reason, outcome="rights_withdrawn")

@@ -1,0 +1,142 @@
+"""``lineside check``: each thing that would keep Lineside from working is said, and the exit is 1."""
+
+from __future__ import annotations
+
+import os
+import pty
+import socket
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner, Result
+
+from app.cli import check, findings
+
+cli = typer.Typer()
+check.register(cli)
+
+UNIT = '[[bus.unit]]\nid = 1\nname = "Unwind"\n'
+
+
+def bus(port: str, name: str = "dry-end") -> str:
+    return f'[[bus]]\nname = "{name}"\nport = "{port}"\n{UNIT}'
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    return tmp_path / "lineside.toml"
+
+
+def run(config: Path, text: str) -> Result:
+    config.write_text(text, encoding="utf-8")
+    return CliRunner().invoke(cli, ["--config", str(config)])
+
+
+def test_a_good_configuration(config: Path, tmp_path: Path) -> None:
+    master, slave = pty.openpty()
+    port = os.ttyname(slave)
+    try:
+        result = run(config, "[server]\nport = 0\n" + bus(port))
+    finally:
+        os.close(master)
+        os.close(slave)
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert f"data in {tmp_path / 'data'}, created at the first start" in result.stdout
+    assert f"bus dry-end: 1 unit at {port}, 9600 baud" in result.stdout
+
+
+def test_an_absent_adapter_is_waited_for(config: Path) -> None:
+    result = run(config, bus("/dev/ttyUSB99"))
+    assert result.exit_code == 0
+    assert (
+        "1 unit at /dev/ttyUSB99, which is not there now; Lineside waits for it, 9600 baud" in result.stdout
+    )
+
+
+def test_a_bus_without_units_is_said(config: Path) -> None:
+    result = run(config, bus("/dev/ttyUSB99").replace(UNIT, ""))
+    assert result.exit_code == 0
+    assert "'lineside scan --port /dev/ttyUSB99' lists the addresses that respond" in result.stdout
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", '[site]\nname = "Mill 7"\n'])
+def test_without_a_bus_it_says_what_to_write(config: Path, text: str) -> None:
+    result = run(config, text)
+    assert result.exit_code == 1
+    assert "lineside: there is no [[bus]]" in result.stderr
+    assert "lineside init" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            bus("socket://a..b:4001"),
+            "bus dry-end: socket://a..b:4001 names a host that this machine does not know",
+        ),
+        (bus("rfc2217://a..b:4001"), "names a host that this machine does not know"),
+        (bus("/dev/null"), "bus dry-end: /dev/null is not a serial port"),
+        (bus("/etc/passwd"), "/etc/passwd is not a serial port"),
+        ('[server]\nhost = "a..b"\n' + bus("/dev/ttyUSB99"), "[server]: there is no host 'a..b'"),
+        ('[server]\nhost = "192.0.2.1"\n' + bus("/dev/ttyUSB99"), "192.0.2.1 is no address of this machine"),
+        ('[server]\ndata = "/etc/passwd"\n' + bus("/dev/ttyUSB99"), "data: /etc/passwd is no folder"),
+        ('[server]\ndata = "/etc/passwd/x"\n' + bus("/dev/ttyUSB99"), "data: /etc/passwd is no folder"),
+    ],
+)
+def test_what_cannot_work_is_a_fault(config: Path, text: str, words: str) -> None:
+    result = run(config, text)
+    assert result.exit_code == 1
+    assert words in result.stderr
+    assert result.stderr.startswith("lineside: ")
+
+
+def test_every_fault_is_said_at_once(config: Path) -> None:
+    result = run(config, '[server]\nhost = "a..b"\n' + bus("/dev/null") + bus("socket://a..b:1", "b"))
+    assert result.exit_code == 1
+    assert result.stderr.count("lineside: ") == 3
+
+
+def test_a_folder_that_may_not_be_written_is_a_fault(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(findings.os, "access", lambda path, _mode: path != config.parent)
+    result = run(config, bus("/dev/ttyUSB99"))
+    assert result.exit_code == 1
+    assert f"may not create {config.parent / 'data'}" in result.stderr
+
+
+def test_a_folder_that_may_not_be_looked_into_is_a_fault(
+    config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Root may, so the tests play what another user sees."""
+    exists, access = Path.exists, os.access
+
+    def hidden(path: Path) -> bool:
+        if path.is_relative_to("/root"):
+            raise PermissionError(13, "Permission denied")
+        return exists(path)
+
+    monkeypatch.setattr(Path, "exists", hidden)
+    monkeypatch.setattr(findings.os, "access", lambda path, mode: path != Path("/") and access(path, mode))
+    result = run(config, '[server]\ndata = "/root/data"\n' + bus("/dev/ttyUSB99"))
+    assert result.exit_code == 1
+    assert "may not create /root/data" in result.stderr
+
+
+def test_a_port_without_permission_is_a_fault(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    master, slave = pty.openpty()
+    monkeypatch.setattr(findings.os, "access", lambda path, _mode: "/dev/" not in str(path))
+    try:
+        result = run(config, bus(os.ttyname(slave)))
+    finally:
+        os.close(master)
+        os.close(slave)
+    assert result.exit_code == 1
+    assert "add the user to its group, 'sudo usermod -aG" in result.stderr
+
+
+def test_a_dashboard_port_in_use_is_no_fault(config: Path) -> None:
+    """Lineside itself may be running."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        result = run(config, f"[server]\nport = {taken.getsockname()[1]}\n" + bus("/dev/ttyUSB99"))
+    assert result.exit_code == 0
+    assert "which is in use now" in result.stdout

@@ -1,0 +1,101 @@
+"""``lineside status``: whether the dashboard of a configuration serves, and how its buses are."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from app.cli import cli, status
+from app.cli.status import url_of
+from app.settings import Server
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        number = free.getsockname()[1]
+    path = tmp_path / "lineside.toml"
+    path.write_text(f'[site]\nname = "Mill 7"\n[server]\nport = {number}\n')
+    return path
+
+
+def test_a_dashboard_that_is_not_there(config: Path) -> None:
+    result = CliRunner().invoke(cli, ["status", "--config", str(config)])
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "lineside: no dashboard answers at http://127.0.0.1:" in result.stderr
+    as_json = CliRunner().invoke(cli, ["status", "--config", str(config), "--json"])
+    assert as_json.exit_code == 1
+    assert json.loads(as_json.stdout)["serving"] is False
+
+
+BUS = {
+    "name": "dry-end",
+    "worker": True,
+    "link": "closed",
+    "link_cause": "/dev/ttyUSB0 is not there",
+    "units": [{"link": "online"}, {"link": "stale"}],
+}
+
+
+def test_a_dashboard_that_serves(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(status, "is_serving", lambda url: url.startswith("http://127.0.0.1:"))
+    plain = CliRunner().invoke(cli, ["status", "--config", str(config)])
+    assert plain.exit_code == 0
+    assert plain.stdout.startswith("Mill 7: serving at http://127.0.0.1:")
+
+    class Line:
+        def __enter__(self) -> Line:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            """Nothing is open."""
+
+        def get(self, path: str) -> object:
+            return {"/line": {"buses": [BUS]}}[path]
+
+    monkeypatch.setattr(status, "dashboard", lambda _url, token: {"secret": Line()}[token])
+    call = ["status", "--config", str(config), "--token", "secret"]
+    words = "bus dry-end: 1 of 2 units online, port closed: /dev/ttyUSB0 is not there"
+    assert words in CliRunner().invoke(cli, call).stdout
+    told = json.loads(CliRunner().invoke(cli, [*call, "--json"]).stdout)
+    assert told["buses"][0] == {**BUS, "units": 2, "units_online": 1}
+
+
+@pytest.mark.parametrize(
+    ("code", "body", "serves"),
+    [(200, b'{"status":"ok"}', True), (200, b"<html>", False), (404, b'{"status":"ok"}', False)],
+)
+def test_another_program_at_that_port_is_no_dashboard(code: int, body: bytes, serves: bool) -> None:
+    class Answer(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(code)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Nothing is printed."""
+
+    with HTTPServer(("127.0.0.1", 0), Answer) as server:
+        answering = threading.Thread(target=server.handle_request)
+        answering.start()
+        assert status.is_serving(f"http://127.0.0.1:{server.server_port}") is serves
+        answering.join()
+
+
+@pytest.mark.parametrize(
+    ("host", "url"),
+    [
+        ("127.0.0.1", "http://127.0.0.1:8000"),
+        ("0.0.0.0", "http://127.0.0.1:8000"),
+        ("::", "http://[::1]:8000"),
+    ],
+)
+def test_where_it_is_found(host: str, url: str) -> None:
+    assert url_of(Server(host=host)) == url

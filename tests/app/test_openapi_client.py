@@ -1,0 +1,249 @@
+"""A client generated from the OpenAPI document: every outcome of a command arrives as a typed object."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from openapi_python_client import generate
+from openapi_python_client.config import Config, ConfigFile, MetaType
+
+from app.main import create_app
+from app.web.schema import openapi_document
+from bus.contract import UnitOutcome
+from tests.app.stage import PlayedWorker, Stage, answering
+from tests.app.whole_app import settings_in
+
+PACKAGE = "lineside_client"
+NAMES = Path(__file__).parent / "openapi_names.txt"
+BUS = "dry-end"
+
+
+@pytest.fixture(scope="module")
+def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    app = create_app(settings_in(tmp_path_factory.mktemp("document")))
+    try:
+        return openapi_document(app)
+    finally:
+        app.state.services.database.close()
+
+
+@pytest.fixture(scope="module")
+def package(document: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
+    """The generated package, imported. It warns of nothing."""
+    folder = tmp_path_factory.mktemp("client")
+    source = folder / "openapi.json"
+    source.write_text(json.dumps(document), encoding="utf-8")
+    # Of TOML the generator knows only what docs/api.md tells its users.
+    options = ConfigFile(post_hooks=[], content_type_overrides={"application/toml": "text/plain"})
+    config = Config.from_sources(options, MetaType.NONE, source, "utf-8", True, folder / PACKAGE)
+    assert [(error.header, error.detail) for error in generate(config=config)] == []
+    sys.path.insert(0, str(folder))
+    yield importlib.import_module(PACKAGE)
+    sys.path.remove(str(folder))
+    for name in [name for name in sys.modules if name.partition(".")[0] == PACKAGE]:
+        del sys.modules[name]
+
+
+class Generated:
+    """The generated client of a served app."""
+
+    def __init__(self, package: ModuleType, url: str, role: str) -> None:
+        self.client = package.Client(base_url=url, headers={"X-Role": role} if role else {})
+        self.models: Any = importlib.import_module(f"{PACKAGE}.models")
+
+    async def call(self, module: str, *path: Any, **options: Any) -> Any:
+        """One operation, ``tag.operation``; gives what it parsed from the response."""
+        operation = importlib.import_module(f"{PACKAGE}.api.{module}")
+        response = await operation.asyncio_detailed(*path, client=self.client, **options)
+        assert response.parsed is not None or response.status_code == 204
+        return response.parsed
+
+    async def set_speed(self, raw: int, **more: Any) -> Any:
+        """Set the speed of unit 1."""
+        body = self.models.SpeedRequest(raw=raw, **more)
+        return await self.call("commands.set_speed", BUS, 1, body=body)
+
+
+@pytest.fixture
+async def client(package: ModuleType, stage: Stage) -> AsyncIterator[Generated]:
+    generated = Generated(package, f"http://{stage.url}", "admin")
+    async with generated.client:
+        yield generated
+
+
+@pytest.mark.usefixtures("worker")
+async def test_it_reads_the_line(client: Generated) -> None:
+    line = await client.call("line.get_line")
+    assert isinstance(line, client.models.Line)
+    (bus,) = line.buses
+    assert (bus.name, bus.link, bus.baud) == (BUS, client.models.BusLink.OPEN, 9600)
+    unit = bus.units[0]
+    assert isinstance(unit, client.models.Unit)
+    assert (unit.id, unit.commanded_raw, unit.inputs.estop, len(unit.outputs)) == (1, 1000, False, 6)
+    assert await client.call("line.get_unit", BUS, 1) == unit or unit.age_ms >= 0
+
+
+async def test_it_reads_parameters_and_events(client: Generated, worker: PlayedWorker) -> None:
+    worker.play = answering("verified", read_back=250)
+    parameters = await client.call("commands.get_parameters", BUS, 1)
+    assert len(parameters) == 40
+    assert parameters[1].raw == 20000
+    await client.set_speed(250)
+    page = await client.call("events.list_events", kind="command")
+    assert page.events[0].outcome == "verified"
+
+
+@pytest.mark.parametrize("outcome", ["verified", "acknowledged"])
+async def test_a_command_that_was_carried_out(client: Generated, worker: PlayedWorker, outcome: str) -> None:
+    parts = [UnitOutcome(unit=1, outcome=outcome, sent_at=1.0, attempts=1)]  # type: ignore[arg-type]
+    worker.play = answering(outcome, read_back=250, units=parts)
+    result = await client.set_speed(250, execute=outcome == "verified")
+    assert isinstance(result, client.models.CommandResult)
+    assert result.outcome == client.models.Outcome(outcome)
+    assert (result.read_back, result.bus, result.unit, result.attempts) == (250, BUS, 1, 1)
+    assert result.units["1"].outcome == result.outcome
+
+
+REFUSED = {"unit_error": 128, "units": [UnitOutcome(unit=1, outcome="refused", unit_error=128)]}
+
+
+@pytest.mark.parametrize(
+    ("outcome", "status", "more"),
+    [
+        ("refused", 409, REFUSED),
+        ("unverified", 504, {"read_back": 240}),
+        ("bus_closed", 503, {}),
+        ("not_sent", 503, {}),
+    ],
+)
+async def test_a_command_that_was_not(
+    client: Generated, worker: PlayedWorker, outcome: str, status: int, more: dict[str, Any]
+) -> None:
+    worker.play = answering(outcome, **more)
+    problem = await client.set_speed(250)
+    assert isinstance(problem, client.models.Problem)
+    assert (problem.status, problem.code) == (status, client.models.ProblemCode(outcome))
+    assert problem.outcome == problem.code
+    assert (problem.bus, problem.unit) == (BUS, 1)
+    assert problem.unit_error == more.get("unit_error")
+    assert problem.read_back == more.get("read_back")
+    assert all(
+        unit.outcome == client.models.Outcome(outcome)
+        for unit in problem.units.additional_properties.values()
+    )
+
+
+async def test_what_is_never_sent(client: Generated, worker: PlayedWorker) -> None:
+    codes, models = client.models.ProblemCode, client.models
+    invalid = await client.set_speed(100_000)
+    assert (invalid.status, invalid.code, invalid.unit) == (422, codes.INVALID, 1)
+    assert isinstance(invalid.nearest, int)
+    malformed = await client.call("commands.set_speed", BUS, 1, body=models.SpeedRequest(raw=1, value="1"))
+    assert (malformed.code, malformed.errors[0].where) == (codes.INVALID, "body")
+    dangerous = await client.call(
+        "commands.write_parameter", BUS, 1, 18, body=models.ParameterRequest(raw=48)
+    )
+    assert (dangerous.status, dangerous.code, dangerous.unit) == (409, codes.DANGEROUS, 1)
+    nowhere = await client.call("commands.set_speed", BUS, 99, body=models.SpeedRequest(raw=1))
+    assert (nowhere.status, nowhere.code) == (404, codes.UNKNOWN_UNIT)
+    await client.call(
+        "limits_blocks_control.block_commands", BUS, 1, body=models.CommandBlockRequest(reason="belt off")
+    )
+    blocked = await client.set_speed(1)
+    assert (blocked.status, blocked.code, blocked.unit) == (423, codes.BLOCKED, 1)
+    assert worker.commands == []
+
+
+@pytest.mark.parametrize(
+    ("role", "status", "code"), [("", 401, "unauthorized"), ("viewer", 403, "forbidden")]
+)
+async def test_who_may_not(package: ModuleType, stage: Stage, role: str, status: int, code: str) -> None:
+    generated = Generated(package, f"http://{stage.url}", role)
+    async with generated.client:
+        problem = await generated.set_speed(1)
+    assert (problem.status, problem.code) == (status, code)
+
+
+async def test_a_change_of_many_units(client: Generated, worker: PlayedWorker) -> None:
+    parts = [UnitOutcome(unit=unit, outcome="verified", read_back=unit) for unit in (1, 2)]
+    worker.play = answering("verified", units=parts, skew_s=0.001)
+    setpoints = client.models.SpeedsRequestSetpoints.from_dict({"1": {"raw": 1}, "2": {"value": "0.2"}})
+    result = await client.call(
+        "commands.set_speeds", BUS, body=client.models.SpeedsRequest(setpoints=setpoints)
+    )
+    assert isinstance(setpoints["1"], client.models.Quantity)
+    assert result.outcome == client.models.Outcome.VERIFIED
+    assert {unit: each.read_back for unit, each in result.units.additional_properties.items()} == {
+        "1": 1,
+        "2": 2,
+    }
+
+
+# --- the document ------------------------------------------------------------------------------------
+
+
+def test_the_names_that_clients_are_written_against_stay(document: dict[str, Any]) -> None:
+    """A name may be added to the list; one that is taken away or changed breaks the programs of users."""
+    operations = [
+        f"{operation['operationId']} {method.upper()} {path}"
+        for path, methods in document["paths"].items()
+        for method, operation in methods.items()
+    ]
+    schemas = [f"schema {name}" for name in document["components"]["schemas"]]
+    assert sorted(operations) + sorted(schemas) == NAMES.read_text(encoding="utf-8").splitlines()
+
+
+def test_every_operation_says_what_it_answers(document: dict[str, Any]) -> None:
+    for path, methods in document["paths"].items():
+        for method, operation in methods.items():
+            where = f"{method} {path}"
+            assert operation["description"], where
+            answers = operation["responses"]
+            success = [answer for status, answer in answers.items() if status.startswith("2")]
+            assert len(success) == 1, where
+            for content in success[0].get("content", {}).values():
+                assert content["schema"] not in ({}, {"type": "object", "additionalProperties": True}), where
+            problems = {status for status in answers if not status.startswith("2")}
+            assert problems >= {"401", "403", "422", "503", "default"}, where
+            assert all("application/problem+json" in answers[status]["content"] for status in problems), where
+
+
+def test_every_parameter_is_described(document: dict[str, Any]) -> None:
+    silent = [
+        f"{path} {parameter['name']}"
+        for path, methods in document["paths"].items()
+        for operation in methods.values()
+        for parameter in operation.get("parameters", ())
+        if not parameter.get("description")
+    ]
+    assert silent == []
+
+
+def test_numbers_in_answers_say_their_unit_or_range(document: dict[str, Any]) -> None:
+    """An id, and what counts or speaks for itself, needs none."""
+    plain = {"id", "set", "version", "size_bytes", "count", "entries", "next", "status"}
+    silent = [
+        f"{name}.{field}"
+        for name, schema in document["components"]["schemas"].items()
+        if not name.endswith("Request")
+        for field, value in schema.get("properties", {}).items()
+        if "number" in json.dumps(value.get("anyOf", [value]))
+        or "integer" in json.dumps(value.get("anyOf", [value]))
+        if not value.get("description") and field not in plain
+    ]
+    assert silent == []
+
+
+def test_two_schemas_of_one_name_are_refused() -> None:
+    from app.web.schema_names import with_published_names
+
+    schemas: dict[str, Any] = {"SpeedBody": {}, "SpeedRequest": {}}
+    with pytest.raises(ValueError, match="one published name"):
+        with_published_names({"components": {"schemas": schemas}})

@@ -1,0 +1,243 @@
+"""Ports that fail at the worst moment: none of it leaves a traceback in the log or an open descriptor."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import pty
+import socket
+import struct
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bus.errors import WireError
+from bus.line.port import OpenPort, PortUnavailable
+from bus.line.transport import open_port
+from bus.simulator.demo import demo_line
+from bus.simulator.line import SimulatedLine
+from bus.simulator.ports import PtyPort
+from bus.simulator.serve import LineServer
+from tests.bus.rfc2217_server import DeviceServer
+from tests.bus.test_transport import POLL, Ear, on_both_loops
+
+PATIENCE_S = 20.0
+MODEM_STATE_WITHOUT_STATE = b"\xff\xfa\x2c\x6b\xff\xf0"
+"""IAC SB COM-PORT-OPTION NOTIFY-MODEMSTATE IAC SE: RFC 2217, 3 wants one more byte."""
+NO_SUCH_PARITY = b"\xff\xfa\x2c\x67\x63\xff\xf0"
+IMPOSSIBLE_HOSTS = ["a..b", "x" * 64]
+
+
+@asynccontextmanager
+async def nothing_printed() -> AsyncIterator[None]:
+    """Fails where the event loop would print a traceback, now or when objects are collected."""
+    faults: list[dict[str, Any]] = []
+    loop = asyncio.get_running_loop()
+    loop.set_exception_handler(lambda _loop, context: faults.append(context))
+    try:
+        yield
+        for _ in range(5):
+            gc.collect()
+            await asyncio.sleep(0)
+    finally:
+        loop.set_exception_handler(None)
+    assert faults == []
+
+
+def descriptors() -> int:
+    """How many this process has open."""
+    return sum(1 for _ in Path("/proc/self/fd").iterdir())
+
+
+@on_both_loops
+async def test_a_port_that_is_closed_while_its_loss_is_on_the_way() -> None:
+    """The transport has seen the loss and says so in the loop's next turn: it must not be closed twice."""
+    async with nothing_printed():
+        master, slave = pty.openpty()
+        ear = Ear()
+        port: Any = await open_port(os.ttyname(slave), 9600, ear)
+        os.close(slave)
+        os.close(master)
+        loop = asyncio.get_running_loop()
+        closed = loop.create_future()
+
+        def close_when_closing() -> None:
+            if port._transport.is_closing():
+                port.close()
+                closed.set_result(None)
+            else:
+                loop.call_soon(close_when_closing)
+
+        loop.call_soon(close_when_closing)
+        async with asyncio.timeout(PATIENCE_S):
+            await closed
+        await asyncio.sleep(0.01)
+        assert ear.lost == [], "who closes a port is not told that it was lost"
+
+
+@on_both_loops
+async def test_a_cable_pulled_at_any_moment_of_a_write() -> None:
+    async with nothing_printed():
+        before = descriptors()
+        for turns in range(12):
+            master, slave = pty.openpty()
+            port = await open_port(os.ttyname(slave), 9600, Ear())
+            os.close(slave)
+            port.write(POLL)
+            os.close(master)
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            with suppress(WireError):
+                port.write(POLL)
+            port.close()
+        await asyncio.sleep(0.01)
+        gc.collect()
+        assert descriptors() <= before
+
+
+@on_both_loops
+async def test_opening_that_is_given_up_leaves_nothing_open() -> None:
+    async with nothing_printed():
+        master, slave = pty.openpty()
+        name, before = os.ttyname(slave), descriptors()
+        for turns in range(4):
+            opening = asyncio.create_task(open_port(name, 9600, Ear()))
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            opening.cancel()
+            with suppress(asyncio.CancelledError):
+                (await opening).close()
+            await asyncio.sleep(0.01)
+        gc.collect()
+        assert descriptors() <= before
+        os.close(master)
+        os.close(slave)
+
+
+# --- device servers ---------------------------------------------------------------------------------
+
+
+@asynccontextmanager
+async def server_that(answer: Any) -> AsyncIterator[int]:
+    """A TCP server that lets ``answer(reader, writer)`` deal with each connection; gives its port number."""
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with suppress(OSError, asyncio.IncompleteReadError):
+            await answer(reader, writer)
+        writer.transport.abort()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    try:
+        yield server.sockets[0].getsockname()[1]
+    finally:
+        server.close()
+
+
+async def closes_at_once(_reader: asyncio.StreamReader, _writer: asyncio.StreamWriter) -> None:
+    """Accepts and closes."""
+
+
+async def resets(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Ends with a reset after the first bytes."""
+    await reader.read(1)
+    writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+
+async def talks_nonsense(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Answers with commands that have no value, or an impossible one."""
+    await reader.read(1)
+    writer.write(MODEM_STATE_WITHOUT_STATE + NO_SUCH_PARITY)
+    await reader.read()
+
+
+@pytest.mark.parametrize("scheme", ["socket", "rfc2217"])
+@pytest.mark.parametrize("fault", [closes_at_once, resets, talks_nonsense])
+@on_both_loops
+async def test_a_device_server_that_fails(scheme: str, fault: Any) -> None:
+    async with nothing_printed(), server_that(fault) as number:
+        for _ in range(5):
+            port: OpenPort | None = None
+            with suppress(WireError):
+                port = await open_port(f"{scheme}://127.0.0.1:{number}", 9600, Ear())
+                for _ in range(20):
+                    port.write(POLL)
+                    await asyncio.sleep(0.001)
+            if port is not None:
+                port.close()
+
+
+@pytest.mark.parametrize("scheme", ["socket", "rfc2217"])
+@pytest.mark.parametrize("host", IMPOSSIBLE_HOSTS)
+async def test_a_host_that_does_not_exist_is_a_port_that_cannot_be_opened(scheme: str, host: str) -> None:
+    async with nothing_printed():
+        with pytest.raises(PortUnavailable, match=f"{scheme}://{host}"):
+            await open_port(f"{scheme}://{host}:4001", 9600, Ear())
+
+
+@pytest.fixture(scope="module")
+def device_server() -> Iterator[DeviceServer]:
+    line = SimulatedLine(demo_line(2, script=False).plant, speedup=20)
+    with LineServer(line, PtyPort(follow_speed=False)) as simulated, DeviceServer(simulated.port.name) as box:
+        yield box
+
+
+def accepted(command: int, *value: int) -> bytes:
+    """IAC SB COM-PORT-OPTION command value IAC SE."""
+    return bytes((0xFF, 0xFA, 0x2C, command, *value, 0xFF, 0xF0))
+
+
+NEGOTIATION = (
+    b"\xff\xfd\x00\xff\xfb\x00\xff\xfd\x2c"  # IAC DO BINARY, IAC WILL BINARY, IAC DO COM-PORT-OPTION
+    + accepted(101, 0, 0, 0x25, 0x80)  # 9600 baud
+    + accepted(102, 8)
+    + accepted(103, 1)
+    + accepted(104, 1)
+    + accepted(105, 1)
+)
+"""All that a device server says until the port is open (RFC 2217, 3)."""
+
+
+@on_both_loops
+async def test_a_device_server_that_dies_at_any_byte_of_its_negotiation() -> None:
+    async with nothing_printed():
+        opened = []
+        for count in range(len(NEGOTIATION) + 1):
+
+            async def dies(
+                reader: asyncio.StreamReader, writer: asyncio.StreamWriter, count: int = count
+            ) -> None:
+                await reader.read(1)
+                writer.write(NEGOTIATION[:count])
+                await writer.drain()
+                writer.close()
+                await writer.wait_closed()
+
+            async with server_that(dies) as number:
+                with suppress(PortUnavailable):
+                    port = await open_port(f"rfc2217://127.0.0.1:{number}", 9600, Ear())
+                    opened.append(count)
+                    port.close()
+        assert set(opened) <= {len(NEGOTIATION)}
+
+
+@pytest.mark.parametrize("nonsense", [MODEM_STATE_WITHOUT_STATE, NO_SUCH_PARITY], ids=["no value", "no such"])
+@on_both_loops
+async def test_a_device_server_that_talks_nonsense_later_is_lost(
+    device_server: DeviceServer, nonsense: bytes
+) -> None:
+    async with nothing_printed():
+        ear = Ear()
+        port = await open_port(device_server.url, 9600, ear)
+        port.write(POLL)
+        await ear.until(18)
+        device_server.write(nonsense)
+        await ear.until(lost=True)
+        assert len(ear.lost) == 1
+        with pytest.raises(WireError):
+            port.check()
+        port.close()
+        await asyncio.sleep(0.01)

@@ -1,0 +1,178 @@
+"""The systemd units of docs/hardware.md: they verify, agree on their folders, and run as they are written."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from configparser import ConfigParser
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.test_architecture import ROOT, text_of
+
+LINESIDE = Path(sys.executable).with_name("lineside")
+PATIENCE_S = 60.0
+INSTALLED = "/opt/lineside/bin/lineside"
+CONFIGURATION = "/etc/lineside"
+STATE = "/var/lib"
+"""Where systemd makes a StateDirectory (systemd.exec(5))."""
+TEXT = text_of(ROOT / "docs" / "hardware.md")
+UNITS = {
+    match[1]: match[2]
+    for match in re.finditer(r"`/etc/systemd/system/([\w-]+\.service)`:\n\n```ini\n(.*?)```", TEXT, re.S)
+}
+CONFIGURATIONS = re.findall(r"```toml\n(\[server\].*?)```", TEXT, re.S)
+
+
+class Unit(ConfigParser):
+    """A unit file whose keys keep their case."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(interpolation=None)
+        self.optionxform = str  # type: ignore[assignment,method-assign]
+        self.read_string(text)
+
+    @property
+    def service(self) -> dict[str, str]:
+        """The section [Service]."""
+        return dict(self["Service"])
+
+
+def test_both_units_and_their_configuration_are_documented() -> None:
+    assert list(UNITS) == ["lineside.service", "lineside-worker.service"]
+    assert len(CONFIGURATIONS) == 1
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_systemd_accepts_it_without_a_word(name: str, tmp_path: Path) -> None:
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("systemd-analyze is not installed: apt-get install systemd, and run this again")
+    unit = tmp_path / name
+    unit.write_text(UNITS[name].replace(INSTALLED, str(LINESIDE)))
+    done = subprocess.run(["systemd-analyze", "verify", unit], capture_output=True, text=True)
+    said = [line for line in done.stderr.splitlines() if name in line]
+    assert (said, done.returncode) == ([], 0)
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_it_has_what_a_service_on_a_plant_needs(name: str) -> None:
+    service = Unit(UNITS[name]).service
+    wanted = {
+        "User": "lineside",
+        "SupplementaryGroups": "dialout",
+        "UMask": "0077",
+        "Restart": "on-failure",
+        "KillSignal": "SIGTERM",
+        "NoNewPrivileges": "yes",
+        "ProtectSystem": "strict",
+    }
+    assert {key: service.get(key) for key in wanted} == wanted
+    assert "PrivateDevices" not in service, "the serial ports are devices"
+    assert not any("TOKEN" in value for value in service.values()), "anybody may read a command line"
+
+
+def test_its_folders_are_those_of_the_configuration() -> None:
+    service, settings = Unit(UNITS["lineside.service"]).service, tomllib.loads(CONFIGURATIONS[0])
+    assert settings["server"]["data"] == f"{STATE}/{service['StateDirectory']}"
+    assert service["ReadWritePaths"] == CONFIGURATION
+    for unit in UNITS.values():
+        called = shlex.split(Unit(unit).service["ExecStart"])
+        assert called[0] == INSTALLED
+        assert called[called.index("--config") + 1] == f"{CONFIGURATION}/lineside.toml"
+
+
+# --- as systemd would run it ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """A file system of its own, with what the documentation has an administrator make."""
+    (tmp_path / "etc/lineside").mkdir(parents=True)
+    (tmp_path / "var/lib/lineside").mkdir(parents=True, mode=0o700)
+    return tmp_path
+
+
+@contextmanager
+def running(root: Path, unit: str, **environment: str) -> Iterator[subprocess.Popen[str]]:
+    """The ExecStart of a unit below ``root``, in the working folder and environment that systemd gives it."""
+    command = Unit(UNITS[unit]).service["ExecStart"].replace(INSTALLED, str(LINESIDE))
+    called = [below(root, word) for word in shlex.split(command)]
+    log = root / "log"
+    with (
+        log.open("w") as output,
+        subprocess.Popen(
+            called,
+            cwd="/",
+            env={"PATH": "/usr/bin:/bin", "LANG": "C.UTF-8", **environment},
+            stdout=output,
+            stderr=output,
+            text=True,
+            umask=0o077,
+        ) as process,
+    ):
+        try:
+            yield process
+        finally:
+            process.terminate()
+            code = process.wait(PATIENCE_S)
+    assert (code, "Traceback" in log.read_text()) == (0, False), log.read_text()
+
+
+def below(root: Path, text: str) -> str:
+    """``text`` with the folders of the documentation below ``root``."""
+    for folder in (CONFIGURATION, f"{STATE}/lineside"):
+        text = text.replace(folder, f"{root}{folder}")
+    return text
+
+
+def eventually(condition: Callable[[], Any], what: str) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, f"never: {what}"
+        time.sleep(0.05)
+
+
+def test_the_service_serves_and_keeps_its_data_where_the_configuration_says(root: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    text = below(root, CONFIGURATIONS[0]).replace("port = 8000", f"port = {port}")
+    (root / "etc/lineside/lineside.toml").write_text(text)
+    checked = subprocess.run(
+        [LINESIDE, "check", "--config", root / "etc/lineside/lineside.toml"], capture_output=True, text=True
+    )
+    assert (checked.returncode, checked.stderr) == (0, "")
+    assert f"data in {root}/var/lib/lineside\n" in checked.stdout
+    with running(root, "lineside.service"):
+
+        def serves() -> bool:
+            try:
+                answer = httpx.get(f"http://127.0.0.1:{port}/healthz", trust_env=False)
+            except httpx.TransportError:
+                return False
+            return answer.json() == {"status": "ok"}
+
+        eventually(serves, "the dashboard serves")
+    assert (root / "var/lib/lineside/lineside.db").is_file()
+    made = {path.name for path in (root / "etc").rglob("*") if path.is_file()}
+    assert made <= {"lineside.toml", "audit.key"}
+    readable = [path for path in (root / "var").rglob("*") if path.is_file() and path.stat().st_mode & 0o077]
+    assert readable == []
+
+
+def test_the_worker_takes_its_token_from_its_environment(root: Path) -> None:
+    (root / "etc/lineside/lineside.toml").write_text(below(root, CONFIGURATIONS[0]))
+    with running(root, "lineside-worker.service", LINESIDE_WORKER_TOKEN="secret"):
+        eventually(
+            lambda: "ws://server:8000/feed" in (root / "log").read_text(), "the dashboard is looked for"
+        )
