@@ -165,7 +165,7 @@ def test_the_service_serves_and_keeps_its_data_where_the_configuration_says(root
         eventually(serves, "the dashboard serves")
     assert (root / "var/lib/lineside/lineside.db").is_file()
     made = {path.name for path in (root / "etc").rglob("*") if path.is_file()}
-    assert made <= {"lineside.toml", "audit.key"}
+    assert made <= {"lineside.toml", "lineside.audit.key"}
     readable = [path for path in (root / "var").rglob("*") if path.is_file() and path.stat().st_mode & 0o077]
     assert readable == []
 
