@@ -212,8 +212,8 @@ class Desk:
         )
 
     async def _why_no_longer(self, wish: Wish, live: BusLive) -> str:
-        """Why a command must not be sent, or be given up; empty while it may go on. A store that cannot be read
-        now ends nothing that is half done."""
+        """Why a command must not be sent, or be given up; empty while it may go on. A store that cannot be
+        read now ends nothing that is half done."""
         try:
             await self._rights.check(wish.person)
         except Problem as problem:
