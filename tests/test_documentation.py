@@ -6,15 +6,19 @@ import re
 import typing
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer.main
 from fastapi.routing import iter_route_contexts
 from pydantic import BaseModel
 
+from app.cli import cli
 from app.main import create_app
 from app.settings import Settings
 from tests.test_architecture import ROOT, text_of
+
+COMMAND: Any = typer.main.get_command(cli)
 
 
 def keys(model: type[BaseModel]) -> Iterator[str]:
@@ -44,8 +48,37 @@ def test_every_call_of_the_api_is_documented(tmp_path: Path) -> None:
 
 
 def test_every_command_is_in_the_readme() -> None:
-    from app.cli import cli
-
-    commands = typer.main.get_command(cli).commands  # type: ignore[attr-defined]
     readme = text_of(ROOT / "README.md")
+    commands = COMMAND.list_commands(None)
+    assert len(commands) > 10
     assert [name for name in commands if f"lineside {name}" not in readme] == []
+
+
+def documented_calls() -> Iterator[tuple[str, list[str]]]:
+    """Each ``lineside`` command line of the documentation: the file, and its words."""
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+        text = text_of(path)
+        blocks = re.findall(r"```sh\n(.*?)```", text, re.S)
+        lines = [line.partition("#")[0] for block in blocks for line in block.splitlines()]
+        spans = [
+            " ".join(span.split())
+            for span in re.findall(r"`([^`]+)`", re.sub(r"```.*?```", "", text, flags=re.S))
+        ]
+        for line in lines + spans:
+            if match := re.match(r"(?:sudo (?:-u \w+ )?)?(?:/\S+/)?lineside (.+)", line):
+                yield path.name, match[1].split()
+
+
+@pytest.mark.parametrize(
+    ("source", "words"), [pytest.param(*each, id=" ".join(each[1])) for each in documented_calls()]
+)
+def test_every_documented_command_line_is_one(source: str, words: list[str]) -> None:
+    command = COMMAND
+    while words and hasattr(command, "get_command"):
+        name, *words = words
+        if name.startswith("-"):
+            break
+        command = command.get_command(None, name)
+        assert command is not None, source
+    options = {option for parameter in command.params for option in parameter.opts} | {"--help"}
+    assert {word for word in words if word.startswith("--")} <= options, source

@@ -27,11 +27,15 @@ INSTALLED = "/opt/lineside/bin/lineside"
 CONFIGURATION = "/etc/lineside"
 STATE = "/var/lib"
 """Where systemd makes a StateDirectory (systemd.exec(5))."""
+MAKE_FOLDER = "sudo install -d -o lineside -g lineside "
+AS_SERVICE = "sudo -u lineside "
 TEXT = text_of(ROOT / "docs" / "hardware.md")
 UNITS = {
     match[1]: match[2]
     for match in re.finditer(r"`/etc/systemd/system/([\w-]+\.service)`:\n\n```ini\n(.*?)```", TEXT, re.S)
 }
+COMMANDS = [line for block in re.findall(r"```sh\n(.*?)```", TEXT, re.S) for line in block.splitlines()]
+"""What an administrator types, in order."""
 CONFIGURATIONS = re.findall(r"```toml\n(\[server\].*?)```", TEXT, re.S)
 
 
@@ -79,13 +83,21 @@ def test_it_has_what_a_service_on_a_plant_needs(name: str) -> None:
     }
     assert {key: service.get(key) for key in wanted} == wanted
     assert "PrivateDevices" not in service, "the serial ports are devices"
-    assert not any("TOKEN" in value for value in service.values()), "anybody may read a command line"
+    assert not any("TOKEN" in value.upper() for value in service.values()), "anybody may read a command line"
+
+
+def test_every_command_of_the_service_runs_as_its_user() -> None:
+    """Nobody else may look into its folders."""
+    assert [line for line in COMMANDS if INSTALLED in line and not line.startswith(AS_SERVICE)] == []
 
 
 def test_its_folders_are_those_of_the_configuration() -> None:
     service, settings = Unit(UNITS["lineside.service"]).service, tomllib.loads(CONFIGURATIONS[0])
     assert settings["server"]["data"] == f"{STATE}/{service['StateDirectory']}"
     assert service["ReadWritePaths"] == CONFIGURATION
+    made = {shlex.split(line)[-1] for line in COMMANDS if line.startswith(MAKE_FOLDER)}
+    assert made == {CONFIGURATION, settings["server"]["data"]}
+    assert "`LINESIDE_TOKEN=…`" in TEXT
     for unit in UNITS.values():
         called = shlex.split(Unit(unit).service["ExecStart"])
         assert called[0] == INSTALLED
@@ -97,10 +109,24 @@ def test_its_folders_are_those_of_the_configuration() -> None:
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """A file system of its own, with what the documentation has an administrator make."""
-    (tmp_path / "etc/lineside").mkdir(parents=True)
-    (tmp_path / "var/lib/lineside").mkdir(parents=True, mode=0o700)
+    """A file system of its own, with the folders and the configuration that an administrator makes."""
+    for folder in (CONFIGURATION, STATE):
+        (tmp_path / folder[1:]).parent.mkdir(parents=True, exist_ok=True)
+    for command in COMMANDS:
+        if command.startswith(MAKE_FOLDER):
+            words = shlex.split(below(tmp_path, command.removeprefix(MAKE_FOLDER)))
+            subprocess.run(["install", "-d", *words], check=True)
+    typed(tmp_path, "init")
     return tmp_path
+
+
+def typed(root: Path, command: str, code: int = 0) -> str:
+    """Run the documented ``lineside`` command of this name below ``root``; gives what it printed."""
+    (line,) = (line for line in COMMANDS if line.startswith(f"{AS_SERVICE}{INSTALLED} {command} "))
+    words = shlex.split(below(root, line.removeprefix(f"{AS_SERVICE}{INSTALLED}")))
+    done = subprocess.run([LINESIDE, *words], capture_output=True, text=True)
+    assert (done.returncode, bool(done.stderr)) == (code, bool(code)), done.stderr
+    return done.stdout
 
 
 @contextmanager
@@ -148,11 +174,8 @@ def test_the_service_serves_and_keeps_its_data_where_the_configuration_says(root
         port = free.getsockname()[1]
     text = below(root, CONFIGURATIONS[0]).replace("port = 8000", f"port = {port}")
     (root / "etc/lineside/lineside.toml").write_text(text)
-    checked = subprocess.run(
-        [LINESIDE, "check", "--config", root / "etc/lineside/lineside.toml"], capture_output=True, text=True
-    )
-    assert (checked.returncode, checked.stderr) == (0, "")
-    assert f"data in {root}/var/lib/lineside\n" in checked.stdout
+    assert f"data in {root}/var/lib/lineside\n" in typed(root, "check")
+    typed(root, "status", code=1)
     with running(root, "lineside.service"):
 
         def serves() -> bool:
@@ -163,6 +186,7 @@ def test_the_service_serves_and_keeps_its_data_where_the_configuration_says(root
             return answer.json() == {"status": "ok"}
 
         eventually(serves, "the dashboard serves")
+        assert f"serving at http://127.0.0.1:{port}\n" in typed(root, "status")
     assert (root / "var/lib/lineside/lineside.db").is_file()
     made = {path.name for path in (root / "etc").rglob("*") if path.is_file()}
     assert made <= {"lineside.toml", "lineside.audit.key"}
@@ -172,7 +196,7 @@ def test_the_service_serves_and_keeps_its_data_where_the_configuration_says(root
 
 def test_the_worker_takes_its_token_from_its_environment(root: Path) -> None:
     (root / "etc/lineside/lineside.toml").write_text(below(root, CONFIGURATIONS[0]))
-    with running(root, "lineside-worker.service", LINESIDE_WORKER_TOKEN="secret"):
+    with running(root, "lineside-worker.service", LINESIDE_TOKEN="secret"):
         eventually(
             lambda: "ws://server:8000/feed" in (root / "log").read_text(), "the dashboard is looked for"
         )

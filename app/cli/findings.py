@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from app.cli.counted import counted
 from app.cli.listening import ListenError, listen
 from app.settings import Server, Settings
 from bus.line.ports.refusal import why_not
@@ -77,7 +78,6 @@ def _is_visible(path: Path) -> bool:
 
 
 def _bus(bus: BusSettings) -> Iterator[Finding]:
-    units = f"{len(bus.unit)} unit{'' if len(bus.unit) == 1 else 's'}"
     trouble = _url_fault(bus.port) if "://" in bus.port else _device_fault(bus.port)
     if trouble:
         yield Finding(f"bus {bus.name}: {trouble}", is_fault=True)
@@ -85,7 +85,7 @@ def _bus(bus: BusSettings) -> Iterator[Finding]:
     absent = ""
     if "://" not in bus.port and not Path(bus.port).exists():
         absent = ", which is not there now; Lineside waits for it"
-    yield Finding(f"bus {bus.name}: {units} at {bus.port}{absent}, {bus.baud} baud")
+    yield Finding(f"bus {bus.name}: {counted(len(bus.unit), 'unit')} at {bus.port}{absent}, {bus.baud} baud")
     if not bus.unit:
         scan = f"'lineside scan --port {bus.port}' lists the addresses that respond"
         yield Finding(f"bus {bus.name} has no [[bus.unit]]; {scan}")

@@ -67,7 +67,7 @@ def host(settings: Settings, config: Path, listening: socket.socket, *, demo: bo
 
 async def _host(settings: Settings, config: Path, listening: socket.socket, *, demo: bool) -> None:
     """The workers begin while the dashboard is still being read, and end before it does."""
-    url, tokens = url_of(listening), {bus.name: new_secret() for bus in settings.bus}
+    url, tokens = url_of(*listening.getsockname()[:2]), {bus.name: new_secret() for bus in settings.bus}
     workers = Workers(config, tokens, url)
     asked = _ending_asked()
     workers.start()

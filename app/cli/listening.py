@@ -43,9 +43,10 @@ def _reason(host: str, port: int, choose: str, error: Exception) -> str:
             return f"port {port} of {host} cannot be opened: {words}. Check host and port in [server]."
 
 
-def url_of(listening: socket.socket) -> str:
-    """Where a browser or a worker on this machine finds the dashboard."""
-    host, port = listening.getsockname()[:2]
-    if host in ("0.0.0.0", "::"):
+def url_of(host: str, port: int) -> str:
+    """Where a browser or a worker on this machine finds the dashboard that listens on ``host``."""
+    if host == "0.0.0.0" or (host == "::" and socket.has_dualstack_ipv6()):
         host = "127.0.0.1"
+    elif host == "::":
+        host = "::1"
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"

@@ -11,8 +11,9 @@ import typer
 from app.cli.credentials import Token, TokenFile, token_if_given
 from app.cli.dashboard import dashboard
 from app.cli.ending import ending
+from app.cli.listening import url_of
 from app.cli.serve import LINESIDE_TOML, Config
-from app.settings import Server, load
+from app.settings import load
 from bus.errors import LinesideError
 
 WITHIN_S = 5.0
@@ -39,7 +40,7 @@ def status(
     """
     with ending():
         settings, bearer = load(config), token_if_given(token, token_file)
-        url = url_of(settings.server)
+        url = url_of(settings.server.host, settings.server.port)
         serves = is_serving(url)
         buses = _buses(url, bearer) if serves and bearer else None
         if as_json:
@@ -51,12 +52,6 @@ def status(
                 f"no dashboard answers at {url}. Start it with lineside serve --config {config}, or read the "
                 "log of its service."
             )
-
-
-def url_of(server: Server) -> str:
-    """Where the dashboard of a configuration is found from this machine."""
-    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(server.host, server.host)
-    return f"http://[{host}]:{server.port}" if ":" in host else f"http://{host}:{server.port}"
 
 
 def is_serving(url: str) -> bool:

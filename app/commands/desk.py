@@ -248,6 +248,10 @@ class Desk:
         if live.link.link == "closed":
             message = f"{live.link.cause or 'the port is closed'}; nothing was sent"
             return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=message)
+        # Storing the intent and what the unit was may have taken a while on a slow disk.
+        reason = await self._why_no_longer(wish, live)
+        if reason:
+            return Result(id=wish.id, at=self._now(), outcome="not_sent", message=reason)
         # This clock first: whatever stops this process between the two makes the deadline earlier.
         deadline = self._now() + wish.deadline.left_s
         command = Command(id=wish.id, deadline=deadline, action=wish.action)
@@ -259,8 +263,8 @@ class Desk:
         )
 
     async def _why_no_longer(self, wish: Wish, live: BusLive) -> str:
-        """Why a command under way must be given up; empty while it may go on. A store that cannot be read
-        now ends nothing that is half done."""
+        """Why a command must not be sent, or be given up; empty while it may go on. A store that cannot be
+        read now ends nothing that is half done."""
         try:
             await self._rights.check(wish.person)
         except Problem as problem:

@@ -15,6 +15,7 @@ from bus.contract import (
     BusLink,
     Cancel,
     Command,
+    Outcome,
     ParameterValue,
     Reading,
     ReadParameters,
@@ -36,7 +37,7 @@ async def _nothing(_: int) -> None:
 class PlayedLine:
     """``memory``: unit → number → raw. ``before_read`` is awaited with the unit of each read,
     ``before_write`` with the count of writes before each one; commands that are neither reads nor writes of
-    parameters are ``held`` for the test to end."""
+    parameters are ``held`` until the test ends them."""
 
     channel: Channel
     live: LiveState
@@ -56,6 +57,10 @@ class PlayedLine:
             task.add_done_callback(self._answers.discard)
         elif isinstance(message, Cancel):
             self.cancelled.append(message.id)
+
+    def end(self, outcome: Outcome) -> None:
+        """Give the command that was held last its result."""
+        self.channel.heard(Result(self.held[-1].id, time.time(), outcome))
 
     async def _answer(self, command: Command) -> None:
         match command.action:

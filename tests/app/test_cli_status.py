@@ -12,8 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from app.cli import cli, status
-from app.cli.status import url_of
-from app.settings import Server
+from app.cli.listening import url_of
 
 
 @pytest.fixture
@@ -94,8 +93,9 @@ def test_another_program_at_that_port_is_no_dashboard(code: int, body: bytes, se
     [
         ("127.0.0.1", "http://127.0.0.1:8000"),
         ("0.0.0.0", "http://127.0.0.1:8000"),
-        ("::", "http://[::1]:8000"),
+        ("::", "http://127.0.0.1:8000"),
+        ("::1", "http://[::1]:8000"),
     ],
 )
 def test_where_it_is_found(host: str, url: str) -> None:
-    assert url_of(Server(host=host)) == url
+    assert url_of(host, 8000) == url

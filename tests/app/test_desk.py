@@ -149,6 +149,25 @@ async def test_a_long_command_is_given_up_when_it_may_not_go_on(
     assert (event["outcome"], event["message"]) == ("not_sent", f"{reason}; given up: every unit is back")
 
 
+@pytest.mark.parametrize("trouble", [block, withdraw, hand_over])
+async def test_what_changes_after_the_check_is_seen_before_the_command_is_sent(
+    stage: Stage, worker: PlayedWorker, trouble: Callable[[Stage], Awaitable[str]]
+) -> None:
+    """What a unit was is stored between the check and the sending, and a disk may be slow."""
+    reasons: list[str] = []
+
+    async def keep(*_: object, **__: object) -> None:
+        reasons.append(await trouble(stage))
+
+    worker.play = answering("verified")
+    stage.desk.before_write = keep
+    result = await stage.desk.ask(ANNA, "dry-end", WriteParameter(unit=2, number=6, raw=50))
+    assert (result.outcome, result.message) == ("not_sent", reasons[0])
+    assert worker.commands == []
+    event = (await commands(stage))[-1]
+    assert (event["outcome"], event["message"]) == ("not_sent", reasons[0])
+
+
 async def test_checking_alone_sends_and_writes_nothing(stage: Stage, worker: PlayedWorker) -> None:
     stage.desk.check(ANNA, "dry-end", WISH)
     with pytest.raises(Problem) as refused:

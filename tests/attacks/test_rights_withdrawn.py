@@ -1,12 +1,7 @@
-"""Work that goes on after its request: the rights under which it began are withdrawn, and it stops."""
+"""Restores and swaps go on after their request: when their rights are withdrawn, they stop."""
 
 from __future__ import annotations
 
-import asyncio
-import sqlite3
-import time
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -15,82 +10,25 @@ import pytest
 
 from app.web.access import Role
 from bus.catalogue.parameters import PARAMETERS
-from tests.app.played_line import BUS, PlayedLine, played_line
-from tests.app.whole_app import PASSWORD, House, whole_app
+from tests.app.played_line import BUS, PlayedLine
+from tests.app.stage import until
+from tests.app.whole_app import House
+from tests.attacks.withdrawals import (
+    ENGINEER,
+    Withdraw,
+    demoted,
+    disabled,
+    disabled_by_another_process,
+    given_another_password,
+    in_another_process,
+    noticed,
+    removed,
+    removed_by_another_process,
+    replaced_by_a_namesake,
+)
 
-ENGINEER = "the-engineer"
 ROWS = 12
 STOPPED_AFTER = 4
-Withdraw = Callable[[House, Path], Awaitable[None]]
-
-
-@pytest.fixture
-async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
-        await house.add("boss", Role.ADMIN)
-        yield house
-
-
-@pytest.fixture
-async def line(house: House) -> PlayedLine:
-    return await played_line(house.services)
-
-
-async def until(condition: Callable[[], object], what: str) -> None:
-    end = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < end, f"never: {what}"
-        await asyncio.sleep(0.005)
-
-
-async def disabled(house: House, _: Path) -> None:
-    await house.services.accounts.set_disabled(ENGINEER, True, by="boss", origin="test")
-
-
-async def removed(house: House, _: Path) -> None:
-    await house.services.accounts.remove_user(ENGINEER, by="boss", origin="test")
-
-
-async def demoted(house: House, _: Path) -> None:
-    await house.services.accounts.set_role(ENGINEER, Role.OPERATOR, by="boss", origin="test")
-
-
-async def given_another_password(house: House, _: Path) -> None:
-    await house.services.accounts.set_password(ENGINEER, "x" + PASSWORD, by="boss", origin="test")
-
-
-async def replaced_by_a_namesake(house: House, _: Path) -> None:
-    await removed(house, _)
-    await house.add(ENGINEER, Role.ENGINEER)
-
-
-async def disabled_by_another_process(house: House, folder: Path) -> None:
-    _in_another_process(folder, f"UPDATE users SET disabled = 1 WHERE name = '{ENGINEER}'")
-    await _noticed(house)
-
-
-async def removed_by_another_process(house: House, folder: Path) -> None:
-    _in_another_process(folder, f"DELETE FROM users WHERE name = '{ENGINEER}'")
-    await _noticed(house)
-
-
-def _in_another_process(folder: Path, change: str) -> None:
-    """As the command line does: by a connection that the server knows nothing of."""
-    with closing(sqlite3.connect(folder / "data" / "lineside.db", timeout=20)) as store:
-        store.execute(change)
-        store.commit()
-
-
-async def _noticed(house: House) -> None:
-    """The server looks at the store by itself."""
-    noticed = asyncio.Event()
-
-    async def notice(_: str) -> None:
-        noticed.set()
-
-    house.services.rights.on_withdrawn(notice)
-    async with asyncio.timeout(20):
-        await noticed.wait()
 
 
 async def planned(client: httpx.AsyncClient, line: PlayedLine) -> dict[str, Any]:
@@ -167,11 +105,11 @@ async def test_a_restore_under_a_token_ends_with_the_token(
         if how == "created again":
             await accounts.create_token("key-engineer", Role.ENGINEER, by="boss", origin="test")
         if how == "revoked by another process":
-            _in_another_process(tmp_path, "DELETE FROM tokens WHERE name = 'key-engineer'")
-            await _noticed(house)
+            in_another_process(tmp_path, "DELETE FROM tokens WHERE name = 'key-engineer'")
+            await noticed(house)
         if how == "expired":
-            _in_another_process(tmp_path, "UPDATE tokens SET expires_at = 1.0 WHERE name = 'key-engineer'")
-            await _noticed(house)
+            in_another_process(tmp_path, "UPDATE tokens SET expires_at = 1.0 WHERE name = 'key-engineer'")
+            await noticed(house)
 
     line.before_write = before
     await client.post(f"/api/v1/restores/{plan['id']}/start")
@@ -195,59 +133,50 @@ async def test_whoever_keeps_the_rights_is_not_disturbed(house: House, line: Pla
     assert (await ended(house, plan["id"]))["state"] == "equal"
 
 
-async def test_a_batch_stops_between_two_units(house: House, line: PlayedLine, tmp_path: Path) -> None:
+async def swap_begun(client: httpx.AsyncClient, line: PlayedLine) -> None:
+    """A swap of unit 2, with a spare that differs in two rows from the set that it is restored from."""
+    line.memory[2] |= {6: 20, 7: 30}
+    taken = await client.post(f"/api/v1/buses/{BUS}/sets", json={"units": [2]})
+    line.memory[2] |= {6: 0, 7: 0}
+    begun = await client.post(f"/swap/{BUS}/2", data={"source": f"set:{taken.json()['id']}:2"})
+    assert begun.status_code == 303, begun.text
+
+
+async def test_the_restore_of_a_swap_stops_and_the_swap_is_not_proven(
+    house: House, line: PlayedLine, tmp_path: Path
+) -> None:
     client = await house.signed_in(Role.ENGINEER)
-    form = {"number": "6", "unit-1": "2.0", "unit-2": "3.0", "was-1": "0", "was-2": "0"}
-    assert (await client.get(f"/batch/{BUS}?number=6")).status_code == 200
+    await swap_begun(client, line)
+    planned = await client.post(f"/swap/{BUS}/2/restore")
+    restore = planned.headers["location"].rpartition("/")[2]
 
     async def before(_: int) -> None:
         await disabled(house, tmp_path)
 
     line.before_write = before
-    answer = await client.post(f"/batch/{BUS}/write", data=form)
-    assert answer.status_code == 200, answer.text
-    assert "rights withdrawn" in answer.text
-    assert line.written == [(1, 6, 20)]
+    form = {"row": ["6", "7"]}
+    assert (await client.post(f"/restores/{restore}/start", data=form)).status_code == 303
+    end = await ended(house, restore)
+    assert (end["state"], end["cause_code"]) == ("stopped", "rights_withdrawn")
+    assert [row["outcome"] for row in end["rows"]] == ["verified", "not_sent"]
+    swap = house.services.swaps.of(BUS, 2)
+    assert swap is not None
+    assert not swap.proven
 
 
-async def test_a_set_is_not_kept_for_somebody_who_was_removed_meanwhile(
+async def test_a_swap_from_the_sheet_is_not_proven_for_somebody_who_was_removed_meanwhile(
     house: House, line: PlayedLine, tmp_path: Path
 ) -> None:
     client = await house.signed_in(Role.ENGINEER)
+    assert (await client.post(f"/swap/{BUS}/2", data={"source": "sheet"})).status_code == 303
 
-    async def before(unit: int) -> None:
-        if unit == 2:
-            await removed(house, tmp_path)
+    async def before(_: int) -> None:
+        await removed(house, tmp_path)
 
     line.before_read = before
-    begun = await client.post("/sets/take", data={"bus": BUS, "name": "mine"})
-    assert begun.status_code == 303
-    taking = house.services.takings.get(begun.headers["location"].rpartition("/")[2])
-    assert taking is not None
-    await until(lambda: taking.state != "reading", "the end of the reading")
-    assert (taking.state, taking.set_id) == ("failed", None)
-    assert taking.cause.startswith("rights withdrawn")
-
-
-async def test_a_token_that_another_process_revokes_loses_control_of_the_line(tmp_path: Path) -> None:
-    async with whole_app(tmp_path, control=True) as house:
-        client = await house.program(Role.ENGINEER)
-        await played_line(house.services)
-        assert (await client.post(f"/api/v1/buses/{BUS}/control")).status_code == 200
-        assert house.services.safeguards.holder(BUS) == "key-engineer (token)"
-        _in_another_process(tmp_path, "DELETE FROM tokens WHERE name = 'key-engineer'")
-        await until(lambda: house.services.safeguards.holder(BUS) == "", "control released")
-        [event, *_] = await house.events("control")
-        assert (event["what"], event["old"]) == ("control given back", "key-engineer (token)")
-
-
-async def test_a_change_of_the_baud_rate_is_given_up(house: House, line: PlayedLine, tmp_path: Path) -> None:
-    client = await house.signed_in(Role.ENGINEER)
-    asked = asyncio.create_task(
-        client.post(f"/api/v1/buses/{BUS}/baud", json={"baud": 4800, "confirm": True, "timeout_s": 20})
-    )
-    await until(lambda: line.held, "the command on its way")
-    await disabled(house, tmp_path)
-    await until(lambda: line.cancelled, "the command given up")
-    assert line.cancelled == [line.held[0].id]
-    asked.cancel()
+    answer = await client.post(f"/swap/{BUS}/2/entered")
+    assert answer.status_code == 403
+    swap = house.services.swaps.of(BUS, 2)
+    assert swap is not None
+    assert not swap.proven
+    assert await house.services.sets.store.summaries(BUS, 2) == []

@@ -1,0 +1,24 @@
+"""The app with an admin, and two units that answer."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from app.web.access import Role
+from tests.app.played_line import PlayedLine, played_line
+from tests.app.whole_app import House, whole_app
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        await house.add("boss", Role.ADMIN)
+        yield house
+
+
+@pytest.fixture
+async def line(house: House) -> PlayedLine:
+    return await played_line(house.services)

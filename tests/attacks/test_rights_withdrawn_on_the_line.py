@@ -1,0 +1,135 @@
+"""What else goes on after its request, or waits for the wire: it stops when the rights are withdrawn."""
+
+from __future__ import annotations
+
+import asyncio
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from app.web.access import Role
+from app.wiring import SERVER
+from tests.app.played_line import BUS, PlayedLine, played_line
+from tests.app.stage import until
+from tests.app.whole_app import House, whole_app
+from tests.attacks.withdrawals import (
+    Withdraw,
+    demoted,
+    disabled,
+    disabled_by_another_process,
+    in_another_process,
+    removed,
+)
+
+
+@pytest.mark.parametrize("withdraw", [disabled, demoted, disabled_by_another_process])
+async def test_a_batch_stops_between_two_units(
+    house: House, line: PlayedLine, tmp_path: Path, withdraw: Withdraw
+) -> None:
+    client = await house.signed_in(Role.ENGINEER)
+    form = {"number": "6", "unit-1": "2.0", "unit-2": "3.0", "was-1": "0", "was-2": "0"}
+    assert (await client.get(f"/batch/{BUS}?number=6")).status_code == 200
+
+    async def before(_: int) -> None:
+        await withdraw(house, tmp_path)
+
+    line.before_write = before
+    answer = await client.post(f"/batch/{BUS}/write", data=form)
+    assert answer.status_code == 200, answer.text
+    assert "rights withdrawn" in answer.text
+    assert line.written == [(1, 6, 20)]
+
+
+async def test_a_change_of_a_group_is_given_up(house: House, line: PlayedLine, tmp_path: Path) -> None:
+    client = await house.signed_in(Role.ENGINEER)
+    body = {"setpoints": {"1": {"raw": 10}, "2": {"raw": 20}}, "timeout_s": 20}
+    asked = asyncio.create_task(client.post(f"/api/v1/buses/{BUS}/speeds", json=body))
+    await until(lambda: line.held, "the command on its way")
+    await disabled(house, tmp_path)
+    await until(lambda: line.cancelled, "the command given up")
+    line.end("not_sent")
+    answer = await asked
+    assert (answer.status_code, answer.json()["code"]) == (503, "not_sent")
+    assert "rights withdrawn: the user was removed or disabled" in answer.json()["detail"]
+
+
+async def test_a_recipe_is_given_up_and_does_not_count_as_loaded(
+    house: House, line: PlayedLine, tmp_path: Path
+) -> None:
+    client = await house.signed_in(Role.ENGINEER)
+    for unit in (1, 2):
+        line.memory[unit][2] = 20_000
+        await client.get(f"/api/v1/buses/{BUS}/units/{unit}/parameters?refresh=true")
+    recipe = {"name": "Thin", "setpoints": {"1": 10, "2": 20}}
+    saved = await client.post(f"/api/v1/buses/{BUS}/recipes", json=recipe)
+    assert saved.status_code == 201, saved.text
+    load = f"/api/v1/recipes/{saved.json()['id']}/load"
+    asked = asyncio.create_task(client.post(load, json={"confirm": True}))
+    await until(lambda: line.held, "the command on its way")
+    await demoted(house, tmp_path)
+    await until(lambda: line.cancelled, "the command given up")
+    line.end("not_sent")
+    answer = await asked
+    assert "rights withdrawn: the role was lowered" in answer.json()["detail"]
+    assert house.services.recipes.loaded(BUS) is None
+
+
+async def test_a_schedule_outlives_who_made_it_and_only_reads(
+    house: House, line: PlayedLine, tmp_path: Path
+) -> None:
+    """It belongs to the site, as a configuration does: its sets are read by the server itself."""
+    client = await house.signed_in(Role.ENGINEER)
+    wanted = {"minute_of_day": 0}
+    assert (await client.put(f"/api/v1/buses/{BUS}/set-schedule", json=wanted)).status_code == 200
+    await removed(house, tmp_path)
+    now = datetime.now().astimezone()
+    await house.services.set_schedule.look(SERVER, now - timedelta(days=1), now)
+    kept = await house.services.sets.store.summaries(BUS)
+    assert {(one.who, one.origin) for one in kept} == {("server", "on schedule")}
+    assert (line.written, line.held) == ([], [])
+    refused = await client.put(f"/api/v1/buses/{BUS}/set-schedule", json={"minute_of_day": None})
+    assert refused.status_code == 401
+
+
+async def test_a_set_is_not_kept_for_somebody_who_was_removed_meanwhile(
+    house: House, line: PlayedLine, tmp_path: Path
+) -> None:
+    client = await house.signed_in(Role.ENGINEER)
+
+    async def before(unit: int) -> None:
+        if unit == 2:
+            await removed(house, tmp_path)
+
+    line.before_read = before
+    begun = await client.post("/sets/take", data={"bus": BUS, "name": "mine"})
+    assert begun.status_code == 303
+    taking = house.services.takings.get(begun.headers["location"].rpartition("/")[2])
+    assert taking is not None
+    await until(lambda: taking.state != "reading", "the end of the reading")
+    assert (taking.state, taking.set_id) == ("failed", None)
+    assert taking.cause.startswith("rights withdrawn")
+
+
+async def test_a_token_that_another_process_revokes_loses_control_of_the_line(tmp_path: Path) -> None:
+    async with whole_app(tmp_path, control=True) as house:
+        client = await house.program(Role.ENGINEER)
+        await played_line(house.services)
+        assert (await client.post(f"/api/v1/buses/{BUS}/control")).status_code == 200
+        assert house.services.safeguards.holder(BUS) == "key-engineer (token)"
+        in_another_process(tmp_path, "DELETE FROM tokens WHERE name = 'key-engineer'")
+        await until(lambda: house.services.safeguards.holder(BUS) == "", "control released")
+        [event, *_] = await house.events("control")
+        assert (event["what"], event["old"]) == ("control given back", "key-engineer (token)")
+
+
+async def test_a_change_of_the_baud_rate_is_given_up(house: House, line: PlayedLine, tmp_path: Path) -> None:
+    client = await house.signed_in(Role.ENGINEER)
+    asked = asyncio.create_task(
+        client.post(f"/api/v1/buses/{BUS}/baud", json={"baud": 4800, "confirm": True, "timeout_s": 20})
+    )
+    await until(lambda: line.held, "the command on its way")
+    await disabled(house, tmp_path)
+    await until(lambda: line.cancelled, "the command given up")
+    assert line.cancelled == [line.held[0].id]
+    asked.cancel()
