@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from bus.errors import LinesideError
@@ -19,27 +19,19 @@ class DamagedStoreError(StoreError):
 class Problem(LinesideError):
     """A refusal that goes to the client: problem+json for programs, a page or a fragment for people.
 
-    ``code`` is the reason for programs. ``detail`` says it in English; with ``params`` it is a template
-    whose ``{names}`` they fill in. Request text belongs in ``params``: the template is looked up in the
-    catalog of the reader's language, where request text must never go. ``extra`` are members of the answer
+    ``code`` is the reason for programs, ``detail`` the text in English. ``extra`` are members of the answer
     (RFC 9457, 3.2).
     """
 
     def __init__(
         self, status: int, code: str, detail: str, *, params: Mapping[str, object] | None = None, **extra: Any
     ) -> None:
-        self.template = detail
-        self.params = params
-        self.detail = detail if params is None else detail.format(**params)
-        super().__init__(self.detail)
+        super().__init__(detail, params=params)
+        self.detail = str(self)
         self.status = status
         self.code = code
         self.extra = extra
         self.headers: dict[str, str] = {}
-
-    def text(self, t: Callable[..., str]) -> str:
-        """The detail in the language whose translation function is ``t``."""
-        return t(self.template) if self.params is None else t(self.template, **self.params)
 
     def with_headers(self, **headers: str) -> Problem:
         """The same refusal with response headers; an underscore in a name stands for a hyphen."""

@@ -111,14 +111,15 @@ class Accounts:
                 lambda connection: store.add_token(connection, rules.secret_hash(secret), token)
             )
         except sqlite3.IntegrityError:
-            raise CallerError(f"there is a token {name} already; revoke it or take another name") from None
+            detail = "there is a token {name} already; revoke it or take another name"
+            raise CallerError(detail, params={"name": name}) from None
         await self._note("token", f"token {name} created as {role}", by, origin)
         return secret
 
     async def revoke_token(self, name: str, *, by: str, origin: str) -> None:
         """Raises CallerError for one that is not there."""
         if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
-            raise CallerError(f"there is no token {name}")
+            raise CallerError("there is no token {name}", params={"name": name})
         await self._note("token", f"token {name} revoked", by, origin, name)
 
     async def _add(self, user: User, secret: str) -> None:
@@ -126,15 +127,17 @@ class Accounts:
         try:
             await self._database.write(lambda connection: store.add_user(connection, user, hashed))
         except sqlite3.IntegrityError:
-            raise CallerError(f"there is a user {user.name} already; take another name") from None
+            detail = "there is a user {name} already; take another name"
+            raise CallerError(detail, params={"name": user.name}) from None
 
     async def _change(self, name: str, change: Callable[[sqlite3.Connection], bool]) -> None:
         def guarded(connection: sqlite3.Connection) -> None:
             before = store.admins_left(connection)
             if not change(connection):
-                raise CallerError(f"there is no user {name}")
+                raise CallerError("there is no user {name}", params={"name": name})
             if before and not store.admins_left(connection):
-                raise CallerError(f"{name} is the last admin; make somebody else admin first")
+                detail = "{name} is the last admin; make somebody else admin first"
+                raise CallerError(detail, params={"name": name})
 
         await self._database.write(guarded)
 

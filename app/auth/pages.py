@@ -92,7 +92,7 @@ async def choose_language(
 ) -> Response:
     """Empty: what the browser asks for."""
     if language and language not in templates_of(request).languages:
-        raise Problem(422, "invalid", f"there is no language {language!r}")
+        raise Problem(422, "invalid", "there is no language '{language}'", params={"language": language})
     _refuse_programs(person.via)
     await accounts.set_language(person.name, language)
     return RedirectResponse("/account?done=language", 303)

@@ -42,7 +42,8 @@ USE_NOTED_EVERY_S = 60.0
 def check_name(name: str) -> None:
     """Raises CallerError."""
     if not _NAME.fullmatch(name):
-        raise CallerError(f"the name {name!r} will not do: write 1 to 40 letters, digits, . _ @ or -")
+        detail = "the name '{name}' will not do: write 1 to 40 letters, digits, . _ @ or -"
+        raise CallerError(detail, params={"name": name})
 
 
 def check_password(password: str) -> None:

@@ -124,7 +124,7 @@ async def create_token(
             token.strip(), chosen, by=person.name, origin=address_of(request)
         )
     except CallerError as error:
-        return await _page(request, accounts, status=422, fault=str(error))
+        return await _page(request, accounts, status=422, fault=error)
     return await _page(request, accounts, token_name=token.strip(), token=secret)
 
 
@@ -150,8 +150,8 @@ async def _did(request: Request, accounts: Accounts, change: Awaitable[None]) ->
         await change
     except CallerError as error:
         if in_dialog:
-            raise Problem(422, "invalid", str(error)) from error
-        return await _page(request, accounts, status=422, fault=str(error))
+            raise Problem(422, "invalid", error.template, params=error.params) from error
+        return await _page(request, accounts, status=422, fault=error)
     return Response(headers={"HX-Redirect": "/users"}) if in_dialog else RedirectResponse("/users", 303)
 
 
@@ -166,7 +166,7 @@ async def _page(
     accounts: Accounts,
     *,
     status: int = 200,
-    fault: str = "",
+    fault: CallerError | None = None,
     token_name: str = "",
     token: str = "",
 ) -> HTMLResponse:

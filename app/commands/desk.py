@@ -139,7 +139,10 @@ class Desk:
                 self._guards.control.use(bus, person.account, self._now())
             check(action, self._circumstances(bus, live, confirm))
         except ControlledError as error:
-            raise Problem(409, "controlled", f"{error}; nothing was sent", outcome="controlled") from error
+            detail = "{reason}; nothing was sent"
+            raise Problem(
+                409, "controlled", detail, params={"reason": error}, outcome="controlled"
+            ) from error
         except ObjectionError as error:
             raise _problem(error) from error
 
@@ -199,7 +202,8 @@ class Desk:
 
 def _refuse_other(id: str | None, same: bool) -> None:
     if not same:
-        raise Problem(422, "invalid", f"the id {id!r} was used for another command; nothing was sent", id=id)
+        detail = "the id '{id}' was used for another command; nothing was sent"
+        raise Problem(422, "invalid", detail, params={"id": id}, id=id)
 
 
 def _is_a_search(action: Action) -> bool:
@@ -222,5 +226,5 @@ def _problem(objection: ObjectionError) -> Problem:
     extra: dict[str, Any] = {"outcome": objection.code, "unit": objection.unit}
     if objection.nearest is not None:
         extra["nearest"] = objection.nearest
-    detail = f"{objection}; nothing was sent"
-    return Problem(STATUS_OF_OBJECTION[objection.code], objection.code, detail, **extra)
+    detail, params = "{reason}; nothing was sent", {"reason": objection}
+    return Problem(STATUS_OF_OBJECTION[objection.code], objection.code, detail, params=params, **extra)

@@ -71,7 +71,8 @@ class Desktop:
         return self.render(template, command_id=new_id(), reviewed_at=time.time(), **context)
 
     def not_so(self, reason: str, place: str, *, nearest: str = "", status: int = 422) -> Response:
-        """Why what was typed gets no review, at the CSS selector ``place``; ``nearest`` would get one."""
+        """Why what was typed gets no review, in the reader's language, at the CSS selector ``place``;
+        ``nearest`` would get one."""
         response = self.render("unit/_not_so.html", reason=reason, nearest=nearest, status=status)
         response.headers["HX-Retarget"] = place
         return response

@@ -74,7 +74,7 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
         setpoints = {change.unit: change.new_raw for change in changes}
         desk.desk.check(person, bus, SetLine(setpoints=setpoints), confirm=True)
     except (CallerError, Problem) as error:
-        return desk.not_so(desk.voice.t(str(error)), f"#setpoints-error-{bus}")
+        return desk.not_so(error.text(desk.voice.t), f"#setpoints-error-{bus}")
     return desk.review(
         "setpoints/_review.html",
         bus=bus,
@@ -102,7 +102,8 @@ async def _changes(person: Person, desk: Desktop, bus: str, live: BusLive, form:
             raw = await Typed(desk.desk, person, bus, unit, TIMEOUT_S).setpoint(Quantity(value=text))
             refuse_outside(desk, bus, unit, raw)
         except (CallerError, Problem) as error:
-            raise CallerError(f"{unit.settings.name}: {desk.voice.t(str(error))}") from error
+            params = {"name": unit.settings.name, "reason": error}
+            raise CallerError("{name}: {reason}", params=params) from error
         changes.append(change_of(live, unit, raw, desk.guards.limits.of(bus, number)))
     if not changes:
         raise CallerError("no new setpoint is given; empty is not zero")

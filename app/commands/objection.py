@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 from app.commands.blocks import Block
 from app.commands.limits import Limits
 from app.live.state import BusLive
+from bus.errors import LinesideError
 
 Code = Literal["invalid", "dangerous", "confirm_needed", "blocked"]
 
 
-class ObjectionError(Exception):
+class ObjectionError(LinesideError):
     """A wish that is not sent. The text is the reason; ``nearest`` the closest value that would do."""
 
     def __init__(
-        self, code: Code, reason: str, *, unit: int | None = None, nearest: int | None = None
+        self,
+        code: Code,
+        reason: str,
+        *,
+        unit: int | None = None,
+        nearest: int | None = None,
+        params: Mapping[str, object] | None = None,
     ) -> None:
-        super().__init__(reason)
+        super().__init__(reason, params=params)
         self.code = code
         self.unit = unit
         self.nearest = nearest

@@ -94,7 +94,7 @@ def _review(person: Person, desk: Desktop, bus: str, live: UnitLive, raw: int, *
 def _not_so(desk: Desktop, live: UnitLive, error: CallerError | Problem) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     return desk.not_so(
-        desk.voice.t(str(error)),
+        error.text(desk.voice.t),
         ERROR_PLACE,
         nearest="" if nearest is None else desk.voice.formats.point(shown_setpoint(nearest, live)),
         status=error.status if isinstance(error, Problem) else 422,

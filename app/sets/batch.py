@@ -35,7 +35,7 @@ class BatchRow:
     typed: str = ""
     wanted: int | None = None
     shown: str = ""
-    fault: str = ""
+    fault: CallerError | None = None
 
     @property
     def changes(self) -> bool:
@@ -98,7 +98,7 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str) -> BatchRow:
         )
         check_writable_value(parameter, wanted)
     except CallerError as error:
-        return BatchRow(row.unit, row.name, present, raw, typed, fault=str(error))
+        return BatchRow(row.unit, row.name, present, raw, typed, fault=error)
     shown = "hidden" if parameter.secret else with_unit(parameter, wanted, known)
     return BatchRow(row.unit, row.name, present, raw, typed, wanted, shown)
 

@@ -8,13 +8,15 @@ from fastapi import UploadFile
 
 from app.errors import Problem
 from app.live.state import BusLive
-from app.sets.document import LONGEST_DOCUMENT, DocumentError, read_document
+from app.sets.document import LONGEST_DOCUMENT, TOO_LONG, DocumentError, read_document
 from app.sets.keeper import SetKeeper
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreDesk
 from app.sets.restore_record import Restore
 from app.web.access import Person
 from bus.catalogue.status import StatusBits, status_bits
+
+NOT_UTF_8 = "{source} is no text in UTF-8: {why} at byte {n}; save it as UTF-8"
 
 
 async def wanted_rows(
@@ -36,11 +38,12 @@ def document_rows(text: str, source: str, unit: int, from_unit: int | None = Non
     try:
         document = read_document(text, source)
     except DocumentError as error:
-        raise Problem(422, "invalid", str(error)) from error
+        raise Problem(422, "invalid", error.template, params=error.params) from error
     lone = document.units[0] if len(document.units) == 1 and from_unit is None else None
     rows = document.unit(from_unit or unit) or lone
     if rows is None:
-        raise Problem(422, "invalid", f"{source} does not hold unit {from_unit or unit}")
+        params = {"source": source, "unit": from_unit or unit}
+        raise Problem(422, "invalid", "{source} does not hold unit {unit}", params=params)
     return rows
 
 
@@ -49,12 +52,12 @@ async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
     name = file.filename or "the file"
     content = await file.read(LONGEST_DOCUMENT + 1)
     if len(content) > LONGEST_DOCUMENT:
-        raise Problem(422, "invalid", f"{name} is too long for a parameter set")
+        raise Problem(422, "invalid", TOO_LONG, params={"source": name})
     try:
         return document_rows(content.decode("utf-8-sig"), name, unit)
     except UnicodeDecodeError as error:
-        why = f"{name} is no text in UTF-8: {error.reason} at byte {error.start}; save it as UTF-8"
-        raise Problem(422, "invalid", why) from error
+        params = {"source": name, "why": error.reason, "n": error.start}
+        raise Problem(422, "invalid", NOT_UTF_8, params=params) from error
 
 
 async def plan(

@@ -46,7 +46,8 @@ def role_named(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
     """Raises CallerError for a word that is none of these."""
     roles = list(among)
     if word not in roles:
-        raise CallerError(f"there is no role {word!r}; take one of {', '.join(roles)}")
+        params = {"role": word, "known": ", ".join(roles)}
+        raise CallerError("there is no role '{role}'; take one of {known}", params=params)
     return Role(word)
 
 
@@ -95,9 +96,9 @@ class Requires:
         if person is None:
             raise not_signed_in()
         if not person.role.includes(self.role):
-            raise Problem(
-                403, "forbidden", f"this needs the role {self.role}; {person.name} is {person.role}"
-            )
+            params = {"role": self.role, "name": person.name, "present": person.role}
+            detail = "this needs the role {role}; {name} is {present}"
+            raise Problem(403, "forbidden", detail, params=params)
         return person
 
 

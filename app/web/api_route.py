@@ -63,10 +63,21 @@ def _check_query(query: QueryParams, known: Mapping[str, bool]) -> None:
     """``known``: by name whether it may be given several times. Raises Problem 422."""
     for name in query:
         if name not in known:
-            there = f"there are: {', '.join(known)}" if known else "there are none"
-            raise Problem(422, "invalid", f"{name}: there is no such parameter; {there}; nothing was sent")
+            raise _unknown(name, known)
         if not known[name] and len(query.getlist(name)) > 1:
-            raise Problem(422, "invalid", f"{name}: it is given twice; nothing was sent")
+            raise _twice(name)
+
+
+def _unknown(name: str, known: Mapping[str, bool]) -> Problem:
+    if not known:
+        detail = "{name}: there is no such parameter; there are none; nothing was sent"
+        return Problem(422, "invalid", detail, params={"name": name})
+    detail = "{name}: there is no such parameter; there are: {known}; nothing was sent"
+    return Problem(422, "invalid", detail, params={"name": name, "known": ", ".join(known)})
+
+
+def _twice(name: str) -> Problem:
+    return Problem(422, "invalid", "{name}: it is given twice; nothing was sent", params={"name": name})
 
 
 def _is_list(annotation: Any) -> bool:

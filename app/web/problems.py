@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -61,10 +61,14 @@ def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
         "status": problem.status,
         "code": problem.code,
         "detail": detail or problem.detail,
-        **({} if problem.params is None else {"params": dict(problem.params)}),
+        **({} if problem.params is None else {"params": _plain(problem.params)}),
         **problem.extra,
     }
     return JSONResponse(content, problem.status, problem.headers, "application/problem+json")
+
+
+def _plain(params: Mapping[str, object]) -> dict[str, int | float | str]:
+    return {name: value if isinstance(value, (int, float)) else str(value) for name, value in params.items()}
 
 
 async def refuse_socket(socket: WebSocket, problem: Problem) -> None:
@@ -103,13 +107,28 @@ def _fault(error: Any) -> str:
     return words or str(error["msg"]).removeprefix("Value error, ")
 
 
+class InvalidRequest(Problem):
+    """Malformed input. ``where`` of a fault may be a key of the request, ``message`` is the validator's."""
+
+    def __init__(self, faults: Sequence[dict[str, str]]) -> None:
+        self._faults = faults
+        params = {"faults": self._listed(str)}
+        super().__init__(422, "invalid", "{faults}; nothing was sent", params=params, errors=faults)
+
+    def text(self, t: Callable[..., str]) -> str:
+        """Each message in the language of ``t``, each place as it is."""
+        return t(self.template, faults=self._listed(t))
+
+    def _listed(self, t: Callable[[str], str]) -> str:
+        return "; ".join(f"{fault['where']}: {t(fault['message'])}" for fault in self._faults)
+
+
 def invalid(errors: Sequence[Any]) -> Problem:
     """Malformed input, each fault named. Nothing was done."""
     if any(error["type"] == "json_invalid" for error in errors):
         return Problem(422, "invalid", "the body is not JSON; nothing was sent")
     faults = [{"where": _place(error["loc"]), "message": _fault(error)} for error in errors]
-    words = "; ".join(f"{fault['where']}: {fault['message']}" for fault in faults)
-    return Problem(422, "invalid", f"{words}; nothing was sent", errors=faults)
+    return InvalidRequest(faults)
 
 
 async def _on_problem(request: Request | WebSocket, error: Exception) -> Response | None:
@@ -151,7 +170,8 @@ async def _on_invalid(request: Request, error: Exception) -> Response:
 
 
 async def _on_caller(request: Request, error: Exception) -> Response:
-    return respond(request, Problem(422, "invalid", str(error)))
+    assert isinstance(error, CallerError)
+    return respond(request, Problem(422, "invalid", error.template, params=error.params))
 
 
 async def _on_store(request: Request, error: Exception) -> Response:

@@ -101,8 +101,9 @@ class OwnPagesOnly:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] in ("http", "websocket") and is_foreign(scope):
             origin = HTTPConnection(scope).headers.get("origin", "another site")
-            detail = f"this came from a page of {origin}, not from here; nothing was done"
-            await refuse(scope, receive, send, Problem(403, "foreign_origin", detail))
+            detail = "this came from a page of {origin}, not from here; nothing was done"
+            problem = Problem(403, "foreign_origin", detail, params={"origin": origin})
+            await refuse(scope, receive, send, problem)
             return
         await self._app(scope, receive, send)
 

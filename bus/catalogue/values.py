@@ -126,17 +126,25 @@ def _raw(text: str, decimals: int) -> int:
     text = text.strip()
     number = _NUMBER.fullmatch(text)
     if number is None:
-        raise CallerError(_why_no_number(text, speed_text(1234, decimals)))
+        raise _no_number(text, speed_text(1234, decimals))
     whole, part = number[1], number[2] or ""
     if len(part) > decimals:
-        allowed = f"at most {decimals}" if decimals else "no"
-        raise CallerError(f"{text} has {len(part)} decimals; this value has {allowed}")
+        raise _too_many_decimals(text, len(part), decimals)
     return int(whole + part.ljust(decimals, "0"))
 
 
-def _why_no_number(text: str, example: str) -> str:
+def _too_many_decimals(text: str, count: int, allowed: int) -> CallerError:
+    params = {"number": text, "count": count, "allowed": allowed}
+    if not allowed:
+        return CallerError("{number} has {count} decimals; this value has no", params=params)
+    return CallerError("{number} has {count} decimals; this value has at most {allowed}", params=params)
+
+
+def _no_number(text: str, example: str) -> CallerError:
     if not text:
-        return f"no number is given, and empty is not zero; write it like {example}"
+        template = "no number is given, and empty is not zero; write it like {example}"
+        return CallerError(template, params={"example": example})
     if _NUMBER.fullmatch(text.replace("\N{MINUS SIGN}", "-").removeprefix("-")):
-        return f"{text} is below 0, the lowest there is"
-    return f"{text!r} is not a number; write it like {example}"
+        return CallerError("{number} is below 0, the lowest there is", params={"number": text})
+    params = {"text": text, "example": example}
+    return CallerError("'{text}' is not a number; write it like {example}", params=params)
