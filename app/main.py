@@ -45,10 +45,11 @@ from app.settings import Settings
 from app.swap import pages as swap_pages
 from app.web import pages as web_pages
 from app.web import problems, schema
+from app.web.bounds import BoundedRequest
 from app.web.head import HeadAsGet
 from app.web.late import NotTooLate
-from app.web.routes import refuse_undeclared
-from app.web.security import BoundedRequest, OwnPagesOnly, SecurityHeaders
+from app.web.routes import guard_bodies, refuse_undeclared
+from app.web.security import OwnPagesOnly, SecurityHeaders
 from app.wiring import Services, build, running
 
 FEATURES = (
@@ -114,6 +115,7 @@ def create_app(settings: Settings, *, demo: bool = False, worker_token: str = ""
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(SecurityHeaders)
     refuse_undeclared(app)
+    guard_bodies(app)
     return app
 
 

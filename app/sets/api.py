@@ -28,6 +28,7 @@ from app.sets.schedule import SetSchedule
 from app.sets.view import compared_json, departure_json, restore_json, set_json, summary_json
 from app.web.access import Engineer, Person, Role, Viewer
 from app.web.api_route import ApiRoute
+from app.web.bounds import MOST_BODY_BYTES
 from app.web.services import service
 from app.web.shape import Numbers, Strict, Units
 from bus.text import Lines, OneLine
@@ -170,7 +171,7 @@ async def write_schedule(
     return {"minute_of_day": wanted.minute_of_day, "owed": []}
 
 
-@router.post("/buses/{bus}/units/{unit}/restores", status_code=201)
+@router.post("/buses/{bus}/units/{unit}/restores", status_code=201, max_body_size=MOST_BODY_BYTES)
 async def plan_unit_restore(
     person: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int, wanted: PlanRestore
 ) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from app.live.api import Live
 from app.live.lookup import bus_or_404
 from app.sets.batch import learn, rows_of_batch, write_batch
 from app.web.access import Engineer
+from app.web.numbers import whole_number
 from app.web.services import service
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS, Parameter
@@ -59,13 +60,12 @@ async def batch_write(request: Request, person: Engineer, live: Live, desk: AskD
 
 async def _typed(request: Request) -> tuple[int, dict[int, str]]:
     form = await request.form()
-    number = str(form.get("number", ""))
     typed = {
-        int(key.removeprefix("unit-")): str(value)
+        unit: str(value)
         for key, value in form.items()
-        if key.startswith("unit-") and key.removeprefix("unit-").isdecimal()
+        if key.startswith("unit-") and (unit := whole_number(key.removeprefix("unit-"))) is not None
     }
-    return int(number) if number.isdecimal() else 0, typed
+    return whole_number(str(form.get("number", ""))) or 0, typed
 
 
 def _choices() -> list[Parameter]:

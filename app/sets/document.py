@@ -17,8 +17,10 @@ from bus.errors import CallerError
 
 DOCUMENT_FORMAT = "lineside parameter set"
 DOCUMENT_VERSION = 1
-LONGEST_DOCUMENT = 2_000_000
+LONGEST_DOCUMENT = 1_500_000
 """Characters of a file; all 255 units of a bus take half of it."""
+MOST_DOTTED = 5_000_000
+"""Python's parser takes n² steps for a key of n dotted parts, and a key stands on one line."""
 TOO_LONG = "{source} is too long for a parameter set"
 OUTSIDE = "{source}: unit {unit}: parameter {number} ({name}): {raw} is outside {lowest} to {highest}"
 _KEYS = frozenset(str(number) for number in PARAMETERS)
@@ -41,7 +43,7 @@ class _Unit(Strict):
     id: Annotated[int, Field(ge=1, le=255)]
     name: str = ""
     read_at: datetime | None = None
-    parameters: dict[str, _Parameter]
+    parameters: Annotated[dict[str, _Parameter], Field(max_length=len(PARAMETERS))]
 
 
 class _Document(Strict):
@@ -52,7 +54,7 @@ class _Document(Strict):
     comment: str = ""
     taken_at: datetime
     by: str = ""
-    unit: Annotated[list[_Unit], Field(min_length=1)]
+    unit: Annotated[list[_Unit], Field(min_length=1, max_length=255)]
 
 
 def write_document(parameter_set: ParameterSet, *, with_secrets: bool = False) -> str:
@@ -135,6 +137,8 @@ def _parse(text: str, source: str) -> _Document:
 def _content(text: str, source: str) -> dict[str, Any]:
     if len(text) > LONGEST_DOCUMENT:
         raise DocumentError(TOO_LONG, params={"source": source})
+    if sum(line.count(".") ** 2 for line in text.split("\n")) > MOST_DOTTED:
+        raise DocumentError("{source}: a key has too many dotted parts", params={"source": source})
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:

@@ -14,6 +14,7 @@ from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreDesk
 from app.sets.restore_record import Restore
 from app.web.access import Person
+from app.web.parsing import parse_apart
 from bus.catalogue.status import StatusBits, status_bits
 
 NOT_UTF_8 = "{source} is no text in UTF-8: {why} at byte {n}; save it as UTF-8"
@@ -27,16 +28,16 @@ async def wanted_rows(
         raise Problem(422, "invalid", "give either set (a stored one) or document (a TOML file)")
     if set_id is not None:
         return unit_rows_or_404(await set_or_404(keeper, set_id), from_unit or unit)
-    return document_rows(document_text or "", "the document", unit, from_unit)
+    return await document_rows(document_text or "", "the document", unit, from_unit)
 
 
-def document_rows(text: str, source: str, unit: int, from_unit: int | None = None) -> UnitRows:
+async def document_rows(text: str, source: str, unit: int, from_unit: int | None = None) -> UnitRows:
     """The rows of a TOML file meant for a unit: of ``from_unit`` where given, its own, or the only ones.
 
     Raises Problem 422 in words.
     """
     try:
-        document = read_document(text, source)
+        document = await parse_apart(lambda: read_document(text, source))
     except DocumentError as error:
         raise Problem(422, "invalid", error.template, params=error.params) from error
     lone = document.units[0] if len(document.units) == 1 and from_unit is None else None
@@ -54,7 +55,7 @@ async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
     if len(content) > LONGEST_DOCUMENT:
         raise Problem(422, "invalid", TOO_LONG, params={"source": name})
     try:
-        return document_rows(content.decode("utf-8-sig"), name, unit)
+        return await document_rows(content.decode("utf-8-sig"), name, unit)
     except UnicodeDecodeError as error:
         params = {"source": name, "why": error.reason, "n": error.start}
         raise Problem(422, "invalid", NOT_UTF_8, params=params) from error

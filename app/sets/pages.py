@@ -18,6 +18,8 @@ from app.sets.sides import choices, side
 from app.sets.taking import Taking, Takings
 from app.sets.view import compared_json, restore_json, set_json
 from app.web.access import Engineer, Viewer
+from app.web.bounds import MOST_BODY_BYTES
+from app.web.numbers import whole_number
 from app.web.services import service
 from app.web.shape import Units
 from app.web.templating import render
@@ -190,7 +192,11 @@ async def restore_page(
     )
 
 
-@router.post("/units/{bus}/{unit}/restore")
+@router.post(
+    "/units/{bus}/{unit}/restore",
+    max_body_size=MOST_BODY_BYTES,
+    form_limits={"max_files": 1, "max_fields": 100},
+)
 async def plan_page(
     person: Engineer,
     keeper: Keeper,
@@ -285,10 +291,11 @@ def _taking_or_404(readings: Takings, taking_id: str) -> Taking:
 async def _wanted(keeper: SetKeeper, unit: int, source: str, file: UploadFile | None) -> UnitRows:
     if file is not None and file.filename:
         return await uploaded_rows(unit, file)
-    number, _, of_unit = source.partition(":")
-    if not number.isdecimal() or not of_unit.isdecimal():
+    set_id, _, of_unit = source.partition(":")
+    number, from_unit = whole_number(set_id), whole_number(of_unit)
+    if number is None or from_unit is None:
         raise Problem(422, "invalid", "choose a stored set or a file")
-    return unit_rows_or_404(await set_or_404(keeper, int(number)), int(of_unit))
+    return unit_rows_or_404(await set_or_404(keeper, number), from_unit)
 
 
 def _proof(wanted: UnitRows, proven: UnitRows | None) -> list[dict[str, Any]]:

@@ -31,6 +31,9 @@ _HTTP_DETAILS = {
 }
 """By status the template of the detail, and what of the request it names."""
 
+MOST_FAULTS = 20
+"""Of a body that are named."""
+
 _WORDS = {
     "model_attributes_type": 'it must be a JSON object, {"…": …}, sent as Content-Type: application/json',
     "extra_forbidden": "there is no such field",
@@ -53,6 +56,16 @@ def is_fragment(connection: HTTPConnection) -> bool:
     return connection.headers.get("hx-request") == "true"
 
 
+class _ProblemResponse(JSONResponse):
+    """A key of a JSON body may hold half a surrogate pair, which UTF-8 cannot say."""
+
+    media_type = "application/problem+json"
+
+    def render(self, content: Any) -> bytes:
+        text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+        return text.encode("utf-8", "replace")
+
+
 def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
     """The problem as ``application/problem+json``; ``detail`` instead of its own English sentence."""
     content = {
@@ -64,7 +77,7 @@ def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
         **({} if problem.params is None else {"params": _plain(problem.params)}),
         **problem.extra,
     }
-    return JSONResponse(content, problem.status, problem.headers, "application/problem+json")
+    return _ProblemResponse(content, problem.status, problem.headers)
 
 
 def _plain(params: Mapping[str, object]) -> dict[str, int | float | str]:
@@ -127,7 +140,7 @@ def invalid(errors: Sequence[Any]) -> Problem:
     """Malformed input, each fault named. Nothing was done."""
     if any(error["type"] == "json_invalid" for error in errors):
         return Problem(422, "invalid", "the body is not JSON; nothing was sent")
-    faults = [{"where": _place(error["loc"]), "message": _fault(error)} for error in errors]
+    faults = [{"where": _place(error["loc"]), "message": _fault(error)} for error in errors[:MOST_FAULTS]]
     return InvalidRequest(faults)
 
 

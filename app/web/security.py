@@ -10,12 +10,12 @@ from __future__ import annotations
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import HTTPConnection, Request
+from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from app.errors import Problem
-from app.web.problems import problem_json, refuse_socket, respond
+from app.web.problems import problem_json, refuse_socket
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 CONTENT_POLICY = (
@@ -30,9 +30,6 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
 }
-MOST_BODY_BYTES = 4 * 1024 * 1024
-"""The largest thing anybody sends is a file of parameter sets: 255 units are half a megabyte."""
-LONGEST_PATH = 1000
 _DEFAULT_PORTS = {"http": 80, "https": 443, "ws": 80, "wss": 443}
 
 
@@ -106,45 +103,3 @@ class OwnPagesOnly:
             await refuse(scope, receive, send, problem)
             return
         await self._app(scope, receive, send)
-
-
-class BoundedRequest:
-    """Refuses a body or an address larger than anything that is asked for here, before it costs anything."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
-        if len(scope["path"]) > LONGEST_PATH:
-            await refuse(
-                scope, receive, send, Problem(414, "too_long", "nothing here has so long an address")
-            )
-            return
-        said = Headers(scope=scope).get("content-length", "0")
-        if said.isdecimal() and int(said) > MOST_BODY_BYTES:
-            await respond(Request(scope), _too_large())(scope, receive, send)
-            return
-        await self._app(scope, _counting(receive), send)
-
-
-def _too_large() -> Problem:
-    megabytes = MOST_BODY_BYTES // 1024**2
-    return Problem(413, "too_large", f"more than {megabytes} MB were sent; nothing was done")
-
-
-def _counting(receive: Receive) -> Receive:
-    """For a body that does not say its length."""
-    seen = 0
-
-    async def counting() -> Message:
-        nonlocal seen
-        message = await receive()
-        seen += len(message.get("body", b""))
-        if seen > MOST_BODY_BYTES:
-            raise _too_large()
-        return message
-
-    return counting

@@ -74,9 +74,7 @@ def test_no_text_makes_the_patterns_work_for_long(text: str) -> None:
     assert cpu_s_of_saying(text) < CPU_S
 
 
-@pytest.mark.parametrize(
-    "clause", ["a: ", "a; ", "it is at: ", "unit 1: it reads 2; ", "x, then "]
-)
+@pytest.mark.parametrize("clause", ["a: ", "a; ", "it is at: ", "unit 1: it reads 2; ", "x, then "])
 def test_clauses_without_end_do_not_make_the_patterns_work_for_long(clause: str) -> None:
     assert cpu_s_of_saying((clause * LONGEST)[: LONGEST - 1]) < CPU_S
 
@@ -109,7 +107,7 @@ def requests_of(route: APIRoute) -> Iterator[tuple[str, str, dict[str, Any]]]:
 
 
 def filled(path: str, text: str) -> str:
-    """The path of a route with ``text`` in each parameter; where it is empty, the bus and the unit there are."""
+    """The path of a route with ``text`` in each parameter; where it is empty, what there is."""
     known = {"bus": "dry-end", "unit": "1", "unit_id": "1"}
     parts = []
     for literal, name, _, _ in string.Formatter().parse(path):
