@@ -38,6 +38,8 @@ from app.live import socket as live_socket
 from app.metrics import api as metrics_api
 from app.recipes import api as recipes_api
 from app.recipes import pages as recipes_pages
+from app.server.forwarded import Forwarded
+from app.server.security_headers import SecurityHeaders
 from app.sets import api as sets_api
 from app.sets import batch_pages
 from app.sets import pages as sets_pages
@@ -47,9 +49,10 @@ from app.web import pages as web_pages
 from app.web import problems, schema
 from app.web.bounds import BoundedRequest
 from app.web.head import HeadAsGet
+from app.web.hosts import AllowedHosts
 from app.web.late import NotTooLate
 from app.web.routes import guard_bodies, refuse_undeclared
-from app.web.security import OwnPagesOnly, SecurityHeaders
+from app.web.security import OwnPagesOnly
 from app.wiring import Services, build, running
 
 FEATURES = (
@@ -113,7 +116,9 @@ def create_app(settings: Settings, *, demo: bool = False, worker_token: str = ""
     app.add_middleware(BoundedRequest)
     app.add_middleware(OwnPagesOnly)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
+    app.add_middleware(AllowedHosts, allowed=settings.server.allowed_hosts)
     app.add_middleware(SecurityHeaders)
+    app.add_middleware(Forwarded, trusted=settings.server.trusted_proxies)
     refuse_undeclared(app)
     guard_bodies(app)
     return app

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
+from ipaddress import IPv4Network, IPv6Network, ip_address, ip_network
 from pathlib import Path
 from typing import Annotated
 from zoneinfo import available_timezones
 
-from pydantic import Field, StrictBool, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, StrictBool, field_validator
 from pydantic_core import PydanticCustomError
 
 from bus import configuration
@@ -16,6 +18,8 @@ from bus.settings import BusSettings, Strict
 from bus.text import OneLine
 
 __all__ = ["ConfigurationError", "Server", "Settings", "Site", "load"]
+
+_HOST_NAME = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?:\.[A-Za-z0-9-]{1,63})*")
 
 
 class Site(Strict):
@@ -47,6 +51,35 @@ class Site(Strict):
         return tag
 
 
+def _network(written: object) -> IPv4Network | IPv6Network:
+    """An address or a network as TOML writes it."""
+    try:
+        network = ip_network(written) if isinstance(written, str) else None
+    except ValueError:
+        network = None
+    if network is None:
+        raise ValueError("write the address of a proxy, like 10.0.0.5, or its network, like 10.0.0.0/28")
+    if not network.prefixlen:
+        raise ValueError("name the proxies; of all addresses anybody could write X-Forwarded-For")
+    return network
+
+
+def _host_name(written: str) -> str:
+    bare = written.strip("[]").lower()
+    if not _HOST_NAME.fullmatch(bare):
+        try:
+            ip_address(bare)
+        except ValueError:
+            raise ValueError(
+                "write a name or an address without scheme and port, like mill.example"
+            ) from None
+    return bare
+
+
+Network = Annotated[IPv4Network | IPv6Network, BeforeValidator(_network)]
+HostName = Annotated[str, AfterValidator(_host_name)]
+
+
 class Server(Strict):
     """Where the dashboard listens and keeps its data."""
 
@@ -55,6 +88,10 @@ class Server(Strict):
     """0 takes any free port."""
     data: Path = Path("data")
     """Relative to the file; absolute once loaded."""
+    trusted_proxies: tuple[Network, ...] = ()
+    """Whose X-Forwarded-For, -Proto and -Host are believed."""
+    allowed_hosts: tuple[HostName, ...] = ()
+    """The names under which the dashboard answers; empty: any."""
 
     @property
     def store(self) -> Path:

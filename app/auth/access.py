@@ -12,6 +12,7 @@ from app.auth.lasting import while_allowed
 from app.auth.signin import SignIn
 from app.errors import Problem, StoreError
 from app.web.access import Person, Role, not_signed_in
+from app.web.hosts import LOOPBACK
 from app.web.problems import is_fragment, problem_json, wants_json
 from app.web.security import refuse
 
@@ -20,7 +21,6 @@ PUBLIC_PATHS = frozenset(
     {"/healthz", "/login", "/login/panel", "/manifest.webmanifest", "/offline", "/sw.js", "/favicon.ico"}
 )
 PUBLIC_PREFIX = "/static/"
-_LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})
 
 
 class Identify:
@@ -121,4 +121,4 @@ def _is_public(path: str) -> bool:
 def _is_loopback(connection: HTTPConnection) -> bool:
     """From this machine and under its own name: a foreign name for 127.0.0.1 is somebody's trick."""
     client = connection.client.host if connection.client else ""
-    return client in _LOOPBACK and connection.url.hostname in _LOOPBACK
+    return client in LOOPBACK and connection.url.hostname in LOOPBACK

@@ -64,6 +64,7 @@ def _config(app: Any) -> uvicorn.Config:
         ws_per_message_deflate=False,
         ws_max_size=MOST_MESSAGE_BYTES,
         access_log=False,
+        proxy_headers=False,  # app.server.forwarded does it, for the proxies that are named
         log_level="warning",
         server_header=False,
         lifespan="on",

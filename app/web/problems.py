@@ -17,6 +17,7 @@ from starlette.routing import Match
 from starlette.websockets import WebSocket
 
 from app.errors import Problem, StoreError
+from app.server.security_headers import HEADERS
 from app.web.access import person_of
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
@@ -197,8 +198,10 @@ async def _on_undecodable(request: Request, _error: Exception) -> Response:
 
 
 async def _on_anything(request: Request, error: Exception) -> Response:
+    """Starlette calls this outside of every middleware, so the headers of all others are set here."""
     log.error("failed", path=request.url.path, exc_info=error)
-    return respond(request, Problem(500, "failed", "the server failed at this; its log says why"))
+    problem = Problem(500, "failed", "the server failed at this; its log says why")
+    return respond(request, problem.with_headers(**HEADERS))
 
 
 def install(app: FastAPI) -> None:

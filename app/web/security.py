@@ -1,4 +1,4 @@
-"""What the browser is told to forbid, and which requests are not ours to answer.
+"""Which requests are not ours to answer.
 
 A request that changes something, and every WebSocket handshake, must come from our own pages when a
 browser sends it: browsers name the page's origin in ``Origin``. One without ``Origin`` is not from a
@@ -9,27 +9,15 @@ from __future__ import annotations
 
 from urllib.parse import urlsplit
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers
 from starlette.requests import HTTPConnection
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from app.errors import Problem
 from app.web.problems import problem_json, refuse_socket
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
-CONTENT_POLICY = (
-    "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
-    "form-action 'self'; frame-ancestors 'none'"
-)
-HEADERS = {
-    "Content-Security-Policy": CONTENT_POLICY,
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "same-origin",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
-}
 _DEFAULT_PORTS = {"http": 80, "https": 443, "ws": 80, "wss": 443}
 
 
@@ -65,28 +53,6 @@ async def refuse(scope: Scope, receive: Receive, send: Send, problem: Problem) -
         await refuse_socket(WebSocket(scope, receive, send), problem)
     else:
         await problem_json(problem)(scope, receive, send)
-
-
-class SecurityHeaders:
-    """Adds the headers above to every answer. What does not say how long it holds is kept by nobody."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-
-        async def with_headers(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in HEADERS.items():
-                    headers.setdefault(name, value)
-                headers.setdefault("Cache-Control", "no-store")
-            await send(message)
-
-        await self._app(scope, receive, with_headers)
 
 
 class OwnPagesOnly:
