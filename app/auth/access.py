@@ -11,6 +11,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from app.auth.lasting import while_allowed
 from app.auth.signin import SignIn
 from app.errors import Problem, StoreError
+from app.server.connections import identify
 from app.web.access import Person, Role, not_signed_in
 from app.web.hosts import LOOPBACK
 from app.web.problems import is_fragment, problem_json, wants_json
@@ -49,6 +50,8 @@ class Identify:
             await _turn_away(connection, receive, send)
             return
         scope["person"] = person
+        if person is not None:
+            identify(scope, person.account)
         running = self._app(scope, receive, send)
         if scope["type"] == "websocket":
             await while_allowed(running, lambda: self._is_still(connection, person), send)

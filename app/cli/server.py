@@ -6,18 +6,21 @@ import asyncio
 import socket
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import uvicorn
 
-from app.cli.frames import FramesProtocol
-from app.cli.patience import PatientProtocol
 from app.main import create_app
+from app.server.connections import Connections
+from app.server.files import raise_file_limit
+from app.server.http import HttpProtocol
+from app.server.websocket import WebSocketProtocol
 from app.settings import Settings
 
 GRACEFUL_S = 1
 """What requests in flight get when the server ends."""
-DATE_EVERY_S = 1.0
+TICK_S = 1.0
 MOST_MESSAGE_BYTES = 4 * 1024 * 1024
 
 
@@ -27,7 +30,8 @@ class Server(uvicorn.Server):
     def __init__(
         self, settings: Settings, demo: bool, worker_token: str, serving: Callable[[], None]
     ) -> None:
-        super().__init__(_config(create_app(settings, demo=demo, worker_token=worker_token)))
+        connections = Connections(settings.server.trusted_proxies, raise_file_limit())
+        super().__init__(_config(create_app(settings, demo=demo, worker_token=worker_token), connections))
         self._serving = serving
         self._ended = asyncio.Event()
 
@@ -47,25 +51,28 @@ class Server(uvicorn.Server):
             self._serving()
 
     async def main_loop(self) -> None:
-        """Once a second for the header ``Date``: uvicorn's own looks ten times whether it shall end."""
+        """Once a second, for the header ``Date`` and for clients that take too long."""
         while not await self.on_tick(0):
+            now = asyncio.get_running_loop().time()
+            for connection in tuple(self.server_state.connections):
+                connection.check(now)  # type: ignore[union-attr]
             with suppress(TimeoutError):
-                await asyncio.wait_for(self._ended.wait(), DATE_EVERY_S)
+                await asyncio.wait_for(self._ended.wait(), TICK_S)
 
 
-def _config(app: Any) -> uvicorn.Config:
+def _config(app: Any, connections: Connections) -> uvicorn.Config:
     """No deflate on WebSockets: at ten messages a second it costs a quarter of a core, and every page would
     need frames of its own."""
     return uvicorn.Config(
         app,
         loop="none",
-        http=PatientProtocol,
-        ws=FramesProtocol,
+        http=cast(type[asyncio.Protocol], partial(HttpProtocol, open_connections=connections)),
+        ws=WebSocketProtocol,
         ws_per_message_deflate=False,
         ws_max_size=MOST_MESSAGE_BYTES,
         access_log=False,
         proxy_headers=False,  # app.server.forwarded does it, for the proxies that are named
-        log_level="warning",
+        log_level="error",  # a warning for each malformed request would let anybody fill the disk
         server_header=False,
         lifespan="on",
         timeout_graceful_shutdown=GRACEFUL_S,

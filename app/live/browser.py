@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from app.live.screen import Groups
-from app.web.frames import NoOutlet, Outlet, text_frame
+from app.server.frames import NoOutlet, Outlet, text_frame
 
 MOST_FRAMES = 300
 """Frames of the trace kept for a browser that cannot keep up; older ones are dropped and counted."""

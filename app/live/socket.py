@@ -16,8 +16,8 @@ from starlette.websockets import WebSocketDisconnect
 
 from app.live.browser import Browser
 from app.live.hub import Hub
+from app.server.frames import outlet_of
 from app.web.access import Role, Viewer
-from app.web.frames import outlet_of
 from app.web.templating import templates_of
 
 router = APIRouter()
