@@ -1,4 +1,4 @@
-"""How often something may be done. Pure: times are seconds on any steady clock."""
+"""How often something may be done. Pure: times are seconds; a clock that steps back costs nothing."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Allowance:
 
     def take(self, now: float) -> bool:
         """Use one, where there is one."""
-        self._left = min(self.most, self._left + (now - self.at) * self.rate)
+        self._left = min(self.most, self._left + max(0.0, now - self.at) * self.rate)
         self.at = now
         if self._left < 1:
             return False

@@ -154,3 +154,4 @@ def test_an_allowance_is_used_up_and_comes_back() -> None:
     assert [allowance.take(0.0) for _ in range(4)] == [True, True, True, False]
     assert [allowance.take(0.5) for _ in range(2)] == [True, False]
     assert [allowance.take(100.0) for _ in range(4)] == [True, True, True, False]
+    assert [allowance.take(at) for at in (0.0, 0.4, 0.5)] == [False, False, True]
