@@ -16,6 +16,10 @@ class DamagedStoreError(StoreError):
     """SQLite found pages of an open store damaged."""
 
 
+class TooCostlyError(StoreError):
+    """A read took longer than one may; it was ended."""
+
+
 class Problem(LinesideError):
     """A refusal that goes to the client: problem+json for programs, a page or a fragment for people.
 

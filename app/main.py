@@ -14,6 +14,7 @@ from app.audit import pages as audit_pages
 from app.auth import pages as auth_pages
 from app.auth import users
 from app.auth.access import Identify
+from app.auth.refusals import RecordRefusals
 from app.commands import api as commands_api
 from app.commands import (
     baud_pages,
@@ -115,6 +116,7 @@ def create_app(settings: Settings, *, demo: bool = False, worker_token: str = ""
     app.add_middleware(Identify, sign_in=services.sign_in, demo=demo)
     app.add_middleware(BoundedRequest)
     app.add_middleware(OwnPagesOnly)
+    app.add_middleware(RecordRefusals, events=services.events)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(AllowedHosts, allowed=settings.server.allowed_hosts)
     app.add_middleware(SecurityHeaders)

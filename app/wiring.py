@@ -175,6 +175,7 @@ async def running(services: Services) -> AsyncIterator[None]:
     """From the first request to the last: what was left open is closed, and the rest goes on by itself."""
     await _begin(services)
     works = (
+        services.events.tell_counts_each_minute,
         services.pipeline.record,
         services.hub.beat,
         services.history.inspect_daily,
@@ -183,6 +184,7 @@ async def running(services: Services) -> AsyncIterator[None]:
     )
     tasks = [asyncio.create_task(_for_ever(work)) for work in works]
     language = services.settings.site.language
+    tasks.append(asyncio.create_task(services.events.index()))
     tasks.append(asyncio.create_task(warm(services.history, services.templates, services.assets, language)))
     try:
         yield
@@ -221,6 +223,7 @@ async def _end(services: Services) -> None:
     await services.first_writes.close()
     await services.sets.drifts.close()
     await services.restores.close()
+    await services.events.tell_counts(all_of_them=True)
     await services.events.record(kind="server", what="server ended")
     await asyncio.to_thread(services.history.close)
     services.passwords.close()

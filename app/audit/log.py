@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import sqlite3
 import time
@@ -10,22 +11,30 @@ from typing import Any
 
 import structlog
 
-from app.audit import store
+from app.audit import search, store
 from app.audit.chain import Verdict
 from app.audit.kinds import Kind
 from app.audit.store import Filter
+from app.audit.tally import WINDOW_S, Counted, Tally
 from app.database import Database
+from app.errors import StoreError
 from bus.contract import Frame, Outcome
 
 log = structlog.get_logger()
 
 Event = dict[str, Any]
 """One event with its fate, as `app.audit.store.select` gives it."""
+_Said = tuple[Kind, str, str, str, str]
+"""Kind, what, who, origin and message of what is counted."""
 Subscriber = Callable[[Event], None]
 Also = Callable[[sqlite3.Connection], None]
 """What else is written in the transaction of an event."""
 
 CHUNK = 1000
+MANY = "many addresses"
+"""The origin of what is counted for more places than are told apart."""
+INDEX_PAUSE_S = 0.05
+"""Between two transactions of the index, in which commands are written down."""
 ENDED_BEFORE = "the server stopped before the fate was known"
 
 
@@ -40,6 +49,7 @@ class EventLog:
         self._database = database
         self._clock = clock
         self._subscribers: list[Subscriber] = []
+        self._tally: Tally[_Said] = Tally()
 
     def subscribe(self, subscriber: Subscriber) -> Callable[[], None]:
         """Hear of each event, and of a command again with its fate. Returns what ends it."""
@@ -118,6 +128,35 @@ class EventLog:
             said["time"] = at
         return await self._append(kind=kind, who=who, origin=origin, **words, **said)
 
+    async def count(
+        self, kind: Kind, what: str, *, who: str = "", origin: str = "", message: str = ""
+    ) -> None:
+        """Something that a stranger can cause as often as they like: an event at once for the first of its
+        kind, person, place and message, then one a minute that says how often it happened since."""
+        told = self._tally.note(kind, (kind, what, who, origin, message), self._clock())
+        if told is not None:
+            await self._record_counted(told)
+
+    async def tell_counts_each_minute(self) -> None:
+        """`tell_counts`, without end."""
+        while True:
+            await asyncio.sleep(WINDOW_S / 4)
+            await self.tell_counts()
+
+    async def tell_counts(self, *, all_of_them: bool = False) -> None:
+        """Record what was counted in minutes that are over, or everything before the server ends."""
+        now = self._clock()
+        for told in self._tally.rest(now) if all_of_them else self._tally.due(now):
+            await self._record_counted(told)
+
+    async def _record_counted(self, told: Counted[_Said]) -> None:
+        kind, what, who, origin, message = told.said
+        if told.is_many:
+            who, origin, message = "", MANY, ""
+        if told.count > 1:
+            message = f"{told.count} times; {message}" if message else f"{told.count} times"
+        await self.record(kind=kind, what=what, who=who, origin=origin, message=message, at=told.last)
+
     async def close_open_intents(self) -> int:
         """At start: what was open when the server ended is unverified. Returns how many there were."""
         left = await self._database.read(store.open_intents)
@@ -127,7 +166,9 @@ class EventLog:
 
     async def page(self, wanted: Filter, limit: int) -> tuple[list[Event], int | None]:
         """Events newest first, and the number to ask on from (None at the end)."""
-        found = await self._database.read(lambda connection: store.select(connection, wanted, limit + 1))
+        found = await self._database.read_costly(
+            lambda connection: store.select(connection, wanted, limit + 1)
+        )
         return found[:limit], found[limit - 1]["id"] if len(found) > limit else None
 
     async def every(self, wanted: Filter) -> AsyncIterator[list[Event]]:
@@ -141,7 +182,18 @@ class EventLog:
 
     async def kinds(self) -> list[str]:
         """Every kind there is an event of."""
-        return await self._database.read(store.kinds)
+        return await self._database.read_costly(store.kinds)
+
+    async def index(self) -> None:
+        """Make every event searchable by the index: those to come, then those that there are."""
+        try:
+            await self._database.write(search.prepare)
+            is_more = True
+            while is_more:
+                is_more = await self._database.write(search.index_more)
+                await asyncio.sleep(INDEX_PAUSE_S)
+        except StoreError as error:
+            log.warning("events are searched without an index", why=str(error))
 
     async def prove(self) -> Verdict:
         """Whether the log is whole."""

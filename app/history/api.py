@@ -35,6 +35,7 @@ from app.web.access import Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import looked_up
 from app.web.templating import templates_of
+from app.web.turns import DOWNLOAD, SEARCH
 
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
 SPARK_POINTS = 120
@@ -75,7 +76,7 @@ async def json_response(content: Callable[[], object]) -> Response:
     return Response(body, media_type="application/json")
 
 
-@router.get("", response_class=Response)
+@router.get("", response_class=Response, dependencies=[SEARCH])
 async def get_history(
     _: Viewer,
     history: HistoryOf,
@@ -98,7 +99,7 @@ async def get_history(
     return await json_response(lambda: shown(asked, found, times))
 
 
-@router.get("/series", response_class=Response)
+@router.get("/series", response_class=Response, dependencies=[SEARCH])
 async def get_series(
     _: Viewer,
     history: HistoryOf,
@@ -113,7 +114,7 @@ async def get_series(
     return await json_response(lambda: [shown(q, a, times) for q, a in zip(asked, found, strict=True)])
 
 
-@router.get("/sparks", response_class=Response)
+@router.get("/sparks", response_class=Response, dependencies=[SEARCH])
 async def get_sparks(
     _: Viewer, history: HistoryOf, span: SpanOf, series: Annotated[list[str], Query()]
 ) -> Response:
@@ -130,7 +131,7 @@ def _small(found: Answer) -> dict[str, Any]:
     return {"t": [seconds(t) for t in found.series.at], "avg": found.series.average}
 
 
-@router.get("/marks", response_class=Response)
+@router.get("/marks", response_class=Response, dependencies=[SEARCH])
 async def get_marks(
     request: Request,
     _: Viewer,
@@ -157,7 +158,7 @@ async def get_status(_: Viewer, history: HistoryOf) -> dict[str, Any]:
     return asdict(history.status)
 
 
-@router.get("/export", response_class=StreamingResponse)
+@router.get("/export", response_class=StreamingResponse, dependencies=[DOWNLOAD])
 async def get_export(
     _: Viewer,
     history: HistoryOf,

@@ -16,7 +16,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 from starlette.websockets import WebSocket
 
-from app.errors import Problem, StoreError
+from app.errors import Problem, StoreError, TooCostlyError
 from app.server.security_headers import HEADERS
 from app.web.access import person_of
 from app.web.templating import render, templates_of
@@ -193,6 +193,10 @@ async def _on_store(request: Request, error: Exception) -> Response:
     return respond(request, Problem(503, "store", str(error)))
 
 
+async def _on_too_costly(request: Request, error: Exception) -> Response:
+    return respond(request, Problem(503, "too_costly", str(error)))
+
+
 async def _on_undecodable(request: Request, _error: Exception) -> Response:
     return respond(request, Problem(422, "invalid", "the body is not UTF-8 text; nothing was sent"))
 
@@ -211,6 +215,7 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, _on_invalid)
     app.add_exception_handler(CallerError, _on_caller)
     app.add_exception_handler(StoreError, _on_store)
+    app.add_exception_handler(TooCostlyError, _on_too_costly)
     app.add_exception_handler(UnicodeDecodeError, _on_undecodable)
     app.add_exception_handler(json.JSONDecodeError, _on_undecodable)
     app.add_exception_handler(Exception, _on_anything)

@@ -29,7 +29,14 @@ SQL = re.compile(r"\s*(SELECT|INSERT|UPDATE|DELETE|CREATE|PRAGMA|WITH|ALTER|DROP
 FOR_PROGRAMS = (
     *("app/cli", "app/metrics", "app/audit/chain.py", "app/settings.py", "app/web/schema.py"),
     *("app/feed/ingest.py", "app/feed/socket.py", "bus/configuration.py", "bus/settings.py"),
-    *("app/server", "bus/simulator", "bus/wire", "bus/worker/uplink.py", "bus/__main__.py", "app/web/routes.py"),
+    *(
+        "app/server",
+        "bus/simulator",
+        "bus/wire",
+        "bus/worker/uplink.py",
+        "bus/__main__.py",
+        "app/web/routes.py",
+    ),
 )
 """What is said on a console, in a log or between our own programs; no page shows it."""
 UNSEEN_CALLS = {

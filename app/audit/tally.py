@@ -1,0 +1,71 @@
+"""How often the same thing happened, so that what strangers can cause makes one event a minute. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+WINDOW_S = 60.0
+MOST_KEYS = 20
+"""How many of a group have events of their own in a minute."""
+
+Said = TypeVar("Said", bound=Hashable)
+
+
+@dataclass(slots=True)
+class _Window(Generic[Said]):
+    said: Said
+    began: float
+    count: int = 0
+    last: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Counted(Generic[Said]):
+    """What happened ``count`` times more since it was last told; ``last``: when, Unix time in seconds.
+    ``is_many``: ``said`` is the last of several that are counted together."""
+
+    said: Said
+    count: int
+    last: float
+    is_many: bool
+
+
+class Tally(Generic[Said]):
+    """Counts what is said, by group. Beyond `MOST_KEYS` different ones all others of a group are one."""
+
+    def __init__(self) -> None:
+        self._groups: dict[str, dict[Said | None, _Window[Said]]] = {}
+
+    def note(self, group: str, said: Said, now: float) -> Counted[Said] | None:
+        """It happened: gives what is to be told at once, None where it is counted."""
+        windows = self._groups.setdefault(group, {})
+        key = said if said in windows or len(windows) < MOST_KEYS else None
+        if key not in windows:
+            windows[key] = _Window(said, now)
+            return Counted(said, 1, now, key is None)
+        window = windows[key]
+        window.said, window.last = said, now
+        window.count += 1
+        return None
+
+    def due(self, now: float) -> list[Counted[Said]]:
+        """What was counted in windows that are over. A window in which nothing was is forgotten; one that
+        began later than ``now`` is over too, for the clock was set back."""
+        return list(self._take(lambda window: not 0 <= now - window.began < WINDOW_S, now))
+
+    def rest(self, now: float) -> list[Counted[Said]]:
+        """Everything that was counted and not told yet."""
+        return list(self._take(lambda _: True, now))
+
+    def _take(self, is_over: Callable[[_Window[Said]], bool], now: float) -> Iterator[Counted[Said]]:
+        for windows in self._groups.values():
+            for key, window in list(windows.items()):
+                if not is_over(window):
+                    continue
+                if window.count:
+                    yield Counted(window.said, window.count, window.last, key is None)
+                    windows[key] = _Window(window.said, now)
+                else:
+                    del windows[key]

@@ -1,0 +1,112 @@
+"""Searches and downloads of one account, and what is left for the others."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.web.access import Role
+from app.web.turns import AT_ONCE, MOST_WAITING, downloads, searches
+from tests.app.whole_app import House, whole_app
+
+PATIENCE_S = 30.0
+SEARCHES = (
+    "/api/v1/events?search=nothing-like-it",
+    "/events?search=nothing-like-it",
+    "/api/v1/events.csv?search=nothing-like-it",
+    "/api/v1/history?bus=dry-end&unit=1&value=actual",
+    "/api/v1/history/series?series=dry-end/1/actual",
+    "/api/v1/history/sparks?series=dry-end/1/actual",
+    "/api/v1/history/marks",
+    "/api/v1/history/export?series=dry-end/1/actual",
+)
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+async def until(holds: Callable[[], object]) -> None:
+    async with asyncio.timeout(PATIENCE_S):
+        while not holds():  # noqa: ASYNC110
+            await asyncio.sleep(0.001)
+
+
+@pytest.mark.parametrize("path", SEARCHES)
+async def test_an_account_has_few_at_a_time_and_others_do_not_wait(
+    house: House, monkeypatch: pytest.MonkeyPatch, path: str
+) -> None:
+    running, gate, most = 0, asyncio.Event(), 0
+
+    def slow(original: Callable[..., Any]) -> Callable[..., Any]:
+        async def held(*args: Any, **how: Any) -> Any:
+            nonlocal running, most
+            running += 1
+            most = max(most, running)
+            await gate.wait()
+            running -= 1
+            return await original(*args, **how)
+
+        return held
+
+    monkeypatch.setattr(house.services.events, "page", slow(house.services.events.page))
+    monkeypatch.setattr(house.services.history, "read", slow(house.services.history.read))
+    one, other = await house.signed_in(Role.VIEWER, "ann"), await house.signed_in(Role.OPERATOR, "ben")
+    asked = [asyncio.create_task(one.get(path)) for _ in range(12)]
+    await until(lambda: running == AT_ONCE)
+    assert (await one.get("/healthz")).status_code == 200
+    assert (await other.get("/api/v1/line")).status_code == 200
+    theirs = asyncio.create_task(other.get(path))
+    await until(lambda: running == AT_ONCE + 1)
+    gate.set()
+    assert {answer.status_code for answer in await asyncio.gather(*asked, theirs)} == {200}
+    assert most == AT_ONCE + 1
+
+
+async def test_a_download_keeps_its_turn_until_it_is_read(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate, begun = asyncio.Event(), 0
+
+    async def every(*_: Any) -> AsyncIterator[list[Any]]:
+        nonlocal begun
+        begun += 1
+        yield []
+        await gate.wait()
+
+    monkeypatch.setattr(house.services.events, "every", every)
+    client = await house.program(Role.VIEWER)
+    asked = [asyncio.create_task(client.get("/api/v1/events.csv")) for _ in range(AT_ONCE + 2)]
+    await until(lambda: downloads._queues and downloads._queues["key-viewer (token)"].inside == AT_ONCE + 2)
+    assert begun == AT_ONCE
+    gate.set()
+    assert [answer.status_code for answer in await asyncio.gather(*asked)] == [200] * len(asked)
+    assert begun == AT_ONCE + 2
+    assert not downloads._queues
+
+
+async def test_beyond_those_that_wait_an_account_is_refused(house: House) -> None:
+    gate = asyncio.Event()
+
+    async def hold() -> None:
+        async with searches.turn("key-viewer (token)"):
+            await gate.wait()
+
+    held = [asyncio.create_task(hold()) for _ in range(AT_ONCE + MOST_WAITING)]
+    await until(lambda: searches._queues and searches._queues["key-viewer (token)"].inside == len(held))
+    client = await house.program(Role.VIEWER)
+    refused = await client.get("/api/v1/events")
+    assert (refused.status_code, refused.json()["code"], refused.headers["retry-after"]) == (
+        429,
+        "too_many",
+        "2",
+    )
+    gate.set()
+    await asyncio.gather(*held)
+    assert (await client.get("/api/v1/events")).status_code == 200
