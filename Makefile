@@ -1,4 +1,4 @@
-# make demo | test | setup | bench | check | screenshots | lock | clean
+# make demo | test | soak | setup | bench | check | screenshots | lock | clean
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -8,7 +8,7 @@ NODE_TOOLS := node_modules/.package-lock.json
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
 	--custom-compile-command "make lock" --extra rfc2217
 
-.PHONY: demo test setup bench check screenshots lock clean development
+.PHONY: demo test soak setup bench check screenshots lock clean development
 .DEFAULT_GOAL := demo
 
 demo: setup
@@ -20,6 +20,10 @@ setup: $(VENV)/.lineside
 # of time misses polls as it should. What fails so is run again alone; only what fails again has failed.
 test: development
 	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder || $(BIN)/pytest --last-failed --last-failed-no-failures none
+
+# What takes long, alone on the machine: it measures.
+soak: development
+	$(BIN)/pytest -m soak -s
 
 bench: development
 	$(BIN)/python -m benchmarks

@@ -52,7 +52,7 @@ from app.web.bounds import BoundedRequest
 from app.web.head import HeadAsGet
 from app.web.hosts import AllowedHosts
 from app.web.late import NotTooLate
-from app.web.routes import guard_bodies, refuse_undeclared
+from app.web.routes import guard, refuse_undeclared
 from app.web.security import OwnPagesOnly
 from app.wiring import Services, build, running
 
@@ -122,7 +122,7 @@ def create_app(settings: Settings, *, demo: bool = False, worker_token: str = ""
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Forwarded, trusted=settings.server.trusted_proxies)
     refuse_undeclared(app)
-    guard_bodies(app)
+    guard(app)
     return app
 
 

@@ -6,15 +6,19 @@ Nobody else is believed: the address reaches the audit log and the limits of sig
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from app.server.addresses import Network, canonical, is_within, parse_address
+from app.server.addresses import Network, canonical, is_within, parse_address, source_of
+from app.server.refusal import TOO_MANY_REQUESTS
 
 MOST_HOPS = 20
+MOST_UNDER_WAY = 200
+"""Requests of one address behind a proxy; all browsers of a plant may have one."""
 _PORT = re.compile(r"(?:\[(?P<v6>[^\]]*)\]|(?P<v4>[^:]*))(?::\d{1,5})?")
 _HOST = re.compile(r"[A-Za-z0-9.-]{1,253}(?::\d{1,5})?|\[[0-9A-Fa-f:.]{2,45}\](?::\d{1,5})?")
 _SOCKET_SCHEMES = {"http": "ws", "https": "wss"}
@@ -68,20 +72,42 @@ def _last(headers: Headers, name: str) -> str:
 
 
 class Forwarded:
-    """Puts into the scope of a request whom it is from, and what its client called this server."""
+    """Puts into the scope of a request whom it is from, and what its client called this server.
+
+    A proxy's connections carry requests of many, so those of each client are counted here as the connections
+    of others are (`app.server.connections`).
+    """
 
     def __init__(self, app: ASGIApp, trusted: Collection[Network]) -> None:
         self._app = app
         self._trusted = trusted
+        self._under_way: Counter[str] = Counter()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] in ("http", "websocket") and scope.get("client"):
-            peer, port = scope["client"]
-            origin = origin_of(peer, Headers(scope=scope), self._trusted)
-            scope["client"] = (origin.address, port)
-            if origin.scheme:
-                is_socket = scope["type"] == "websocket"
-                scope["scheme"] = _SOCKET_SCHEMES[origin.scheme] if is_socket else origin.scheme
-            if origin.host:
-                MutableHeaders(scope=scope)["host"] = origin.host
-        await self._app(scope, receive, send)
+        if scope["type"] not in ("http", "websocket") or not scope.get("client"):
+            await self._app(scope, receive, send)
+            return
+        peer, port = scope["client"]
+        origin = origin_of(peer, Headers(scope=scope), self._trusted)
+        scope["client"] = (origin.address, port)
+        if origin.scheme:
+            is_socket = scope["type"] == "websocket"
+            scope["scheme"] = _SOCKET_SCHEMES[origin.scheme] if is_socket else origin.scheme
+        if origin.host:
+            MutableHeaders(scope=scope)["host"] = origin.host
+        if scope["type"] == "http" and is_within(peer, self._trusted):
+            await self._count(source_of(origin.address), scope, receive, send)
+        else:
+            await self._app(scope, receive, send)
+
+    async def _count(self, source: str, scope: Scope, receive: Receive, send: Send) -> None:
+        if self._under_way[source] >= MOST_UNDER_WAY:
+            await TOO_MANY_REQUESTS(scope, receive, send)
+            return
+        self._under_way[source] += 1
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self._under_way[source] -= 1
+            if not self._under_way[source]:
+                del self._under_way[source]

@@ -13,6 +13,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.web.access import Requires, Role, public
 from app.web.bounds import MOST_PLAIN_BODY_BYTES, BoundedBody
+from app.web.turns import DOWNLOAD, MOST_READS_WAITING, READS_AT_ONCE, SEARCH, ReadInTurn, Turns
 
 
 def _calls(dependant: Any) -> Iterator[Any]:
@@ -46,16 +47,20 @@ def refuse_undeclared(app: FastAPI) -> None:
             raise RuntimeError(f"{route.path} declares no role: add Requires(Role.…) or public to it")
 
 
-def guard_bodies(app: FastAPI) -> None:
-    """Check the role of every route, then the size of the body, before the route reads it.
+def guard(app: FastAPI) -> None:
+    """Check the role of every route, then the size of the body, before the route reads it; and let an account
+    read few things at a time.
 
     FastAPI reads and parses a body first and asks for the role then. A route that takes files says how large
-    they may be by FastAPI's ``max_body_size``.
+    they may be by FastAPI's ``max_body_size``; one that is a `SEARCH` or a `DOWNLOAD` has its own turns.
     """
+    reads = Turns(READS_AT_ONCE, MOST_READS_WAITING)
     for route in app.routes:
         if isinstance(route, APIRoute):
-            most = route.max_body_size or MOST_PLAIN_BODY_BYTES
-            route.app = _RolesFirst(BoundedBody(route.app, most), list(_requirements(route.dependant)))
+            guarded: ASGIApp = BoundedBody(route.app, route.max_body_size or MOST_PLAIN_BODY_BYTES)
+            if "GET" in (route.methods or ()) and not {SEARCH, DOWNLOAD} & set(route.dependencies):
+                guarded = ReadInTurn(guarded, reads)
+            route.app = _RolesFirst(guarded, list(_requirements(route.dependant)))
 
 
 class _RolesFirst:

@@ -4,38 +4,46 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
 from typing import Any
 
 from fastapi import Depends
+from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.errors import Problem
-from app.web.access import Viewer
+from app.web.access import Viewer, person_of
 
 AT_ONCE = 2
 MOST_WAITING = 30
+"""Of searches, and of downloads."""
+READS_AT_ONCE = 6
+MOST_READS_WAITING = 200
+"""Of everything else that is read."""
 
 
 @dataclass(slots=True)
 class _Queue:
-    gate: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(AT_ONCE))
+    gate: asyncio.Semaphore
     inside: int = 0
     """Those that have a turn and those that wait for one."""
 
 
 class Turns:
-    """By account."""
+    """By account: so many at once, and so many that wait."""
 
-    def __init__(self) -> None:
+    def __init__(self, at_once: int, most_waiting: int) -> None:
+        self._at_once = at_once
+        self._most = at_once + most_waiting
         self._queues: dict[str, _Queue] = {}
 
     @asynccontextmanager
     async def turn(self, account: str) -> AsyncIterator[None]:
         """Wait for a turn, and have it. Raises Problem 429 where too many wait."""
-        queue = self._queues.setdefault(account, _Queue())
-        if queue.inside >= AT_ONCE + MOST_WAITING:
-            detail = "too many of your searches and downloads wait already; let some end"
+        queue = self._queues.setdefault(account, _Queue(asyncio.Semaphore(self._at_once)))
+        if queue.inside >= self._most:
+            detail = "too many of your requests wait already; let some end"
             raise Problem(429, "too_many", detail).with_headers(Retry_After="2")
         queue.inside += 1
         try:
@@ -57,5 +65,29 @@ def in_turn(turns: Turns) -> Any:
     return Depends(take_turn)
 
 
-searches, downloads = Turns(), Turns()
+searches, downloads = Turns(AT_ONCE, MOST_WAITING), Turns(AT_ONCE, MOST_WAITING)
 SEARCH, DOWNLOAD = in_turn(searches), in_turn(downloads)
+
+
+class ReadInTurn:
+    """Makes few responses of one account at a time. To render a page of a long line takes the event loop tens
+    of milliseconds; the requests of others come in between."""
+
+    def __init__(self, app: ASGIApp, turns: Turns) -> None:
+        self._app = app
+        self._turns = turns
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        person = person_of(HTTPConnection(scope))
+        if person is None:
+            await self._app(scope, receive, send)
+            return
+        async with AsyncExitStack() as turn:
+
+            async def sending(message: Message) -> None:
+                # What is sent is made: a stream that lasts keeps nobody waiting.
+                await turn.aclose()
+                await send(message)
+
+            await turn.enter_async_context(self._turns.turn(person.account))
+            await self._app(scope, receive, sending)

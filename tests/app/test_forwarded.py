@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 from ipaddress import ip_network
 from pathlib import Path
 
 import pytest
 from starlette.datastructures import Headers
+from starlette.types import Message, Receive, Scope, Send
 
 from app.server.addresses import canonical, source_of
-from app.server.forwarded import MOST_HOPS, Origin, origin_of
+from app.server.forwarded import MOST_HOPS, MOST_UNDER_WAY, Forwarded, Origin, origin_of
 from app.settings import ConfigurationError, load
 from app.web.access import Role
 from app.web.hosts import host_name
@@ -182,3 +184,36 @@ def test_addresses_and_names_as_they_are_written(tmp_path: Path) -> None:
     server = load(path).server
     assert [str(network) for network in server.trusted_proxies] == ["10.0.0.5/32", "2001:db8::/64"]
     assert server.allowed_hosts == ("mill", "::1")
+
+
+async def test_behind_a_proxy_each_address_has_so_many_requests_under_way() -> None:
+    gate, statuses = asyncio.Event(), list[int]()
+
+    async def app(_scope: Scope, _receive: Receive, send: Send) -> None:
+        await gate.wait()
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        await send({"type": "http.response.body"})
+
+    async def receive() -> Message:
+        return {"type": "http.request"}
+
+    async def send(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            statuses.append(message["status"])
+
+    forwarded = Forwarded(app, PROXIES)
+
+    async def ask(client: str) -> None:
+        headers = [(b"x-forwarded-for", client.encode())]
+        scope = {"type": "http", "headers": headers, "client": ("10.0.0.5", 1), "method": "GET", "path": "/"}
+        await forwarded(scope, receive, send)
+
+    asked = [asyncio.create_task(ask("198.51.100.9")) for _ in range(MOST_UNDER_WAY + 1)]
+    asked.append(asyncio.create_task(ask("198.51.100.10")))
+    while not statuses:  # noqa: ASYNC110
+        await asyncio.sleep(0)
+    assert statuses == [429]
+    gate.set()
+    await asyncio.gather(*asked)
+    assert statuses[1:] == [200] * (MOST_UNDER_WAY + 1)
+    assert not forwarded._under_way

@@ -8,9 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from starlette.types import Message, Receive, Scope, Send
 
-from app.web.access import Role
-from app.web.turns import AT_ONCE, MOST_WAITING, downloads, searches
+from app.web.access import Person, Role
+from app.web.turns import (
+    AT_ONCE,
+    MOST_WAITING,
+    READS_AT_ONCE,
+    ReadInTurn,
+    Turns,
+    downloads,
+    searches,
+)
 from tests.app.whole_app import House, whole_app
 
 PATIENCE_S = 30.0
@@ -110,3 +119,51 @@ async def test_beyond_those_that_wait_an_account_is_refused(house: House) -> Non
     gate.set()
     await asyncio.gather(*held)
     assert (await client.get("/api/v1/events")).status_code == 200
+
+
+async def test_what_an_account_reads_comes_in_turns_and_others_do_not_wait(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate, running = asyncio.Event(), 0
+
+    async def slow(*_: Any) -> list[Any]:
+        nonlocal running
+        running += 1
+        await gate.wait()
+        return []
+
+    monkeypatch.setattr(house.services.accounts, "users", slow)
+    ann, ben = await house.signed_in(Role.ADMIN, "ann"), await house.signed_in(Role.ADMIN, "ben")
+    asked = [asyncio.create_task(ann.get("/users")) for _ in range(READS_AT_ONCE + 5)]
+    await until(lambda: running == READS_AT_ONCE)
+    asked.append(asyncio.create_task(ben.get("/users")))
+    await until(lambda: running == READS_AT_ONCE + 1)
+    assert (await ann.post("/logout")).status_code == 303
+    gate.set()
+    assert {answer.status_code for answer in await asyncio.gather(*asked)} == {200}
+
+
+async def test_a_response_that_is_being_sent_has_no_turn_any_more() -> None:
+    turns, gate, begun = Turns(1, 0), asyncio.Event(), 0
+
+    async def stream(_scope: Scope, _receive: Receive, send: Send) -> None:
+        nonlocal begun
+        begun += 1
+        await send({"type": "http.response.start", "status": 200})
+        await gate.wait()
+
+    async def ignore(_: Message) -> None:
+        return None
+
+    async def receive() -> Message:
+        return {"type": "http.disconnect"}
+
+    scope = {"type": "http", "person": Person("ann", Role.VIEWER, "session")}
+    app = ReadInTurn(stream, turns)
+    sent = [asyncio.create_task(app({**scope}, receive, ignore)) for _ in range(1)]
+    await until(lambda: begun == 1)
+    sent.append(asyncio.create_task(app({**scope}, receive, ignore)))
+    await until(lambda: begun == 2)
+    assert not turns._queues
+    gate.set()
+    await asyncio.gather(*sent)
