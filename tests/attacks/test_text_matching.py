@@ -8,6 +8,7 @@ import tomllib
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import httpx
 import pytest
@@ -129,3 +130,16 @@ async def test_no_text_of_a_request_is_compared_with_the_patterns(
                 answer: httpx.Response = await client.request(method, path, **more)
                 assert answer.status_code < 500 or answer.status_code == 503, (method, path, answer.text)
     assert [text for text in looked_up if MARK in text] == []
+
+
+@pytest.mark.parametrize(
+    "text", ["\0", "\ufffd", "..", "../../etc/passwd", "%s%n", "'\"", "-1", "1e9", "9" * 300]
+)
+async def test_no_text_of_an_address_makes_a_route_fail(house: House, text: str) -> None:
+    client = await house.signed_in(Role.ADMIN)
+    for route in (route for route in house.app.routes if isinstance(route, APIRoute)):
+        names = [param.alias for param in route.dependant.query_params]
+        path = quote(filled(route.path, text))
+        if "GET" in (route.methods or ()) and not path.endswith("/stream"):
+            answer = await client.get(path, params=dict.fromkeys(names, text))
+            assert answer.status_code < 500, (path, answer.text)
