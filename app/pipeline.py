@@ -64,6 +64,10 @@ class Pipeline:
         what = f"bus worker {'is back' if again else 'started'}, port {hello.port}"
         self._note(hello.bus, Change("worker", None, at, what, "", "connected"))
 
+    def worker_refused(self, bus: str, at: float, holder: str, refused: str, reason: str) -> None:
+        """A worker's hello was refused. ``holder`` and ``refused``: the tokens and their addresses."""
+        self._note(bus, Change("worker", None, at, "bus worker refused", holder, refused, reason))
+
     def worker_went(self, bus: str, at: float, cause: str) -> None:
         """A worker's connection ended."""
         self._live.worker_went(bus, at, cause)
@@ -100,6 +104,7 @@ class Pipeline:
                 what=change.what,
                 old=change.old,
                 new=change.new,
+                message=change.message,
                 at=change.at,
             )
         except StoreError as error:

@@ -7,7 +7,7 @@ worker and number; a missing number asks for a new snapshot. No socket here: byt
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import msgspec
@@ -16,7 +16,6 @@ from app.feed.channel import Channel, Connection
 from app.feed.clock import WorkerClock, shifted
 from app.pipeline import Pipeline
 from bus.contract import (
-    CONTRACT_VERSION,
     Batch,
     Clock,
     Delivered,
@@ -25,18 +24,17 @@ from bus.contract import (
     Result,
     Snapshot,
     WantSnapshot,
-    Welcome,
     WorkerMessage,
     decode_from_worker,
 )
 
 
-class MalformedSpeechError(Exception):
-    """The worker said something that cannot be; the connection ends with this reason."""
+class MalformedMessageError(Exception):
+    """The worker sent what the contract forbids; its connection ends with this reason."""
 
 
 @dataclass(slots=True)
-class Heard:
+class Received:
     """How far the app has followed one worker. ``seq``: its last batch that is safe here."""
 
     worker: str
@@ -49,14 +47,14 @@ class Ingest:
     def __init__(
         self,
         hello: Hello,
-        heard: Heard,
+        received: Received,
         channel: Channel,
         pipeline: Pipeline,
         connection: Connection,
         now: Callable[[], float] = time.time,
     ) -> None:
         self.hello = hello
-        self._heard = heard
+        self._received = received
         self._channel = channel
         self._pipeline = pipeline
         self._connection = connection
@@ -64,22 +62,22 @@ class Ingest:
         self._clock = WorkerClock()
         self._snapshot_seq: int | None = None
         self._snapshot_wanted = False
-        self._settled = self._delivered = heard.seq
+        self._settled = self._delivered = received.seq
         self.silent_ticks = 0
         """How many ticks in a row nothing was heard."""
         self._clock.hear(hello.sent_at, now(), time.monotonic())
 
     async def receive(self, data: bytes) -> None:
-        """One message. Raises MalformedSpeechError; nothing of such a message was applied."""
+        """One message. Raises MalformedMessageError; nothing of such a message was applied."""
         self.silent_ticks = 0
-        self._channel.spoken()
+        self._channel.on_message()
         match decode(data):
             case Snapshot() as snapshot:
                 await self._take_snapshot(snapshot)
             case Batch() as batch:
                 await self._take_batch(batch)
             case Hello():
-                raise MalformedSpeechError("hello is said once, at the beginning")
+                raise MalformedMessageError("hello is said once, at the beginning")
 
     async def tick(self) -> None:
         """About once a second: the app's time, and what may be forgotten: it was here a tick ago, so it is
@@ -87,7 +85,7 @@ class Ingest:
         self.silent_ticks += 1
         await self._connection.send(Clock(app_time=self._now()))
         await self._confirm(self._settled)
-        self._settled = self._heard.seq
+        self._settled = self._received.seq
 
     async def _take_snapshot(self, snapshot: Snapshot) -> None:
         self._hear(snapshot.sent_at)
@@ -100,17 +98,17 @@ class Ingest:
 
     async def _take_batch(self, batch: Batch) -> None:
         if self._snapshot_seq is None:
-            raise MalformedSpeechError("a snapshot comes before the first batch")
+            raise MalformedMessageError("a snapshot comes before the first batch")
         if batch.live:
             self._hear(batch.sent_at)
-            await self._miss(batch, max(self._heard.seq, self._snapshot_seq) + 1)
-        if batch.seq <= self._heard.seq:
+            await self._miss(batch, max(self._received.seq, self._snapshot_seq) + 1)
+        if batch.seq <= self._received.seq:
             return
-        self._heard.seq = batch.seq
+        self._received.seq = batch.seq
         updates = [shifted(update, self._clock.offset_s) for update in batch.updates]
         for update in updates:
             if isinstance(update, Result | Progress):
-                self._channel.heard(update)
+                self._channel.on_update(update, self._connection)
         self._pipeline.batch(self.hello.bus, updates, live=batch.live)
 
     async def _miss(self, batch: Batch, expected: int) -> None:
@@ -131,27 +129,8 @@ class Ingest:
 
 
 def decode(data: bytes) -> WorkerMessage:
-    """One message of a worker. Raises MalformedSpeechError."""
+    """One message of a worker. Raises MalformedMessageError."""
     try:
         return decode_from_worker(data)
     except (msgspec.DecodeError, ValueError) as error:
-        raise MalformedSpeechError(f"not a message of a bus worker: {error}") from error
-
-
-def welcome(
-    hello: Hello, bus: str, buses: Collection[str], heard: Heard, now: float, held: str = ""
-) -> Welcome:
-    """The answer to a hello: from where to go on, or why not. ``bus``: the one that its token is for, which
-    is one of ``buses`` unless the configuration has changed; ``held``: why another worker keeps it."""
-    refused = held
-    if hello.version != CONTRACT_VERSION:
-        refused = (
-            f"this dashboard speaks version {CONTRACT_VERSION} of the link and the worker {hello.version}: "
-            "install the same release of lineside on both"
-        )
-    elif hello.bus != bus:
-        refused = f"the token is for bus {bus!r}, not for {hello.bus!r}; create one for that bus"
-    elif bus not in buses:
-        known = ", ".join(buses) or "none"
-        refused = f"no [[bus]] is called {bus!r} in this dashboard's lineside.toml (it has: {known})"
-    return Welcome(version=CONTRACT_VERSION, seq=heard.seq, app_time=now, refused=refused)
+        raise MalformedMessageError(f"not a message of a bus worker: {error}") from error

@@ -20,6 +20,7 @@ class Change:
     what: str
     old: str
     new: str
+    message: str = ""
 
 
 @dataclass(slots=True)

@@ -13,6 +13,7 @@ import msgspec
 import structlog
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidStatus, WebSocketException
+from websockets.http11 import Response
 
 from bus.contract import (
     CONTRACT_VERSION,
@@ -43,6 +44,10 @@ OPEN_TIMEOUT_S = 5.0
 WELCOME_WITHIN_S = 10.0
 PING_S = 5.0
 MOST_BYTES = 4_000_000
+MOST_DETAIL_BYTES = 4_000
+MOST_DETAIL = 300
+GOING_AWAY = 1001
+"""Close code of a worker that leaves: its bus is free at once. After any other end it may come back."""
 
 _log = structlog.get_logger("bus.uplink")
 
@@ -67,6 +72,10 @@ class Duty(Protocol):
 
     def watch(self, watch: Watch) -> None:
         """What people look at."""
+
+
+class _Problem(msgspec.Struct):
+    detail: str
 
 
 class Refused(Exception):
@@ -106,7 +115,7 @@ class Uplink:
                 self._tell(f"the dashboard refused this worker: {error}")
                 pause = REFUSED_PAUSE_S
             except InvalidStatus as error:
-                self._tell(_about_status(error.response.status_code))
+                self._tell(_about_status(error.response))
                 pause = LONGEST_PAUSE_S
             except (OSError, TimeoutError, WebSocketException, msgspec.DecodeError) as error:
                 self._tell(f"no dashboard at {self._url}: {_words(error)}")
@@ -138,6 +147,9 @@ class Uplink:
             sending = asyncio.create_task(self._send(socket))
             try:
                 await self._receive(socket)
+            except asyncio.CancelledError:
+                await socket.close(GOING_AWAY, "the worker leaves")
+                raise
             finally:
                 sending.cancel()
                 with suppress(asyncio.CancelledError, WebSocketException, OSError):
@@ -219,10 +231,21 @@ def _decoded(data: str | bytes) -> AppMessage:
     return decode_from_app(data.encode() if isinstance(data, str) else data)
 
 
-def _about_status(status: int) -> str:
+def _about_status(response: Response) -> str:
+    status = response.status_code
     if status in (401, 403):
-        return f"the dashboard does not accept the token ({status}): make one with 'lineside token create'"
+        why = _problem_detail(bytes(response.body or b"")) or "create one with 'lineside token create'"
+        return f"the dashboard does not accept the token ({status}): {why}"
     return f"the dashboard answers {status} instead of opening the feed: is the address right?"
+
+
+def _problem_detail(body: bytes) -> str:
+    """The detail of an ``application/problem+json``, for the log: one line of bounded length."""
+    try:
+        detail = msgspec.json.decode(body[:MOST_DETAIL_BYTES], type=_Problem).detail
+    except (msgspec.DecodeError, ValueError):
+        return ""
+    return "".join(sign for sign in detail[:MOST_DETAIL] if sign.isprintable())
 
 
 def _words(error: BaseException) -> str:
