@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from app.feed.plausibility import result_for
 from app.live.state import NO_WORKER
 from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, Reserve, Result, Watch
 
@@ -130,7 +131,7 @@ class Channel:
         if asked is None or asked.fate.done() or asked.sent_to is not connection:
             return
         if isinstance(update, Result):
-            asked.fate.set_result(update)
+            asked.fate.set_result(result_for(update, asked.command.action))
             return
         asked.give_up_at = max(asked.give_up_at, time.monotonic() + self._patience_s)
         if asked.listener is not None:

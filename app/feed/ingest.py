@@ -1,25 +1,29 @@
-"""What a worker says, in its fixed order of speech, taken in whole or not at all.
+"""The messages of one worker, in their fixed order: bytes in, messages out, no socket.
 
 ``Hello`` → Welcome → ``Snapshot`` → backlog → ``Batch`` after ``Batch``. A batch counts once for each
-worker and number; a missing number asks for a new snapshot. No socket here: bytes in, messages out.
+worker and number; a missing number asks for a new snapshot. A malformed message is not applied at all; of a
+well-formed one only what is plausible (:mod:`app.feed.plausibility`).
 """
 
 from __future__ import annotations
 
+import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-
-import msgspec
 
 from app.feed.channel import Channel, Connection
 from app.feed.clock import WorkerClock, shifted
+from app.feed.plausibility import Sorted, judge_snapshot, sort_updates
+from app.feed.rates import cost_of
 from app.pipeline import Pipeline
 from bus.contract import (
     Batch,
+    Bucket,
     Clock,
     Delivered,
     Hello,
+    MalformedMessageError,
     Progress,
     Result,
     Snapshot,
@@ -27,10 +31,6 @@ from bus.contract import (
     WorkerMessage,
     decode_from_worker,
 )
-
-
-class MalformedMessageError(Exception):
-    """The worker sent what the contract forbids; its connection ends with this reason."""
 
 
 @dataclass(slots=True)
@@ -42,7 +42,7 @@ class Received:
 
 
 class Ingest:
-    """One connection of one worker."""
+    """One connection of one worker. ``bucket`` measures what comes for the bus, over all its connections."""
 
     def __init__(
         self,
@@ -51,6 +51,7 @@ class Ingest:
         channel: Channel,
         pipeline: Pipeline,
         connection: Connection,
+        bucket: Bucket,
         now: Callable[[], float] = time.time,
     ) -> None:
         self.hello = hello
@@ -58,20 +59,29 @@ class Ingest:
         self._channel = channel
         self._pipeline = pipeline
         self._connection = connection
+        self._bucket = bucket
         self._now = now
+        self._units: Collection[int] = pipeline.units_of(hello.bus)
         self._clock = WorkerClock()
         self._snapshot_seq: int | None = None
         self._snapshot_wanted = False
         self._settled = self._delivered = received.seq
         self.silent_ticks = 0
-        """How many ticks in a row nothing was heard."""
+        """Ticks in a row in which nothing came, though more would have been read."""
+        self._is_held_back = False
         self._clock.hear(hello.sent_at, now(), time.monotonic())
 
     async def receive(self, data: bytes) -> None:
-        """One message. Raises MalformedMessageError; nothing of such a message was applied."""
+        """Take in one message, and return once the next may come. Raises MalformedMessageError; nothing of
+        such a message was applied."""
         self.silent_ticks = 0
         self._channel.on_message()
-        match decode(data):
+        message = decode_from_worker(data)
+        await self._take(message)
+        await self._hold_back(self._bucket.pour(cost_of(message), time.monotonic()))
+
+    async def _take(self, message: WorkerMessage) -> None:
+        match message:
             case Snapshot() as snapshot:
                 await self._take_snapshot(snapshot)
             case Batch() as batch:
@@ -82,17 +92,24 @@ class Ingest:
     async def tick(self) -> None:
         """About once a second: the app's time, and what may be forgotten: it was here a tick ago, so it is
         on disk by now, and a server that dies is told it again."""
-        self.silent_ticks += 1
+        self.silent_ticks += not self._is_held_back
         await self._connection.send(Clock(app_time=self._now()))
         await self._confirm(self._settled)
         self._settled = self._received.seq
 
+    async def _hold_back(self, seconds: float) -> None:
+        """Even for no time others have their turn between two messages."""
+        self._is_held_back = True
+        await asyncio.sleep(seconds)
+        self._is_held_back = False
+
     async def _take_snapshot(self, snapshot: Snapshot) -> None:
-        self._hear(snapshot.sent_at)
+        self._note_time(snapshot.sent_at)
         first = self._snapshot_seq is None
         self._snapshot_seq = snapshot.seq
         self._snapshot_wanted = False
-        self._pipeline.snapshot(self.hello.bus, shifted(snapshot, self._clock.offset_s), self.hello.software)
+        whole = judge_snapshot(shifted(snapshot, self._clock.offset_s), self._units, self._now())
+        self._pipeline.snapshot(self.hello.bus, whole, self.hello.software)
         if first:
             await self._channel.opened(self._connection, self.hello.worker)
 
@@ -100,16 +117,24 @@ class Ingest:
         if self._snapshot_seq is None:
             raise MalformedMessageError("a snapshot comes before the first batch")
         if batch.live:
-            self._hear(batch.sent_at)
+            self._note_time(batch.sent_at)
             await self._miss(batch, max(self._received.seq, self._snapshot_seq) + 1)
         if batch.seq <= self._received.seq:
             return
         self._received.seq = batch.seq
-        updates = [shifted(update, self._clock.offset_s) for update in batch.updates]
-        for update in updates:
+        shifted_updates = (shifted(update, self._clock.offset_s) for update in batch.updates)
+        self._deliver(sort_updates(shifted_updates, self._units, self._now(), live=batch.live))
+
+    def _deliver(self, updates: Sorted) -> None:
+        for update in (*updates.late, *updates.live):
             if isinstance(update, Result | Progress):
                 self._channel.on_update(update, self._connection)
-        self._pipeline.batch(self.hello.bus, updates, live=batch.live)
+        if updates.late:
+            self._pipeline.batch(self.hello.bus, updates.late, live=False)
+        if updates.live:
+            self._pipeline.batch(self.hello.bus, updates.live, live=True)
+        if updates.refused:
+            self._pipeline.updates_refused(self.hello.bus, self._now(), updates.refused)
 
     async def _miss(self, batch: Batch, expected: int) -> None:
         if batch.seq > expected and not self._snapshot_wanted:
@@ -121,16 +146,8 @@ class Ingest:
             self._delivered = seq
             await self._connection.send(Delivered(seq=seq))
 
-    def _hear(self, sent_at: float) -> None:
+    def _note_time(self, sent_at: float) -> None:
         now = self._now()
         step = self._clock.hear(sent_at, now, time.monotonic())
         if step:
             self._pipeline.clock_stepped(self.hello.bus, step, now)
-
-
-def decode(data: bytes) -> WorkerMessage:
-    """One message of a worker. Raises MalformedMessageError."""
-    try:
-        return decode_from_worker(data)
-    except (msgspec.DecodeError, ValueError) as error:
-        raise MalformedMessageError(f"not a message of a bus worker: {error}") from error

@@ -12,10 +12,9 @@ from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from app.errors import Problem
 from app.feed.holders import Credential
-from app.feed.ingest import MalformedMessageError
 from app.feed.workers import WorkerLeft, Workers
 from app.web.access import Worker
-from bus.contract import AppMessage, encode
+from bus.contract import AppMessage, MalformedMessageError, encode
 
 router = APIRouter()
 

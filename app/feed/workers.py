@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from typing import Protocol
 
 from app.feed.admission import refusal
 from app.feed.channel import Channel, Connection
 from app.feed.holders import Credential, Ending, Holder
-from app.feed.ingest import Ingest, MalformedMessageError, Received, decode
+from app.feed.ingest import Ingest, Received
+from app.feed.rates import hello_bucket, update_bucket
 from app.live.state import NO_WORKER
 from app.pipeline import Pipeline
-from bus.contract import CONTRACT_VERSION, Hello, Welcome
+from bus.contract import CONTRACT_VERSION, Bucket, Hello, MalformedMessageError, Welcome, decode_from_worker
 
 SILENT = "the bus worker is connected and says nothing"
 MALFORMED = "the bus worker was disconnected: it sent a malformed message"
 REPLACED = "another worker connected for this bus"
+TOO_OFTEN = "this bus was connected to too often; wait a minute"
 HELLO_WITHIN_S = 10.0
+MOST_HELLO_BYTES = 32_768
 TICK_S = 1.0
 SILENT_TICKS = 5
 """A worker tells its figures every second; one that says nothing for so long is gone or stuck. Ticks are
@@ -61,6 +65,9 @@ class Workers:
         self._pipeline = pipeline
         self._now = now
         self._monotonic = monotonic
+        self._hello_buckets: defaultdict[str, Bucket] = defaultdict(hello_bucket)
+        """By token, so that one cannot use up what another has."""
+        self._update_buckets = {bus: update_bucket() for bus in buses}
         self._received: dict[str, Received] = {}
         self._holders: dict[str, Holder] = {}
         self._sockets: dict[str, Socket] = {}
@@ -70,10 +77,7 @@ class Workers:
     async def serve(self, socket: Socket, credential: Credential) -> None:
         """Serve one connection from its hello to its end. Raises nothing that a worker could cause."""
         try:
-            async with asyncio.timeout(HELLO_WITHIN_S):
-                hello = decode(await socket.receive())
-            if not isinstance(hello, Hello):
-                raise MalformedMessageError("a worker says hello first")
+            hello = await self._hello(socket, credential)
             await self._admit(hello, socket, credential)
         except (MalformedMessageError, TimeoutError) as error:
             await socket.close(str(error) or "a worker says hello first")
@@ -85,6 +89,18 @@ class Workers:
         wish = asyncio.create_task(self.channels[bus].watch(units, trace=trace))
         self._wishes.add(wish)
         wish.add_done_callback(self._wishes.discard)
+
+    async def _hello(self, socket: Socket, credential: Credential) -> Hello:
+        if self._hello_buckets[credential.token].pour(1.0, self._monotonic()) > 0.0:
+            raise MalformedMessageError(TOO_OFTEN)
+        async with asyncio.timeout(HELLO_WITHIN_S):
+            data = await socket.receive()
+        if len(data) > MOST_HELLO_BYTES:
+            raise MalformedMessageError("a worker says hello first")
+        hello = decode_from_worker(data)
+        if not isinstance(hello, Hello):
+            raise MalformedMessageError("a worker says hello first")
+        return hello
 
     async def _admit(self, hello: Hello, socket: Socket, credential: Credential) -> None:
         holder = self._holders.get(credential.bus)
@@ -134,7 +150,8 @@ class Workers:
 
     async def _follow(self, hello: Hello, socket: Socket) -> None:
         channel, received = self.channels[hello.bus], self._received[hello.bus]
-        ingest = Ingest(hello, received, channel, self._pipeline, socket, self._now)
+        bucket = self._update_buckets[hello.bus]
+        ingest = Ingest(hello, received, channel, self._pipeline, socket, bucket, self._now)
         tasks = {asyncio.create_task(work) for work in (self._receive(ingest, socket), self._tick(ingest))}
         try:
             ended, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

@@ -26,6 +26,8 @@ from bus.contract.actions import (
     WriteOutput,
     WriteParameter,
 )
+from bus.contract.bounds import LONGEST_FRAME, MOST_CLAUSES, MOST_UPDATES
+from bus.contract.bucket import Bucket
 from bus.contract.fates import (
     FoundUnit,
     Progress,
@@ -33,6 +35,7 @@ from bus.contract.fates import (
     UnitOutcome,
 )
 from bus.contract.message import (
+    BUFFER_AGE_S,
     CONTRACT_VERSION,
     BusLinkState,
     Direction,
@@ -62,6 +65,7 @@ from bus.contract.speech import (
     Command,
     Delivered,
     Hello,
+    MalformedMessageError,
     Reserve,
     Snapshot,
     Update,
@@ -75,10 +79,15 @@ from bus.contract.speech import (
 )
 
 __all__ = [
+    "BUFFER_AGE_S",
     "CONTRACT_VERSION",
+    "LONGEST_FRAME",
+    "MOST_CLAUSES",
+    "MOST_UPDATES",
     "Action",
     "AppMessage",
     "Batch",
+    "Bucket",
     "BusFigures",
     "BusLink",
     "BusLinkState",
@@ -95,6 +104,7 @@ __all__ = [
     "Frame",
     "Frames",
     "Hello",
+    "MalformedMessageError",
     "Message",
     "Outcome",
     "ParameterValue",

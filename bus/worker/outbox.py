@@ -11,12 +11,11 @@ from collections import deque
 from collections.abc import Iterable
 from itertools import chain
 
-from bus.contract import Batch, BusFigures, Frames, Progress, Reading, Update
+from bus.contract import MOST_UPDATES, Batch, BusFigures, Frames, Progress, Reading, Update
 
 MOST_READINGS = 30_000
 """13 minutes of one bus at 9600 baud (38.4 readings a second)."""
 MOST_OTHERS = 10_000
-MOST_IN_A_BATCH = 500
 ENOUGH_WAITING = 1_000
 """With so much waiting, what is of the moment only is not queued as well."""
 
@@ -106,7 +105,7 @@ class Outbox:
                     self._count(update, -1)
 
     def _take(self) -> list[Update]:
-        wanted = min(MOST_IN_A_BATCH, self._backlog or MOST_IN_A_BATCH)
+        wanted = min(MOST_UPDATES, self._backlog or MOST_UPDATES)
         updates: list[Update] = []
         for queue in (self._old, self._waiting):
             while queue and len(updates) < wanted:

@@ -23,6 +23,7 @@ from bus.contract import (
     Command,
     Delivered,
     Hello,
+    MalformedMessageError,
     Reserve,
     Snapshot,
     WantSnapshot,
@@ -117,7 +118,7 @@ class Uplink:
             except InvalidStatus as error:
                 self._tell(_about_status(error.response))
                 pause = LONGEST_PAUSE_S
-            except (OSError, TimeoutError, WebSocketException, msgspec.DecodeError) as error:
+            except (OSError, TimeoutError, WebSocketException, MalformedMessageError) as error:
                 self._tell(f"no dashboard at {self._url}: {_words(error)}")
             self._outbox.disconnected()
             self._duty.watch(Watch(units=[]))
@@ -175,7 +176,7 @@ class Uplink:
         async for data in socket:
             try:
                 message = _decoded(data)
-            except msgspec.DecodeError as error:
+            except MalformedMessageError as error:
                 _log.warning("the dashboard said what this worker does not know", error=str(error))
                 continue
             self._take(message)

@@ -1,0 +1,110 @@
+"""How many events a line may cause in a log that is kept for good. Pure; ``now`` is monotonic, in seconds.
+
+A contact that chatters, a port that opens and closes, or a worker that reports nonsense would fill the log
+and hide everything else in it. Once a series has had its share, only its last event is kept, with a count: as
+soon as the series is quiet, and else after pauses that double. The last state is always recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+BURST = 20
+"""Events of one series that are recorded one by one."""
+FORGIVEN_EVERY_S = 60.0
+"""How long until a series may have one more of these."""
+QUIET_S = 60.0
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 60.0, 3600.0
+BURST_OF_ALL = 3_000
+"""Of all series of one bus: an emergency stop of 255 units, and their return, several times."""
+FORGIVEN_OF_ALL_EVERY_S = 1.0
+
+
+@dataclass(slots=True)
+class Leak:
+    """How many events are in one bucket."""
+
+    every_s: float
+    level: float = 0.0
+    at: float = 0.0
+
+    def has_room(self, capacity: int, now: float) -> bool:
+        """Whether one more fits. Leaks what has gone since it was asked last."""
+        self.level = max(0.0, self.level - (now - self.at) / self.every_s)
+        self.at = now
+        return self.level + 1 <= capacity
+
+
+@dataclass(frozen=True, slots=True)
+class Summary(Generic[T]):
+    """The last of ``count`` events of a series, which came within ``seconds``."""
+
+    last: T
+    count: int
+    seconds: float
+
+
+@dataclass(slots=True)
+class _Series(Generic[T]):
+    bucket: Leak = field(default_factory=lambda: Leak(FORGIVEN_EVERY_S))
+    last: T | None = None
+    count: int = 0
+    first_at: float = 0.0
+    last_at: float = 0.0
+    due_at: float = 0.0
+    pause_s: float = FIRST_PAUSE_S
+
+
+class EventBudget(Generic[T]):
+    """For the events of one bus."""
+
+    def __init__(self) -> None:
+        self._all = Leak(FORGIVEN_OF_ALL_EVERY_S)
+        self._series: dict[Hashable, _Series[T]] = {}
+
+    def admits(self, key: Hashable, event: T, now: float) -> bool:
+        """Whether to record this event of a series; where not, it is kept for a summary."""
+        series = self._series.setdefault(key, _Series())
+        series.last_at = now
+        if not series.count and self._has_room(series, now):
+            series.bucket.level += 1
+            self._all.level += 1
+            return True
+        if not series.count:
+            series.first_at, series.due_at = now, now + series.pause_s
+        series.last, series.count = event, series.count + 1
+        return False
+
+    def due(self, now: float, *, everything: bool = False) -> list[Summary[T]]:
+        """The summaries to record now; ``everything``: all that is kept, because the server ends."""
+        found = [
+            self._summary(series, now)
+            for series in self._series.values()
+            if series.count and (everything or self._is_due(series, now))
+        ]
+        self._series = {key: series for key, series in self._series.items() if not self._is_over(series, now)}
+        return found
+
+    def _has_room(self, series: _Series[T], now: float) -> bool:
+        return series.bucket.has_room(BURST, now) and self._all.has_room(BURST_OF_ALL, now)
+
+    def _is_due(self, series: _Series[T], now: float) -> bool:
+        return now >= series.due_at or now - series.last_at >= QUIET_S
+
+    def _summary(self, series: _Series[T], now: float) -> Summary[T]:
+        assert series.last is not None
+        said = Summary(series.last, series.count, now - series.first_at)
+        series.last, series.count = None, 0
+        if now - series.last_at >= QUIET_S:
+            series.pause_s = FIRST_PAUSE_S
+        else:
+            series.pause_s = min(2 * series.pause_s, LONGEST_PAUSE_S)
+            series.bucket.level, series.bucket.at = BURST, now
+        return said
+
+    def _is_over(self, series: _Series[T], now: float) -> bool:
+        return not series.count and series.bucket.has_room(1, now)
