@@ -14,7 +14,7 @@ from typing import Protocol
 
 import structlog
 
-from app.audit.budget import EventBudget, Summary
+from app.audit.budget import BURST, EventBudget, Summary
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.live.changes import Change, Changes
@@ -24,6 +24,8 @@ from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, Unit
 AGAIN_AFTER_S = 1.0
 KEPT = (Reading, ParameterValue, UnitLink, BusLink)
 """What belongs to history; what is of the moment only does not wait in its queue."""
+FEW = 6
+"""How often a port or a worker comes and goes before that is summed up."""
 DUE_EVERY_S = 1.0
 """How often it is looked for summaries."""
 IMPLAUSIBLE = "their time cannot be, or their unit is not configured; check the worker's clock and its units"
@@ -151,7 +153,8 @@ class Pipeline:
 
     def _note(self, bus: str | None, change: Change) -> None:
         key = (change.unit, change.kind, change.series)
-        if self._budgets[bus].admits(key, change, self._monotonic()):
+        burst = FEW if change.kind in ("bus", "worker") else BURST
+        if self._budgets[bus].admits(key, change, self._monotonic(), burst=burst):
             self._to_record.put_nowait((bus, change))
 
     def _note_due(self, *, everything: bool = False) -> None:

@@ -50,6 +50,7 @@ class Summary(Generic[T]):
 
 @dataclass(slots=True)
 class _Series(Generic[T]):
+    burst: int
     bucket: Leak = field(default_factory=lambda: Leak(FORGIVEN_EVERY_S))
     last: T | None = None
     count: int = 0
@@ -66,9 +67,10 @@ class EventBudget(Generic[T]):
         self._all = Leak(FORGIVEN_OF_ALL_EVERY_S)
         self._series: dict[Hashable, _Series[T]] = {}
 
-    def admits(self, key: Hashable, event: T, now: float) -> bool:
-        """Whether to record this event of a series; where not, it is kept for a summary."""
-        series = self._series.setdefault(key, _Series())
+    def admits(self, key: Hashable, event: T, now: float, *, burst: int = BURST) -> bool:
+        """Whether to record this event of a series, of which ``burst`` are recorded one by one; where not, it
+        is kept for a summary."""
+        series = self._series.setdefault(key, _Series(burst))
         series.last_at = now
         if not series.count and self._has_room(series, now):
             series.bucket.level += 1
@@ -90,7 +92,7 @@ class EventBudget(Generic[T]):
         return found
 
     def _has_room(self, series: _Series[T], now: float) -> bool:
-        return series.bucket.has_room(BURST, now) and self._all.has_room(BURST_OF_ALL, now)
+        return series.bucket.has_room(series.burst, now) and self._all.has_room(BURST_OF_ALL, now)
 
     def _is_due(self, series: _Series[T], now: float) -> bool:
         return now >= series.due_at or now - series.last_at >= QUIET_S
@@ -103,7 +105,7 @@ class EventBudget(Generic[T]):
             series.pause_s = FIRST_PAUSE_S
         else:
             series.pause_s = min(2 * series.pause_s, LONGEST_PAUSE_S)
-            series.bucket.level, series.bucket.at = BURST, now
+            series.bucket.level, series.bucket.at = series.burst, now
         return said
 
     def _is_over(self, series: _Series[T], now: float) -> bool:

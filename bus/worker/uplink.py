@@ -1,4 +1,4 @@
-"""The WebSocket to the app: opened from here, again for ever; its order of speech is in ``bus.contract``."""
+"""The WebSocket to the app: opened from here, and again whenever it ends. Its order: ``bus.contract``."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from websockets.exceptions import InvalidStatus, WebSocketException
 from websockets.http11 import Response
 
 from bus.contract import (
+    BUFFER_AGE_S,
     CONTRACT_VERSION,
     AppMessage,
+    Bucket,
     Cancel,
     Clock,
     Command,
@@ -33,6 +35,7 @@ from bus.contract import (
     decode_from_app,
     encode,
 )
+from bus.line.backoff import Backoff
 from bus.worker.deadline import AppClock
 from bus.worker.outbox import Outbox
 
@@ -41,6 +44,8 @@ LONGEST_PAUSE_S = 2.0
 HURRY_S = 5.0
 """So long after the start, or after a link was lost, the pause stays short: the app is probably starting."""
 REFUSED_PAUSE_S = 5.0
+MESSAGES_PER_S, MESSAGES_AT_ONCE = 500.0, 2_000.0
+"""What is taken from the app; more waits in the socket, and the wire goes on being polled."""
 OPEN_TIMEOUT_S = 5.0
 WELCOME_WITHIN_S = 10.0
 PING_S = 5.0
@@ -103,30 +108,40 @@ class Uplink:
         self._epoch = epoch
         self._snapshot_wanted = False
         self._told = ""
+        self._backoff = Backoff(random.random)
+        self._accepted_at: float | None = None
+        """When the app accepted the connection; None where it did not."""
 
     async def run(self) -> None:
-        """Be connected, for ever."""
+        """Be connected, until cancelled."""
         loop = asyncio.get_running_loop()
         pause, linked_at = SHORTEST_PAUSE_S, loop.time()
         while True:
-            began = loop.time()
-            try:
-                await self._be_connected()
-            except Refused as error:
-                self._tell(f"the dashboard refused this worker: {error}")
-                pause = REFUSED_PAUSE_S
-            except InvalidStatus as error:
-                self._tell(_about_status(error.response))
-                pause = LONGEST_PAUSE_S
-            except (OSError, TimeoutError, WebSocketException, MalformedMessageError) as error:
-                self._tell(f"no dashboard at {self._url}: {_words(error)}")
+            self._accepted_at = None
+            refused = await self._try()
             self._outbox.disconnected()
             self._duty.watch(Watch(units=[]))
-            if loop.time() - began > LONGEST_PAUSE_S:
-                pause, linked_at = SHORTEST_PAUSE_S, loop.time()
-            await asyncio.sleep(pause * random.uniform(0.75, 1.25))
-            if loop.time() - linked_at > HURRY_S:
+            if refused:
+                pause = REFUSED_PAUSE_S
+            elif self._accepted_at is not None:
+                pause = self._backoff.ended(loop.time() - self._accepted_at) or SHORTEST_PAUSE_S
+                linked_at = loop.time()
+            elif loop.time() - linked_at > HURRY_S:
                 pause = min(pause * 1.6, LONGEST_PAUSE_S)
+            await asyncio.sleep(pause * random.uniform(0.75, 1.25))
+
+    async def _try(self) -> bool:
+        """Be connected once, until that ends; whether the app refused this worker."""
+        try:
+            await self._be_connected()
+        except Refused as error:
+            self._tell(f"the dashboard refused this worker: {error}")
+            return True
+        except InvalidStatus as error:
+            self._tell(_about_status(error.response))
+        except (OSError, TimeoutError, WebSocketException, MalformedMessageError) as error:
+            self._tell(f"no dashboard at {self._url}: {_words(error)}")
+        return False
 
     async def _be_connected(self) -> None:
         async with connect(
@@ -140,11 +155,11 @@ class Uplink:
             max_size=MOST_BYTES,
             proxy=None,
         ) as socket:
+            self._accepted_at = asyncio.get_running_loop().time()
             welcome = await self._introduce(socket)
-            self._outbox.resume(welcome.seq)
+            self._outbox.resume(welcome.seq, oldest=self._epoch() - BUFFER_AGE_S)
             await socket.send(encode(self._duty.snapshot(self._outbox.seq)))
-            self._told = ""
-            _log.info("linked to the dashboard", url=self._url, kept=len(self._outbox))
+            self._linked()
             sending = asyncio.create_task(self._send(socket))
             try:
                 await self._receive(socket)
@@ -155,6 +170,11 @@ class Uplink:
                 sending.cancel()
                 with suppress(asyncio.CancelledError, WebSocketException, OSError):
                     await sending
+
+    def _linked(self) -> None:
+        if self._backoff.is_worth_a_line:
+            self._told = ""
+            _log.info("linked to the dashboard", url=self._url, kept=len(self._outbox))
 
     async def _introduce(self, socket: ClientConnection) -> Welcome:
         await socket.send(encode(self._duty.hello()))
@@ -173,13 +193,17 @@ class Uplink:
         return answer
 
     async def _receive(self, socket: ClientConnection) -> None:
+        loop, bucket, is_new = asyncio.get_running_loop(), Bucket(MESSAGES_PER_S, MESSAGES_AT_ONCE), True
         async for data in socket:
             try:
-                message = _decoded(data)
+                self._take(_decoded(data))
             except MalformedMessageError as error:
-                _log.warning("the dashboard said what this worker does not know", error=str(error))
-                continue
-            self._take(message)
+                if is_new:
+                    _log.warning(
+                        "the dashboard sent a malformed message; ignored", error=str(error)[:MOST_DETAIL]
+                    )
+                is_new = False
+            await asyncio.sleep(bucket.pour(1.0, loop.time()))
 
     def _take(self, message: AppMessage) -> None:
         match message:
@@ -216,7 +240,7 @@ class Uplink:
 
     def _tell(self, what: str) -> None:
         if what != self._told:
-            _log.warning("not linked; it is tried again for ever, readings are kept", why=what)
+            _log.warning("dashboard unreachable; retrying, buffering readings", why=what)
         self._told = what
 
 

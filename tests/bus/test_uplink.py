@@ -97,7 +97,7 @@ def test_the_address_of_the_feed(given: str, feed: str) -> None:
 async def test_hello_snapshot_then_batches_that_are_forgotten_once_delivered() -> None:
     async with FakeApp() as app, linked(app) as (outbox, _):
         await app.until(app.snapshots)
-        outbox.put([Reading(1, 1.0, 2, 3, 4, 5, 6)])
+        outbox.put([Reading(1, time.time(), 2, 3, 4, 5, 6)])
         await app.until(app.readings)
         assert [type(message).__name__ for message in app.messages] == ["Hello", "Snapshot", "Batch"]
         assert app.batches()[0].live
@@ -127,7 +127,7 @@ async def test_it_comes_back_for_ever_and_nobody_watches_meanwhile() -> None:
         await desk.until(Watch(units=[1]))
         await app.stop()
         await desk.until(Watch(units=[]))
-        outbox.put([Reading(1, 1.0, 2, 3, 4, 5, 6)])
+        outbox.put([Reading(1, time.time(), 2, 3, 4, 5, 6)])
         await app.start()
         await app.until(app.readings)
         assert [batch.live for batch in app.batches()] == [False]
@@ -179,7 +179,7 @@ async def test_words_it_does_not_know_do_not_end_the_link() -> None:
         await app.until(app.snapshots)
         assert app._connection is not None
         await app._connection.send(b"\x81\xa2is\xa7unknown")
-        outbox.put([Reading(1, 1.0, 2, 3, 4, 5, 6)])
+        outbox.put([Reading(1, time.time(), 2, 3, 4, 5, 6)])
         await app.until(app.readings)
         assert len(app.snapshots()) == 1
 
