@@ -111,7 +111,7 @@ def create_app(
     problems.install(app)
     app.add_middleware(HeadAsGet)
     app.add_middleware(NotTooLate)
-    app.add_middleware(Identify, sign_in=services.sign_in, demo=demo)
+    app.add_middleware(Identify, identity=services.identity, rechecks=services.accounts.rechecks, demo=demo)
     app.add_middleware(BoundedRequest)
     app.add_middleware(OwnPagesOnly)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 from zoneinfo import available_timezones
 
-from pydantic import Field, StrictBool, field_validator
+from pydantic import Field, StrictBool, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from bus import configuration
@@ -15,7 +15,7 @@ from bus.configuration import ConfigurationError
 from bus.settings import BusSettings, Strict
 from bus.text import OneLine
 
-__all__ = ["ConfigurationError", "Server", "Settings", "Site", "load"]
+__all__ = ["ConfigurationError", "Server", "Sessions", "Settings", "Site", "load"]
 
 
 class Site(Strict):
@@ -47,6 +47,25 @@ class Site(Strict):
         return tag
 
 
+class Sessions(Strict):
+    """How long a sign-in lasts: since it was last used, and in all."""
+
+    idle_hours: Annotated[float, Field(strict=True, ge=0.25, le=168)] = 12
+    """A shift and its overlap."""
+    total_days: Annotated[float, Field(strict=True, ge=0.04, le=90)] = 7
+    panel_idle_days: Annotated[float, Field(strict=True, ge=0.04, le=365)] = 90
+    """A panel on the wall stays signed in."""
+    panel_total_days: Annotated[float, Field(strict=True, ge=0.04, le=3650)] = 365
+
+    @model_validator(mode="after")
+    def _idle_is_not_longer_than_all(self) -> Sessions:
+        if self.idle_hours > 24 * self.total_days:
+            raise ValueError("idle_hours is longer than total_days; write fewer hours or more days")
+        if self.panel_idle_days > self.panel_total_days:
+            raise ValueError("panel_idle_days is longer than panel_total_days; write at most as many")
+        return self
+
+
 class Server(Strict):
     """Where the dashboard listens and keeps its data."""
 
@@ -55,6 +74,7 @@ class Server(Strict):
     """0 takes any free port."""
     data: Path = Path("data")
     """Relative to the file; absolute once loaded."""
+    sessions: Sessions = Sessions()
 
     @property
     def store(self) -> Path:

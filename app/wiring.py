@@ -15,7 +15,10 @@ import structlog
 from app.audit.configuration import change_since_last
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
+from app.auth.identity import Identity
 from app.auth.passwords import Passwords
+from app.auth.rights_watch import RightsWatch
+from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
 from app.commands.desk import Desk
 from app.commands.safeguards import Safeguards
@@ -85,6 +88,8 @@ class Services:
     passwords: Passwords
     accounts: Accounts
     sign_in: SignIn
+    identity: Identity
+    rights_watch: RightsWatch
     live: LiveState
     history: History
     history_news: HistoryNews
@@ -117,7 +122,9 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
     pipeline = Pipeline(live, history, events)
     buses = [bus.name for bus in settings.bus]
     workers = Workers(buses, pipeline)
-    accounts = Accounts(database, passwords, events, buses=buses)
+    accounts = Accounts(database, passwords, events, buses=buses, site=settings.site.name)
+    lifetimes = Lifetimes.of(settings.server.sessions)
+    sign_in = SignIn(database, passwords, events, lifetimes, site=settings.site.name)
     control = settings.site.control
     safeguards = Safeguards(database, events, control_required=control, find=accounts.find)
     desk = Desk(live, workers.channels, events, database, safeguards)
@@ -132,7 +139,9 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         events=events,
         passwords=passwords,
         accounts=accounts,
-        sign_in=SignIn(database, passwords, events, worker_tokens),
+        sign_in=sign_in,
+        identity=Identity(database, sign_in, worker_tokens),
+        rights_watch=RightsWatch(database, accounts),
         live=live,
         history=history,
         history_news=news,
@@ -178,6 +187,8 @@ async def running(services: Services) -> AsyncIterator[None]:
     works = (
         services.pipeline.record,
         services.hub.beat,
+        services.rights_watch.follow,
+        services.sign_in.refusals.follow,
         services.history.inspect_daily,
         partial(services.set_schedule.follow, SERVER),
         partial(services.sets.learn_marked, SERVER),
@@ -222,6 +233,7 @@ async def _end(services: Services) -> None:
     await services.first_writes.close()
     await services.sets.drifts.close()
     await services.restores.close()
+    await services.sign_in.refusals.record_due(everything=True)
     await services.events.record(kind="server", what="server ended")
     await asyncio.to_thread(services.history.close)
     services.passwords.close()

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from urllib.parse import quote, urlsplit
 
 from starlette.requests import HTTPConnection
 from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from app.auth.lasting import while_allowed
-from app.auth.signin import SignIn
+from app.auth.identity import Identity
+from app.auth.lasting import Rechecks, RightsEndedError, sending_while_allowed, while_allowed
 from app.errors import Problem, StoreError
 from app.web.access import Person, Role, not_signed_in
 from app.web.problems import is_fragment, problem_json, wants_json
@@ -25,11 +26,13 @@ _LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})
 
 class Identify:
     """Puts ``person`` into the scope. Nobody passes except to the public paths; a token or a cookie
-    that is not good is refused even where nobody would be let in by the demo."""
+    that is not good is refused even where nobody would be let in by the demo. What lasts, a WebSocket or a
+    response in pieces, ends with the rights of its person."""
 
-    def __init__(self, app: ASGIApp, sign_in: SignIn, *, demo: bool = False) -> None:
+    def __init__(self, app: ASGIApp, identity: Identity, rechecks: Rechecks, *, demo: bool = False) -> None:
         self._app = app
-        self._sign_in = sign_in
+        self._identity = identity
+        self._rechecks = rechecks
         self._demo = demo
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -49,11 +52,16 @@ class Identify:
             await _turn_away(connection, receive, send)
             return
         scope["person"] = person
-        running = self._app(scope, receive, send)
+
+        async def is_still() -> bool:
+            return await self._is_still(connection, person)
+
         if scope["type"] == "websocket":
-            await while_allowed(running, lambda: self._is_still(connection, person), send)
-        else:
-            await running
+            await while_allowed(self._app(scope, receive, send), is_still, send, self._rechecks)
+            return
+        with suppress(RightsEndedError):
+            # Returning without the rest makes the server cut the connection: nobody takes it for whole.
+            await self._app(scope, receive, sending_while_allowed(send, is_still, self._rechecks))
 
     async def _is_still(self, connection: HTTPConnection, person: Person | None) -> bool:
         """Whether who opened a socket may have it still; a store that fails ends nothing that runs."""
@@ -69,13 +77,13 @@ class Identify:
         if scheme.lower() == "bearer":
             return await self._by_bearer(bearer.strip())
         cookie = connection.cookies.get(COOKIE)
-        person = await self._sign_in.by_cookie(cookie, is_use=is_use) if cookie else None
+        person = await self._identity.by_cookie(cookie, is_use=is_use) if cookie else None
         if person is None and self._demo and _is_loopback(connection):
             return Person("demo", Role.ADMIN, "demo")
         return person
 
     async def _by_bearer(self, bearer: str) -> Person:
-        person = await self._sign_in.by_token(bearer)
+        person = await self._identity.by_token(bearer)
         if person is None:
             raise not_signed_in()
         return person

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable, Collection
+from collections.abc import Awaitable, Callable, Collection, Iterable
 
 from app.audit.kinds import Kind
 from app.audit.log import EventLog
-from app.auth import rules, store
+from app.auth import rules, store, strength
+from app.auth.lasting import Rechecks
 from app.auth.passwords import Passwords
 from app.auth.store import Token, User
 from app.database import Database
@@ -20,7 +21,7 @@ Ended = Callable[[str], Awaitable[None]]
 
 class Accounts:
     """Every change takes ``by``: who makes it, and ``origin``: by which way (page, cli). ``buses``: those of
-    the configuration, for the tokens of workers."""
+    the configuration, for the tokens of workers; ``site``: its name, which no password may contain."""
 
     def __init__(
         self,
@@ -30,12 +31,16 @@ class Accounts:
         clock: Callable[[], float] = time.time,
         *,
         buses: Collection[str] = (),
+        site: str = "",
     ) -> None:
         self._database = database
         self._passwords = passwords
         self._events = events
         self._clock = clock
         self.buses = buses
+        self._site = site
+        self.rechecks = Rechecks()
+        """Whoever has a connection open is looked at again after each change."""
         self._subscribers: list[Ended] = []
 
     def now(self) -> float:
@@ -69,23 +74,32 @@ class Accounts:
         return await self._database.read(find)
 
     async def add_user(self, name: str, role: Role, password: str, *, by: str, origin: str) -> None:
-        """Somebody new. Raises InvalidError."""
+        """Add a person who signs in by a password. Raises InvalidError."""
         rules.check_name(name)
+        strength.check_password(password, user=name, site=self._site)
         user = User(name, role, False, "/", "", False, self._clock(), None)
         await self._add(user, password)
         await self._note("user", f"user {name} added as {role}", by, origin)
 
     async def add_panel(self, name: str, role: Role, pin: str, home: str, *, by: str, origin: str) -> None:
-        """A panel on the wall that signs in by a PIN. Raises InvalidError."""
+        """Add a panel on the wall, which signs in by a PIN. Raises InvalidError."""
         rules.check_name(name)
-        rules.check_pin(pin)
+        rules.check_panel_role(role)
+        strength.check_pin(pin)
         rules.check_home(home)
         await self._add(User(name, role, True, home, "", False, self._clock(), None), pin)
         await self._note("user", f"panel {name} added as {role}", by, origin)
 
     async def set_role(self, name: str, role: Role, *, by: str, origin: str) -> None:
-        """Raises InvalidError for nobody and for the last admin."""
-        await self._change(name, lambda connection: store.set_role(connection, name, role))
+        """Raises InvalidError for nobody, for the last admin, and for a panel above operator."""
+
+        def change(connection: sqlite3.Connection) -> bool:
+            found = store.user(connection, name)
+            if found is not None and found[0].panel:
+                rules.check_panel_role(role)
+            return store.set_role(connection, name, role)
+
+        await self._change(name, change)
         await self._note("user", f"user {name} is {role} now", by, origin, name)
 
     async def set_disabled(self, name: str, disabled: bool, *, by: str, origin: str) -> None:
@@ -99,11 +113,22 @@ class Accounts:
         await self._change(name, lambda connection: store.remove_user(connection, name))
         await self._note("user", f"user {name} removed", by, origin, name)
 
-    async def set_password(self, name: str, password: str, *, by: str, origin: str) -> None:
-        """A new password or PIN; every session of the user ends. Raises InvalidError."""
+    async def set_password(
+        self, name: str, password: str, *, by: str, origin: str, keep: bytes = b""
+    ) -> None:
+        """Set a password, or the PIN of a panel. Every session of the user ends, but the one with the hash
+        ``keep``. Raises InvalidError."""
+        found = await self._database.read(lambda connection: store.user(connection, name))
+        if found is None:
+            raise InvalidError("there is no user {called}", called=name[:80])
+        if found[0].panel:
+            strength.check_pin(password)
+        else:
+            strength.check_password(password, user=name, site=self._site)
         hashed = await self._passwords.hash(password)
-        await self._change(name, lambda connection: store.set_secret(connection, name, hashed))
-        await self._note("user", f"user {name} has a new password", by, origin, name)
+        await self._change(name, lambda connection: store.set_secret(connection, name, hashed, keep))
+        what = f"user {name} has a new password"
+        await self._note("user", what, by, origin, *(() if keep else (name,)))
 
     async def set_language(self, name: str, language: str) -> None:
         """The user's own wish; empty: what the browser asks for."""
@@ -167,6 +192,11 @@ class Accounts:
 
     async def _note(self, kind: Kind, what: str, by: str, origin: str, *ended: str) -> None:
         await self._events.record(kind=kind, what=what, who=by, origin=origin)
-        for name in ended:
+        await self.rights_ended(account_of(name, token=kind == "token") for name in ended)
+
+    async def rights_ended(self, accounts: Iterable[str]) -> None:
+        """The rights of these accounts changed or ended, here or by another process: what is open closes."""
+        for account in accounts:
             for subscriber in self._subscribers:
-                await subscriber(account_of(name, token=kind == "token"))
+                await subscriber(account)
+        self.rechecks.now()

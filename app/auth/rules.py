@@ -9,13 +9,10 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from app.errors import InvalidError
+from app.settings import Sessions
 from app.web.access import Role
 
 _NAME = re.compile(r"[\w.@-]{1,40}")
-_PIN = re.compile(r"\d{4,12}")
-SHORTEST_PASSWORD = 8
-LONGEST_PASSWORD = 256
-"""Argon2 works on all of it; nobody is to make us work on a megabyte."""
 
 HOUR = 3600.0
 DAY = 24 * HOUR
@@ -33,10 +30,20 @@ class Lifetime:
         return min(used_at + self.idle_s, created_at + self.whole_s)
 
 
-PERSON_LIFETIME = Lifetime(12 * HOUR, 7 * DAY)
-"""A shift and its overlap; a week at most."""
-PANEL_LIFETIME = Lifetime(90 * DAY, 365 * DAY)
-"""A panel hangs on the wall and stays signed in."""
+@dataclass(frozen=True)
+class Lifetimes:
+    """Of the sign-ins of people and of panels."""
+
+    person: Lifetime
+    panel: Lifetime
+
+    @classmethod
+    def of(cls, sessions: Sessions) -> Lifetimes:
+        """As the site wants them."""
+        person = Lifetime(sessions.idle_hours * HOUR, sessions.total_days * DAY)
+        return cls(person, Lifetime(sessions.panel_idle_days * DAY, sessions.panel_total_days * DAY))
+
+
 MOST_TOKEN_DAYS = 3650
 USE_NOTED_EVERY_S = 60.0
 """A session's last use is written this seldom; every request would wear the disk."""
@@ -51,21 +58,10 @@ def check_name(name: str) -> None:
         )
 
 
-def check_password(password: str) -> None:
-    """Raises InvalidError."""
-    if not SHORTEST_PASSWORD <= len(password) <= LONGEST_PASSWORD:
-        raise InvalidError(
-            "a password has {least} to {most} characters; this one has {count}",
-            least=SHORTEST_PASSWORD,
-            most=LONGEST_PASSWORD,
-            count=len(password),
-        )
-
-
-def check_pin(pin: str) -> None:
-    """Raises InvalidError."""
-    if not _PIN.fullmatch(pin):
-        raise InvalidError("a PIN is 4 to 12 digits")
+def check_panel_role(role: Role) -> None:
+    """Raises InvalidError: whoever passes by a panel may press it."""
+    if not Role.OPERATOR.includes(role):
+        raise InvalidError("a panel is operator at most; {role} is for people who sign in", role=role)
 
 
 def check_token_bus(role: Role, bus: str, buses: Collection[str]) -> None:
@@ -102,8 +98,11 @@ def is_own_path(path: str) -> bool:
     return path.startswith("/") and not path.startswith(("//", "/\\")) and path.isprintable()
 
 
+SECRET_LENGTH = 43
+
+
 def new_secret() -> str:
-    """256 random bits, for a cookie or a bearer token."""
+    """256 random bits in :data:`SECRET_LENGTH` characters, for a cookie or a bearer token."""
     return secrets.token_urlsafe(32)
 
 

@@ -34,7 +34,8 @@ def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:
 
     async def run() -> T:
         buses = [bus.name for bus in settings.bus]
-        return await work(Accounts(database, passwords, EventLog(database), buses=buses))
+        accounts = Accounts(database, passwords, EventLog(database), buses=buses, site=settings.site.name)
+        return await work(accounts)
 
     try:
         return asyncio.run(run())
