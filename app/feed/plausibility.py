@@ -126,11 +126,11 @@ def _judged_state(state: UnitState, now: float) -> UnitState:
     return replace(state, link=link, reading=reading, parameters=list(values.values()))
 
 
-def _judged_figures(figures: BusFigures, units: Collection[int], now: float) -> BusFigures | None:
-    if not _in_window(figures.at, now):
-        return None
+def _judged_figures(figures: BusFigures, units: Collection[int], now: float) -> BusFigures:
+    """Figures are never kept: they are of now, whatever the worker's clock says."""
     known = {each.unit: each for each in figures.units if each.unit in units}
-    return replace(figures, units=list(known.values()))
+    at = figures.at if now - LIVE_S <= figures.at <= now + AHEAD_S else now
+    return replace(figures, at=at, units=list(known.values()))
 
 
 def _judged_result(result: Result, units: Collection[int], now: float) -> Result:
@@ -163,4 +163,4 @@ def _judged_outcome(outcome: UnitOutcome, now: float) -> UnitOutcome:
 
 def _is_of_before(update: Update, now: float) -> bool:
     """Whether a value is too old to be shown as live. A state is not: its time says since when it holds."""
-    return isinstance(update, Reading | ParameterValue | Staged | BusFigures) and update.at < now - LIVE_S
+    return isinstance(update, Reading | ParameterValue | Staged) and update.at < now - LIVE_S

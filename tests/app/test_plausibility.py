@@ -98,7 +98,8 @@ def test_figures_are_of_now_and_of_known_units() -> None:
     _, taken = only(figures)
     assert isinstance(taken, BusFigures)
     assert taken.units == [UnitFigures(1, 7)]
-    assert only(replace(figures, at=NOW + 60))[0] == "refused"
+    for at in (0.0, NOW - LIVE_S - 1, NOW + 60):
+        assert only(replace(figures, at=at)) == ("live", taken)
 
 
 def test_only_the_frames_of_the_window_are_shown() -> None:
@@ -137,7 +138,11 @@ def test_a_snapshot_may_be_as_old_as_its_worker_and_not_from_the_future() -> Non
     figures = BusFigures(ahead, 1.0, 1.0, 1.0, 1.0)
     whole = Snapshot(0, NOW, BusLink(ahead, "open"), [past, future, foreign], figures)
     assert judge_snapshot(whole, UNITS, NOW) == Snapshot(
-        0, NOW, BusLink(NOW, "open"), [past, UnitState(2, UnitLink(2, NOW, "online"))]
+        0,
+        NOW,
+        BusLink(NOW, "open"),
+        [past, UnitState(2, UnitLink(2, NOW, "online"))],
+        replace(figures, at=NOW),
     )
 
 
