@@ -63,13 +63,14 @@ class Accounts:
         """The account that somebody names, and what it may do: a user who may sign in, else a token, which
         can also be named as such; None when there is none."""
         name, only_token = name_of(said)
+        now = self._clock()
 
         def find(connection: sqlite3.Connection) -> tuple[str, Role] | None:
             user = None if only_token else store.user(connection, name)
             if user is not None and not user[0].disabled:
                 return name, user[0].role
-            tokens = (token for token in store.tokens(connection) if token.name == name)
-            return next(((account_of(name, token=True), token.role) for token in tokens), None)
+            tokens = (each for each in store.tokens(connection) if each.name == name and each.is_good(now))
+            return next(((account_of(name, token=True), each.role) for each in tokens), None)
 
         return await self._database.read(find)
 

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 
 from app.auth import rules, store
 from app.auth.signin import SignIn
-from app.auth.store import Session
+from app.auth.store import Session, Token
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.web.access import Person, Role
@@ -62,8 +62,8 @@ class Identity:
         if token is None:
             return None
         now = self._clock()
-        if token.expires_at is not None and token.expires_at <= now:
-            raise _expired(token.name, token.expires_at)
+        if not token.is_good(now):
+            raise _expired(token)
         if token.used_at is None or now - token.used_at > rules.USE_NOTED_EVERY_S:
             number = token.id
             await self._note(lambda connection: store.note_token_used(connection, number, now))
@@ -80,14 +80,14 @@ def _has_too_many_rights(session: Session) -> bool:
     return session.user.panel and not Role.OPERATOR.includes(session.user.role)
 
 
-def _expired(name: str, expired_at: float) -> Problem:
+def _expired(token: Token) -> Problem:
     """Only who holds the token learns this, so it tells nothing to a stranger."""
-    day = datetime.fromtimestamp(expired_at, UTC).date().isoformat()
+    day = datetime.fromtimestamp(token.expires_at or 0.0, UTC).date().isoformat()
     problem = Problem(
         401,
         "unauthorized",
         "the token {called} expired on {day}; an admin can create a new one",
-        params={"called": name, "day": day},
+        params={"called": token.name, "day": day},
     )
     # RFC 6750, 3.1
     return problem.with_headers(

@@ -52,6 +52,10 @@ class Token:
     """The one bus that a worker's token is for."""
     expires_at: float | None = None
 
+    def is_good(self, now: float) -> bool:
+        """Whether it has not expired."""
+        return self.expires_at is None or now < self.expires_at
+
 
 _USER = "u.name, u.role, u.panel, u.home, u.language, u.disabled, u.created_at, u.seen_at, u.weak_secret"
 _TOKEN = "id, name, role, created_by, created_at, used_at, bus, expires_at"

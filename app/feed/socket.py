@@ -20,8 +20,8 @@ router = APIRouter()
 
 GOING_AWAY = 1001
 POLICY_VIOLATION = 1008
-SEND_WITHIN_S = 2.0
-"""A worker that does not read must hold up neither a command nor the end of its own connection."""
+SEND_WITHIN_S = 5.0
+"""A worker that does not read for so long must hold up neither commands nor the end of its own connection."""
 REASON_BYTES = 123
 """What a close frame has room for (RFC 6455, 5.5)."""
 

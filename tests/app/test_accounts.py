@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from app.audit.log import EventLog
 from app.audit.store import Filter
+from app.auth import rules
 from app.auth.accounts import Accounts
 from app.auth.passwords import Passwords
 from app.database import Database
@@ -77,6 +79,12 @@ async def test_what_a_name_may_do(accounts: Accounts) -> None:
     ]
     await accounts.set_disabled("ann", True, **BY)
     assert await accounts.find("ann") is None
+
+
+async def test_a_token_that_has_expired_may_do_nothing(accounts: Accounts) -> None:
+    await accounts.create_token("recipes", Role.ENGINEER, expires_days=1, **BY)
+    accounts._clock = lambda: time.time() + 2 * rules.DAY
+    assert await accounts.find("recipes") is None
 
 
 async def test_a_user_and_a_token_of_one_name_are_two(accounts: Accounts) -> None:
