@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from importlib.metadata import version
 
@@ -12,7 +12,7 @@ from starlette.middleware.gzip import GZipMiddleware
 from app.audit import api as audit_api
 from app.audit import pages as audit_pages
 from app.auth import pages as auth_pages
-from app.auth import users
+from app.auth import tokens, users
 from app.auth.access import Identify
 from app.auth.refusals import RecordRefusals
 from app.commands import api as commands_api
@@ -62,6 +62,7 @@ FEATURES = (
     metrics_api,
     auth_pages,
     users,
+    tokens,
     audit_api,
     audit_pages,
     feed,
@@ -92,13 +93,15 @@ FEATURES = (
 )
 
 
-def create_app(settings: Settings, *, demo: bool = False, worker_token: str = "") -> FastAPI:
+def create_app(
+    settings: Settings, *, demo: bool = False, worker_tokens: Mapping[str, str] | None = None
+) -> FastAPI:
     """The whole app over ``settings``. ``demo``: whoever comes from this machine is signed in.
-    ``worker_token``: what the workers that the server starts itself open /feed with.
+    ``worker_tokens``: by bus, what the worker that the server starts itself opens /feed with.
 
     Raises StoreError when the data cannot be used, RuntimeError for a route that declares no role.
     """
-    services = build(settings, demo=demo, worker_token=worker_token)
+    services = build(settings, demo=demo, worker_tokens=worker_tokens or {})
     app = FastAPI(
         title="Lineside",
         summary="Watch and set a line of DIGIMAX IV drives",
@@ -113,7 +116,7 @@ def create_app(settings: Settings, *, demo: bool = False, worker_token: str = ""
     problems.install(app)
     app.add_middleware(HeadAsGet)
     app.add_middleware(NotTooLate)
-    app.add_middleware(Identify, sign_in=services.sign_in, demo=demo)
+    app.add_middleware(Identify, identity=services.identity, rechecks=services.accounts.rechecks, demo=demo)
     app.add_middleware(BoundedRequest)
     app.add_middleware(OwnPagesOnly)
     app.add_middleware(RecordRefusals, events=services.events)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 from zoneinfo import available_timezones
 
-from pydantic import AfterValidator, BeforeValidator, Field, StrictBool, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, StrictBool, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from bus import configuration
@@ -17,7 +17,7 @@ from bus.configuration import ConfigurationError
 from bus.settings import BusSettings, Strict
 from bus.text import OneLine
 
-__all__ = ["ConfigurationError", "Server", "Settings", "Site", "load"]
+__all__ = ["ConfigurationError", "Server", "Sessions", "Settings", "Site", "load"]
 
 _HOST_NAME = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?:\.[A-Za-z0-9-]{1,63})*")
 
@@ -80,6 +80,25 @@ Network = Annotated[IPv4Network | IPv6Network, BeforeValidator(_network)]
 HostName = Annotated[str, AfterValidator(_host_name)]
 
 
+class Sessions(Strict):
+    """How long a sign-in lasts: since it was last used, and in all."""
+
+    idle_hours: Annotated[float, Field(strict=True, ge=0.25, le=168)] = 12
+    """A shift and its overlap."""
+    total_days: Annotated[float, Field(strict=True, ge=0.04, le=90)] = 7
+    panel_idle_days: Annotated[float, Field(strict=True, ge=0.04, le=365)] = 90
+    """A panel on the wall stays signed in."""
+    panel_total_days: Annotated[float, Field(strict=True, ge=0.04, le=3650)] = 365
+
+    @model_validator(mode="after")
+    def _idle_is_not_longer_than_all(self) -> Sessions:
+        if self.idle_hours > 24 * self.total_days:
+            raise ValueError("idle_hours is longer than total_days; write fewer hours or more days")
+        if self.panel_idle_days > self.panel_total_days:
+            raise ValueError("panel_idle_days is longer than panel_total_days; write at most as many")
+        return self
+
+
 class Server(Strict):
     """Where the dashboard listens and keeps its data."""
 
@@ -92,6 +111,7 @@ class Server(Strict):
     """Whose X-Forwarded-For, -Proto and -Host are believed."""
     allowed_hosts: tuple[HostName, ...] = ()
     """The names under which the dashboard answers; empty: any."""
+    sessions: Sessions = Sessions()
 
     @property
     def store(self) -> Path:

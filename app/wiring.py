@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -15,7 +15,10 @@ import structlog
 from app.audit.configuration import change_since_last
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
+from app.auth.identity import Identity
 from app.auth.passwords import Passwords
+from app.auth.rights_watch import RightsWatch
+from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
 from app.commands.desk import Desk
 from app.commands.safeguards import Safeguards
@@ -85,6 +88,8 @@ class Services:
     passwords: Passwords
     accounts: Accounts
     sign_in: SignIn
+    identity: Identity
+    rights_watch: RightsWatch
     live: LiveState
     history: History
     history_news: HistoryNews
@@ -104,7 +109,7 @@ class Services:
     counts: Counts
 
 
-def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
+def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -> Services:
     """Open the stores and connect everything. Raises StoreError in words."""
     database = Database(settings.server.store)
     events, passwords = EventLog(database), Passwords()
@@ -115,8 +120,11 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
     news = HistoryNews()
     history = History(settings, on_clock_step=news.clock_stepped, on_damage=news.damaged)
     pipeline = Pipeline(live, history, events)
-    workers = Workers([bus.name for bus in settings.bus], pipeline)
-    accounts = Accounts(database, passwords, events)
+    buses = [bus.name for bus in settings.bus]
+    workers = Workers(buses, pipeline)
+    accounts = Accounts(database, passwords, events, buses=buses, site=settings.site.name)
+    lifetimes = Lifetimes.of(settings.server.sessions)
+    sign_in = SignIn(database, passwords, events, lifetimes, site=settings.site.name)
     control = settings.site.control
     safeguards = Safeguards(database, events, control_required=control, find=accounts.find)
     desk = Desk(live, workers.channels, events, database, safeguards)
@@ -131,7 +139,9 @@ def build(settings: Settings, *, demo: bool, worker_token: str) -> Services:
         events=events,
         passwords=passwords,
         accounts=accounts,
-        sign_in=SignIn(database, passwords, events, worker_token),
+        sign_in=sign_in,
+        identity=Identity(database, sign_in, worker_tokens),
+        rights_watch=RightsWatch(database, accounts),
         live=live,
         history=history,
         history_news=news,
@@ -175,9 +185,10 @@ async def running(services: Services) -> AsyncIterator[None]:
     """From the first request to the last: what was left open is closed, and the rest goes on by itself."""
     await _begin(services)
     works = (
-        services.events.tell_counts_each_minute,
+        services.events.repeated.follow,
         services.pipeline.record,
         services.hub.beat,
+        services.rights_watch.follow,
         services.history.inspect_daily,
         partial(services.set_schedule.follow, SERVER),
         partial(services.sets.learn_marked, SERVER),
@@ -223,7 +234,7 @@ async def _end(services: Services) -> None:
     await services.first_writes.close()
     await services.sets.drifts.close()
     await services.restores.close()
-    await services.events.tell_counts(all_of_them=True)
+    await services.events.repeated.tell_rest()
     await services.events.record(kind="server", what="server ended")
     await asyncio.to_thread(services.history.close)
     services.passwords.close()

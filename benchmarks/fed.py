@@ -22,8 +22,9 @@ def fed_site(folder: Path, units: int, rate: float) -> Iterator[Site]:
     try:
         made.config.write_text(_configuration(made), encoding="utf-8")
         made.add_people()
+        token = made.command("token", "create", "feeder", "--role", "worker", "--bus", "line").strip()
         made.start()
-        feeder.start(url, made.tokens["engineer"], units, rate)
+        feeder.start(url, token, units, rate)
         made.wait_for_units()
         yield made
     finally:

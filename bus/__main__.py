@@ -1,6 +1,7 @@
 """``python -m bus --config FILE --bus NAME --app URL``: one bus worker as a process of its own.
 
-The token comes from ``--token`` or, better, from the environment (LINESIDE_WORKER_TOKEN).
+The token comes from the environment (LINESIDE_WORKER_TOKEN). A ``--child`` reads it from the first line of
+its standard input: a command line and an environment can be listed by ``ps``.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ WRONG_USE = 2
 def main(arguments: list[str] | None = None) -> int:
     """Gives the exit code: 0 told to leave, 2 wrong use."""
     asked = _parser().parse_args(arguments)
-    token = asked.token or os.environ.pop(TOKEN_VARIABLE, "")
+    token = sys.stdin.readline().strip() if asked.child else os.environ.pop(TOKEN_VARIABLE, "")
     if not token:
-        return _wrong(f"no token: give --token or set {TOKEN_VARIABLE} (see 'lineside token create')")
+        return _wrong(f"no token: set {TOKEN_VARIABLE} (see 'lineside token create')")
     try:
         bus = load_bus(asked.config, asked.bus)
     except ConfigurationError as error:
@@ -38,8 +39,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--config", type=Path, required=True, help="lineside.toml")
     parser.add_argument("--bus", required=True, help="the name of the [[bus]]")
     parser.add_argument("--app", required=True, help="the dashboard, for example http://127.0.0.1:8000")
-    parser.add_argument("--token", default="", help=f"a token; better in {TOKEN_VARIABLE}")
-    parser.add_argument("--child", action="store_true", help="leave when the parent process is gone")
+    parser.add_argument(
+        "--child", action="store_true", help="token from standard input; leave when the parent is gone"
+    )
     return parser
 
 

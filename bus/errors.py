@@ -85,6 +85,9 @@ _UNIT_ERROR_NAMES: dict[int, str] = {
 }
 
 
+UNNAMED_UNIT_ERROR = "error {code}h, which the manual does not name"
+
+
 def unit_error_name(code: int) -> str:
     """The words for a NAK's error byte (128-137 known; any other is shown by its number)."""
-    return _UNIT_ERROR_NAMES.get(code, f"error {code:02X}h, which the manual does not name")
+    return _UNIT_ERROR_NAMES.get(code) or UNNAMED_UNIT_ERROR.format(code=f"{code:02X}")

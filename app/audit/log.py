@@ -14,8 +14,8 @@ import structlog
 from app.audit import search, store
 from app.audit.chain import Verdict
 from app.audit.kinds import Kind
+from app.audit.repeated import RepeatedEvents
 from app.audit.store import Filter
-from app.audit.tally import WINDOW_S, Counted, Tally
 from app.database import Database
 from app.errors import StoreError
 from bus.contract import Frame, Outcome
@@ -24,15 +24,11 @@ log = structlog.get_logger()
 
 Event = dict[str, Any]
 """One event with its fate, as `app.audit.store.select` gives it."""
-_Said = tuple[Kind, str, str, str, str]
-"""Kind, what, who, origin and message of what is counted."""
 Subscriber = Callable[[Event], None]
 Also = Callable[[sqlite3.Connection], None]
 """What else is written in the transaction of an event."""
 
 CHUNK = 1000
-MANY = "many addresses"
-"""The origin of what is counted for more places than are told apart."""
 INDEX_PAUSE_S = 0.05
 """Between two transactions of the index, in which commands are written down."""
 ENDED_BEFORE = "the server stopped before the fate was known"
@@ -46,10 +42,10 @@ class EventLog:
     """Append-only. Whatever returns from here is on disk."""
 
     def __init__(self, database: Database, clock: Callable[[], float] = time.time) -> None:
+        self.repeated = RepeatedEvents(self.record, clock)
         self._database = database
         self._clock = clock
         self._subscribers: list[Subscriber] = []
-        self._tally: Tally[_Said] = Tally()
 
     def subscribe(self, subscriber: Subscriber) -> Callable[[], None]:
         """Hear of each event, and of a command again with its fate. Returns what ends it."""
@@ -119,8 +115,12 @@ class EventLog:
         outcome: str | None = None,
         message: str = "",
         at: float | None = None,
+        count: int = 1,
     ) -> int:
-        """Something that happened, whole; ``at`` when, if not just now. Returns the event's number."""
+        """Something that happened, whole; ``at`` when, if not just now, and ``count`` how often. Returns the
+        event's number."""
+        if count > 1:
+            message = f"{count} times; {message}" if message else f"{count} times"
         said: dict[str, Any] = {"bus": bus, "unit": unit}
         said |= {"old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
         words = {"what": what, "outcome": outcome, "message": message}
@@ -131,31 +131,8 @@ class EventLog:
     async def count(
         self, kind: Kind, what: str, *, who: str = "", origin: str = "", message: str = ""
     ) -> None:
-        """Something that a stranger can cause as often as they like: an event at once for the first of its
-        kind, person, place and message, then one a minute that says how often it happened since."""
-        told = self._tally.note(kind, (kind, what, who, origin, message), self._clock())
-        if told is not None:
-            await self._record_counted(told)
-
-    async def tell_counts_each_minute(self) -> None:
-        """`tell_counts`, without end."""
-        while True:
-            await asyncio.sleep(WINDOW_S / 4)
-            await self.tell_counts()
-
-    async def tell_counts(self, *, all_of_them: bool = False) -> None:
-        """Record what was counted in minutes that are over, or everything before the server ends."""
-        now = self._clock()
-        for told in self._tally.rest(now) if all_of_them else self._tally.due(now):
-            await self._record_counted(told)
-
-    async def _record_counted(self, told: Counted[_Said]) -> None:
-        kind, what, who, origin, message = told.said
-        if told.is_many:
-            who, origin, message = "", MANY, ""
-        if told.count > 1:
-            message = f"{told.count} times; {message}" if message else f"{told.count} times"
-        await self.record(kind=kind, what=what, who=who, origin=origin, message=message, at=told.last)
+        """Something that a stranger can cause as often as they like: see `RepeatedEvents`."""
+        await self.repeated.count(kind, what, who=who, origin=origin, message=message)
 
     async def close_open_intents(self) -> int:
         """At start: what was open when the server ended is unverified. Returns how many there were."""

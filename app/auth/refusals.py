@@ -14,6 +14,8 @@ from app.web.access import Person
 
 _STARTS = frozenset({"http.response.start", "websocket.http.response.start"})
 UNKNOWN_TOKEN = "unknown token"
+REFUSED_ACCOUNT = "refused_account"
+"""In the scope: whose token it is that is not good any more."""
 
 
 class RecordRefusals:
@@ -38,7 +40,7 @@ class RecordRefusals:
             if status == 403:
                 await self._count_forbidden(scope)
             elif status == 401 and Headers(scope=scope).get("authorization"):
-                await self._count("token refused", UNKNOWN_TOKEN, scope)
+                await self._count("token refused", scope.get(REFUSED_ACCOUNT, UNKNOWN_TOKEN), scope)
 
     async def _count_forbidden(self, scope: Scope) -> None:
         person: Person | None = scope.get("person")

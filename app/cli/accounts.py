@@ -33,7 +33,9 @@ def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:
     passwords = Passwords()
 
     async def run() -> T:
-        return await work(Accounts(database, passwords, EventLog(database)))
+        buses = [bus.name for bus in settings.bus]
+        accounts = Accounts(database, passwords, EventLog(database), buses=buses, site=settings.site.name)
+        return await work(accounts)
 
     try:
         return asyncio.run(run())

@@ -100,15 +100,15 @@ def host(settings: Settings, config: Path, *, demo: bool = False) -> None:
 
 async def _host(settings: Settings, config: Path, listening: socket.socket, *, demo: bool) -> None:
     """The workers begin while the dashboard is still being read, and end before it does."""
-    url, token = url_of(listening), new_secret()
-    workers = Workers(config, [bus.name for bus in settings.bus], url, token)
+    url, tokens = url_of(listening), {bus.name: new_secret() for bus in settings.bus}
+    workers = Workers(config, tokens, url)
     asked = _ending_asked()
     workers.start()
     try:
         with loading():
             if (module := await _server_module(asked)) is None:
                 return
-            server = module.Server(settings, demo, token, lambda: typer.echo(f"Lineside: {url}"))
+            server = module.Server(settings, demo, tokens, lambda: typer.echo(f"Lineside: {url}"))
         serving = asyncio.create_task(server.serve([listening]))
         await asyncio.wait({serving, asked}, return_when=asyncio.FIRST_COMPLETED)
     finally:

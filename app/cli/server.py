@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from functools import partial
 from typing import Any, cast
@@ -28,10 +28,11 @@ class Server(uvicorn.Server):
     """Leaves the signals to the host, and says when it serves."""
 
     def __init__(
-        self, settings: Settings, demo: bool, worker_token: str, serving: Callable[[], None]
+        self, settings: Settings, demo: bool, worker_tokens: Mapping[str, str], serving: Callable[[], None]
     ) -> None:
         connections = Connections(settings.server.trusted_proxies, raise_file_limit())
-        super().__init__(_config(create_app(settings, demo=demo, worker_token=worker_token), connections))
+        app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
+        super().__init__(_config(app, connections))
         self._serving = serving
         self._ended = asyncio.Event()
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import Annotated
 
 import typer
 
+from app.auth.accounts import Accounts
 from app.cli.accounts import ORIGIN, who_calls, with_accounts
 from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
@@ -25,24 +27,32 @@ def register(cli: typer.Typer) -> None:
 def create(
     name: Name,
     role: Annotated[str, typer.Option(help=f"One of {', '.join(Role)}.")],
+    bus: Annotated[str, typer.Option(help="The one bus that a token of role worker is for.")] = "",
+    expires: Annotated[
+        int | None, typer.Option(metavar="DAYS", help="Days until it expires; without it, it does not.")
+    ] = None,
     config: Config = LINESIDE_TOML,
 ) -> None:
     """Create a bearer token and print it, this once."""
     with ending():
         chosen = role_named(role, Role)
-        typer.echo(
-            with_accounts(
-                config, lambda accounts: accounts.create_token(name, chosen, by=who_calls(), origin=ORIGIN)
+
+        async def work(accounts: Accounts) -> str:
+            return await accounts.create_token(
+                name, chosen, bus=bus, expires_days=expires, by=who_calls(), origin=ORIGIN
             )
-        )
+
+        typer.echo(with_accounts(config, work))
 
 
 @tokens.command(name="list")
 def list_all(config: Config = LINESIDE_TOML) -> None:
-    """Every token: name, role, who created it."""
+    """Every token: name, role, who created it, a worker's bus, the day on which it expires."""
     with ending():
         for token in with_accounts(config, lambda accounts: accounts.tokens()):
-            typer.echo(f"{token.name}\t{token.role}\t{token.created_by}")
+            expires = "" if token.expires_at is None else f"expires {_day(token.expires_at)}"
+            columns = (token.name, token.role, token.created_by, token.bus or "", expires)
+            typer.echo("\t".join(columns).rstrip())
 
 
 @tokens.command()
@@ -50,3 +60,7 @@ def revoke(name: Name, config: Config = LINESIDE_TOML) -> None:
     """Refuse a token from now on."""
     with ending():
         with_accounts(config, lambda accounts: accounts.revoke_token(name, by=who_calls(), origin=ORIGIN))
+
+
+def _day(at: float) -> str:
+    return datetime.fromtimestamp(at, UTC).date().isoformat()

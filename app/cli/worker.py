@@ -7,9 +7,12 @@ from typing import Annotated
 
 import typer
 
+from app.cli.credentials import Token, TokenFile, bearer_token
 from app.cli.ending import ending
 from bus.configuration import load_bus
 from bus.errors import CallerError
+
+WORKER_TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
 
 
 def register(cli: typer.Typer) -> None:
@@ -20,14 +23,16 @@ def register(cli: typer.Typer) -> None:
 def worker(
     bus: Annotated[str, typer.Option(help="Name of the bus, as the configuration says it.")],
     app: Annotated[str, typer.Option(help="Address of the dashboard, http://host:port.")],
-    token: Annotated[str, typer.Option(help="A bearer token.", envvar="LINESIDE_WORKER_TOKEN")],
+    token: Token = "",
+    token_file: TokenFile = None,
     config: Annotated[Path, typer.Option(help="The configuration that has the bus.")] = Path("lineside.toml"),
 ) -> None:
-    """Work one bus for a dashboard elsewhere, until Ctrl-C or SIGTERM; it reconnects for ever."""
+    """Work one bus for a dashboard elsewhere, until Ctrl-C or SIGTERM; reconnects indefinitely."""
     with ending():
         if not app.startswith(("http://", "https://", "ws://", "wss://")):
             raise CallerError(f"--app {app!r} is no address; give for example http://192.168.1.10:8000")
+        bearer = bearer_token(token, token_file, WORKER_TOKEN_VARIABLE)
         settings = load_bus(config, bus)
         from bus.worker.process import run
 
-        raise typer.Exit(run(settings, app, token))
+        raise typer.Exit(run(settings, app, bearer))

@@ -7,7 +7,8 @@ import os
 import sys
 import time
 from asyncio.subprocess import Process
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import structlog
@@ -25,19 +26,20 @@ GRACE_S = 2.3
 
 
 class Workers:
-    """One child for each bus, over the same WebSocket as a worker far away."""
+    """One child for each bus, over the same WebSocket as a worker far away. ``tokens``: by bus, what its
+    child opens the feed with."""
 
-    def __init__(self, config: Path, buses: list[str], app_url: str, token: str) -> None:
+    def __init__(self, config: Path, tokens: Mapping[str, str], app_url: str) -> None:
         self._config = config
-        self._buses = buses
+        self._tokens = tokens
         self._app_url = app_url
-        self._environment = {**tied_environment(), "LINESIDE_WORKER_TOKEN": token}
+        self._environment = tied_environment()
         self._processes: dict[str, Process] = {}
         self._tasks: list[asyncio.Task[None]] = []
 
     def start(self) -> None:
         """Start them all, and keep them."""
-        for bus in self._buses:
+        for bus in self._tokens:
             task = asyncio.create_task(self._keep(bus), name=f"keep worker of {bus}")
             task.add_done_callback(_say_failure)
             self._tasks.append(task)
@@ -63,11 +65,25 @@ class Workers:
     async def _run(self, bus: str) -> int:
         """Start one and wait for its end. A group of its own: Ctrl-C comes to it through the parent."""
         called = ("-P", "-m", "bus", "--config", str(self._config), "--bus", bus, "--app", self._app_url)
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, *called, "--child", env=self._environment, preexec_fn=os.setpgrp
-        )
+        with _readable(self._tokens[bus]) as token:
+            process = await asyncio.create_subprocess_exec(
+                sys.executable, *called, "--child", stdin=token, env=self._environment, preexec_fn=os.setpgrp
+            )
         self._processes[bus] = process
         return await process.wait()
+
+
+@contextmanager
+def _readable(secret: str) -> Iterator[int]:
+    """A descriptor to read the secret from: unlike arguments and environment, no listing of processes shows
+    what passes through a pipe. Its buffer holds a secret, so the write does not wait."""
+    reading, writing = os.pipe()
+    try:
+        os.write(writing, f"{secret}\n".encode())
+        os.close(writing)
+        yield reading
+    finally:
+        os.close(reading)
 
 
 def _say_failure(task: asyncio.Task[None]) -> None:

@@ -58,6 +58,11 @@ def transact(connection: sqlite3.Connection, work: Callable[[sqlite3.Connection]
     return result
 
 
+def _data_version(connection: sqlite3.Connection) -> int:
+    """Of the one connection that writes here: what others commit is other processes' then."""
+    return int(connection.execute("PRAGMA data_version").fetchone()[0])
+
+
 class Database:
     """One store. Opening brings it up to date and raises StoreError in words when it cannot be used.
 
@@ -97,10 +102,18 @@ class Database:
         """Run a read that may take long, apart from all others. Raises TooCostlyError after `COSTLY_S`."""
         return await self._run(self._costly, self._read_within, work)
 
+    async def foreign_version(self) -> int:
+        """A number that changes when another process has written to the store (PRAGMA data_version)."""
+        return await self._run(self._writer, self._ask_now, _data_version)
+
     def write_now(self, work: Callable[[sqlite3.Connection], T]) -> T:
         """The same without a loop, for the command line and the writer's own thread."""
         with in_words(self.path):
             return transact(self._connection, work)
+
+    def _ask_now(self, work: Callable[[sqlite3.Connection], T]) -> T:
+        with in_words(self.path):
+            return work(self._connection)
 
     def read_now(self, work: Callable[[sqlite3.Connection], T]) -> T:
         """The same without a loop."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from app.server.allowance import Allowance
+from bus.bucket import Bucket
 
 MOST_OF_ACCOUNT = 256
 """A browser opens no more WebSockets to one server than 255."""
@@ -25,13 +25,13 @@ class Admission:
     def __init__(self) -> None:
         self._by_account: Counter[str] = Counter()
         self._by_address: Counter[str] = Counter()
-        self._allowances: dict[str, Allowance] = {}
+        self._openings: dict[str, Bucket] = {}
 
     def enter(self, account: str, address: str, now: float) -> bool:
         """Count one more page, unless it is one too many. ``address``: as `source_of` names it."""
         is_full = self._by_account[account] >= MOST_OF_ACCOUNT or self._by_address[address] >= MOST_OF_ADDRESS
-        allowance = self._allowances.setdefault(account, Allowance(OPENED_A_SECOND, MOST_OPENED_AT_ONCE, now))
-        if not allowance.take(now) or is_full:
+        bucket = self._openings.setdefault(account, Bucket(OPENED_A_SECOND, MOST_OPENED_AT_ONCE))
+        if not bucket.take(now) or is_full:
             return False
         self._by_account[account] += 1
         self._by_address[address] += 1

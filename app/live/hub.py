@@ -21,8 +21,8 @@ from app.live.state import LiveState
 from app.live.totals import holders
 from app.live.trace_frames import frame_fields
 from app.live.watched import Watched
-from app.server.allowance import Allowance
 from app.web.templating import Templates
+from bus.bucket import Bucket
 from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
 
 HEARTBEAT_S = 1.0
@@ -57,7 +57,7 @@ class Hub:
         self._watched: dict[str, tuple[list[int], bool]] = {}
         self.admission = Admission()
         self._pages = Watched({name: bus.units for name, bus in live.buses.items()})
-        self._tellings = Allowance(WATCH_TOLD_A_SECOND, MOST_TOLD_AT_ONCE, clock())
+        self._tellings = Bucket(WATCH_TOLD_A_SECOND, MOST_TOLD_AT_ONCE)
         self._watched_is_due = False
         self.block: Block = _unblocked
         self.drift: Drift = _undrifted

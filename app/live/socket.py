@@ -19,10 +19,10 @@ from app.errors import Problem
 from app.live.browser import Browser
 from app.live.hub import Hub
 from app.server.addresses import source_of
-from app.server.allowance import Allowance
 from app.server.frames import outlet_of
 from app.web.access import Person, Role, Viewer
 from app.web.templating import templates_of
+from bus.bucket import Bucket
 
 router = APIRouter()
 
@@ -92,9 +92,8 @@ async def _write(websocket: WebSocket, browser: Browser) -> None:
 
 async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
     """A page that says more than its share is listened to more slowly."""
-    now = time.monotonic()
-    messages = Allowance(MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE, now)
-    snapshots = Allowance(SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE, now)
+    messages = Bucket(MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE)
+    snapshots = Bucket(SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE)
     while True:
         async with asyncio.timeout(SILENCE_ENDS_S):
             said = _decoder.decode(await websocket.receive_text())

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import structlog
 
+from bus.catalogue.values import MOST_DECIMALS
 from bus.contract import (
     BusFigures,
     BusLink,
@@ -27,7 +28,7 @@ from bus.settings import BusSettings, UnitSettings
 
 log = structlog.get_logger()
 
-MODE = 8
+MODE, DECIMALS = 8, 3
 NO_WORKER = "the bus worker is not connected"
 
 Subscriber = Callable[[str, Sequence[Update]], None]
@@ -44,9 +45,11 @@ class UnitLive:
     staged: int | None = None
 
     def parameter_raw(self, number: int) -> int | None:
-        """The raw value of a parameter as last read; None when never read or not available."""
+        """The raw value of a parameter as last read; None when never read or not available, and for decimals
+        (#3) that no value can have."""
         known = self.parameters.get(number)
-        return known.raw if known is not None else None
+        raw = known.raw if known is not None else None
+        return None if raw is not None and number == DECIMALS and raw > MOST_DECIMALS else raw
 
 
 @dataclass(slots=True)

@@ -12,12 +12,12 @@ from websockets.frames import CloseCode, Frame
 from websockets.http11 import Request
 from websockets.protocol import State
 
-from app.server.allowance import Allowance
 from app.server.connections import EXTENSION as CONNECTION
 from app.server.connections import Connection, Connections
 from app.server.frames import EXTENSION, OUTLET
 from app.server.http import CLOSING_S
 from app.server.pace import Backlog
+from bus.bucket import Bucket
 
 FEED_PATH = "/feed"
 """Where bus workers say what they have read: large messages, and many after a break."""
@@ -50,7 +50,7 @@ class WebSocketProtocol(WebSocketsSansIOProtocol):
         self._open_connections = open_connections
         self._backlog = Backlog()
         self._closing_since: float | None = None
-        self._allowance: Allowance | None = None
+        self._bucket: Bucket | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """A client that does not read is waited for after one message, not after 64 KiB of them."""
@@ -88,7 +88,7 @@ class WebSocketProtocol(WebSocketsSansIOProtocol):
     def handle_connect(self, event: Request) -> None:
         """The handshake, which says what it is for."""
         if event.path.partition("?")[0] != FEED_PATH:
-            self._allowance = Allowance(FRAMES_A_SECOND, MOST_FRAMES_AT_ONCE, self.loop.time())
+            self._bucket = Bucket(FRAMES_A_SECOND, MOST_FRAMES_AT_ONCE)
             self.conn.max_message_size = MOST_MESSAGE_BYTES
         super().handle_connect(event)
 
@@ -138,7 +138,7 @@ class WebSocketProtocol(WebSocketsSansIOProtocol):
     def _is_allowed(self) -> bool:
         if self.close_sent or self.transport.is_closing():
             return False
-        if self._allowance is None or self._allowance.take(self.loop.time()):
+        if self._bucket is None or self._bucket.take(self.loop.time()):
             return True
         self.conn.fail(CloseCode.POLICY_VIOLATION, "too many messages")
         self.handle_parser_exception()

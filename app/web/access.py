@@ -21,7 +21,8 @@ Via = Literal["session", "token", "worker", "demo"]
 
 
 class Role(StrEnum):
-    """What someone may do. The first four each include the ones before; ``worker`` is for /feed alone."""
+    """What someone may do. The first four each include the ones before; ``worker`` opens /feed and nothing
+    else, and nothing else opens /feed: what a worker reports is what commands are verified by."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"
@@ -33,7 +34,7 @@ class Role(StrEnum):
         """Whether this role may do what ``other`` may (templates name it by its word)."""
         other = Role(other)
         if Role.WORKER in (self, other):
-            return self is other or self in (Role.ENGINEER, Role.ADMIN)
+            return self is other
         return PEOPLE_ROLES.index(self) >= PEOPLE_ROLES.index(other)
 
 
@@ -46,8 +47,8 @@ def role_named(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
     """Raises CallerError for a word that is none of these."""
     roles = list(among)
     if word not in roles:
-        params = {"role": word, "known": ", ".join(roles)}
-        raise CallerError("there is no role '{role}'; take one of {known}", params=params)
+        params = {"role": word[:80], "known": ", ".join(roles)}
+        raise CallerError("there is no role '{role}'; choose one of {known}", params=params)
     return Role(word)
 
 
@@ -61,6 +62,8 @@ class Person:
     language: str = ""
     panel: bool = False
     home: str = "/"
+    bus: str = ""
+    """The one bus that a worker speaks for."""
 
     @property
     def account(self) -> str:

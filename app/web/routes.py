@@ -4,6 +4,7 @@ before a byte of the body is read."""
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import inf
 from typing import Any
 
 from fastapi import FastAPI
@@ -54,7 +55,7 @@ def guard(app: FastAPI) -> None:
     FastAPI reads and parses a body first and asks for the role then. A route that takes files says how large
     they may be by FastAPI's ``max_body_size``; one that is a `SEARCH` or a `DOWNLOAD` has its own turns.
     """
-    reads = Turns(READS_AT_ONCE, MOST_READS_WAITING)
+    reads = Turns(inf, READS_AT_ONCE, MOST_READS_WAITING)
     for route in app.routes:
         if isinstance(route, APIRoute):
             guarded: ASGIApp = BoundedBody(route.app, route.max_body_size or MOST_PLAIN_BODY_BYTES)

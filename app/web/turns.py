@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass
+from math import inf
 from typing import Any
 
 from fastapi import Depends
@@ -13,6 +12,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.errors import Problem
+from app.server.fair_queue import FairQueue, TooManyWaitingError
 from app.web.access import Viewer, person_of
 
 AT_ONCE = 2
@@ -23,49 +23,33 @@ MOST_READS_WAITING = 200
 """Of everything else that is read."""
 
 
-@dataclass(slots=True)
-class _Queue:
-    gate: asyncio.Semaphore
-    inside: int = 0
-    """Those that have a turn and those that wait for one."""
+Turns = FairQueue[str]
+"""By account."""
 
 
-class Turns:
-    """By account: so many at once, and so many that wait."""
-
-    def __init__(self, at_once: int, most_waiting: int) -> None:
-        self._at_once = at_once
-        self._most = at_once + most_waiting
-        self._queues: dict[str, _Queue] = {}
-
-    @asynccontextmanager
-    async def turn(self, account: str) -> AsyncIterator[None]:
-        """Wait for a turn, and have it. Raises Problem 429 where too many wait."""
-        queue = self._queues.setdefault(account, _Queue(asyncio.Semaphore(self._at_once)))
-        if queue.inside >= self._most:
-            detail = "too many of your requests wait already; let some end"
-            raise Problem(429, "too_many", detail).with_headers(Retry_After="2")
-        queue.inside += 1
+@asynccontextmanager
+async def turn_of(turns: Turns, account: str) -> AsyncIterator[None]:
+    """Wait for a turn, and have it. Raises Problem 429 where too many wait."""
+    async with AsyncExitStack() as stack:
         try:
-            async with queue.gate:
-                yield
-        finally:
-            queue.inside -= 1
-            if not queue.inside:
-                del self._queues[account]
+            await stack.enter_async_context(turns.turn(account))
+        except TooManyWaitingError:
+            detail = "too many of your requests wait already; let some end"
+            raise Problem(429, "too_many", detail).with_headers(Retry_After="2") from None
+        yield
 
 
 def in_turn(turns: Turns) -> Any:
     """``dependencies=[SEARCH]`` of a route: one turn from before it runs until its response is sent."""
 
     async def take_turn(person: Viewer) -> AsyncIterator[None]:
-        async with turns.turn(person.account):
+        async with turn_of(turns, person.account):
             yield
 
     return Depends(take_turn)
 
 
-searches, downloads = Turns(AT_ONCE, MOST_WAITING), Turns(AT_ONCE, MOST_WAITING)
+searches, downloads = (Turns(inf, AT_ONCE, MOST_WAITING) for _ in range(2))
 SEARCH, DOWNLOAD = in_turn(searches), in_turn(downloads)
 
 
@@ -89,5 +73,5 @@ class ReadInTurn:
                 await turn.aclose()
                 await send(message)
 
-            await turn.enter_async_context(self._turns.turn(person.account))
+            await turn.enter_async_context(turn_of(self._turns, person.account))
             await self._app(scope, receive, sending)

@@ -11,6 +11,7 @@ from bus.catalogue.parameter import Parameter, Scale
 from bus.errors import CallerError
 
 RATIO_DECIMALS = 4
+MOST_DECIMALS = 9
 HIGHEST_ATD = 255
 _FULL_VOLTS = 10
 _NUMBER = re.compile(r"([0-9]{1,9})(?:[.,]([0-9]{1,9}))?")
@@ -18,7 +19,13 @@ _SCALE_UNITS = {Scale.TENTHS: "s", Scale.BAUD: "baud"}
 
 
 def speed_text(raw: int, decimals: int) -> str:
-    """``raw`` display units with ``decimals`` (#3) places: 12345 with 1 is "1234.5"."""
+    """``raw`` display units with ``decimals`` (#3) places: 12345 with 1 is "1234.5".
+
+    Marked as raw where a unit reports more than :data:`MOST_DECIMALS`: ten to the power of a four-byte number
+    takes for ever.
+    """
+    if decimals > MOST_DECIMALS:
+        return f"{raw} raw"
     whole, part = divmod(raw, 10**decimals)
     return f"{whole}.{part:0{decimals}d}" if decimals else str(whole)
 
@@ -123,6 +130,8 @@ def _decimals(parameter: Parameter, decimals: int | None, follower: bool) -> int
 
 
 def _raw(text: str, decimals: int) -> int:
+    if decimals > MOST_DECIMALS:
+        raise CallerError("the unit reports more decimals (#3) than a value can have; check #3 at its panel")
     text = text.strip()
     number = _NUMBER.fullmatch(text)
     if number is None:

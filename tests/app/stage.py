@@ -36,7 +36,7 @@ from app.live.api import router as live_router
 from app.live.state import LiveState
 from app.pipeline import Pipeline
 from app.settings import Site
-from app.web.access import Person, Role
+from app.web.access import Person, Role, Via
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
 from app.web.templating import Templates
@@ -63,6 +63,8 @@ from bus.settings import BusSettings, UnitSettings
 
 REMOTE, HEALTHY = 0b0100_0000, 0b0000_0010
 PARAMETERS = {1: 1750, 2: 20000, 3: 1, 8: 0, 22: 0, 23: 500, 28: 2, 29: 100, 30: 2000, 12: 20}
+OWN_WORKER = "own"
+"""The name under which a worker of the stage is the child of the server."""
 Play = Callable[[Command], Awaitable[Sequence[Update]]]
 
 
@@ -156,9 +158,9 @@ class PlayedWorker:
         assert self.closed is not None
         return self.closed
 
-    async def leave(self) -> None:
+    async def leave(self, code: int = 1000) -> None:
         """End the connection."""
-        await self._socket.close()
+        await self._socket.close(code)
         await self._listening
 
     def _of(self, kind: type[AppMessage]) -> list[AppMessage]:
@@ -205,7 +207,14 @@ class Stage:
         self.live = LiveState([settings], time.time())
         self.history = History()
         self.pipeline = Pipeline(self.live, self.history, self.events)
-        self.workers = Workers([settings.name], self.pipeline, silent_ticks=silent_ticks)
+        self.skipped_s = 0.0
+        """By how much the clock of the leases is ahead of the real one."""
+        self.workers = Workers(
+            [settings.name],
+            self.pipeline,
+            monotonic=lambda: time.monotonic() + self.skipped_s,
+            silent_ticks=silent_ticks,
+        )
         self.guards = Safeguards(self.database, self.events, control_required=control, find=find)
         self.desk = Desk(self.live, self.workers.channels, self.events, self.database, self.guards)
         self.app = FastAPI()
@@ -245,9 +254,11 @@ class Stage:
         url = f"/api/v1/buses/dry-end{path}"
         return await self.http(role, more.pop("name", "")).request(method, url, json=body, **more)
 
-    async def worker(self, first: Hello | None = None, state: Snapshot | None = None) -> PlayedWorker:
+    async def worker(
+        self, first: Hello | None = None, state: Snapshot | None = None, name: str = ""
+    ) -> PlayedWorker:
         """A worker that said hello and, unless ``state`` is told otherwise, its whole state."""
-        played = await self.connect()
+        played = await self.connect(name=name)
         await played.say(first or hello())
         welcome = await played.hear(Welcome)
         assert isinstance(welcome, Welcome)
@@ -261,9 +272,10 @@ class Stage:
         await until(lambda: self.workers.channels["dry-end"].connected, "the way down open")
         return played
 
-    async def connect(self, role: str = "worker") -> PlayedWorker:
-        """A connection to /feed that has said nothing yet."""
-        return PlayedWorker(await connect(f"ws://{self.url}/feed", additional_headers={"X-Role": role}))
+    async def connect(self, role: str = "worker", bus: str = "dry-end", name: str = "") -> PlayedWorker:
+        """A connection to /feed that has said nothing yet, by the token ``name`` of ``bus``."""
+        headers = {"X-Role": role, "X-Bus": bus, "X-Name": name or role}
+        return PlayedWorker(await connect(f"ws://{self.url}/feed", additional_headers=headers))
 
     async def close(self) -> None:
         """End the clients."""
@@ -279,7 +291,10 @@ class _ByHeader:
         headers = dict(scope.get("headers", ()))
         role = headers.get(b"x-role", b"").decode()
         name = headers.get(b"x-name", role.encode()).decode()
-        scope["person"] = Person(name, Role(role), "session") if role else None
+        own = role == Role.WORKER and name == OWN_WORKER
+        via: Via = "worker" if own else "token" if role == Role.WORKER else "session"
+        bus = headers.get(b"x-bus", b"").decode()
+        scope["person"] = Person(name, Role(role), via, bus=bus) if role else None
         await self._app(scope, receive, send)
 
 

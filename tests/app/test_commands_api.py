@@ -215,7 +215,10 @@ async def test_a_line_action_answers_for_each_unit_with_frames(stage: Stage, wor
         UnitOutcome(unit=2, outcome="unverified", message="no answer"),
     ]
     frame = Frame(
-        at=1.5, direction="out", data=b"\x10\x02\x00\x83\x10\x03\x7d", clauses=[Clause("execute, all")]
+        at=time.time(),
+        direction="out",
+        data=b"\x10\x02\x00\x83\x10\x03\x7d",
+        clauses=[Clause("execute, all")],
     )
     worker.play = answering("unverified", units=units, skew_s=0.02, frames=[frame])
     answer = await stage.ask("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})

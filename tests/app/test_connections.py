@@ -7,7 +7,6 @@ from ipaddress import ip_network
 
 import pytest
 
-from app.server.allowance import Allowance
 from app.server.connections import (
     EXTENSION,
     MOST_IN_ALL,
@@ -147,11 +146,3 @@ def test_a_reader_keeps_the_least_rate_or_is_stuck() -> None:
     assert not backlog.is_stuck(0, 3 * STALL_S)
     assert not backlog.is_stuck(1, 4 * STALL_S)
     assert backlog.is_stuck(1, 5 * STALL_S)
-
-
-def test_an_allowance_is_used_up_and_comes_back() -> None:
-    allowance = Allowance(rate=2.0, most=3, at=0.0)
-    assert [allowance.take(0.0) for _ in range(4)] == [True, True, True, False]
-    assert [allowance.take(0.5) for _ in range(2)] == [True, False]
-    assert [allowance.take(100.0) for _ in range(4)] == [True, True, True, False]
-    assert [allowance.take(at) for at in (0.0, 0.4, 0.5)] == [False, False, True]

@@ -73,6 +73,8 @@ def test_how_a_client_called_the_proxy(headers: dict[str, str], scheme: str, hos
         ("::ffff:192.0.2.7", "192.0.2.7"),
         ("2001:db8:1:2:3:4:5:6", "2001:db8:1:2::/64"),
         ("2001:0db8:1:2::9", "2001:db8:1:2::/64"),
+        ("fe80::1%eth0", "fe80::/64"),
+        ("::1", "::/64"),
         ("", ""),
         ("unix", "unix"),
     ],

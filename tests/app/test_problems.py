@@ -137,7 +137,7 @@ async def test_a_store_that_fails_at_the_door_refuses(
     async def fail(*_: object) -> None:
         raise StoreError("the store x: the disk failed at it; check the disk")
 
-    monkeypatch.setattr(house.services.sign_in, "by_token", fail)
+    monkeypatch.setattr(house.services.identity, "by_token", fail)
     check_problem(await engineer.get("/api/v1/line"), 503, "store")
     assert (await house.client().get("/healthz")).status_code == 200
 

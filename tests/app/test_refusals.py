@@ -20,7 +20,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 
 
 async def recorded(house: House) -> list[tuple[str, str, str, str]]:
-    await house.services.events.tell_counts(all_of_them=True)
+    await house.services.events.repeated.tell_rest()
     events = await house.events("access_refused")
     return [(event["what"], event["who"], event["origin"], event["message"]) for event in reversed(events)]
 
@@ -46,13 +46,22 @@ async def test_tokens_that_are_not_good_are_one_event_a_minute(house: House) -> 
     ]
 
 
+async def test_a_token_that_has_expired_is_named(house: House) -> None:
+    accounts = house.services.accounts
+    token = await accounts.create_token("report", Role.VIEWER, expires_days=1, by="ann", origin="test")
+    await house.services.database.write(lambda c: c.execute("UPDATE tokens SET expires_at = 1.0"))
+    answer = await house.client(Authorization=f"Bearer {token}").get("/api/v1/line")
+    assert (answer.status_code, "expired on 1970-01-01" in answer.json()["detail"]) == (401, True)
+    assert await recorded(house) == [("token refused", "report (token)", "192.0.2.7", "")]
+
+
 async def test_many_addresses_are_told_as_many(house: House) -> None:
     for number in range(100):
         house.address = f"198.51.100.{number}"
         await house.client(Authorization="Bearer guess").get("/api/v1/line")
     events = await recorded(house)
     assert len(events) < 30
-    assert events[-1] == ("token refused", "", "many addresses", "79 times")
+    assert events[-1] == ("token refused", "unknown token", "many addresses", "79 times")
 
 
 async def test_a_subnet_of_ipv6_is_one_sender(house: House) -> None:

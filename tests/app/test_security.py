@@ -82,7 +82,8 @@ def test_a_websocket_of_a_foreign_page_is_refused_even_with_a_good_token(tmp_pat
     app = create_app(settings_in(tmp_path))
     with TestClient(app) as client:
         make = app.state.services.accounts.create_token
-        token = client.portal.call(lambda: make("t", Role.ENGINEER, by="t", origin="t"))  # type: ignore[union-attr]
+        role, bus = (Role.WORKER, "dry-end") if path == "/feed" else (Role.ENGINEER, "")
+        token = client.portal.call(lambda: make("t", role, bus=bus, by="t", origin="t"))  # type: ignore[union-attr]
         headers = {"authorization": f"Bearer {token}", "origin": "http://evil.example"}
         with (
             pytest.raises(WebSocketDenialResponse) as refused,

@@ -182,7 +182,7 @@ def test_a_worker_that_dies_is_started_again(config: Path) -> None:
 def test_the_app_knows_its_worker_and_says_that_the_port_is_not_there(config: Path) -> None:
     create = [LINESIDE, "token", "create", "t", "--role", "viewer", "--config", str(config)]
     token = subprocess.run(create, capture_output=True, text=True, check=True).stdout.strip()
-    with started("serve", "--config", str(config)) as (_, url):
+    with started("serve", "--config", str(config)) as (process, url):
 
         def bus() -> Any:
             headers = {"Authorization": f"Bearer {token}"}
@@ -191,6 +191,16 @@ def test_the_app_knows_its_worker_and_says_that_the_port_is_not_there(config: Pa
         eventually(lambda: bus()["worker"], "the worker is linked")
         eventually(lambda: "absent" in bus()["link_cause"], "the cause names the port")
         assert bus()["link"] == "closed"
+        harmless = {"LINESIDE_PARENT", "PYDANTIC_DISABLE_PLUGINS", "COLUMNS", "LINES"}
+        assert shown_by_ps(only_child(process)) <= harmless
+
+
+def shown_by_ps(pid: int) -> set[str]:
+    """The variables that a listing shows of a worker, beyond those of this test."""
+    shown = Path(f"/proc/{pid}/environ").read_text().split("\0")
+    arguments = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+    assert {each for each in arguments if each.startswith("--")} == {"--config", "--bus", "--app", "--child"}
+    return {each.partition("=")[0] for each in shown} - os.environ.keys() - {""}
 
 
 def test_a_busy_port_is_one_sentence_and_1(config: Path) -> None:

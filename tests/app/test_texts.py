@@ -98,6 +98,8 @@ UNSEEN = {
     "no history is kept, everything else works": "said with its time and cause",
     "of a size that cannot be known now": "has a pattern of its own",
     "a worker says hello first": "said to a program",
+    "this bus was connected to too often; wait a minute": "said to a program",
+    'Bearer error="invalid_token", error_description="The access token expired"': "a header",
     'it must be a JSON object, {"…": …}, sent as Content-Type: application/json': "said to a program",
     "X1 needs one more package: pip install 'lineside[rfc2217]'": "what is to be typed stays",
 }

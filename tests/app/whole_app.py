@@ -60,7 +60,8 @@ class House:
 
     async def token(self, role: Role) -> str:
         """A bearer token."""
-        return await self.services.accounts.create_token(f"key-{role}", role, by="test", origin="test")
+        bus = "dry-end" if role is Role.WORKER else ""
+        return await self.services.accounts.create_token(f"key-{role}", role, bus=bus, by="t", origin="t")
 
     async def program(self, role: Role) -> httpx.AsyncClient:
         """A program with a token."""

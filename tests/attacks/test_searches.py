@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -92,12 +93,12 @@ async def test_a_download_keeps_its_turn_until_it_is_read(
     monkeypatch.setattr(house.services.events, "every", every)
     client = await house.program(Role.VIEWER)
     asked = [asyncio.create_task(client.get("/api/v1/events.csv")) for _ in range(AT_ONCE + 2)]
-    await until(lambda: downloads._queues and downloads._queues["key-viewer (token)"].inside == AT_ONCE + 2)
+    await until(lambda: downloads.count_of("key-viewer (token)") == AT_ONCE + 2)
     assert begun == AT_ONCE
     gate.set()
     assert [answer.status_code for answer in await asyncio.gather(*asked)] == [200] * len(asked)
     assert begun == AT_ONCE + 2
-    assert not downloads._queues
+    assert not downloads.count_of("key-viewer (token)")
 
 
 async def test_beyond_those_that_wait_an_account_is_refused(house: House) -> None:
@@ -108,7 +109,7 @@ async def test_beyond_those_that_wait_an_account_is_refused(house: House) -> Non
             await gate.wait()
 
     held = [asyncio.create_task(hold()) for _ in range(AT_ONCE + MOST_WAITING)]
-    await until(lambda: searches._queues and searches._queues["key-viewer (token)"].inside == len(held))
+    await until(lambda: searches.count_of("key-viewer (token)") == len(held))
     client = await house.program(Role.VIEWER)
     refused = await client.get("/api/v1/events")
     assert (refused.status_code, refused.json()["code"], refused.headers["retry-after"]) == (
@@ -144,7 +145,7 @@ async def test_what_an_account_reads_comes_in_turns_and_others_do_not_wait(
 
 
 async def test_a_response_that_is_being_sent_has_no_turn_any_more() -> None:
-    turns, gate, begun = Turns(1, 0), asyncio.Event(), 0
+    turns, gate, begun = Turns(inf, 1, 0), asyncio.Event(), 0
 
     async def stream(_scope: Scope, _receive: Receive, send: Send) -> None:
         nonlocal begun
@@ -164,6 +165,6 @@ async def test_a_response_that_is_being_sent_has_no_turn_any_more() -> None:
     await until(lambda: begun == 1)
     sent.append(asyncio.create_task(app({**scope}, receive, ignore)))
     await until(lambda: begun == 2)
-    assert not turns._queues
+    assert not turns.count_of("ann")
     gate.set()
     await asyncio.gather(*sent)

@@ -1,0 +1,56 @@
+"""Events that a stranger can cause as often as they like, in a number that is bounded."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+from app.audit.kinds import Kind
+from app.audit.tally import WINDOW_S, Counted, Tally
+
+MANY = "many addresses"
+"""The origin of what is counted for more places than are told apart."""
+_Said = tuple[Kind, str, str, str, str]
+"""Kind, what, who, origin and message."""
+
+
+class RepeatedEvents:
+    """An event at once for the first of its kind, person, place and message, then one a minute that says how
+    often it happened since. Places are told apart for each person, so that a flood hides nobody who is under
+    attack: ``who`` is one of a bounded number. ``record``: as `EventLog.record`; ``clock`` gives Unix time in
+    seconds."""
+
+    def __init__(self, record: Callable[..., Awaitable[int]], clock: Callable[[], float]) -> None:
+        self._record = record
+        self._clock = clock
+        self._tally: Tally[_Said] = Tally()
+
+    async def count(self, kind: Kind, what: str, *, who: str, origin: str, message: str) -> None:
+        """It happened once more."""
+        told = self._tally.note(f"{kind} {who}", (kind, what, who, origin, message), self._clock())
+        if told is not None:
+            await self._tell(told)
+
+    async def follow(self) -> None:
+        """Record what was counted in minutes that are over, without end."""
+        while True:
+            await asyncio.sleep(WINDOW_S / 4)
+            await self.tell_due()
+
+    async def tell_due(self) -> None:
+        """Record what was counted in minutes that are over."""
+        for told in self._tally.due(self._clock()):
+            await self._tell(told)
+
+    async def tell_rest(self) -> None:
+        """Record everything that was counted: the server ends."""
+        for told in self._tally.rest(self._clock()):
+            await self._tell(told)
+
+    async def _tell(self, told: Counted[_Said]) -> None:
+        kind, what, who, origin, message = told.said
+        if told.is_many:
+            origin, message = MANY, ""
+        await self._record(
+            kind=kind, what=what, who=who, origin=origin, message=message, at=told.last, count=told.count
+        )

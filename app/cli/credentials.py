@@ -1,0 +1,73 @@
+"""The bearer token of a command: as an option, from a file or from the environment.
+
+A command line is visible to every user of the machine while the command runs; a file and the environment
+are not.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bus.errors import CallerError
+
+TOKEN_VARIABLE = "LINESIDE_TOKEN"
+MOST_BYTES = 4096
+
+Token = Annotated[
+    str,
+    typer.Option(
+        "--token",
+        help=f"A bearer token. Other users of this machine see it: better --token-file or {TOKEN_VARIABLE}.",
+    ),
+]
+TokenFile = Annotated[
+    Path | None, typer.Option("--token-file", help="A file whose first line is the bearer token.")
+]
+
+
+def bearer_token(token: str, file: Path | None, *more_variables: str) -> str:
+    """The token by ``--token``, else ``--token-file``, else the environment: ``LINESIDE_TOKEN`` or one of
+    ``more_variables``. Raises CallerError for none, for both options and for a file without a token."""
+    if token and file is not None:
+        raise CallerError("--token and --token-file are both given; give one of them")
+    found = token or (_token_in(file) if file is not None else _from_environment(more_variables))
+    if not found:
+        raise CallerError(
+            f"there is no token: give --token-file FILE, set {TOKEN_VARIABLE} or give --token TOKEN; "
+            "'lineside token create' makes one"
+        )
+    if not (found.isascii() and found.isprintable()) or " " in found:
+        raise CallerError("the token has a character that no token has; copy it again")
+    return found
+
+
+def _from_environment(more_variables: tuple[str, ...]) -> str:
+    names = (TOKEN_VARIABLE, *more_variables)
+    return next((value.strip() for name in names if (value := os.environ.get(name, ""))), "")
+
+
+def _token_in(file: Path) -> str:
+    try:
+        with file.open("rb") as opened:
+            _warn_if_shared(file, os.fstat(opened.fileno()).st_mode)
+            text = opened.read(MOST_BYTES).decode("ascii", errors="replace")
+    except OSError as error:
+        raise CallerError(f"the token file {file} cannot be read: {error.strerror}") from error
+    lines = text.splitlines()
+    if not lines or not lines[0].strip():
+        raise CallerError(f"the token file {file} has no token in its first line")
+    return lines[0].strip()
+
+
+def _warn_if_shared(file: Path, mode: int) -> None:
+    """A secret mounted by a container or a credential store is a regular file of any mode, and no mistake of
+    the caller: so this warns and goes on."""
+    if stat.S_ISREG(mode) and mode & (stat.S_IRGRP | stat.S_IROTH):
+        typer.echo(
+            f"lineside: other users of this machine can read {file}; protect it: chmod 600 {file}", err=True
+        )

@@ -1,0 +1,139 @@
+"""Rights that end in another process, or by themselves, are noticed; what was done here is not told twice."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from app.audit.log import EventLog
+from app.auth import rules
+from app.auth.accounts import Accounts
+from app.auth.passwords import Passwords
+from app.auth.rights_watch import RightsWatch
+from app.database import Database
+from app.web.access import Role
+
+BY = {"by": "root", "origin": "test"}
+PASSWORD = "correct horse"
+
+
+class House:
+    """A server with its watch, and the command line beside it over the same store."""
+
+    def __init__(self, path: Path) -> None:
+        self.now = 1_000_000.0
+        self.passwords = Passwords()
+        self.stores = [Database(path), Database(path, checkpoints=False)]
+        self.here, self.elsewhere = (
+            Accounts(each, self.passwords, EventLog(each), lambda: self.now, buses=("dry-end",))
+            for each in self.stores
+        )
+        self.watch = RightsWatch(self.stores[0], self.here, lambda: self.now)
+        self.told: list[str] = []
+
+        async def hear(account: str) -> None:
+            self.told.append(account)
+
+        self.here.on_rights_changed(hear)
+
+    def close(self) -> None:
+        self.passwords.close()
+        for store in self.stores:
+            store.close()
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    house = House(tmp_path / "lineside.db")
+    await house.here.add_user("root", Role.ADMIN, PASSWORD, **BY)
+    await house.here.add_user("ann", Role.ENGINEER, PASSWORD, **BY)
+    await house.here.create_token("plc", Role.OPERATOR, **BY)
+    await house.watch.look()
+    assert house.told == []
+    await house.watch.look()
+    yield house
+    house.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "account"),
+    [
+        ("revoke", "plc (token)"),
+        ("role", "ann"),
+        ("disable", "ann"),
+        ("remove", "ann"),
+        ("password", "ann"),
+        ("replace", "plc (token)"),
+    ],
+)
+async def test_what_another_process_does_is_told(house: House, change: str, account: str) -> None:
+    there, looked = house.elsewhere, house.here.rechecks.count
+    match change:
+        case "revoke":
+            await there.revoke_token("plc", **BY)
+        case "role":
+            await there.set_role("ann", Role.VIEWER, **BY)
+        case "disable":
+            await there.set_disabled("ann", True, **BY)
+        case "remove":
+            await there.remove_user("ann", **BY)
+        case "password":
+            await there.set_password("ann", "another good one", **BY)
+        case "replace":
+            await there.revoke_token("plc", **BY)
+            await there.create_token("plc", Role.OPERATOR, **BY)
+    assert house.told == []
+    await house.watch.look()
+    assert house.told == [account]
+    assert house.here.rechecks.count > looked, "open connections look again"
+    await house.watch.look()
+    assert house.told == [account]
+
+
+async def test_what_ends_no_rights_is_not_told(house: House) -> None:
+    await house.elsewhere.add_user("bob", Role.VIEWER, PASSWORD, **BY)
+    await house.elsewhere.create_token("hmi", Role.VIEWER, **BY)
+    await house.watch.look()
+    await house.stores[0].write(lambda c: c.execute("UPDATE users SET seen_at = 5"))
+    await house.watch.look()
+    assert house.told == []
+
+
+async def test_what_was_done_here_is_not_told_again(house: House) -> None:
+    """A password that its owner changes keeps the session, and with it control of a line."""
+    keep = rules.secret_hash("session")
+    await house.here.set_password("ann", "another good one", keep=keep, **BY)
+    await house.watch.look()
+    await house.elsewhere.create_token("hmi", Role.VIEWER, **BY)
+    await house.watch.look()
+    assert house.told == []
+
+
+async def test_a_token_that_expires_is_told_once(house: House) -> None:
+    await house.here.create_token("short", Role.OPERATOR, expires_days=1, **BY)
+    await house.watch.look()
+    house.now += rules.DAY - 1
+    await house.watch.look()
+    assert house.told == []
+    house.now += 1
+    await house.watch.look()
+    await house.watch.look()
+    assert house.told == ["short (token)"]
+
+
+async def test_a_look_at_nothing_new_reads_nothing(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    reads = 0
+    read = house.stores[0].read
+
+    async def counted(work):  # type: ignore[no-untyped-def]
+        nonlocal reads
+        reads += 1
+        return await read(work)
+
+    monkeypatch.setattr(house.stores[0], "read", counted)
+    await house.stores[0].write(lambda c: c.execute("UPDATE users SET seen_at = 5"))
+    for _ in range(10):
+        await house.watch.look()
+    assert reads == 0
