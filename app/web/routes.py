@@ -12,9 +12,10 @@ from fastapi.routing import APIRoute, RouteContext, iter_route_contexts
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from app.server.fair_queue import FairQueue
 from app.web.access import Requires, Role, public
 from app.web.bounds import MOST_PLAIN_BODY_BYTES, BoundedBody
-from app.web.turns import DOWNLOAD, MOST_READS_WAITING, READS_AT_ONCE, SEARCH, ReadInTurn, Turns
+from app.web.turns import DOWNLOAD, MOST_READS_WAITING, READS_AT_ONCE, SEARCH, ReadInTurn
 
 
 def _calls(dependant: Any) -> Iterator[Any]:
@@ -55,7 +56,7 @@ def guard(app: FastAPI) -> None:
     FastAPI reads and parses a body first and asks for the role then. A route that takes files says how large
     they may be by FastAPI's ``max_body_size``; one that is a `SEARCH` or a `DOWNLOAD` has its own turns.
     """
-    reads = Turns(inf, READS_AT_ONCE, MOST_READS_WAITING)
+    reads: FairQueue[str] = FairQueue(inf, READS_AT_ONCE, MOST_READS_WAITING)
     for route in app.routes:
         if isinstance(route, APIRoute):
             guarded: ASGIApp = BoundedBody(route.app, route.max_body_size or MOST_PLAIN_BODY_BYTES)

@@ -23,12 +23,8 @@ MOST_READS_WAITING = 200
 """Of everything else that is read."""
 
 
-Turns = FairQueue[str]
-"""By account."""
-
-
 @asynccontextmanager
-async def turn_of(turns: Turns, account: str) -> AsyncIterator[None]:
+async def turn_of(turns: FairQueue[str], account: str) -> AsyncIterator[None]:
     """Wait for a turn, and have it. Raises Problem 429 where too many wait."""
     async with AsyncExitStack() as stack:
         try:
@@ -39,7 +35,7 @@ async def turn_of(turns: Turns, account: str) -> AsyncIterator[None]:
         yield
 
 
-def in_turn(turns: Turns) -> Any:
+def in_turn(turns: FairQueue[str]) -> Any:
     """``dependencies=[SEARCH]`` of a route: one turn from before it runs until its response is sent."""
 
     async def take_turn(person: Viewer) -> AsyncIterator[None]:
@@ -49,7 +45,9 @@ def in_turn(turns: Turns) -> Any:
     return Depends(take_turn)
 
 
-searches, downloads = (Turns(inf, AT_ONCE, MOST_WAITING) for _ in range(2))
+searches: FairQueue[str] = FairQueue(inf, AT_ONCE, MOST_WAITING)
+"""By account, as all of these."""
+downloads: FairQueue[str] = FairQueue(inf, AT_ONCE, MOST_WAITING)
 SEARCH, DOWNLOAD = in_turn(searches), in_turn(downloads)
 
 
@@ -57,7 +55,7 @@ class ReadInTurn:
     """Makes few responses of one account at a time. To render a page of a long line takes the event loop tens
     of milliseconds; the requests of others come in between."""
 
-    def __init__(self, app: ASGIApp, turns: Turns) -> None:
+    def __init__(self, app: ASGIApp, turns: FairQueue[str]) -> None:
         self._app = app
         self._turns = turns
 

@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
+from app.server.fair_queue import FairQueue
 from app.web.access import Person, Role
 from app.web.turns import (
     AT_ONCE,
     MOST_WAITING,
     READS_AT_ONCE,
     ReadInTurn,
-    Turns,
     downloads,
     searches,
 )
@@ -145,7 +145,8 @@ async def test_what_an_account_reads_comes_in_turns_and_others_do_not_wait(
 
 
 async def test_a_response_that_is_being_sent_has_no_turn_any_more() -> None:
-    turns, gate, begun = Turns(inf, 1, 0), asyncio.Event(), 0
+    turns: FairQueue[str] = FairQueue(inf, 1, 0)
+    gate, begun = asyncio.Event(), 0
 
     async def stream(_scope: Scope, _receive: Receive, send: Send) -> None:
         nonlocal begun
