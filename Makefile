@@ -1,4 +1,4 @@
-# make demo [PORT=8100] | test | setup | bench | check | screenshots | lock | clean
+# make demo [PORT=8100] | test | soak | setup | bench | check | screenshots | lock | clean
 PYTHON ?= python3
 PORT ?= 8000
 VENV := .venv
@@ -9,7 +9,7 @@ NODE_TOOLS := node_modules/.package-lock.json
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
 	--custom-compile-command "make lock" --extra rfc2217
 
-.PHONY: demo free-port test setup bench check screenshots lock clean development
+.PHONY: demo free-port test soak setup bench check screenshots lock clean development
 .DEFAULT_GOAL := demo
 
 demo: free-port setup
@@ -26,6 +26,10 @@ setup: $(VENV)/.lineside
 # of time misses polls as it should. What fails so is run again alone; only what fails again has failed.
 test: development
 	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder || $(BIN)/pytest --last-failed --last-failed-no-failures none
+
+# What takes long, alone on the machine: it measures.
+soak: development
+	$(BIN)/pytest -m soak -s
 
 bench: development
 	$(BIN)/python -m benchmarks

@@ -15,6 +15,7 @@ from app.auth import api as auth_api
 from app.auth import pages as auth_pages
 from app.auth import tokens, users
 from app.auth.access import Identify
+from app.auth.refusals import RecordRefusals
 from app.commands import api as commands_api
 from app.commands import (
     baud_pages,
@@ -40,6 +41,8 @@ from app.live import socket as live_socket
 from app.metrics import api as metrics_api
 from app.recipes import api as recipes_api
 from app.recipes import pages as recipes_pages
+from app.server.forwarded import Forwarded
+from app.server.security_headers import SecurityHeaders
 from app.sets import api as sets_api
 from app.sets import batch_pages, restore_api, restore_pages
 from app.sets import pages as sets_pages
@@ -48,9 +51,11 @@ from app.swap import pages as swap_pages
 from app.web import pages as web_pages
 from app.web import problems, schema
 from app.web.arrival import Begun
+from app.web.bounds import BoundedRequest
 from app.web.head import HeadAsGet
-from app.web.routes import refuse_undeclared
-from app.web.security import BoundedRequest, OwnPagesOnly, SecurityHeaders
+from app.web.hosts import AllowedHosts
+from app.web.routes import guard, refuse_undeclared
+from app.web.security import OwnPagesOnly
 from app.wiring import Services, build, running
 
 FEATURES = (
@@ -116,13 +121,17 @@ def create_app(
         app.router.routes.extend(feature.router.routes)
     problems.install(app)
     app.add_middleware(HeadAsGet)
-    app.add_middleware(Identify, sign_in=services.sign_in, demo=demo)
+    app.add_middleware(Identify, identity=services.identity, rechecks=services.accounts.rechecks, demo=demo)
     app.add_middleware(BoundedRequest)
     app.add_middleware(OwnPagesOnly)
+    app.add_middleware(RecordRefusals, events=services.events)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
+    app.add_middleware(AllowedHosts, allowed=settings.server.allowed_hosts)
     app.add_middleware(SecurityHeaders)
+    app.add_middleware(Forwarded, trusted=settings.server.trusted_proxies)
     app.add_middleware(Begun)
     refuse_undeclared(app)
+    guard(app)
     return app
 
 

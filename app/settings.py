@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import os
+import re
+from ipaddress import IPv4Network, IPv6Network, ip_address, ip_network
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, PrivateAttr, StrictBool, field_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    PrivateAttr,
+    StrictBool,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from app.time_zone import is_zone, machine_zone
@@ -15,7 +25,9 @@ from bus.configuration import ConfigurationError
 from bus.settings import BusSettings, Strict
 from bus.text import OneLine
 
-__all__ = ["ConfigurationError", "Server", "Settings", "Site", "load"]
+__all__ = ["ConfigurationError", "Server", "Sessions", "Settings", "Site", "load"]
+
+_HOST_NAME = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?:\.[A-Za-z0-9-]{1,63})*")
 
 
 KEY_SUFFIX = ".audit.key"
@@ -56,6 +68,54 @@ class Site(Strict):
         return tag
 
 
+def _network(written: object) -> IPv4Network | IPv6Network:
+    """An address or a network as TOML writes it."""
+    try:
+        network = ip_network(written) if isinstance(written, str) else None
+    except ValueError:
+        network = None
+    if network is None:
+        raise ValueError("write the address of a proxy, like 10.0.0.5, or its network, like 10.0.0.0/28")
+    if not network.prefixlen:
+        raise ValueError("name the proxies; of all addresses anybody could write X-Forwarded-For")
+    return network
+
+
+def _host_name(written: str) -> str:
+    bare = written.strip("[]").lower()
+    if not _HOST_NAME.fullmatch(bare):
+        try:
+            ip_address(bare)
+        except ValueError:
+            raise ValueError(
+                "write a name or an address without scheme and port, like mill.example"
+            ) from None
+    return bare
+
+
+Network = Annotated[IPv4Network | IPv6Network, BeforeValidator(_network)]
+HostName = Annotated[str, AfterValidator(_host_name)]
+
+
+class Sessions(Strict):
+    """How long a sign-in lasts: since it was last used, and in all."""
+
+    idle_hours: Annotated[float, Field(strict=True, ge=0.25, le=168)] = 12
+    """A shift and its overlap."""
+    total_days: Annotated[float, Field(strict=True, ge=0.04, le=90)] = 7
+    panel_idle_days: Annotated[float, Field(strict=True, ge=0.04, le=365)] = 90
+    """A panel on the wall stays signed in."""
+    panel_total_days: Annotated[float, Field(strict=True, ge=0.04, le=3650)] = 365
+
+    @model_validator(mode="after")
+    def _idle_is_not_longer_than_all(self) -> Sessions:
+        if self.idle_hours > 24 * self.total_days:
+            raise ValueError("idle_hours is longer than total_days; write fewer hours or more days")
+        if self.panel_idle_days > self.panel_total_days:
+            raise ValueError("panel_idle_days is longer than panel_total_days; write at most as many")
+        return self
+
+
 class Server(Strict):
     """Where the dashboard listens and keeps its data."""
 
@@ -64,6 +124,11 @@ class Server(Strict):
     """0 takes any free port."""
     data: Path = Path("data")
     """Relative to the file; absolute once loaded."""
+    trusted_proxies: tuple[Network, ...] = ()
+    """Whose X-Forwarded-For, -Proto and -Host are believed."""
+    allowed_hosts: tuple[HostName, ...] = ()
+    """The names under which the dashboard answers; empty: any."""
+    sessions: Sessions = Sessions()
 
     @property
     def store(self) -> Path:

@@ -20,8 +20,10 @@ from app.audit.keys import open_keys
 from app.audit.log import EventLog
 from app.audit.store import head_of
 from app.auth.accounts import Accounts
+from app.auth.identity import Identity
 from app.auth.passwords import Passwords
 from app.auth.rights import Rights
+from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
 from app.commands.desk import Desk
 from app.commands.safeguards import Safeguards
@@ -96,6 +98,7 @@ class Services:
     accounts: Accounts
     rights: Rights
     sign_in: SignIn
+    identity: Identity
     live: LiveState
     history: History
     history_news: HistoryNews
@@ -131,7 +134,9 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
     pipeline = Pipeline(live, history, events)
     buses = [bus.name for bus in settings.bus]
     workers = Workers(buses, pipeline)
-    accounts = Accounts(database, passwords, events, buses=buses)
+    accounts = Accounts(database, passwords, events, buses=buses, site=settings.site.name)
+    lifetimes = Lifetimes.of(settings.server.sessions)
+    sign_in = SignIn(database, passwords, events, lifetimes, site=settings.site.name)
     control = settings.site.control
     rights = Rights(database)
     safeguards = Safeguards(database, events, control_required=control, find=accounts.find, rights=rights)
@@ -150,7 +155,8 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         passwords=passwords,
         accounts=accounts,
         rights=rights,
-        sign_in=SignIn(database, passwords, events, worker_tokens),
+        sign_in=sign_in,
+        identity=Identity(database, sign_in, worker_tokens),
         live=live,
         history=history,
         history_news=news,
@@ -181,7 +187,9 @@ def _connect(services: Services) -> None:
     services.desk.before_write = services.first_writes.before
     services.restores.on_end = services.swaps.ended
     services.accounts.on_rights_changed(lambda _: services.rights.refresh())
+    services.accounts.on_own_password(services.rights.refresh)
     services.rights.on_withdrawn(safeguards.release_all_of)
+    services.rights.on_changed(services.accounts.rechecks.now)
     services.sign_in.on_gone = safeguards.release_all_of
     services.sets.drifts.on_change = hub.refresh_unit
     safeguards.on_block(hub.refresh_unit)
@@ -216,6 +224,7 @@ async def running(services: Services) -> AsyncIterator[None]:
     )
     tasks = [asyncio.create_task(_for_ever(work)) for work in works]
     language = services.settings.site.language
+    tasks.append(asyncio.create_task(services.events.index()))
     tasks.append(asyncio.create_task(warm(services.history, services.templates, services.assets, language)))
     try:
         yield

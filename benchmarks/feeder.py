@@ -40,7 +40,7 @@ def reading(unit: int, turn: int) -> Reading:
     """Always within the window, never twice the same, so that all is well and all is new."""
     commanded = 10_000 + 10 * unit
     actual = commanded - 30 + (7 * turn + unit) % 61
-    return Reading(unit, time.time(), commanded, actual, turn % 1000, AT_SPEED_REMOTE, RUN_HEALTHY)
+    return Reading(unit, time.time(), commanded, actual, turn % 256, AT_SPEED_REMOTE, RUN_HEALTHY)
 
 
 def _state(unit: int) -> UnitState:

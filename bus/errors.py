@@ -5,11 +5,38 @@ Each message is a sentence that tells a person what happened and what to do.
 
 from __future__ import annotations
 
-from enum import IntEnum
+from collections.abc import Callable, Mapping
+from enum import Enum, IntEnum
 
 
 class LinesideError(Exception):
-    """Base of every error this project raises on purpose; its text is meant for people."""
+    """Base of every error this project raises on purpose; its text is meant for people.
+
+    With ``params`` the text is a template whose ``{names}`` they fill in. Request text belongs in ``params``:
+    the template is looked up in the catalog of the reader's language, where request text must never go.
+    """
+
+    def __init__(self, template: str = "", *, params: Mapping[str, object] | None = None) -> None:
+        super().__init__(template if params is None else template.format(**params))
+        self.template = template
+        self.params = params
+
+    def text(self, t: Callable[..., str]) -> str:
+        """The text in the language whose translation function is ``t``."""
+        if self.params is None:
+            return t(self.template)
+        return t(self.template, **{name: _translated(value, t) for name, value in self.params.items()})
+
+
+def _translated(value: object, t: Callable[..., str]) -> object:
+    """Another error and a fixed term are translated; text and numbers stay as they are."""
+    match value:
+        case LinesideError():
+            return value.text(t)
+        case Enum():
+            return t(str(value))
+        case _:
+            return value
 
 
 class CallerError(LinesideError):
@@ -58,6 +85,9 @@ _UNIT_ERROR_NAMES: dict[int, str] = {
 }
 
 
+UNNAMED_UNIT_ERROR = "error {code}h, which the manual does not name"
+
+
 def unit_error_name(code: int) -> str:
     """The words for a NAK's error byte (128-137 known; any other is shown by its number)."""
-    return _UNIT_ERROR_NAMES.get(code, f"error {code:02X}h, which the manual does not name")
+    return _UNIT_ERROR_NAMES.get(code) or UNNAMED_UNIT_ERROR.format(code=f"{code:02X}")

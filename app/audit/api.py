@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import csv
 import io
 import json
@@ -9,10 +10,11 @@ import re
 from collections.abc import AsyncIterator
 from typing import Annotated, Any, Literal, cast
 
+import msgspec
 from fastapi import APIRouter, Depends, Query
 from pydantic import AwareDatetime, BaseModel, Field
 from starlette.requests import HTTPConnection
-from starlette.responses import StreamingResponse
+from starlette.responses import Response, StreamingResponse
 
 from app.audit.entry import is_moment
 from app.audit.kinds import Kind
@@ -22,6 +24,7 @@ from app.web.access import Admin, Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import looked_up
 from app.web.shape import iso
+from app.web.turns import DOWNLOAD, SEARCH
 
 router = APIRouter(prefix="/api/v1", tags=["events"], route_class=ApiRoute)
 MOST = 1000
@@ -116,13 +119,18 @@ def shown(event: Event) -> dict[str, Any]:
     }
 
 
-@router.get("/events")
+@router.get("/events", response_model=EventPage, dependencies=[SEARCH])
 async def list_events(
     _: Viewer, events: Events, wanted: Wanted, limit: Annotated[int, Query(ge=1, le=MOST)] = 100
-) -> EventPage:
+) -> Response:
     """Events newest first: at most 1000 a page; ask on with ``before`` = ``next``. Times with zone."""
     found, after = await events.page(wanted, limit)
-    return EventPage.model_validate({"events": [shown(event) for event in found], "next": after})
+    body = await asyncio.to_thread(_page_json, found, after)
+    return Response(body, media_type="application/json")
+
+
+def _page_json(found: list[Event], after: int | None) -> bytes:
+    return msgspec.json.encode({"events": [shown(event) for event in found], "next": after})
 
 
 class Proof(BaseModel):
@@ -135,13 +143,13 @@ class Proof(BaseModel):
     anchored: Annotated[int, Field(description="The newest entry that the anchor names; 0: none.")]
 
 
-@router.get("/events/proof")
+@router.get("/events/proof", dependencies=[DOWNLOAD])
 async def prove_events(_: Admin, events: Events) -> Proof:
     """Walk the whole log as ``lineside audit verify`` does, without the anchor."""
     return Proof.model_validate(vars(await events.prove()))
 
 
-@router.get("/events.csv", response_class=StreamingResponse, responses=CSV)
+@router.get("/events.csv", response_class=StreamingResponse, responses=CSV, dependencies=[DOWNLOAD])
 async def events_as_csv(_: Viewer, events: Events, wanted: Wanted) -> StreamingResponse:
     """The same filter, every event, as CSV with a line of headings."""
     headers = {"Content-Disposition": 'attachment; filename="events.csv"'}
@@ -151,8 +159,12 @@ async def events_as_csv(_: Viewer, events: Events, wanted: Wanted) -> StreamingR
 async def _csv(events: EventLog, wanted: Filter) -> AsyncIterator[str]:
     yield _lines([list(COLUMNS)])
     async for chunk in events.every(wanted):
-        rows = (shown(event) for event in chunk)
-        yield _lines([[_cell(row[name]) for name in COLUMNS] for row in rows])
+        yield await asyncio.to_thread(_chunk_text, chunk)
+
+
+def _chunk_text(chunk: list[Event]) -> str:
+    rows = (shown(event) for event in chunk)
+    return _lines([[_cell(row[name]) for name in COLUMNS] for row in rows])
 
 
 def _cell(value: object) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 Kind = Literal[
+    "access_refused",
     "audit",
     "block",
     "bus",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import sqlite3
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -9,7 +10,7 @@ from typing import Any
 
 import structlog
 
-from app.audit import store
+from app.audit import search, store
 from app.audit.entry import Event as Event
 from app.audit.entry import is_moment, new_entry
 from app.audit.keys import Keys, passing_keys
@@ -19,6 +20,7 @@ from app.audit.repeated import RepeatedEvents
 from app.audit.store import Filter
 from app.audit.walk import Verdict
 from app.database import Database
+from app.errors import StoreError
 from bus.contract import Frame, Outcome
 
 log = structlog.get_logger()
@@ -28,6 +30,8 @@ Also = Callable[[sqlite3.Connection], None]
 """What else is written in the transaction of an event."""
 
 CHUNK = 1000
+INDEX_PAUSE_S = 0.05
+"""Between two transactions of the index, in which commands are written down."""
 ENDED_BEFORE = "the server stopped before the fate was known"
 
 
@@ -154,7 +158,9 @@ class EventLog:
 
     async def page(self, wanted: Filter, limit: int) -> tuple[list[Event], int | None]:
         """Events newest first, and the number to ask on from (None at the end)."""
-        found = await self._database.read(lambda connection: store.select(connection, wanted, limit + 1))
+        found = await self._database.read_costly(
+            lambda connection: store.select(connection, wanted, limit + 1)
+        )
         return found[:limit], found[limit - 1]["id"] if len(found) > limit else None
 
     async def every(self, wanted: Filter) -> AsyncIterator[list[Event]]:
@@ -168,7 +174,18 @@ class EventLog:
 
     async def kinds(self) -> list[str]:
         """Every kind there is an event of."""
-        return await self._database.read(store.kinds)
+        return await self._database.read_costly(store.kinds)
+
+    async def index(self) -> None:
+        """Make every event searchable by the index: those to come, then those that there are."""
+        try:
+            await self._database.write(search.prepare)
+            is_more = True
+            while is_more:
+                is_more = await self._database.write(search.index_more)
+                await asyncio.sleep(INDEX_PAUSE_S)
+        except StoreError as error:
+            log.warning("events are searched without an index", why=str(error))
 
     async def prove(self, anchors: Mapping[int, str] | None = None) -> Verdict:
         """Whether the log is whole, and holds the hashes that ``anchors`` names by entry."""

@@ -17,13 +17,14 @@ from app.audit.store import Filter
 from app.settings import Settings
 from app.web.access import Viewer
 from app.web.templating import render, templates_of
+from app.web.turns import SEARCH
 
 router = APIRouter(include_in_schema=False)
 ON_A_PAGE = 100
 FIELDS = ("kind", "bus", "unit", "who", "since", "until", "search")
 
 
-@router.get("/events")
+@router.get("/events", dependencies=[SEARCH])
 async def events_page(
     request: Request,
     _: Viewer,

@@ -16,7 +16,9 @@ _Said = tuple[Kind, str, str, str, str]
 
 class RepeatedEvents:
     """An event at once for the first of its kind, person, place and message, then one a minute that says how
-    often it happened since. ``record``: as `EventLog.record`; ``clock`` gives Unix time in seconds."""
+    often it happened since. Places are told apart for each person, so that a flood hides nobody who is under
+    attack: ``who`` is one of a bounded number. ``record``: as `EventLog.record`; ``clock`` gives Unix time in
+    seconds."""
 
     def __init__(self, record: Callable[..., Awaitable[int]], clock: Callable[[], float]) -> None:
         self._record = record
@@ -25,7 +27,7 @@ class RepeatedEvents:
 
     async def count(self, kind: Kind, what: str, *, who: str, origin: str, message: str) -> None:
         """It happened once more."""
-        told = self._tally.note(kind, (kind, what, who, origin, message), self._clock())
+        told = self._tally.note(f"{kind} {who}", (kind, what, who, origin, message), self._clock())
         if told is not None:
             await self._tell(told)
 
@@ -48,7 +50,7 @@ class RepeatedEvents:
     async def _tell(self, told: Counted[_Said]) -> None:
         kind, what, who, origin, message = told.said
         if told.is_many:
-            who, origin, message = "", MANY, ""
+            origin, message = MANY, ""
         await self._record(
             kind=kind, what=what, who=who, origin=origin, message=message, at=told.last, count=told.count
         )

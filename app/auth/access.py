@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from urllib.parse import quote, urlsplit
 
 from starlette.requests import HTTPConnection
 from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from app.auth.lasting import while_allowed
-from app.auth.signin import SignIn
+from app.auth.identity import ExpiredTokenError, Identity
+from app.auth.lasting import Rechecks, RightsEndedError, sending_while_allowed, while_allowed
+from app.auth.refusals import REFUSED_ACCOUNT
 from app.errors import Problem, StoreError
+from app.server.connections import identify
 from app.web.access import Person, Role, not_signed_in
+from app.web.hosts import LOOPBACK
 from app.web.problems import is_fragment, problem_json, wants_json
 from app.web.security import refuse
 
@@ -20,16 +24,17 @@ PUBLIC_PATHS = frozenset(
     {"/healthz", "/login", "/login/panel", "/manifest.webmanifest", "/offline", "/sw.js", "/favicon.ico"}
 )
 PUBLIC_PREFIX = "/static/"
-_LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})
 
 
 class Identify:
     """Puts ``person`` into the scope. Nobody passes except to the public paths; a token or a cookie
-    that is not good is refused even where nobody would be let in by the demo."""
+    that is not good is refused even where nobody would be let in by the demo. What lasts, a WebSocket or a
+    response in pieces, ends with the rights of its person."""
 
-    def __init__(self, app: ASGIApp, sign_in: SignIn, *, demo: bool = False) -> None:
+    def __init__(self, app: ASGIApp, identity: Identity, rechecks: Rechecks, *, demo: bool = False) -> None:
         self._app = app
-        self._sign_in = sign_in
+        self._identity = identity
+        self._rechecks = rechecks
         self._demo = demo
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -40,6 +45,8 @@ class Identify:
         try:
             person = await self._person(connection)
         except Problem as problem:
+            if isinstance(problem, ExpiredTokenError):
+                scope[REFUSED_ACCOUNT] = problem.account
             await refuse(scope, receive, send, problem)
             return
         except StoreError as error:
@@ -49,11 +56,18 @@ class Identify:
             await _turn_away(connection, receive, send)
             return
         scope["person"] = person
-        running = self._app(scope, receive, send)
+        if person is not None:
+            identify(scope, person.account)
+
+        async def is_still() -> bool:
+            return await self._is_still(connection, person)
+
         if scope["type"] == "websocket":
-            await while_allowed(running, lambda: self._is_still(connection, person), send)
-        else:
-            await running
+            await while_allowed(self._app(scope, receive, send), is_still, send, self._rechecks)
+            return
+        with suppress(RightsEndedError):
+            # Returning without the rest makes the server cut the connection: nobody takes it for whole.
+            await self._app(scope, receive, sending_while_allowed(send, is_still, self._rechecks))
 
     async def _is_still(self, connection: HTTPConnection, person: Person | None) -> bool:
         """Whether who opened a socket may have it still; a store that fails ends nothing that runs."""
@@ -69,13 +83,13 @@ class Identify:
         if scheme.lower() == "bearer":
             return await self._by_bearer(bearer.strip())
         cookie = connection.cookies.get(COOKIE)
-        person = await self._sign_in.by_cookie(cookie, is_use=is_use) if cookie else None
+        person = await self._identity.by_cookie(cookie, is_use=is_use) if cookie else None
         if person is None and self._demo and _is_loopback(connection):
             return Person("demo", Role.ADMIN, "demo")
         return person
 
     async def _by_bearer(self, bearer: str) -> Person:
-        person = await self._sign_in.by_token(bearer)
+        person = await self._identity.by_token(bearer)
         if person is None:
             raise not_signed_in()
         return person
@@ -121,4 +135,4 @@ def _is_public(path: str) -> bool:
 def _is_loopback(connection: HTTPConnection) -> bool:
     """From this machine and under its own name: a foreign name for 127.0.0.1 is somebody's trick."""
     client = connection.client.host if connection.client else ""
-    return client in _LOOPBACK and connection.url.hostname in _LOOPBACK
+    return client in LOOPBACK and connection.url.hostname in LOOPBACK

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable, Collection
+from collections.abc import Awaitable, Callable, Collection, Iterable
 
 from app.audit.kinds import Kind
 from app.audit.log import EventLog
-from app.auth import rules, store
+from app.auth import rules, store, strength
+from app.auth.lasting import Rechecks
 from app.auth.passwords import Passwords
 from app.auth.store import Token, User
 from app.database import Database
-from app.errors import InvalidError
 from app.web.access import Role, account_of, name_of
+from bus.errors import CallerError
 
 Ended = Callable[[str], Awaitable[None]]
 
 
 class Accounts:
     """Every change takes ``by``: who makes it, and ``origin``: by which way (page, cli). ``buses``: those of
-    the configuration, for the tokens of workers."""
+    the configuration, for the tokens of workers; ``site``: its name, which no password may contain."""
 
     def __init__(
         self,
@@ -30,13 +31,18 @@ class Accounts:
         clock: Callable[[], float] = time.time,
         *,
         buses: Collection[str] = (),
+        site: str = "",
     ) -> None:
         self._database = database
         self._passwords = passwords
         self._events = events
         self._clock = clock
         self.buses = buses
+        self._site = site
+        self.rechecks = Rechecks()
+        """Whoever has a connection open is looked at again after each change."""
         self._subscribers: list[Ended] = []
+        self._password_kept: list[Ended] = []
 
     def now(self) -> float:
         """Unix time as this service has it, by which tokens expire."""
@@ -45,6 +51,10 @@ class Accounts:
     def on_rights_changed(self, subscriber: Ended) -> None:
         """Hear the account of each user or token whose rights changed or ended, to close what is open."""
         self._subscribers.append(subscriber)
+
+    def on_own_password(self, subscriber: Ended) -> None:
+        """Hear the account of each user who has chosen another password and stays signed in."""
+        self._password_kept.append(subscriber)
 
     async def users(self) -> list[User]:
         """All users and panels by name."""
@@ -58,52 +68,75 @@ class Accounts:
         """The account that somebody names, and what it may do: a user who may sign in, else a token, which
         can also be named as such; None when there is none."""
         name, only_token = name_of(said)
+        now = self._clock()
 
         def find(connection: sqlite3.Connection) -> tuple[str, Role] | None:
             user = None if only_token else store.user(connection, name)
             if user is not None and not user[0].disabled:
                 return name, user[0].role
-            tokens = (token for token in store.tokens(connection) if token.name == name)
-            return next(((account_of(name, token=True), token.role) for token in tokens), None)
+            tokens = (each for each in store.tokens(connection) if each.name == name and each.is_good(now))
+            return next(((account_of(name, token=True), each.role) for each in tokens), None)
 
         return await self._database.read(find)
 
     async def add_user(self, name: str, role: Role, password: str, *, by: str, origin: str) -> None:
-        """Somebody new. Raises InvalidError."""
+        """Add a person who signs in by a password. Raises CallerError."""
         rules.check_name(name)
+        strength.check_password(password, user=name, site=self._site)
         user = User(name, role, False, "/", "", False, self._clock(), None)
         await self._add(user, password)
         await self._note("user", f"user {name} added as {role}", by, origin)
 
     async def add_panel(self, name: str, role: Role, pin: str, home: str, *, by: str, origin: str) -> None:
-        """A panel on the wall that signs in by a PIN. Raises InvalidError."""
+        """Add a panel on the wall, which signs in by a PIN. Raises CallerError."""
         rules.check_name(name)
-        rules.check_pin(pin)
+        rules.check_panel_role(role)
+        strength.check_pin(pin)
         rules.check_home(home)
         await self._add(User(name, role, True, home, "", False, self._clock(), None), pin)
         await self._note("user", f"panel {name} added as {role}", by, origin)
 
     async def set_role(self, name: str, role: Role, *, by: str, origin: str) -> None:
-        """Raises InvalidError for nobody and for the last admin."""
-        await self._change(name, lambda connection: store.set_role(connection, name, role))
+        """Raises CallerError for nobody, for the last admin, and for a panel above operator."""
+
+        def change(connection: sqlite3.Connection) -> bool:
+            found = store.user(connection, name)
+            if found is not None and found[0].panel:
+                rules.check_panel_role(role)
+            return store.set_role(connection, name, role)
+
+        await self._change(name, change)
         await self._note("user", f"user {name} is {role} now", by, origin, name)
 
     async def set_disabled(self, name: str, disabled: bool, *, by: str, origin: str) -> None:
-        """Refuse a user, or admit again. Raises InvalidError for nobody and for the last admin."""
+        """Refuse a user, or admit again. Raises CallerError for nobody and for the last admin."""
         await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
         words = "is refused from now on" if disabled else "may sign in again"
         await self._note("user", f"user {name} {words}", by, origin, name)
 
     async def remove_user(self, name: str, *, by: str, origin: str) -> None:
-        """Raises InvalidError for nobody and for the last admin."""
+        """Raises CallerError for nobody and for the last admin."""
         await self._change(name, lambda connection: store.remove_user(connection, name))
         await self._note("user", f"user {name} removed", by, origin, name)
 
-    async def set_password(self, name: str, password: str, *, by: str, origin: str) -> None:
-        """A new password or PIN; every session of the user ends. Raises InvalidError."""
+    async def set_password(
+        self, name: str, password: str, *, by: str, origin: str, keep: bytes = b""
+    ) -> None:
+        """Set a password, or the PIN of a panel. Every session of the user ends, but the one with the hash
+        ``keep``. Raises CallerError."""
+        found = await self._database.read(lambda connection: store.user(connection, name))
+        if found is None:
+            raise CallerError("there is no user {name}", params={"name": name[:80]})
+        if found[0].panel:
+            strength.check_pin(password)
+        else:
+            strength.check_password(password, user=name, site=self._site)
         hashed = await self._passwords.hash(password)
-        await self._change(name, lambda connection: store.set_secret(connection, name, hashed))
-        await self._note("user", f"user {name} has a new password", by, origin, name)
+        await self._change(name, lambda connection: store.set_secret(connection, name, hashed, keep))
+        what = f"user {name} has a new password"
+        await self._note("user", what, by, origin, *(() if keep else (name,)))
+        for subscriber in self._password_kept if keep else ():
+            await subscriber(name)
 
     async def set_language(self, name: str, language: str) -> None:
         """The user's own wish; empty: what the browser asks for."""
@@ -120,7 +153,7 @@ class Accounts:
         origin: str,
     ) -> str:
         """Create a token for a program, or with ``bus`` for the worker of that bus; without ``expires_days``
-        it holds until it is revoked. Returns the secret, which is stored nowhere. Raises InvalidError."""
+        it holds until it is revoked. Returns the secret, which is stored nowhere. Raises CallerError."""
         rules.check_name(name)
         rules.check_token_bus(role, bus, self.buses)
         secret, now = rules.new_secret(), self._clock()
@@ -131,17 +164,16 @@ class Accounts:
                 lambda connection: store.add_token(connection, rules.secret_hash(secret), token)
             )
         except sqlite3.IntegrityError:
-            raise InvalidError(
-                "there is a token {called} already; revoke it or choose another name", called=name
-            ) from None
+            detail = "there is a token {name} already; revoke it or choose another name"
+            raise CallerError(detail, params={"name": name}) from None
         what = f"token {name} created as {role} of bus {bus}" if bus else f"token {name} created as {role}"
         await self._note("token", what, by, origin)
         return secret
 
     async def revoke_token(self, name: str, *, by: str, origin: str) -> None:
-        """Raises InvalidError for one that is not there."""
+        """Raises CallerError for one that is not there."""
         if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
-            raise InvalidError("there is no token {called}", called=name[:80])
+            raise CallerError("there is no token {name}", params={"name": name[:80]})
         await self._note("token", f"token {name} revoked", by, origin, name)
 
     async def _add(self, user: User, secret: str) -> None:
@@ -149,24 +181,26 @@ class Accounts:
         try:
             await self._database.write(lambda connection: store.add_user(connection, user, hashed))
         except sqlite3.IntegrityError:
-            raise InvalidError(
-                "there is a user {called} already; choose another name", called=user.name
-            ) from None
+            detail = "there is a user {name} already; choose another name"
+            raise CallerError(detail, params={"name": user.name}) from None
 
     async def _change(self, name: str, change: Callable[[sqlite3.Connection], bool]) -> None:
         def guarded(connection: sqlite3.Connection) -> None:
             before = store.admins_left(connection)
             if not change(connection):
-                raise InvalidError("there is no user {called}", called=name[:80])
+                raise CallerError("there is no user {name}", params={"name": name[:80]})
             if before and not store.admins_left(connection):
-                raise InvalidError(
-                    "{called} is the last admin; give another user the role admin first", called=name
-                )
+                detail = "{name} is the last admin; give another user the role admin first"
+                raise CallerError(detail, params={"name": name})
 
         await self._database.write(guarded)
 
     async def _note(self, kind: Kind, what: str, by: str, origin: str, *ended: str) -> None:
         await self._events.record(kind=kind, what=what, who=by, origin=origin)
-        for name in ended:
+        await self._rights_ended(account_of(name, token=kind == "token") for name in ended)
+
+    async def _rights_ended(self, accounts: Iterable[str]) -> None:
+        for account in accounts:
             for subscriber in self._subscribers:
-                await subscriber(account_of(name, token=kind == "token"))
+                await subscriber(account)
+        self.rechecks.now()

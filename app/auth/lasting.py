@@ -1,4 +1,4 @@
-"""A WebSocket lasts for hours; whoever opened it may have lost the right to it since."""
+"""A connection lasts for hours; who opened it may have lost the right to it since."""
 
 from __future__ import annotations
 
@@ -6,24 +6,55 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 
-from starlette.types import Send
+from starlette.types import Message, Send
 
 RECHECK_S = 20.0
 NO_LONGER_SIGNED_IN = 4401
 """Close code: 4000 and the status that a request would be answered with."""
 
+IsAllowed = Callable[[], Awaitable[bool]]
+
+
+class RightsEndedError(Exception):
+    """A response may not go on."""
+
+
+class Rechecks:
+    """Tells open connections to look again whether they are still allowed."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._next: asyncio.Future[None] | None = None
+
+    def now(self) -> None:
+        """Somebody's rights have changed."""
+        self.count += 1
+        if self._next is not None and not self._next.done():
+            self._next.set_result(None)
+        self._next = None
+
+    def next(self) -> asyncio.Future[None]:
+        """Done at the next change."""
+        if self._next is None:
+            self._next = asyncio.get_running_loop().create_future()
+        return self._next
+
 
 async def while_allowed(
     work: Awaitable[None],
-    is_allowed: Callable[[], Awaitable[bool]],
+    is_allowed: IsAllowed,
     send: Send,
+    rechecks: Rechecks,
     every_s: float = RECHECK_S,
 ) -> None:
-    """Run ``work``, a connection from its opening to its end; end it when it is allowed no longer."""
-    task = asyncio.ensure_future(work)
+    """Run ``work``, a WebSocket from its opening to its end; end it when it is allowed no longer."""
+    task, seen = asyncio.ensure_future(work), rechecks.count
     try:
         while not task.done():
-            await asyncio.wait({task}, timeout=every_s)
+            if rechecks.count == seen:
+                either = {task, rechecks.next()}
+                await asyncio.wait(either, timeout=every_s, return_when=asyncio.FIRST_COMPLETED)
+            seen = rechecks.count
             if not task.done() and not await is_allowed():
                 await _end(task)
                 with suppress(RuntimeError, OSError):
@@ -32,6 +63,22 @@ async def while_allowed(
         task.result()
     finally:
         await _end(task)
+
+
+def sending_while_allowed(send: Send, is_allowed: IsAllowed, rechecks: Rechecks) -> Send:
+    """``send`` of a response that may take long: after a change of rights it is looked again before the next
+    piece. Raises RightsEndedError."""
+    seen = rechecks.count
+
+    async def sending(message: Message) -> None:
+        nonlocal seen
+        if message.get("more_body") and rechecks.count != seen:
+            seen = rechecks.count
+            if not await is_allowed():
+                raise RightsEndedError
+        await send(message)
+
+    return sending
 
 
 async def _end(task: asyncio.Future[None]) -> None:

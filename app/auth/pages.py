@@ -12,10 +12,11 @@ from app.auth import rules
 from app.auth.access import COOKIE
 from app.auth.accounts import Accounts
 from app.auth.signin import SignIn
-from app.errors import InvalidError, Problem
+from app.errors import Problem
 from app.web.access import Viewer, person_of, public
 from app.web.services import looked_up
 from app.web.templating import render, templates_of
+from bus.errors import CallerError
 
 router = APIRouter(include_in_schema=False)
 
@@ -33,6 +34,9 @@ def accounts_of(connection: HTTPConnection) -> Accounts:
 SigningIn = Annotated[SignIn, looked_up(sign_in_of)]
 Keeping = Annotated[Accounts, looked_up(accounts_of)]
 Text = Annotated[str, Form()]
+DEVICE_COOKIE = "lineside_device"
+"""Tells a browser in which somebody has signed in before from those of strangers; it signs nobody in."""
+DEVICE_KNOWN_S = 365 * rules.DAY
 LONGEST_NAME = 64
 """What is kept of a name that somebody typed; no user has one so long."""
 
@@ -91,7 +95,7 @@ async def choose_language(
 ) -> Response:
     """Empty: what the browser asks for."""
     if language and language not in templates_of(request).languages:
-        raise InvalidError("there is no language {called}", called=repr(language[:40]))
+        raise CallerError("there is no language '{language}'", params={"language": language[:40]})
     _refuse_programs(person.via)
     await accounts.set_language(person.name, language)
     return RedirectResponse("/account?done=language", 303)
@@ -107,45 +111,49 @@ async def change_password(
     password: Text = "",
     again: Text = "",
 ) -> Response:
-    """Every session of the user ends; this browser signs in again with the new password."""
+    """Every other session of the user ends, this one goes on."""
     _refuse_programs(person.via)
     if person.panel:
         raise Problem(403, "forbidden", "the PIN of a panel is changed by an admin")
+    name, address = person.name, address_of(request)
+    this_one = rules.secret_hash(request.cookies[COOKIE])
     try:
-        await _check_change(sign_in, person.name, present, password, again)
-    except InvalidError as fault:
+        await sign_in.check_present(name, present, address, _device_of(request))
+        if password != again:
+            raise CallerError("the two new passwords differ; nothing was changed")
+        await accounts.set_password(name, password, by=name, origin=address, keep=this_one)
+    except CallerError as fault:
         return _account(request, fault=fault)
-    await accounts.set_password(person.name, password, by=person.name, origin=address_of(request))
-    return _with_cookie(
-        request,
-        RedirectResponse("/account?done=password", 303),
-        await sign_in.sign_in(person.name, password, address_of(request)),
-        rules.PERSON_LIFETIME,
-    )
+    return RedirectResponse("/account?done=password", 303)
 
 
 async def _sign_in(
     request: Request, sign_in: SignIn, name: str, secret: str, next: str, *, panel: bool
 ) -> Response:
-    name = name[:LONGEST_NAME]
+    name, device = name[:LONGEST_NAME], _device_of(request)
     try:
-        cookie = await sign_in.sign_in(name, secret, address_of(request), panel=panel)
+        signed_in = await sign_in.sign_in(name, secret, address_of(request), panel=panel, device=device)
     except Problem as problem:
         return await _login_form(request, sign_in, next, panel, problem=problem, name=name)
-    lifetime = rules.PANEL_LIFETIME if panel else rules.PERSON_LIFETIME
-    person = await sign_in.by_cookie(cookie)
-    home = person.home if person and next == "/" else next
-    return _with_cookie(request, RedirectResponse(_own(home), 303), cookie, lifetime)
+    home = signed_in.user.home if next == "/" else next
+    response = RedirectResponse(_own(home), 303)
+    whole_s = sign_in.lifetime_of(signed_in.user).whole_s
+    _set_cookie(request, response, COOKIE, signed_in.session, whole_s)
+    _set_cookie(request, response, DEVICE_COOKIE, signed_in.device, DEVICE_KNOWN_S)
+    return response
 
 
-def _with_cookie(request: Request, response: Response, cookie: str, lifetime: rules.Lifetime) -> Response:
+def _set_cookie(request: Request, response: Response, name: str, value: str, max_age_s: float) -> None:
     """Lax, so that a link to a page that somebody sends opens signed in; what changes something is
     guarded by its Origin (`app.web.security`). Not Secure on plain HTTP, which plants use."""
     is_https = request.url.scheme == "https"
-    response.set_cookie(
-        COOKIE, cookie, max_age=int(lifetime.whole_s), httponly=True, samesite="lax", secure=is_https
-    )
-    return response
+    response.set_cookie(name, value, max_age=int(max_age_s), httponly=True, samesite="lax", secure=is_https)
+
+
+def _device_of(request: Request) -> str:
+    """The cookie of a browser in which somebody has signed in before; empty for what none of ours is."""
+    device = request.cookies.get(DEVICE_COOKIE, "")
+    return device if len(device) == rules.SECRET_LENGTH and device.isascii() else ""
 
 
 async def _login_form(
@@ -170,17 +178,8 @@ async def _login_form(
     )
 
 
-def _account(request: Request, *, done: str = "", fault: InvalidError | None = None) -> HTMLResponse:
-    return render(request, "auth/account.html", status=fault.status if fault else 200, done=done, fault=fault)
-
-
-async def _check_change(sign_in: SignIn, name: str, present: str, password: str, again: str) -> None:
-    """Raises InvalidError."""
-    rules.check_password(password)
-    if password != again:
-        raise InvalidError("the two new passwords differ; nothing was changed")
-    if not await sign_in.is_secret_of(name, present):
-        raise InvalidError("the present password is not right; nothing was changed")
+def _account(request: Request, *, done: str = "", fault: CallerError | None = None) -> HTMLResponse:
+    return render(request, "auth/account.html", status=422 if fault else 200, done=done, fault=fault)
 
 
 def _refuse_programs(via: str) -> None:

@@ -77,11 +77,16 @@ class Rights:
         self._monotonic = monotonic
         self._standings: Mapping[str, Standing] = {}
         self._read_at = float("-inf")
-        self._subscribers: list[Withdrawn] = []
+        self._withdrawn: list[Withdrawn] = []
+        self._changed: list[Callable[[], None]] = []
 
     def on_withdrawn(self, subscriber: Withdrawn) -> None:
         """Call ``subscriber`` with each account that may do less than before."""
-        self._subscribers.append(subscriber)
+        self._withdrawn.append(subscriber)
+
+    def on_changed(self, subscriber: Callable[[], None]) -> None:
+        """Call ``subscriber`` once any account may do something else than before."""
+        self._changed.append(subscriber)
 
     async def check(self, person: Person) -> None:
         """Raises Problem 403 ``rights_withdrawn`` when the account of a person may no longer do what it could
@@ -94,17 +99,21 @@ class Rights:
         if reason:
             raise Problem(403, "rights_withdrawn", reason, outcome="rights_withdrawn")
 
-    async def refresh(self) -> None:
-        """Read the store now. Raises StoreError."""
+    async def refresh(self, kept: str = "") -> None:
+        """Read the store now. ``kept``: the account of a user who has just chosen another password, which
+        ends nothing. Raises StoreError."""
         began = self._monotonic()
         standings = await self._database.read(self._read)
         if began < self._read_at:
             return  # another read began later and is here already
         before, self._standings, self._read_at = self._standings, standings, began
+        if before != standings:
+            for changed in self._changed:
+                changed()
         for account, standing in before.items():
-            if _is_less(standing, self._standings.get(account)):
-                for subscriber in self._subscribers:
-                    await subscriber(account)
+            if account != kept and _is_less(standing, standings.get(account)):
+                for withdrawn in self._withdrawn:
+                    await withdrawn(account)
 
     async def watch(self) -> None:
         """Run forever: notice what the command line changes in the store."""
@@ -131,7 +140,7 @@ class Rights:
         } | {
             account_of(token.name, token=True): Standing(token.role, credential_of_token(token))
             for token in store.tokens(connection)
-            if token.expires_at is None or token.expires_at > now
+            if token.is_good(now)
         }
 
 

@@ -8,14 +8,11 @@ import secrets
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from app.errors import InvalidError
+from app.settings import Sessions
 from app.web.access import Role
+from bus.errors import CallerError
 
 _NAME = re.compile(r"[\w.@-]{1,40}")
-_PIN = re.compile(r"\d{4,12}")
-SHORTEST_PASSWORD = 8
-LONGEST_PASSWORD = 256
-"""Argon2 works on all of it; nobody is to make us work on a megabyte."""
 
 HOUR = 3600.0
 DAY = 24 * HOUR
@@ -33,68 +30,67 @@ class Lifetime:
         return min(used_at + self.idle_s, created_at + self.whole_s)
 
 
-PERSON_LIFETIME = Lifetime(12 * HOUR, 7 * DAY)
-"""A shift and its overlap; a week at most."""
-PANEL_LIFETIME = Lifetime(90 * DAY, 365 * DAY)
-"""A panel hangs on the wall and stays signed in."""
+@dataclass(frozen=True)
+class Lifetimes:
+    """Of the sign-ins of people and of panels."""
+
+    person: Lifetime
+    panel: Lifetime
+
+    @classmethod
+    def of(cls, sessions: Sessions) -> Lifetimes:
+        """As the site wants them."""
+        person = Lifetime(sessions.idle_hours * HOUR, sessions.total_days * DAY)
+        return cls(person, Lifetime(sessions.panel_idle_days * DAY, sessions.panel_total_days * DAY))
+
+
 MOST_TOKEN_DAYS = 3650
 USE_NOTED_EVERY_S = 60.0
 """A session's last use is written this seldom; every request would wear the disk."""
 
 
 def check_name(name: str) -> None:
-    """Raises InvalidError."""
+    """Raises CallerError."""
     if not _NAME.fullmatch(name):
-        raise InvalidError(
-            "the name {called} is not allowed; write 1 to 40 letters, digits, . _ @ or -",
-            called=repr(name[:80]),
-        )
+        detail = "the name '{name}' is not allowed; write 1 to 40 letters, digits, . _ @ or -"
+        raise CallerError(detail, params={"name": name[:80]})
 
 
-def check_password(password: str) -> None:
-    """Raises InvalidError."""
-    if not SHORTEST_PASSWORD <= len(password) <= LONGEST_PASSWORD:
-        raise InvalidError(
-            "a password has {least} to {most} characters; this one has {count}",
-            least=SHORTEST_PASSWORD,
-            most=LONGEST_PASSWORD,
-            count=len(password),
-        )
-
-
-def check_pin(pin: str) -> None:
-    """Raises InvalidError."""
-    if not _PIN.fullmatch(pin):
-        raise InvalidError("a PIN is 4 to 12 digits")
+def check_panel_role(role: Role) -> None:
+    """Raises CallerError: whoever passes by a panel may press it."""
+    if not Role.OPERATOR.includes(role):
+        detail = "a panel is operator at most; {role} is for people who sign in"
+        raise CallerError(detail, params={"role": role})
 
 
 def check_token_bus(role: Role, bus: str, buses: Collection[str]) -> None:
-    """Raises InvalidError unless exactly a worker's token names a bus, and one of ``buses``."""
+    """Raises CallerError unless exactly a worker's token names a bus, and one of ``buses``."""
     known = ", ".join(buses) or "none"
     if role is not Role.WORKER:
         if bus:
-            raise InvalidError("a token of role {role} is not for one bus; leave the bus out", role=role)
+            detail = "a token of role {role} is not for one bus; leave the bus out"
+            raise CallerError(detail, params={"role": role})
     elif not bus:
-        raise InvalidError("a worker's token is for one bus; name it: {known}", known=known)
+        raise CallerError("a worker's token is for one bus; name it: {known}", params={"known": known})
     elif bus not in buses:
-        raise InvalidError("there is no bus {called}; the buses are: {known}", called=bus[:80], known=known)
+        detail = "there is no bus '{bus}'; there are: {known}"
+        raise CallerError(detail, params={"bus": bus[:80], "known": known})
 
 
 def token_expiry(now: float, days: int | None) -> float | None:
-    """When a token made at ``now`` expires; None where it does not. Raises InvalidError."""
+    """When a token made at ``now`` expires; None where it does not. Raises CallerError."""
     if days is None:
         return None
     if not 1 <= days <= MOST_TOKEN_DAYS:
-        raise InvalidError(
-            "a token expires after 1 to {most} days; {days} is outside", most=MOST_TOKEN_DAYS, days=days
-        )
+        detail = "a token expires after 1 to {most} days; {days} is outside"
+        raise CallerError(detail, params={"most": MOST_TOKEN_DAYS, "days": days})
     return now + days * DAY
 
 
 def check_home(home: str) -> None:
-    """Raises InvalidError. A page of ours only, so that nothing redirects elsewhere."""
+    """Raises CallerError. A page of ours only, so that nothing redirects elsewhere."""
     if not is_own_path(home):
-        raise InvalidError("a home page is a path on this server, like / or /units/dry-end/1")
+        raise CallerError("a home page is a path on this server, like / or /units/dry-end/1")
 
 
 def is_own_path(path: str) -> bool:
@@ -102,8 +98,11 @@ def is_own_path(path: str) -> bool:
     return path.startswith("/") and not path.startswith(("//", "/\\")) and path.isprintable()
 
 
+SECRET_LENGTH = 43
+
+
 def new_secret() -> str:
-    """256 random bits, for a cookie or a bearer token."""
+    """256 random bits in :data:`SECRET_LENGTH` characters, for a cookie or a bearer token."""
     return secrets.token_urlsafe(32)
 
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from app.web.access import Role
+
+MOST_PLACES = 50
+"""Networks and browsers of one user."""
 
 
 @dataclass(frozen=True)
@@ -20,6 +24,8 @@ class User:
     disabled: bool
     created_at: float
     seen_at: float | None
+    weak_secret: bool = False
+    """The password or PIN, as last used, is one that today's rules refuse."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +54,12 @@ class Token:
     """The one bus that a worker's token is for."""
     expires_at: float | None = None
 
+    def is_good(self, now: float) -> bool:
+        """Whether it has not expired."""
+        return self.expires_at is None or now < self.expires_at
 
-_USER = "u.name, u.role, u.panel, u.home, u.language, u.disabled, u.created_at, u.seen_at"
+
+_USER = "u.name, u.role, u.panel, u.home, u.language, u.disabled, u.created_at, u.seen_at, u.weak_secret"
 _TOKEN = "id, name, role, created_by, created_at, used_at, bus, expires_at"
 
 
@@ -63,6 +73,7 @@ def _user(row: sqlite3.Row) -> User:
         bool(row["disabled"]),
         row["created_at"],
         row["seen_at"],
+        bool(row["weak_secret"]),
     )
 
 
@@ -110,10 +121,11 @@ def set_role(connection: sqlite3.Connection, name: str, role: Role) -> bool:
     return connection.execute("UPDATE users SET role = ? WHERE name = ?", (role, name)).rowcount == 1
 
 
-def set_secret(connection: sqlite3.Connection, name: str, secret_hash: str) -> bool:
-    """A new password or PIN; every session of the user ends. Whether there is such a user."""
-    end_sessions_of(connection, name)
-    change = "UPDATE users SET secret_hash = ? WHERE name = ?"
+def set_secret(connection: sqlite3.Connection, name: str, secret_hash: str, keep: bytes = b"") -> bool:
+    """A new password or PIN; every session of the user ends but that with the hash ``keep``. Whether there is
+    such a user."""
+    end_sessions_of(connection, name, keep)
+    change = "UPDATE users SET secret_hash = ?, weak_secret = 0 WHERE name = ?"
     return connection.execute(change, (secret_hash, name)).rowcount == 1
 
 
@@ -140,11 +152,32 @@ def admins_left(connection: sqlite3.Connection) -> int:
     return int(connection.execute(query).fetchone()[0])
 
 
-def begin_session(connection: sqlite3.Connection, hash_: bytes, name: str, now: float, ends: float) -> None:
+def begin_session(
+    connection: sqlite3.Connection, hash_: bytes, name: str, now: float, ends: float, *, weak_secret: bool
+) -> None:
     """Store a sign-in and forget the sessions that are over."""
     connection.execute("DELETE FROM sessions WHERE expires_at <= ?", (now,))
     connection.execute("INSERT INTO sessions VALUES (?, ?, ?, ?, ?)", (hash_, name, now, now, ends))
-    connection.execute("UPDATE users SET seen_at = ? WHERE name = ?", (now, name))
+    change = "UPDATE users SET seen_at = ?, weak_secret = ? WHERE name = ?"
+    connection.execute(change, (now, weak_secret, name))
+
+
+def known_places(connection: sqlite3.Connection, name: str, places: Collection[str]) -> set[str]:
+    """Those of the places that a user has signed in from."""
+    marks = ", ".join("?" * len(places))
+    query = f"SELECT place FROM known_places WHERE name = ? AND place IN ({marks})"
+    return {row["place"] for row in connection.execute(query, (name, *places))}
+
+
+def note_places(connection: sqlite3.Connection, name: str, places: Iterable[str], now: float) -> None:
+    """A user has signed in from these; the newest of each user are kept."""
+    note = "INSERT INTO known_places VALUES (?, ?, ?) ON CONFLICT DO UPDATE SET seen_at = excluded.seen_at"
+    connection.executemany(note, [(name, place, now) for place in places])
+    forget = (
+        "DELETE FROM known_places WHERE name = ?1 AND place NOT IN "
+        "(SELECT place FROM known_places WHERE name = ?1 ORDER BY seen_at DESC LIMIT ?2)"
+    )
+    connection.execute(forget, (name, MOST_PLACES))
 
 
 def session(connection: sqlite3.Connection, hash_: bytes) -> Session | None:
@@ -172,9 +205,9 @@ def end_session(connection: sqlite3.Connection, hash_: bytes, name: str, now: fl
     return connection.execute(query, (name, now)).fetchone() is None
 
 
-def end_sessions_of(connection: sqlite3.Connection, name: str) -> None:
-    """Sign a user out everywhere."""
-    connection.execute("DELETE FROM sessions WHERE name = ?", (name,))
+def end_sessions_of(connection: sqlite3.Connection, name: str, keep: bytes = b"") -> None:
+    """Sign a user out everywhere but in the session with the hash ``keep``."""
+    connection.execute("DELETE FROM sessions WHERE name = ? AND hash != ?", (name, keep))
 
 
 def tokens(connection: sqlite3.Connection) -> list[Token]:

@@ -8,9 +8,9 @@ from starlette.responses import HTMLResponse, Response
 
 from app.auth.pages import Keeping, Text, address_of
 from app.auth.users_view import answer_to_change, users_view
-from app.errors import InvalidError
 from app.web.access import Admin, Role, role_named
 from app.web.templating import render
+from bus.errors import CallerError
 
 router = APIRouter(include_in_schema=False)
 
@@ -35,7 +35,7 @@ async def create_token(
             by=person.name,
             origin=address_of(request),
         )
-    except InvalidError as error:
+    except CallerError as error:
         return await users_view(request, accounts, fault=error)
     return await users_view(request, accounts, token_name=token.strip(), token=secret)
 
@@ -56,10 +56,10 @@ async def revoke_token(request: Request, person: Admin, accounts: Keeping, name:
 
 
 def _days(typed: str) -> int | None:
-    """What was typed as a number of days; None for nothing. Raises InvalidError."""
+    """What was typed as a number of days; None for nothing. Raises CallerError."""
     text = typed.strip()
     if not text:
         return None
     if not text.isdecimal() or len(text) > 4:
-        raise InvalidError("the days until a token expires are a whole number, or empty")
+        raise CallerError("the days until a token expires are a whole number, or empty")
     return int(text)

@@ -6,11 +6,9 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
-from app.auth import rules
-from app.auth.accounts import Accounts
 from app.auth.pages import Keeping, Text, address_of
 from app.auth.users_view import answer_to_change, users_view
-from app.web.access import Admin, Person, role_named
+from app.web.access import Admin, role_named
 from app.web.templating import render
 
 router = APIRouter(include_in_schema=False)
@@ -32,13 +30,9 @@ async def add_user(
     password: Text = "",
 ) -> Response:
     """A person, by password."""
-    origin = address_of(request)
-
-    async def add() -> None:
-        rules.check_password(password)
-        await accounts.add_user(name.strip(), role_named(role), password, by=person.name, origin=origin)
-
-    return await answer_to_change(request, accounts, add())
+    by, origin = person.name, address_of(request)
+    add = accounts.add_user(name.strip(), role_named(role), password, by=by, origin=origin)
+    return await answer_to_change(request, accounts, add)
 
 
 @router.post("/users/panels")
@@ -86,7 +80,7 @@ async def reset_password(
     request: Request, person: Admin, accounts: Keeping, name: str, password: Text = ""
 ) -> Response:
     """A new password (a PIN for a panel); every session ends."""
-    reset = _reset(accounts, person, name, password, address_of(request))
+    reset = accounts.set_password(name, password, by=person.name, origin=address_of(request))
     return await answer_to_change(request, accounts, reset)
 
 
@@ -102,9 +96,3 @@ async def remove(request: Request, person: Admin, accounts: Keeping, name: str) 
     return await answer_to_change(
         request, accounts, accounts.remove_user(name, by=person.name, origin=address_of(request))
     )
-
-
-async def _reset(accounts: Accounts, person: Person, name: str, password: str, origin: str) -> None:
-    user = next((user for user in await accounts.users() if user.name == name), None)
-    (rules.check_pin if user and user.panel else rules.check_password)(password)
-    await accounts.set_password(name, password, by=person.name, origin=origin)

@@ -8,17 +8,17 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from app.auth.accounts import Accounts
-from app.errors import InvalidError
 from app.web.access import PEOPLE_ROLES
 from app.web.problems import is_fragment
 from app.web.templating import render
+from bus.errors import CallerError
 
 
 async def users_view(
     request: Request,
     accounts: Accounts,
     *,
-    fault: InvalidError | None = None,
+    fault: CallerError | None = None,
     token_name: str = "",
     token: str = "",
 ) -> HTMLResponse:
@@ -27,7 +27,7 @@ async def users_view(
     return render(
         request,
         "users/page.html",
-        status=fault.status if fault else 200,
+        status=422 if fault else 200,
         users=await accounts.users(),
         tokens=await accounts.tokens(),
         roles=PEOPLE_ROLES,
@@ -44,7 +44,7 @@ async def answer_to_change(request: Request, accounts: Accounts, change: Awaitab
     in_dialog = is_fragment(request)
     try:
         await change
-    except InvalidError as error:
+    except CallerError as error:
         if in_dialog:
             raise
         return await users_view(request, accounts, fault=error)

@@ -39,7 +39,8 @@ def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:
     async def run() -> T:
         keys = open_keys(settings.key_files, database.path, await database.read(head_of))
         buses = [bus.name for bus in settings.bus]
-        return await work(Accounts(database, passwords, EventLog(database, keys=keys), buses=buses))
+        events = EventLog(database, keys=keys)
+        return await work(Accounts(database, passwords, events, buses=buses, site=settings.site.name))
 
     try:
         return asyncio.run(run())

@@ -12,7 +12,7 @@ import sqlite3
 import tarfile
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -59,10 +59,11 @@ def restore_store(
     """Put the stores of a backup in the place of the present ones, which are kept beside. The dashboard must
     not run. Every session ends, and what was revoked or disabled since the backup stays so."""
     with ending():
-        server = load(config).server
+        settings = load(config)
+        server = settings.server
         if not yes:
             typer.confirm(f"Replace the stores in {server.data} by those of {file}?", abort=True)
-        names, withheld = read_backup(file, server.data, server.store.name)
+        names, withheld = read_backup(file, server.data, settings.key_files, server.store.name)
     typer.echo(f"{server.data}: {', '.join(names)} restored; what was there ends in {ASIDE}")
     for consequence in consequences(withheld) if withheld is not None else ():
         typer.echo(consequence)
@@ -112,10 +113,14 @@ def _add_text(archive: tarfile.TarFile, name: str, text: str) -> None:
     archive.addfile(entry, io.BytesIO(data))
 
 
-def read_backup(file: Path, data: Path, main: str = "lineside.db") -> tuple[list[str], Withheld | None]:
+def read_backup(
+    file: Path, data: Path, key_files: Sequence[Path], main: str = "lineside.db"
+) -> tuple[list[str], Withheld | None]:
     """Put the stores of a backup into a data folder; gives their names, and what was withheld from the
-    ``main`` one where the backup holds it. Raises StoreError; then all is as it was: every store of the
-    backup is proved, and the main one made ready, before the first is put in its place."""
+    ``main`` one where the backup holds it, whose log goes on under the key in the first of ``key_files``.
+
+    Raises StoreError; then all is as it was: every store of the backup is proved, and the main one made ready,
+    before the first is put in its place."""
     make_private(data)
     with in_words(file), tempfile.TemporaryDirectory(dir=data) as folder:
         proved, taken_at = _unpack(file, Path(folder))
@@ -123,7 +128,7 @@ def read_backup(file: Path, data: Path, main: str = "lineside.db") -> tuple[list
             _refuse_while_open(store)
         withheld = None
         if (fresh := Path(folder) / main) in proved:
-            withheld = make_ready(fresh, data / main, Backup(file.name, taken_at, _digest(file)))
+            withheld = make_ready(fresh, data / main, Backup(file.name, taken_at, _digest(file)), key_files)
         for fresh in proved:
             _put(fresh, data / fresh.name)
     return [fresh.name for fresh in proved], withheld

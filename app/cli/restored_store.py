@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
+from app.audit.store import head_of
 from app.auth.withheld import Present, Withheld, read_present, withhold
 from app.cli.accounts import ORIGIN, who_calls
 from app.commands.in_force import Protection, keep_in_force, read_protection
@@ -33,13 +36,14 @@ class Backup:
         return f"{self.file} of {taken}, SHA-256 {self.digest}"
 
 
-def make_ready(fresh: Path, present: Path, backup: Backup) -> Withheld:
-    """Change ``fresh``, the main store of a backup, before it takes the place of ``present``. Raises
-    StoreError for one that cannot be used."""
+def make_ready(fresh: Path, present: Path, backup: Backup, key_files: Sequence[Path]) -> Withheld:
+    """Change ``fresh``, the main store of a backup, before it takes the place of ``present``. ``key_files``:
+    where the key of its audit log is or may be made. Raises StoreError for one that cannot be used."""
     standing = _standing(present)
     database = Database(fresh)
     try:
-        return asyncio.run(_bring_in(database, standing, backup))
+        keys = open_keys(key_files, fresh, database.read_now(head_of))
+        return asyncio.run(_bring_in(database, EventLog(database, keys=keys), standing, backup))
     finally:
         database.close()
 
@@ -56,7 +60,7 @@ def _standing(present: Path) -> tuple[Present | None, Protection] | None:
 
 
 async def _bring_in(
-    database: Database, standing: tuple[Present | None, Protection] | None, backup: Backup
+    database: Database, events: EventLog, standing: tuple[Present | None, Protection] | None, backup: Backup
 ) -> Withheld:
     def work(connection: sqlite3.Connection) -> Withheld:
         if standing is None:
@@ -65,7 +69,7 @@ async def _bring_in(
         return withhold(connection, standing[0])
 
     withheld = await database.write(work)
-    await EventLog(database).record(
+    await events.record(
         kind="server",
         what=WHAT,
         who=who_calls(),

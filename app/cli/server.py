@@ -11,15 +11,17 @@ from typing import Any, cast
 
 import uvicorn
 
-from app.cli.frames import FramesProtocol
-from app.cli.loop_watch import LoopWatch
-from app.cli.stamping import StampingProtocol
 from app.main import create_app
+from app.server.connections import Connections
+from app.server.files import raise_file_limit
+from app.server.loop_watch import LoopWatch
+from app.server.stamping import StampingProtocol
+from app.server.websocket import WebSocketProtocol
 from app.settings import Settings
 
 GRACEFUL_S = 1
 """What requests in flight get when the server ends."""
-DATE_EVERY_S = 1.0
+TICK_S = 1.0
 MOST_MESSAGE_BYTES = 4 * 1024 * 1024
 
 
@@ -30,8 +32,9 @@ class Server(uvicorn.Server):
         self, settings: Settings, demo: bool, worker_tokens: Mapping[str, str], serving: Callable[[], None]
     ) -> None:
         self._watch = LoopWatch()
+        connections = Connections(settings.server.trusted_proxies, raise_file_limit())
         app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
-        super().__init__(_config(app, self._watch))
+        super().__init__(_config(app, self._watch, connections))
         self._serving = serving
         self._ended = asyncio.Event()
 
@@ -52,10 +55,14 @@ class Server(uvicorn.Server):
             self._serving()
 
     async def main_loop(self) -> None:
-        """Once a second for the header ``Date``: uvicorn's own looks ten times whether it shall end."""
+        """Once a second, for the header ``Date`` and for clients that take too long."""
         while not await self.on_tick(0):
+            now = asyncio.get_running_loop().time()
+            for connection in tuple(self.server_state.connections):
+                connection.check(now)  # type: ignore[union-attr]
             with suppress(TimeoutError):
-                await asyncio.wait_for(self._ended.wait(), DATE_EVERY_S)
+                async with asyncio.timeout(TICK_S):
+                    await self._ended.wait()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """As it is; the loop is watched no more."""
@@ -63,18 +70,21 @@ class Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def _config(app: Any, watch: LoopWatch) -> uvicorn.Config:
+def _config(app: Any, watch: LoopWatch, connections: Connections) -> uvicorn.Config:
     """No deflate on WebSockets: at ten messages a second it costs a quarter of a core, and every page would
     need frames of its own."""
     return uvicorn.Config(
         app,
         loop="none",
-        http=cast(type[asyncio.Protocol], partial(StampingProtocol, watch=watch)),
-        ws=FramesProtocol,
+        http=cast(
+            type[asyncio.Protocol], partial(StampingProtocol, watch=watch, open_connections=connections)
+        ),
+        ws=WebSocketProtocol,
         ws_per_message_deflate=False,
         ws_max_size=MOST_MESSAGE_BYTES,
         access_log=False,
-        log_level="warning",
+        proxy_headers=False,  # app.server.forwarded does it, for the proxies that are named
+        log_level="error",  # a warning for each malformed request would let anybody fill the disk
         server_header=False,
         lifespan="on",
         timeout_graceful_shutdown=GRACEFUL_S,

@@ -118,7 +118,7 @@ async def control(
     try:
         await _move_control(desk, person, bus, do, to)
     except Problem as problem:
-        return _control_part(desk, person, bus, fault=problem.detail)
+        return _control_part(desk, person, bus, fault=problem.text(desk.voice.t))
     return _control_part(desk, person, bus)
 
 

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from bus.errors import LinesideError
+
 LAPSES_AFTER_S = 600.0
 
 
@@ -24,7 +26,7 @@ class Holding:
         return self.used_at + LAPSES_AFTER_S
 
 
-class ControlledError(Exception):
+class ControlledError(LinesideError):
     """Somebody else holds control; the text says who."""
 
 

@@ -182,7 +182,10 @@ class Desk:
             if is_write(action):
                 self._guards.control.use(bus, person.account, self._now())
         except ControlledError as error:
-            raise Problem(409, "controlled", f"{error}; nothing was sent", outcome="controlled") from error
+            detail = "{reason}; nothing was sent"
+            raise Problem(
+                409, "controlled", detail, params={"reason": error}, outcome="controlled"
+            ) from error
 
     def _circumstances(self, bus: str, live: BusLive, confirm: bool) -> Circumstances:
         return Circumstances(
@@ -282,7 +285,8 @@ class Desk:
 
 def _refuse_other(id: str | None, same: bool) -> None:
     if not same:
-        raise Problem(422, "invalid", f"the id {id!r} was used for another command; nothing was sent", id=id)
+        detail = "the id '{id}' was used for another command; nothing was sent"
+        raise Problem(422, "invalid", detail, params={"id": id}, id=id)
 
 
 def _timeout_s(action: Action, live: BusLive) -> float:
@@ -309,6 +313,5 @@ def _problem(objection: ObjectionError) -> Problem:
     extra: dict[str, Any] = {"outcome": objection.code, "unit": objection.unit}
     if objection.nearest is not None:
         extra["nearest"] = objection.nearest
-    detail = f"{objection.template}; nothing was sent"
-    status = STATUS_OF_OBJECTION[objection.code]
-    return Problem(status, objection.code, detail, params=objection.params, **extra)
+    detail, params = "{reason}; nothing was sent", {**(objection.params or {}), "reason": objection}
+    return Problem(STATUS_OF_OBJECTION[objection.code], objection.code, detail, params=params, **extra)

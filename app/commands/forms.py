@@ -28,7 +28,6 @@ from app.web.arrival import made_at, refuse_late
 from app.web.deadline import Deadline
 from app.web.templating import render, templates_of
 from bus.contract import Action, Result, UnitOutcome
-from bus.errors import LinesideError
 
 REVIEW_LASTS_S = 45.0
 """Thirty seconds on the screen, and something for the way."""
@@ -76,7 +75,8 @@ class Desktop:
         return self.render(template, command_id=new_id(), reviewed_at=time.time(), **context)
 
     def not_so(self, reason: str, place: str, *, nearest: str = "", status: int = 422) -> Response:
-        """Why what was typed gets no review, at the CSS selector ``place``; ``nearest`` would get one."""
+        """Why what was typed gets no review, in the reader's language, at the CSS selector ``place``;
+        ``nearest`` would get one."""
         response = self.render("unit/_not_so.html", reason=reason, nearest=nearest, status=status)
         response.headers["HX-Retarget"] = place
         return response
@@ -84,10 +84,6 @@ class Desktop:
     def remark(self, remark: Remark) -> str:
         """What a review says of a unit, in the reader's language."""
         return self.voice.t(remark.text, **dict(remark.params))
-
-    def text_of(self, error: LinesideError) -> str:
-        """Why something is refused, in the reader's language."""
-        return error.text(self.voice.t) if isinstance(error, Problem) else self.voice.t(str(error))
 
     def refuse_lapsed(self, reviewed_at: float) -> None:
         """Raises Problem 409 for a review that is over. Nothing is sent."""

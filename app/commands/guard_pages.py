@@ -40,7 +40,7 @@ async def set_limits(
         if limits.lowest is not None and limits.highest is not None and limits.lowest > limits.highest:
             raise CallerError("the lowest setpoint is above the highest; nothing was changed")
     except (CallerError, Problem) as error:
-        return desk.not_so(desk.text_of(error), "#limits-said")
+        return desk.not_so(error.text(desk.voice.t), "#limits-said")
     await desk.guards.set_limits(person, bus, unit, limits)
     return desk.render("unit/_limits_set.html")
 

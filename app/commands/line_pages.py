@@ -70,7 +70,7 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
         deadline = desk.deadline(live, len(setpoints))
         await judge(desk, person, bus, SetLine(setpoints=setpoints), deadline)
     except (CallerError, Problem) as error:
-        return desk.not_so(desk.text_of(error), f"#setpoints-error-{bus}")
+        return desk.not_so(error.text(desk.voice.t), f"#setpoints-error-{bus}")
     await know_ramps(desk, person, bus, setpoints)
     changes = [change(desk, bus, unit, raw) for unit, raw in setpoints.items()]
     left_out, unchanged = keep_their_setpoint(desk, bus, setpoints)
@@ -100,7 +100,8 @@ async def _typed_setpoints(person: Person, desk: Desktop, live: BusLive, form: F
             found = Typed(desk.desk, person, bus, live.units[unit], deadline)
             setpoints[unit] = await found.setpoint(Quantity(value=text))
         except CallerError as error:
-            raise CallerError(f"{live.units[unit].settings.name}: {desk.voice.t(str(error))}") from error
+            params = {"name": live.units[unit].settings.name, "reason": error}
+            raise CallerError("{name}: {reason}", params=params) from error
     return setpoints
 
 

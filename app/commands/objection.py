@@ -9,15 +9,13 @@ from typing import Literal
 from app.commands.blocks import Block
 from app.commands.limits import Limits
 from app.live.state import BusLive
+from bus.errors import LinesideError
 
 Code = Literal["invalid", "dangerous", "confirm_needed", "blocked"]
 
 
-class ObjectionError(Exception):
-    """A command that is not sent. ``nearest``: the closest value that would do.
-
-    ``reason``: why, and with ``params`` a template whose ``{names}`` they fill in, as in a Problem.
-    """
+class ObjectionError(LinesideError):
+    """A command that is not sent. The text is the reason; ``nearest`` the closest value that would do."""
 
     def __init__(
         self,
@@ -28,10 +26,8 @@ class ObjectionError(Exception):
         unit: int | None = None,
         nearest: int | None = None,
     ) -> None:
-        super().__init__(reason if params is None else reason.format(**params))
+        super().__init__(reason, params=params)
         self.code = code
-        self.template = reason
-        self.params = params
         self.unit = unit
         self.nearest = nearest
 

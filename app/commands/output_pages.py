@@ -88,7 +88,7 @@ async def review_analog(
         raw = _whole_number(value)
         desk.desk.check(person, bus, WriteAnalogOutput(unit=unit, raw=raw), confirm=True)
     except (CallerError, Problem) as error:
-        return desk.not_so(desk.text_of(error), "#analog-error")
+        return desk.not_so(error.text(desk.voice.t), "#analog-error")
     return desk.review(
         "unit/_review_analog.html", unit=desk.shown(bus, unit), raw=raw, volts=_volts(desk, live, raw)
     )

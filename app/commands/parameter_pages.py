@@ -156,7 +156,7 @@ def _not_so(desk: Desktop, live: UnitLive, parameter: Parameter, error: CallerEr
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     text = "" if nearest is None or parameter.secret else text_of(parameter, nearest, live)
     shown = desk.voice.formats.point(text)
-    reason = desk.text_of(error)
+    reason = error.text(desk.voice.t)
     if text:
         # The rule speaks of raw values; what was typed here is what the unit shows.
         reason = desk.voice.t(

@@ -112,7 +112,10 @@ def _check_not_blocked(unit: int, now: Circumstances) -> None:
     block = now.block(unit)
     if block is not None:
         raise ObjectionError(
-            "blocked", f"unit {unit} is blocked by {block.set_by}: {block.reason}", unit=unit
+            "blocked",
+            "unit {unit} is blocked by {who}: {reason}",
+            unit=unit,
+            params={"unit": unit, "who": block.set_by, "reason": block.reason},
         )
 
 

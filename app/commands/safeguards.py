@@ -121,12 +121,12 @@ class Safeguards:
     async def _who_may_hold(self, person: Person, to: str) -> str:
         found = (to, person.role) if to == person.account else await self._find(to)
         if found is None:
-            raise Problem(422, "invalid", f"there is no user {to} who may log in; control stays where it is")
+            detail = "there is no user {name} who may log in; control stays where it is"
+            raise Problem(422, "invalid", detail, params={"name": to})
         account, role = found
         if not role.includes(Role.OPERATOR):
-            raise Problem(
-                422, "invalid", f"{to} is {role} and may set nothing; control goes to an operator or above"
-            )
+            detail = "{name} is {role} and may set nothing; control goes to an operator or above"
+            raise Problem(422, "invalid", detail, params={"name": to, "role": role})
         return account
 
     async def release(self, person: Person, bus: str) -> None:
@@ -171,4 +171,4 @@ class Safeguards:
 
 
 def _controlled(error: ControlledError) -> Problem:
-    return Problem(409, "controlled", f"{error}", outcome="controlled")
+    return Problem(409, "controlled", error.template, params=error.params, outcome="controlled")

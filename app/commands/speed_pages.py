@@ -68,7 +68,7 @@ async def _review(
 def _not_so(desk: Desktop, live: UnitLive, error: CallerError | Problem) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     return desk.not_so(
-        desk.text_of(error),
+        error.text(desk.voice.t),
         ERROR_PLACE,
         nearest="" if nearest is None else desk.voice.formats.point(shown_setpoint(nearest, live)),
         status=error.status if isinstance(error, Problem) else 422,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -19,6 +20,11 @@ from app.errors import StoreError
 T = TypeVar("T")
 Synchronous = Literal["FULL", "NORMAL"]
 READERS = 4
+COSTLY_READERS = 2
+COSTLY_S = 3.0
+"""Of a thread, for which one costly read may compute: a busy machine makes nobody exceed it."""
+STEPS = 20_000
+"""Of SQLite between two looks at the clock: a few milliseconds."""
 BUSY_S = 5.0
 
 
@@ -81,6 +87,7 @@ class Database:
             self.migrated: list[Migration] = bring_up_to_date(self._connection, path, migrations)
         self._writer = ThreadPoolExecutor(1, thread_name_prefix=f"{path.stem}-writer")
         self._readers = ThreadPoolExecutor(READERS, thread_name_prefix=f"{path.stem}-reader")
+        self._costly = ThreadPoolExecutor(COSTLY_READERS, thread_name_prefix=f"{path.stem}-costly")
         self._local = threading.local()
         self._opened: list[sqlite3.Connection] = []
 
@@ -91,6 +98,10 @@ class Database:
     async def read(self, work: Callable[[sqlite3.Connection], T]) -> T:
         """Run ``work`` on a read-only connection in a thread."""
         return await self._run(self._readers, self.read_now, work)
+
+    async def read_costly(self, work: Callable[[sqlite3.Connection], T]) -> T:
+        """Run a read that may take long, apart from all others. Raises TooCostlyError after `COSTLY_S`."""
+        return await self._run(self._costly, self._read_within, work)
 
     def write_now(self, work: Callable[[sqlite3.Connection], T]) -> T:
         """The same without a loop, for the command line and the writer's own thread."""
@@ -105,9 +116,19 @@ class Database:
     def close(self) -> None:
         """Finish what is asked, then close; waits for the threads."""
         self._readers.shutdown()
+        self._costly.shutdown()
         self._writer.shutdown()
         for connection in (*self._opened, self._connection):
             connection.close()
+
+    def _read_within(self, work: Callable[[sqlite3.Connection], T]) -> T:
+        connection, end = self._reader(), time.thread_time() + COSTLY_S
+        connection.set_progress_handler(lambda: time.thread_time() > end, STEPS)
+        try:
+            with in_words(self.path):
+                return work(connection)
+        finally:
+            connection.set_progress_handler(None, 0)
 
     async def _run(
         self,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from app.errors import DamagedStoreError, StoreError
+from app.errors import DamagedStoreError, StoreError, TooCostlyError
 from bus.errors import CallerError
 
 __all__ = ["StoreError", "in_words"]
@@ -41,6 +41,8 @@ def in_words(path: Path) -> Iterator[None]:
         raise CallerError("a number is larger than any that is stored; nothing was done") from error
     except sqlite3.Error as error:
         code = getattr(error, "sqlite_errorcode", None)
+        if code == sqlite3.SQLITE_INTERRUPT:
+            raise TooCostlyError("this takes too long; narrow it by time, kind, bus or unit") from error
         meaning = _MEANINGS.get(code & _PRIMARY) if isinstance(code, int) else None
         damaged = isinstance(code, int) and code & _PRIMARY == sqlite3.SQLITE_CORRUPT
         kind = DamagedStoreError if damaged else StoreError

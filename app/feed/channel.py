@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from app.feed.plausibility import result_for
 from app.live.state import NO_WORKER
 from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, Reserve, Result, Watch
 
@@ -48,6 +49,8 @@ class _Asked:
     """Its deadline, on the monotonic clock like ``give_up_at``."""
     give_up_at: float
     listener: ProgressListener | None
+    sent_to: Connection | None = None
+    """Only what this connection reports of it counts."""
 
 
 class Channel:
@@ -78,7 +81,7 @@ class Channel:
                 _end(asked, "unverified", "the bus worker was restarted: whether the unit acted is not known")
             else:
                 asked.give_up_at = self._last_moment(asked.command)
-                await self._send(asked.command)
+                await self._send_command(asked)
 
     def closed(self, connection: Connection) -> None:
         """The connection ended. What is under way waits a while for the worker's return."""
@@ -88,8 +91,8 @@ class Channel:
         for asked in self._asked.values():
             asked.give_up_at = min(asked.give_up_at, time.monotonic() + self._reask_s)
 
-    def spoken(self) -> None:
-        """The worker said something, whatever it was: it lives."""
+    def on_message(self) -> None:
+        """Any message shows that the worker lives."""
         self._words += 1
 
     async def ask(self, command: Command, listener: ProgressListener | None = None) -> Result:
@@ -100,7 +103,7 @@ class Channel:
         asked = _Asked(command, self._worker, fate, _due_at(command), self._last_moment(command), listener)
         self._asked[command.id] = asked
         try:
-            await self._send(command)
+            await self._send_command(asked)
             return await self._fate_of(asked)
         finally:
             del self._asked[command.id]
@@ -121,13 +124,14 @@ class Channel:
             self._watch = wanted
             await self._send(wanted)
 
-    def heard(self, update: Result | Progress) -> None:
-        """The worker said how far a command is, or its fate. Unknown ids are old news."""
+    def on_update(self, update: Result | Progress, connection: Connection) -> None:
+        """Take in the result or progress of a command. It counts only from the connection that the command
+        went to; an unknown id belongs to a command that has ended."""
         asked = self._asked.get(update.id)
-        if asked is None or asked.fate.done():
+        if asked is None or asked.fate.done() or asked.sent_to is not connection:
             return
         if isinstance(update, Result):
-            asked.fate.set_result(update)
+            asked.fate.set_result(result_for(update, asked.command.action))
             return
         asked.give_up_at = max(asked.give_up_at, time.monotonic() + self._patience_s)
         if asked.listener is not None:
@@ -136,13 +140,18 @@ class Channel:
     def _last_moment(self, command: Command) -> float:
         return _due_at(command) + self._patience_s
 
+    async def _send_command(self, asked: _Asked) -> None:
+        asked.sent_to = self._connection
+        await self._send(asked.command)
+
     async def _send(self, message: AppMessage) -> None:
-        if self._connection is None:
+        connection = self._connection
+        if connection is None:
             return
         try:
-            await self._connection.send(message)
+            await connection.send(message)
         except ConnectionError:
-            self.closed(self._connection)
+            self.closed(connection)
 
     async def _fate_of(self, asked: _Asked) -> Result:
         words, silent_looks = self._words, 0

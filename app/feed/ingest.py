@@ -1,42 +1,40 @@
-"""What a worker says, in its fixed order of speech, taken in whole or not at all.
+"""The messages of one worker, in their fixed order: bytes in, messages out, no socket.
 
 ``Hello`` → Welcome → ``Snapshot`` → backlog → ``Batch`` after ``Batch``. A batch counts once for each
-worker and number; a missing number asks for a new snapshot. No socket here: bytes in, messages out.
+worker and number; a missing number asks for a new snapshot. A malformed message is not applied at all; of a
+well-formed one only what is plausible (:mod:`app.feed.plausibility`).
 """
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-import msgspec
-
 from app.feed.channel import Channel, Connection
 from app.feed.clock import WorkerClock, shifted
+from app.feed.plausibility import Sorted, judge_snapshot, sort_updates
+from app.feed.rates import cost_of
 from app.pipeline import Pipeline
+from bus.bucket import Bucket
 from bus.contract import (
-    CONTRACT_VERSION,
     Batch,
     Clock,
     Delivered,
     Hello,
+    MalformedMessageError,
     Progress,
     Result,
     Snapshot,
     WantSnapshot,
-    Welcome,
     WorkerMessage,
     decode_from_worker,
 )
 
 
-class MalformedSpeechError(Exception):
-    """The worker said something that cannot be; the connection ends with this reason."""
-
-
 @dataclass(slots=True)
-class Heard:
+class Received:
     """How far the app has followed one worker. ``seq``: its last batch that is safe here."""
 
     worker: str
@@ -44,74 +42,99 @@ class Heard:
 
 
 class Ingest:
-    """One connection of one worker."""
+    """One connection of one worker. ``bucket`` measures what comes for the bus, over all its connections."""
 
     def __init__(
         self,
         hello: Hello,
-        heard: Heard,
+        received: Received,
         channel: Channel,
         pipeline: Pipeline,
         connection: Connection,
+        bucket: Bucket,
         now: Callable[[], float] = time.time,
     ) -> None:
         self.hello = hello
-        self._heard = heard
+        self._received = received
         self._channel = channel
         self._pipeline = pipeline
         self._connection = connection
+        self._bucket = bucket
         self._now = now
+        self._units: Collection[int] = pipeline.units_of(hello.bus)
         self._clock = WorkerClock()
         self._snapshot_seq: int | None = None
         self._snapshot_wanted = False
-        self._settled = self._delivered = heard.seq
+        self._settled = self._delivered = received.seq
         self.silent_ticks = 0
-        """How many ticks in a row nothing was heard."""
+        """Ticks in a row in which nothing came, though more would have been read."""
+        self._is_held_back = False
         self._clock.hear(hello.sent_at, now(), time.monotonic())
 
     async def receive(self, data: bytes) -> None:
-        """One message. Raises MalformedSpeechError; nothing of such a message was applied."""
+        """Take in one message, and return once the next may come. Raises MalformedMessageError; nothing of
+        such a message was applied."""
         self.silent_ticks = 0
-        self._channel.spoken()
-        match decode(data):
+        self._channel.on_message()
+        message = decode_from_worker(data)
+        await self._take(message)
+        await self._hold_back(self._bucket.pour(cost_of(message), time.monotonic()))
+
+    async def _take(self, message: WorkerMessage) -> None:
+        match message:
             case Snapshot() as snapshot:
                 await self._take_snapshot(snapshot)
             case Batch() as batch:
                 await self._take_batch(batch)
             case Hello():
-                raise MalformedSpeechError("hello is said once, at the beginning")
+                raise MalformedMessageError("hello is said once, at the beginning")
 
     async def tick(self) -> None:
         """About once a second: the app's time, and what may be forgotten: it was here a tick ago, so it is
         on disk by now, and a server that dies is told it again."""
-        self.silent_ticks += 1
+        self.silent_ticks += not self._is_held_back
         await self._connection.send(Clock(app_time=self._now()))
         await self._confirm(self._settled)
-        self._settled = self._heard.seq
+        self._settled = self._received.seq
+
+    async def _hold_back(self, seconds: float) -> None:
+        """Even for no time others have their turn between two messages."""
+        self._is_held_back = True
+        await asyncio.sleep(seconds)
+        self._is_held_back = False
 
     async def _take_snapshot(self, snapshot: Snapshot) -> None:
-        self._hear(snapshot.sent_at)
+        self._note_time(snapshot.sent_at)
         first = self._snapshot_seq is None
         self._snapshot_seq = snapshot.seq
         self._snapshot_wanted = False
-        self._pipeline.snapshot(self.hello.bus, shifted(snapshot, self._clock.offset_s), self.hello.software)
+        whole = judge_snapshot(shifted(snapshot, self._clock.offset_s), self._units, self._now())
+        self._pipeline.snapshot(self.hello.bus, whole, self.hello.software)
         if first:
             await self._channel.opened(self._connection, self.hello.worker)
 
     async def _take_batch(self, batch: Batch) -> None:
         if self._snapshot_seq is None:
-            raise MalformedSpeechError("a snapshot comes before the first batch")
+            raise MalformedMessageError("a snapshot comes before the first batch")
         if batch.live:
-            self._hear(batch.sent_at)
-            await self._miss(batch, max(self._heard.seq, self._snapshot_seq) + 1)
-        if batch.seq <= self._heard.seq:
+            self._note_time(batch.sent_at)
+            await self._miss(batch, max(self._received.seq, self._snapshot_seq) + 1)
+        if batch.seq <= self._received.seq:
             return
-        self._heard.seq = batch.seq
-        updates = [shifted(update, self._clock.offset_s) for update in batch.updates]
-        for update in updates:
+        self._received.seq = batch.seq
+        shifted_updates = (shifted(update, self._clock.offset_s) for update in batch.updates)
+        self._deliver(sort_updates(shifted_updates, self._units, self._now(), live=batch.live))
+
+    def _deliver(self, updates: Sorted) -> None:
+        for update in (*updates.late, *updates.live):
             if isinstance(update, Result | Progress):
-                self._channel.heard(update)
-        self._pipeline.batch(self.hello.bus, updates, live=batch.live)
+                self._channel.on_update(update, self._connection)
+        if updates.late:
+            self._pipeline.batch(self.hello.bus, updates.late, live=False)
+        if updates.live:
+            self._pipeline.batch(self.hello.bus, updates.live, live=True)
+        if updates.refused:
+            self._pipeline.updates_refused(self.hello.bus, self._now(), updates.refused)
 
     async def _miss(self, batch: Batch, expected: int) -> None:
         if batch.seq > expected and not self._snapshot_wanted:
@@ -123,35 +146,8 @@ class Ingest:
             self._delivered = seq
             await self._connection.send(Delivered(seq=seq))
 
-    def _hear(self, sent_at: float) -> None:
+    def _note_time(self, sent_at: float) -> None:
         now = self._now()
         step = self._clock.hear(sent_at, now, time.monotonic())
         if step:
             self._pipeline.clock_stepped(self.hello.bus, step, now)
-
-
-def decode(data: bytes) -> WorkerMessage:
-    """One message of a worker. Raises MalformedSpeechError."""
-    try:
-        return decode_from_worker(data)
-    except (msgspec.DecodeError, ValueError) as error:
-        raise MalformedSpeechError(f"not a message of a bus worker: {error}") from error
-
-
-def welcome(
-    hello: Hello, bus: str, buses: Collection[str], heard: Heard, now: float, held: str = ""
-) -> Welcome:
-    """The answer to a hello: from where to go on, or why not. ``bus``: the one that its token is for, which
-    is one of ``buses`` unless the configuration has changed; ``held``: why another worker keeps it."""
-    refused = held
-    if hello.version != CONTRACT_VERSION:
-        refused = (
-            f"this dashboard speaks version {CONTRACT_VERSION} of the link and the worker {hello.version}: "
-            "install the same release of lineside on both"
-        )
-    elif hello.bus != bus:
-        refused = f"the token is for bus {bus!r}, not for {hello.bus!r}; create one for that bus"
-    elif bus not in buses:
-        known = ", ".join(buses) or "none"
-        refused = f"no [[bus]] is called {bus!r} in this dashboard's lineside.toml (it has: {known})"
-    return Welcome(version=CONTRACT_VERSION, seq=heard.seq, app_time=now, refused=refused)

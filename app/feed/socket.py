@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from contextlib import suppress
 from typing import cast
 
@@ -10,14 +11,17 @@ from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from app.errors import Problem
-from app.feed.ingest import MalformedSpeechError
-from app.feed.workers import Workers
+from app.feed.holders import Credential
+from app.feed.workers import WorkerLeft, Workers
 from app.web.access import Worker
-from bus.contract import AppMessage, encode
+from bus.contract import AppMessage, MalformedMessageError, encode
 
 router = APIRouter()
 
+GOING_AWAY = 1001
 POLICY_VIOLATION = 1008
+SEND_WITHIN_S = 5.0
+"""A worker that does not read for so long must hold up neither commands nor the end of its own connection."""
 REASON_BYTES = 123
 """What a close frame has room for (RFC 6455, 5.5)."""
 
@@ -29,22 +33,24 @@ class WorkerSocket:
         self._websocket = websocket
 
     async def send(self, message: AppMessage) -> None:
-        """Raises ConnectionError when the worker is gone."""
+        """Raises ConnectionError when the worker is gone, or does not read."""
         try:
-            await self._websocket.send_bytes(encode(message))
-        except (WebSocketDisconnect, RuntimeError) as error:
+            async with asyncio.timeout(SEND_WITHIN_S):
+                await self._websocket.send_bytes(encode(message))
+        except (WebSocketDisconnect, RuntimeError, TimeoutError) as error:
             raise ConnectionError("the worker is gone") from error
 
     async def receive(self) -> bytes:
-        """Raises ConnectionError at the end, MalformedSpeechError for anything but bytes."""
+        """Raises ConnectionError at the end (WorkerLeft where the worker announced it), MalformedMessageError
+        for anything but bytes."""
         if self._websocket.application_state is not WebSocketState.CONNECTED:
             raise ConnectionError("the connection was closed")
         message = await self._websocket.receive()
         if message["type"] == "websocket.disconnect":
-            raise ConnectionError("the worker is gone")
+            raise WorkerLeft() if message.get("code") == GOING_AWAY else ConnectionError("the worker is gone")
         data = message.get("bytes")
         if not isinstance(data, bytes):
-            raise MalformedSpeechError("a worker speaks in binary messages")
+            raise MalformedMessageError("a worker speaks in binary messages")
         return data
 
     async def close(self, reason: str) -> None:
@@ -52,8 +58,9 @@ class WorkerSocket:
         if self._websocket.application_state is not WebSocketState.CONNECTED:
             return
         short = reason.encode()[:REASON_BYTES].decode(errors="ignore")
-        with suppress(WebSocketDisconnect, RuntimeError):
-            await self._websocket.close(POLICY_VIOLATION, short)
+        with suppress(WebSocketDisconnect, RuntimeError, TimeoutError):
+            async with asyncio.timeout(SEND_WITHIN_S):
+                await self._websocket.close(POLICY_VIOLATION, short)
 
 
 def workers_of(connection: HTTPConnection) -> Workers:
@@ -72,4 +79,6 @@ async def feed(websocket: WebSocket, worker: Worker) -> None:
             params={"called": worker.name},
         )
     await websocket.accept()
-    await workers_of(websocket).serve(WorkerSocket(websocket), worker.bus)
+    address = websocket.client.host if websocket.client else ""
+    credential = Credential(worker.name, worker.bus, address, own=worker.via == "worker")
+    await workers_of(websocket).serve(WorkerSocket(websocket), credential)

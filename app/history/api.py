@@ -36,6 +36,7 @@ from app.web.access import Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import looked_up
 from app.web.templating import templates_of
+from app.web.turns import DOWNLOAD, SEARCH
 
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
 SPARK_POINTS = 120
@@ -76,7 +77,7 @@ async def json_response(content: Callable[[], object]) -> Response:
     return Response(body, media_type="application/json")
 
 
-@router.get("", response_model=None, responses=json_of(SeriesShown))
+@router.get("", response_model=None, responses=json_of(SeriesShown), dependencies=[SEARCH])
 async def get_history(
     _: Viewer,
     history: HistoryOf,
@@ -99,7 +100,7 @@ async def get_history(
     return await json_response(lambda: shown(asked, found, times))
 
 
-@router.get("/series", response_model=None, responses=json_of(list[SeriesShown]))
+@router.get("/series", response_model=None, responses=json_of(list[SeriesShown]), dependencies=[SEARCH])
 async def get_series(
     _: Viewer,
     history: HistoryOf,
@@ -114,7 +115,7 @@ async def get_series(
     return await json_response(lambda: [shown(q, a, times) for q, a in zip(asked, found, strict=True)])
 
 
-@router.get("/sparks", response_model=None, responses=json_of(dict[str, SparkShown]))
+@router.get("/sparks", response_model=None, responses=json_of(dict[str, SparkShown]), dependencies=[SEARCH])
 async def get_sparks(
     _: Viewer, history: HistoryOf, span: SpanOf, series: Annotated[list[str], Query()]
 ) -> Response:
@@ -131,7 +132,7 @@ def _small(found: Answer) -> dict[str, Any]:
     return {"t": [seconds(t) for t in found.series.at], "avg": found.series.average}
 
 
-@router.get("/marks", response_model=None, responses=json_of(MarksShown))
+@router.get("/marks", response_model=None, responses=json_of(MarksShown), dependencies=[SEARCH])
 async def get_marks(
     request: Request,
     _: Viewer,
@@ -158,7 +159,7 @@ async def get_status(_: Viewer, history: HistoryOf) -> StatusShown:
     return cast(StatusShown, asdict(history.status))
 
 
-@router.get("/export", response_class=StreamingResponse, responses=EXPORT)
+@router.get("/export", response_class=StreamingResponse, responses=EXPORT, dependencies=[DOWNLOAD])
 async def get_export(
     _: Viewer,
     history: HistoryOf,

@@ -16,6 +16,8 @@ from app.history.query import Question
 from app.history.runs import HOUR, SECOND
 from app.history.service import History
 from app.history.values import VALUES
+from app.web.absent import unknown_bus, unknown_unit
+from app.web.numbers import whole_number
 from app.web.services import looked_up
 from bus.settings import BusSettings
 
@@ -54,8 +56,9 @@ def moment(text: str, name: str) -> int:
     except ValueError:
         at = None
     if at is None or at.tzinfo is None:
-        detail = f"{name}: write an ISO 8601 time with its zone, such as 2026-11-21T03:12:00Z, not {text!r}"
-        raise Problem(422, "invalid", detail)
+        detail = "{field}: write an ISO 8601 time with its zone, such as {example}, not '{text}'"
+        params = {"field": name, "example": "2026-11-21T03:12:00Z", "text": text}
+        raise Problem(422, "invalid", detail, params=params)
     if not FIRST_YEAR <= at.year <= LAST_YEAR:
         raise Problem(422, "invalid", f"{name}: write a year from {FIRST_YEAR} to {LAST_YEAR}, not {at.year}")
     return (at - _EPOCH) // _MICROSECOND
@@ -93,9 +96,10 @@ def question(history: History, bus: str, unit: int, value: str, span: Span, most
     """One value of one unit. Raises Problem 404 for a bus or unit, 422 for a value that there is not."""
     settings = _bus(history, bus)
     if all(known.id != unit for known in settings.unit):
-        raise Problem(404, "unknown_unit", f"bus {bus!r} has no unit {unit} in lineside.toml")
+        raise unknown_unit(bus, unit)
     if value not in VALUES:
-        raise Problem(422, "invalid", f"value: there is no {value!r}; there are: {', '.join(VALUES)}")
+        params = {"value": value, "known": ", ".join(VALUES)}
+        raise Problem(422, "invalid", "value: there is no '{value}'; there are: {known}", params=params)
     return Question(settings, unit, VALUES[value], span.start, span.end, most)
 
 
@@ -103,9 +107,11 @@ def named_question(history: History, name: str, span: Span, most: int) -> Questi
     """The same from ``bus/unit/value``, as the trends page writes it."""
     bus, _, rest = name.partition("/")
     unit, _, value = rest.partition("/")
-    if not (unit.isascii() and unit.isdigit()):
-        raise Problem(422, "invalid", f"series: write bus/unit/value, such as dry-end/1/actual, not {name!r}")
-    return question(history, bus, int(unit), value, span, most)
+    number = whole_number(unit)
+    if number is None:
+        detail = "series: write bus/unit/value, such as {example}, not '{text}'"
+        raise Problem(422, "invalid", detail, params={"example": "dry-end/1/actual", "text": name})
+    return question(history, bus, number, value, span, most)
 
 
 def questions(history: History, names: list[str], span: Span, most: int) -> list[Question]:
@@ -118,6 +124,5 @@ def questions(history: History, names: list[str], span: Span, most: int) -> list
 def _bus(history: History, bus: str) -> BusSettings:
     found = history.buses.get(bus)
     if found is None:
-        known = ", ".join(history.buses) or "none"
-        raise Problem(404, "unknown_bus", f"there is no bus {bus!r}; there are: {known}")
+        raise unknown_bus(bus, history.buses)
     return found

@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from app.live.screen import Groups
-from app.web.frames import NoOutlet, Outlet, text_frame
+from app.server.frames import NoOutlet, Outlet, text_frame
 
 MOST_FRAMES = 300
 """Frames of the trace kept for a browser that cannot keep up; older ones are dropped and counted."""
@@ -92,7 +92,7 @@ class Browser:
     _idle: bool = False
     """Everything has been handed over: whoever asks for the next waits for it."""
     _waiting: list[Diff] = field(default_factory=list)
-    _messages: deque[str] = field(default_factory=deque)
+    _snapshot: dict[str, Any] | None = None
     _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
     _wake: asyncio.Event = field(default_factory=asyncio.Event)
 
@@ -107,9 +107,10 @@ class Browser:
         self._has_something()
 
     def say(self, message: dict[str, Any]) -> None:
-        """A message of its own, before any diff: snapshot. It makes what was pending worthless."""
+        """A snapshot, before any diff. It makes what was pending worthless, and is encoded when it can go:
+        however often it is asked for, there is one."""
         self._waiting.clear()
-        self._messages.append(encode(message).decode())
+        self._snapshot = message
         self._has_something()
 
     def show_frames(self, frames: list[dict[str, Any]]) -> None:
@@ -123,8 +124,8 @@ class Browser:
         self._idle = not self._wake.is_set()
         await self._wake.wait()
         self._wake.clear()
-        texts = list(self._messages)
-        self._messages.clear()
+        texts = [] if self._snapshot is None else [encode(self._snapshot).decode()]
+        self._snapshot = None
         if self._waiting:
             *earlier, newest = self._waiting
             self._waiting.clear()

@@ -8,6 +8,7 @@ from app.live.age import offline_after_s, scan_s_of
 from app.live.conditions import bits_of, conditions_of
 from app.live.motion import Motion
 from app.live.onset import Onset, Onsets
+from bus.catalogue.values import MOST_DECIMALS
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink
 from bus.settings import BusSettings, UnitSettings
 
@@ -30,9 +31,11 @@ class UnitLive:
     """Unix time, before this server started; None while it is not known."""
 
     def parameter_raw(self, number: int) -> int | None:
-        """The raw value of a parameter as last read; None when never read or not available."""
+        """The raw value of a parameter as last read; None when never read or not available, and for decimals
+        (#3) that no value can have."""
         known = self.parameters.get(number)
-        return known.raw if known is not None else None
+        raw = known.raw if known is not None else None
+        return None if raw is not None and number == DECIMALS and raw > MOST_DECIMALS else raw
 
 
 @dataclass(slots=True)

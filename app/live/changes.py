@@ -13,7 +13,7 @@ from bus.settings import BusSettings
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One entry to be. ``unit`` None: the whole bus."""
+    """An event to be recorded. ``unit`` None: the whole bus."""
 
     kind: Kind
     unit: int | None
@@ -21,6 +21,9 @@ class Change:
     what: str
     old: str
     new: str
+    message: str = ""
+    series: str = ""
+    """Tells series of one unit and kind apart, where one must not crowd out the other."""
 
 
 _RECORDED: dict[Condition, tuple[Kind, str, tuple[str, str]]] = {

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Sequence
 
+from app.live.admission import Admission
 from app.live.browser import Browser
 from app.live.command_ids import key_of
 from app.live.fields import Voice, health_fields, unit_key
@@ -18,10 +19,15 @@ from app.live.screen import WHOLE_LINE, Block, Drift, Drifted, Groups, Recipe, S
 from app.live.state import LiveState
 from app.live.totals import holders
 from app.live.trace_frames import frame_fields
+from app.live.watched import Watched
 from app.web.templating import Templates
+from bus.bucket import Bucket
 from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
 
 HEARTBEAT_S = 1.0
+WATCH_TOLD_A_SECOND = 5.0
+MOST_TOLD_AT_ONCE = 50
+"""To each worker, which units are watched."""
 STAGE_WORDS = {
     "waiting": "waiting for the wire",
     "sent": "sent",
@@ -47,6 +53,10 @@ class Hub:
         self._readers: dict[str, Readers] = {}
         """Of every language that was asked for once; most have nobody now."""
         self._watched: dict[str, tuple[list[int], bool]] = {}
+        self.admission = Admission()
+        self._pages = Watched({name: bus.units for name, bus in live.buses.items()})
+        self._tellings = Bucket(WATCH_TOLD_A_SECOND, MOST_TOLD_AT_ONCE)
+        self._watched_is_due = False
         self.block: Block = _unblocked
         self.drift: Drift = _undrifted
         self.recipe: Recipe = _unloaded
@@ -95,6 +105,7 @@ class Hub:
     def leave(self, browser: Browser) -> None:
         """A page closed."""
         self._readers[browser.language].leave(browser)
+        self._pages.turn(browser.units, frozenset(), browser.trace, "")
         self._has_changed()
 
     def _has_changed(self) -> None:
@@ -109,6 +120,10 @@ class Hub:
 
     def follow(self, browser: Browser, units: frozenset[tuple[str, int]], trace: str) -> None:
         """A page says which units it shows and whose frames it follows."""
+        units, trace = self._pages.known(units), trace if trace in self.live.buses else ""
+        if (units, trace) == (browser.units, browser.trace):
+            return
+        self._pages.turn(browser.units, units, browser.trace, trace)
         browser.units, browser.trace = units, trace
         self._tell_watched()
 
@@ -125,6 +140,8 @@ class Hub:
     def tick(self) -> None:
         """One heartbeat: what has aged, and the server's time."""
         now = self._clock()
+        if self._watched_is_due:
+            self._tell_watched()
         for readers in self._read():
             screen = readers.screen
             groups = screen.settle(now)
@@ -176,7 +193,7 @@ class Hub:
             readers.tell({group: {field: text}})
 
     def _show_health(self, bus: str, figures: BusFigures) -> None:
-        watched = self._opened_units(bus)
+        watched = self._pages.units(bus)
         for readers in self._read():
             screen, groups = readers.screen, Groups()
             for unit in figures.units:
@@ -211,18 +228,16 @@ class Hub:
             readers.tell(screen.put("people", {"here": here, "count": str(len(people))}))
 
     def _tell_watched(self) -> None:
-        browsers = self._browsers()
+        """At once, but not as often as pages can turn; the next tick makes up for it."""
+        self._watched_is_due = not self._tellings.take(self._clock())
+        if self._watched_is_due:
+            return
         for bus, live in self.live.buses.items():
-            units = self._opened_units(bus) or (sorted(live.units) if browsers else [])
-            wish = (units, any(browser.trace == bus for browser in browsers))
+            units = self._pages.units(bus) or (sorted(live.units) if self.connected else [])
+            wish = (units, self._pages.is_traced(bus))
             if self._watched.get(bus, ([], False)) != wish:
                 self._watched[bus] = wish
                 self.watch(bus, *wish)
-
-    def _opened_units(self, bus: str) -> list[int]:
-        """The units that have a page of their own open. A page of the whole line watches all alike."""
-        opened = {number for browser in self._browsers() for name, number in browser.units if name == bus}
-        return sorted(opened)
 
 
 def _unblocked(_bus: str, _unit: int) -> str:

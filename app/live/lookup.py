@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from app.errors import Problem
 from app.live.state import BusLive, LiveState, UnitLive
+from app.web.absent import unknown_bus, unknown_unit
 
 
 def bus_or_404(live: LiveState, bus: str) -> BusLive:
     """A configured bus. Raises Problem 404."""
     found = live.buses.get(bus)
     if found is None:
-        known = ", ".join(live.buses) or "none"
-        raise Problem(404, "unknown_bus", f"there is no bus {bus!r}; there are: {known}")
+        raise unknown_bus(bus, live.buses)
     return found
 
 
@@ -19,5 +18,5 @@ def unit_or_404(live: LiveState, bus: str, unit: int) -> UnitLive:
     """A configured unit. Raises Problem 404."""
     found = bus_or_404(live, bus).units.get(unit)
     if found is None:
-        raise Problem(404, "unknown_unit", f"bus {bus!r} has no unit {unit} in lineside.toml", unit=unit)
+        raise unknown_unit(bus, unit)
     return found

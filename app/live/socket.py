@@ -6,6 +6,7 @@ Commands never come this way: what was clicked while a socket was down must neve
 from __future__ import annotations
 
 import asyncio
+import time
 from contextlib import suppress
 from typing import Annotated, Literal
 
@@ -14,16 +15,24 @@ from fastapi import APIRouter, WebSocket
 from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocketDisconnect
 
+from app.errors import Problem
 from app.live.browser import Browser
 from app.live.hub import Hub
-from app.web.access import Role, Viewer
-from app.web.frames import outlet_of
+from app.server.addresses import source_of
+from app.server.frames import outlet_of
+from app.web.access import Person, Role, Viewer
 from app.web.templating import templates_of
+from bus.bucket import Bucket
 
 router = APIRouter()
 
 SILENCE_ENDS_S = 30.0
 """A page that says nothing for this long is gone; it speaks every ten seconds."""
+
+
+MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE = 2.0, 10
+SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE = 0.5, 3
+"""Of one page. The whole state is a quarter of a megabyte for a large line."""
 
 
 class Said(msgspec.Struct, forbid_unknown_fields=True):
@@ -47,12 +56,21 @@ def hub_of(connection: HTTPConnection) -> Hub:
 @router.websocket("/live")
 async def live(websocket: WebSocket, person: Viewer, language: str = "") -> None:
     """One page from its opening to its end. ``language``: the page's own, so that both are the same."""
+    hub, address = hub_of(websocket), source_of(websocket.client.host if websocket.client else "")
+    if not hub.admission.enter(person.account, address, time.monotonic()):
+        raise Problem(429, "too_many", "too many pages are open; close some").with_headers(Retry_After="10")
+    try:
+        await _serve(websocket, person, language, hub)
+    finally:
+        hub.admission.leave(person.account, address)
+
+
+async def _serve(websocket: WebSocket, person: Person, language: str, hub: Hub) -> None:
     await websocket.accept()
     templates = templates_of(websocket)
     if language not in templates.languages:
         language = templates.language_of(websocket).tag
     browser = Browser(person.account, person.role.value, language, outlet_of(websocket.scope))
-    hub = hub_of(websocket)
     hub.join(browser)
     writing = asyncio.create_task(_write(websocket, browser))
     try:
@@ -73,15 +91,20 @@ async def _write(websocket: WebSocket, browser: Browser) -> None:
 
 
 async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
+    """A page that says more than its share is listened to more slowly."""
+    messages = Bucket(MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE)
+    snapshots = Bucket(SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE)
     while True:
         async with asyncio.timeout(SILENCE_ENDS_S):
             said = _decoder.decode(await websocket.receive_text())
+        if not messages.take(time.monotonic()):
+            await asyncio.sleep(1 / MESSAGES_A_SECOND)
+        may_trace = Role(browser.role).includes(Role.ENGINEER)
+        hub.follow(browser, frozenset(_unit(key) for key in said.units), said.trace if may_trace else "")
         if said.want == "snapshot":
+            if not snapshots.take(time.monotonic()):
+                await asyncio.sleep(1 / SNAPSHOTS_A_SECOND)
             hub.send_snapshot(browser)
-        units = frozenset(_unit(key) for key in said.units)
-        trace = said.trace if Role(browser.role).includes(Role.ENGINEER) else ""
-        if (units, trace) != (browser.units, browser.trace):
-            hub.follow(browser, units, trace)
 
 
 def _unit(key: str) -> tuple[str, int]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from app.live.fields import Voice
+from bus.clauses import LONGEST, filled
 from bus.contract import Clause, Frame
 
 
@@ -15,14 +17,18 @@ def frame_fields(frame: Frame, voice: Voice) -> dict[str, Any]:
         "at": round(frame.at, 4),
         "direction": frame.direction,
         "hex": frame.data.hex(" ").upper(),
-        "meaning": "".join(_said(clause, voice) + clause.then for clause in frame.clauses),
+        "meaning": "".join(
+            _translated(clause, voice.language.texts) + clause.then for clause in frame.clauses
+        )[:LONGEST],
         "valid": frame.valid,
     }
 
 
-def _said(clause: Clause, voice: Voice) -> str:
-    """Words among the values are in English too."""
-    said = {
-        name: voice.t(value) if isinstance(value, str) else value for name, value in clause.values.items()
+def _translated(clause: Clause, texts: Mapping[str, str]) -> str:
+    """Only whole texts of the catalog are translated: a worker's words are neither matched against patterns
+    nor used as a format. Words among the values are in English too."""
+    values = {
+        name: texts.get(value, value) if isinstance(value, str) else value
+        for name, value in clause.values.items()
     }
-    return voice.t(clause.text, **said)
+    return filled(texts.get(clause.text, clause.text), values)

@@ -20,6 +20,7 @@ from app.recipes.view import dry_run_json, loaded_json, recipe_json
 from app.web.access import Engineer, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
+from app.web.numbers import whole_number
 from app.web.services import service
 from app.web.shape import Strict
 from bus.text import Lines, OneLine
@@ -110,9 +111,10 @@ async def retire_recipe(person: Engineer, book: Book, bus: str, name: str) -> No
 
 def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
     """Keys of JSON are text; raises Problem 422 for one that is no address."""
-    wrong = [key for key in given if not (key.isascii() and key.isdecimal() and 1 <= int(key) <= 255)]
-    if wrong:
-        raise Problem(422, "invalid", f"{wrong[0]!r} is no unit address; give 1 to 255")
+    wrong = next((key for key in given if not 1 <= (whole_number(key) or 0) <= 255), None)
+    if wrong is not None:
+        detail = "'{text}' is no unit address; give 1 to 255"
+        raise Problem(422, "invalid", detail, params={"text": wrong})
     return {int(key): raw for key, raw in given.items()}
 
 

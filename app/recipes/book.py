@@ -67,7 +67,8 @@ class RecipeBook:
         """Take a recipe out of the list; its versions stay on record."""
         versions = await self.store.versions(bus, name)
         if not versions:
-            raise Problem(404, "unknown_recipe", f"there is no recipe {name!r} for {bus}")
+            params = {"name": name, "bus": bus}
+            raise Problem(404, "unknown_recipe", "there is no recipe '{name}' for {bus}", params=params)
         await self.store.retire(bus, name)
         await self._record(person, versions[0], "retired")
 
@@ -84,7 +85,8 @@ class RecipeBook:
         run = self.try_out(person, recipe)
         if not run.loadable:
             why = "; ".join(f"{step.name}: {step.obstacle}" for step in run.steps if step.obstacle)
-            raise Problem(409, "not_loadable", f"{recipe.name} cannot be loaded now: {why}; nothing was sent")
+            detail, params = "{name} cannot be loaded now: {why}; nothing was sent", {"name": recipe.name}
+            raise Problem(409, "not_loadable", detail, params=params | {"why": why})
         action = SetLine(setpoints={setpoint.unit: setpoint.raw for setpoint in recipe.setpoints})
         result = await self._desk.ask(
             person,

@@ -156,4 +156,5 @@ def _raw(bus: BusLive, number: int, text: str) -> int:
     try:
         return ratio_raw(text) if kind == "ratio" else speed_raw(text, decimals)
     except CallerError as error:
-        raise Problem(422, "invalid", f"{unit.settings.name}: {error}; nothing was saved") from error
+        params = {"name": unit.settings.name, "reason": error}
+        raise Problem(422, "invalid", "{name}: {reason}; nothing was saved", params=params) from error

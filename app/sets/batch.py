@@ -42,7 +42,7 @@ class BatchRow:
     typed: str = ""
     wanted: int | None = None
     shown: str = ""
-    fault: str = ""
+    fault: CallerError | None = None
     warning: str = ""
 
     @property
@@ -130,7 +130,7 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
         )
         check_writable_value(parameter, wanted)
     except CallerError as error:
-        return replace(row, fault=str(error))
+        return replace(row, fault=error)
     shown = "hidden" if parameter.secret else with_unit(parameter, wanted, known)
     return replace(row, wanted=wanted, shown=shown)
 

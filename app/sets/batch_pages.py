@@ -14,6 +14,7 @@ from app.live.lookup import bus_or_404
 from app.sets.batch import learn, refuse_moved, rows_of_batch, write_batch
 from app.sets.effects import EFFECT_TEXTS, OPERATING_VALUES
 from app.web.access import Engineer
+from app.web.numbers import whole_number
 from app.web.services import service
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS, Parameter
@@ -63,16 +64,15 @@ async def batch_write(request: Request, person: Engineer, live: Live, desk: AskD
 
 async def _typed(request: Request) -> tuple[int, dict[int, str]]:
     form = await request.form()
-    number = str(form.get("number", ""))
-    return int(number) if number.isdecimal() else 0, _by_unit(form, "unit-")
+    return whole_number(str(form.get("number", ""))) or 0, _by_unit(form, "unit-")
 
 
 def _by_unit(form: FormData, prefix: str) -> dict[int, str]:
     """The fields whose names are ``prefix`` and an address."""
     return {
-        int(address): str(value)
+        unit: str(value)
         for key, value in form.items()
-        if key.startswith(prefix) and (address := key.removeprefix(prefix)).isdecimal() and len(address) <= 3
+        if key.startswith(prefix) and (unit := whole_number(key.removeprefix(prefix))) is not None
     }
 
 

@@ -17,8 +17,12 @@ from bus.errors import CallerError
 
 DOCUMENT_FORMAT = "lineside parameter set"
 DOCUMENT_VERSION = 1
-LONGEST_DOCUMENT = 2_000_000
+LONGEST_DOCUMENT = 1_500_000
 """Characters of a file; all 255 units of a bus take half of it."""
+MOST_DOTTED = 5_000_000
+"""Python's parser takes n² steps for a key of n dotted parts, and a key stands on one line."""
+TOO_LONG = "{source} is too long for a parameter set"
+OUTSIDE = "{source}: unit {unit}: parameter {number} ({name}): {raw} is outside {lowest} to {highest}"
 _KEYS = frozenset(str(number) for number in PARAMETERS)
 """As they are written: 06 beside 6 would be one parameter twice."""
 
@@ -39,7 +43,7 @@ class _Unit(Strict):
     id: Annotated[int, Field(ge=1, le=255)]
     name: str = ""
     read_at: datetime | None = None
-    parameters: dict[str, _Parameter]
+    parameters: Annotated[dict[str, _Parameter], Field(max_length=len(PARAMETERS))]
 
 
 class _Document(Strict):
@@ -50,7 +54,7 @@ class _Document(Strict):
     comment: str = ""
     taken_at: datetime
     by: str = ""
-    unit: Annotated[list[_Unit], Field(min_length=1)]
+    unit: Annotated[list[_Unit], Field(min_length=1, max_length=255)]
 
 
 def write_document(parameter_set: ParameterSet, *, with_secrets: bool = False) -> str:
@@ -99,7 +103,8 @@ def read_document(text: str, source: str = "the file") -> ParameterSet:
     document = _parse(text, source)
     units = tuple(_unit_rows(unit, source) for unit in document.unit)
     if len({unit.unit for unit in units}) < len(units):
-        raise DocumentError(f"{source}: a unit is given twice; keep one [[unit]] for each address")
+        detail = "{source}: a unit is given twice; keep one [[unit]] for each address"
+        raise DocumentError(detail, params={"source": source})
     return ParameterSet(
         bus=document.bus,
         taken_at=_seconds(document.taken_at, source),
@@ -114,28 +119,39 @@ def read_document(text: str, source: str = "the file") -> ParameterSet:
 def _parse(text: str, source: str) -> _Document:
     content = _content(text, source)
     if content.get("format") != DOCUMENT_FORMAT:
-        raise DocumentError(f"{source}: not a parameter set: it lacks format = {_quoted(DOCUMENT_FORMAT)}")
+        params = {"source": source, "format": _quoted(DOCUMENT_FORMAT)}
+        raise DocumentError("{source}: not a parameter set: it lacks format = {format}", params=params)
     version = content.get("version")
     if isinstance(version, int) and version > DOCUMENT_VERSION:
-        raise DocumentError(f"{source}: written by a newer Lineside (version {version}); update this one")
+        detail = "{source}: written by a newer Lineside (version {version}); update this one"
+        raise DocumentError(detail, params={"source": source, "version": version})
     try:
         return _Document.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise DocumentError(f"{source}: {where}: {first['msg']}") from error
+        fault = {"source": source, "where": where, "fault": CallerError(first["msg"])}
+        raise DocumentError("{source}: {where}: {fault}", params=fault) from error
 
 
 def _content(text: str, source: str) -> dict[str, Any]:
     if len(text) > LONGEST_DOCUMENT:
-        raise DocumentError(f"{source} is too long for a parameter set")
+        raise DocumentError(TOO_LONG, params={"source": source})
+    if sum(line.count(".") ** 2 for line in text.split("\n")) > MOST_DOTTED:
+        raise DocumentError("{source}: a key has too many dotted parts", params={"source": source})
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        if "end of document" in str(error):
-            raise DocumentError(f"{source}: not readable as TOML, perhaps cut off: {error}") from error
-        why = "it is nested too deeply" if isinstance(error, RecursionError) else error
-        raise DocumentError(f"{source}: not readable as TOML: {why}") from error
+        raise _unreadable(source, error) from error
+
+
+def _unreadable(source: str, error: Exception) -> DocumentError:
+    params: dict[str, object] = {"source": source, "why": str(error)}
+    if isinstance(error, RecursionError):
+        params["why"] = CallerError("it is nested too deeply")
+    if "end of document" in str(error):
+        return DocumentError("{source}: not readable as TOML, perhaps cut off: {why}", params=params)
+    return DocumentError("{source}: not readable as TOML: {why}", params=params)
 
 
 def _seconds(moment: datetime, source: str) -> float:
@@ -143,7 +159,8 @@ def _seconds(moment: datetime, source: str) -> float:
     try:
         return moment.timestamp()
     except (ValueError, OverflowError, OSError) as error:
-        raise DocumentError(f"{source}: {moment.isoformat()} is no time that a unit was read at") from error
+        params = {"source": source, "time": moment.isoformat()}
+        raise DocumentError("{source}: {time} is no time that a unit was read at", params=params) from error
 
 
 def _unit_rows(unit: _Unit, source: str) -> UnitRows:
@@ -151,24 +168,22 @@ def _unit_rows(unit: _Unit, source: str) -> UnitRows:
     rows: dict[int, Row] = {}
     for key, given in unit.parameters.items():
         if key not in _KEYS:
-            raise DocumentError(
-                f"{source}: unit {unit.id}: there is no parameter {key!r}; a DIGIMAX IV has 1 to 40"
-            )
+            detail = "{source}: unit {unit}: there is no parameter '{key}'; a DIGIMAX IV has 1 to 40"
+            raise DocumentError(detail, params={"source": source, "unit": unit.id, "key": key})
         number = int(key)
-        _check_range(number, given.raw, f"{source}: unit {unit.id}")
+        _check_range(number, given.raw, unit.id, source)
         rows[number] = Row(number, given.raw if given.available else None, given.available, read_at)
     return UnitRows(unit.id, unit.name, rows)
 
 
-def _check_range(number: int, raw: int | None, where: str) -> None:
+def _check_range(number: int, raw: int | None, unit: int, source: str) -> None:
     parameter = PARAMETERS[number]
     if raw is None or parameter.minimum <= raw <= parameter.maximum:
         return
     shown = "hidden" if parameter.secret else raw
-    raise DocumentError(
-        f"{where}: parameter {number} ({parameter.name}): {shown} is outside "
-        f"{parameter.minimum} to {parameter.maximum}"
-    )
+    params = {"source": source, "unit": unit, "number": number, "name": parameter.name, "raw": shown}
+    params |= {"lowest": parameter.minimum, "highest": parameter.maximum}
+    raise DocumentError(OUTSIDE, params=params)
 
 
 def _quoted(text: str) -> str:

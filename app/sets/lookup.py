@@ -5,11 +5,14 @@ from __future__ import annotations
 from fastapi import UploadFile
 
 from app.errors import Problem
-from app.sets.document import LONGEST_DOCUMENT, DocumentError, read_document
+from app.sets.document import LONGEST_DOCUMENT, TOO_LONG, DocumentError, read_document
 from app.sets.keeper import SetKeeper
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreDesk
 from app.sets.restore_record import Restore
+from app.web.parsing import parse_apart
+
+NOT_UTF_8 = "{source} is no text in UTF-8: {why} at byte {n}; save it as UTF-8"
 
 
 async def wanted_rows(
@@ -20,22 +23,23 @@ async def wanted_rows(
         raise Problem(422, "invalid", "give either set (a stored one) or document (a TOML file)")
     if set_id is not None:
         return unit_rows_or_404(await set_or_404(keeper, set_id), from_unit or unit)
-    return document_rows(document_text or "", "the document", unit, from_unit)
+    return await document_rows(document_text or "", "the document", unit, from_unit)
 
 
-def document_rows(text: str, source: str, unit: int, from_unit: int | None = None) -> UnitRows:
+async def document_rows(text: str, source: str, unit: int, from_unit: int | None = None) -> UnitRows:
     """The rows of a TOML file meant for a unit: of ``from_unit`` where given, its own, or the only ones.
 
     Raises Problem 422 in words.
     """
     try:
-        document = read_document(text, source)
+        document = await parse_apart(lambda: read_document(text, source))
     except DocumentError as error:
-        raise Problem(422, "invalid", str(error)) from error
+        raise Problem(422, "invalid", error.template, params=error.params) from error
     lone = document.units[0] if len(document.units) == 1 and from_unit is None else None
     rows = document.unit(from_unit or unit) or lone
     if rows is None:
-        raise Problem(422, "invalid", f"{source} does not hold unit {from_unit or unit}")
+        params = {"source": source, "unit": from_unit or unit}
+        raise Problem(422, "invalid", "{source} does not hold unit {unit}", params=params)
     return rows
 
 
@@ -44,12 +48,12 @@ async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
     name = file.filename or "the file"
     content = await file.read(LONGEST_DOCUMENT + 1)
     if len(content) > LONGEST_DOCUMENT:
-        raise Problem(422, "invalid", f"{name} is too long for a parameter set")
+        raise Problem(422, "invalid", TOO_LONG, params={"source": name})
     try:
-        return document_rows(content.decode("utf-8-sig"), name, unit)
+        return await document_rows(content.decode("utf-8-sig"), name, unit)
     except UnicodeDecodeError as error:
-        why = f"{name} is no text in UTF-8: {error.reason} at byte {error.start}; save it as UTF-8"
-        raise Problem(422, "invalid", why) from error
+        params = {"source": name, "why": error.reason, "n": error.start}
+        raise Problem(422, "invalid", NOT_UTF_8, params=params) from error
 
 
 async def set_or_404(keeper: SetKeeper, set_id: int) -> ParameterSet:

@@ -17,6 +17,7 @@ from app.sets.restore_view import restore_json
 from app.sets.selection import Selection
 from app.web.access import Engineer, Viewer
 from app.web.api_route import ApiRoute
+from app.web.bounds import MOST_BODY_BYTES
 from app.web.schema_problem import problems
 from app.web.services import service
 from app.web.shape import Numbers, Strict
@@ -49,7 +50,12 @@ class StartRestore(Strict):
     exclude: Excluded | None = None
 
 
-@router.post("/buses/{bus}/units/{unit}/restores", status_code=201, responses=problems(504))
+@router.post(
+    "/buses/{bus}/units/{unit}/restores",
+    status_code=201,
+    responses=problems(504),
+    max_body_size=MOST_BODY_BYTES,
+)
 async def plan_unit_restore(
     person: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int, wanted: PlanRestore
 ) -> RestoreShown:

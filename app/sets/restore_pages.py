@@ -26,6 +26,7 @@ from app.sets.shown import ComparedShown
 from app.sets.sides import side
 from app.sets.view import compared_json
 from app.web.access import Engineer
+from app.web.bounds import MOST_BODY_BYTES
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
 
@@ -50,7 +51,11 @@ async def restore_page(
     )
 
 
-@router.post("/units/{bus}/{unit}/restore")
+@router.post(
+    "/units/{bus}/{unit}/restore",
+    max_body_size=MOST_BODY_BYTES,
+    form_limits={"max_files": 1, "max_fields": 100},
+)
 async def plan_page(
     person: Engineer,
     keeper: Keeper,

@@ -17,6 +17,7 @@ from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.model import UnitRows
 from app.sets.reading import known_rows
 from app.sets.store import SetSummary
+from app.web.numbers import whole_number
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,19 +74,23 @@ async def side(text: str, keeper: SetKeeper, live: LiveState) -> Side:
     """Find what ``text`` names. Raises Problem 404 or 422 in words."""
     kind, _, rest = text.partition(":")
     of, _, number = rest.rpartition(":")
-    if kind not in ("set", "golden", "live") or not of or not number.isdecimal():
-        raise Problem(422, "invalid", f"{text!r} names no side; give set:12:3, golden:BUS:3 or live:BUS:3")
-    return Side(kind, of, int(number), await _rows(kind, of, int(number), keeper, live))
+    unit = whole_number(number)
+    if kind not in ("set", "golden", "live") or not of or unit is None:
+        params = {"text": text, "known": "set:12:3, golden:BUS:3 or live:BUS:3"}
+        raise Problem(422, "invalid", "'{text}' names no side; give {known}", params=params)
+    return Side(kind, of, unit, await _rows(kind, of, unit, keeper, live))
 
 
 async def _rows(kind: str, of: str, unit: int, keeper: SetKeeper, live: LiveState) -> UnitRows:
     if kind == "set":
-        if not of.isdecimal():
-            raise Problem(422, "invalid", f"{of!r} is no number of a set")
-        return unit_rows_or_404(await set_or_404(keeper, int(of)), unit)
+        number = whole_number(of)
+        if number is None:
+            raise Problem(422, "invalid", "'{text}' is no number of a set", params={"text": of})
+        return unit_rows_or_404(await set_or_404(keeper, number), unit)
     if kind == "live":
         return known_rows(unit_or_404(live, of, unit))
     golden = keeper.drifts.golden(of, unit)
     if golden is None:
-        raise Problem(404, "unknown_set", f"no set of unit {unit} on {of} is marked golden")
+        params = {"unit": unit, "bus": of}
+        raise Problem(404, "unknown_set", "no set of unit {unit} on {bus} is marked golden", params=params)
     return golden

@@ -23,6 +23,7 @@ from app.swap.record import Swap
 from app.swap.rules import FACTORY_ADDRESS, PROVEN, STEPS, Advice, advice, done_steps
 from app.swap.sources import source_of
 from app.web.access import Engineer, Person
+from app.web.bounds import MOST_BODY_BYTES
 from app.web.services import service
 from app.web.templating import render
 
@@ -45,7 +46,9 @@ async def swap_page(
     )
 
 
-@router.post("/swap/{bus}/{unit}")
+@router.post(
+    "/swap/{bus}/{unit}", max_body_size=MOST_BODY_BYTES, form_limits={"max_files": 1, "max_fields": 100}
+)
 async def begin(
     person: Engineer,
     keeper: Keeper,

@@ -14,8 +14,9 @@ from typing import Annotated, Literal
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from app.errors import InvalidError, Problem
+from app.errors import Problem
 from app.web.arrival import refuse_late
+from bus.errors import CallerError
 
 Via = Literal["session", "token", "worker", "demo"]
 
@@ -44,12 +45,11 @@ _TOKEN = " (token)"
 
 
 def role_named(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
-    """Raises InvalidError for a word that is none of these."""
+    """Raises CallerError for a word that is none of these."""
     roles = list(among)
     if word not in roles:
-        raise InvalidError(
-            "there is no role {called}; choose one of {roles}", called=repr(word[:80]), roles=", ".join(roles)
-        )
+        params = {"role": word[:80], "known": ", ".join(roles)}
+        raise CallerError("there is no role '{role}'; choose one of {known}", params=params)
     return Role(word)
 
 
@@ -120,12 +120,9 @@ class Requires:
         if person is None:
             raise not_signed_in()
         if not person.role.includes(self.role):
-            raise Problem(
-                403,
-                "forbidden",
-                "this needs the role {role}; {called} is {present}",
-                params={"role": self.role, "called": person.name, "present": person.role},
-            )
+            params = {"role": self.role, "name": person.name, "present": person.role}
+            detail = "this needs the role {role}; {name} is {present}"
+            raise Problem(403, "forbidden", detail, params=params)
         return person
 
 

@@ -14,9 +14,13 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.errors import Problem
+from app.web.bounds import MOST_PLAIN_BODY_BYTES
+from app.web.parsing import parse_apart
 from app.web.schema_names import operation_name
 from app.web.schema_problem import usual_problems
 
+MOST_MEMBERS = 1000
+"""Of a JSON object; the largest has one for each of 255 units. Each unknown one is a fault of its own."""
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]
 
 
@@ -56,26 +60,61 @@ class _OfOneMeaning(Request):
 
     async def json(self) -> Any:
         """Raises Problem 422 for a key given twice."""
-        return json.loads(await self.body(), object_pairs_hook=_each_once)
+        body = await self.body()
+        if len(body) <= MOST_PLAIN_BODY_BYTES:
+            return _loads(body)
+        return await parse_apart(lambda: _loads(body))
+
+
+def _loads(body: bytes) -> Any:
+    return json.loads(body, object_pairs_hook=_each_once)
 
 
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    made = dict(pairs)
-    if len(made) < len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise Problem(422, "invalid", f"{twice!a}: it is given twice; nothing was sent")
+    if len(pairs) > MOST_MEMBERS:
+        detail = "an object has more than {n} members; nothing was sent"
+        raise Problem(422, "invalid", detail, params={"n": MOST_MEMBERS})
+    made: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in made:
+            raise _twice(ascii(name))
+        made[name] = value
+    for name in made:
+        if not _is_text(name):
+            detail = "{name}: there is no such field; nothing was sent"
+            raise Problem(422, "invalid", detail, params={"name": ascii(name)})
     return made
+
+
+def _is_text(name: str) -> bool:
+    """Whether UTF-8 can say it. A key that has half a surrogate pair is passed over by pydantic, even where
+    unknown ones are forbidden."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _check_query(query: QueryParams, known: Mapping[str, bool]) -> None:
     """``known``: by name whether it may be given several times. Raises Problem 422."""
     for name in query:
         if name not in known:
-            there = f"there are: {', '.join(known)}" if known else "there are none"
-            raise Problem(422, "invalid", f"{name}: there is no such parameter; {there}; nothing was sent")
+            raise _unknown(name, known)
         if not known[name] and len(query.getlist(name)) > 1:
-            raise Problem(422, "invalid", f"{name}: it is given twice; nothing was sent")
+            raise _twice(name)
+
+
+def _unknown(name: str, known: Mapping[str, bool]) -> Problem:
+    if not known:
+        detail = "{name}: there is no such parameter; there are none; nothing was sent"
+        return Problem(422, "invalid", detail, params={"name": name})
+    detail = "{name}: there is no such parameter; there are: {known}; nothing was sent"
+    return Problem(422, "invalid", detail, params={"name": name, "known": ", ".join(known)})
+
+
+def _twice(name: str) -> Problem:
+    return Problem(422, "invalid", "{name}: it is given twice; nothing was sent", params={"name": name})
 
 
 def _is_list(annotation: Any) -> bool:

@@ -1,8 +1,8 @@
 """When a request was made, as far as anybody can know.
 
 Three clocks say so, and the earliest is believed: the server, which stamps each request with the moment at
-which its first byte arrived (app/cli/stamping.py), a stall or a start of the server included; a program, in
-the header ``Lineside-Sent-At``; a page of ours, in the header ``Lineside-Asked-At`` or, where the browser
+which its first byte arrived (app/server/stamping.py), a stall or a start of the server included; a program,
+in the header ``Lineside-Sent-At``; a page of ours, in the header ``Lineside-Asked-At`` or, where the browser
 sends the form itself, in the query ``asked_at`` (static/js/review.js).
 """
 
@@ -16,11 +16,11 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.errors import Problem
+from app.server.stamping import ARRIVED_AT
 from app.web.deadline import DEFAULT_TIMEOUT_S, Deadline, Instant, instant_now
 
-ARRIVED_AT, BEGUN_AT = "lineside.arrived_at", "lineside.begun_at"
-"""Keys in the ``state`` of an ASGI scope: the Instants at which the first byte of a request arrived and at
-which the app began with it."""
+BEGUN_AT = "lineside.begun_at"
+"""Key in the ``state`` of an ASGI scope: the Instant at which the app began with a request."""
 SENT_AT = "lineside-sent-at"
 MOST_AHEAD_S = 5.0
 """How far a program's clock may be ahead of the server's."""

@@ -91,7 +91,7 @@ class Assets:
     def get(self, name: str) -> Asset:
         """Raises Problem 404."""
         if name not in self._files:
-            raise Problem(404, "not_found", f"there is no file {name}")
+            raise Problem(404, "not_found", "there is no file {path}", params={"path": name})
         if name not in self._loaded:
             media_type = mimetypes.guess_type(name)[0] or "application/octet-stream"
             self._loaded[name] = Asset(self._read(name), media_type)

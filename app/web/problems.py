@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -16,7 +16,8 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 from starlette.websockets import WebSocket
 
-from app.errors import Problem, ProblemCode, StoreError
+from app.errors import Problem, ProblemCode, StoreError, TooCostlyError
+from app.server.security_headers import HEADERS
 from app.web.access import person_of
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
@@ -36,6 +37,9 @@ _HTTP_DETAILS = {
     405: ("{method} is not for {path}; nothing was done", ("method", "path")),
 }
 """By status the template of the detail, and what of the request it names."""
+
+MOST_FAULTS = 20
+"""Of a body that are named."""
 
 _WORDS = {
     "model_attributes_type": 'it must be a JSON object, {"…": …}, sent as Content-Type: application/json',
@@ -59,6 +63,16 @@ def is_fragment(connection: HTTPConnection) -> bool:
     return connection.headers.get("hx-request") == "true"
 
 
+class _ProblemResponse(JSONResponse):
+    """A key of a JSON body may hold half a surrogate pair, which UTF-8 cannot say."""
+
+    media_type = "application/problem+json"
+
+    def render(self, content: Any) -> bytes:
+        text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+        return text.encode("utf-8", "replace")
+
+
 def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
     """The problem as ``application/problem+json``; ``detail`` instead of its own English sentence."""
     content = {
@@ -67,10 +81,14 @@ def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
         "status": problem.status,
         "code": problem.code,
         "detail": detail or problem.detail,
-        **({} if problem.params is None else {"params": dict(problem.params)}),
+        **({} if problem.params is None else {"params": _plain(problem.params)}),
         **problem.extra,
     }
-    return JSONResponse(content, problem.status, problem.headers, "application/problem+json")
+    return _ProblemResponse(content, problem.status, problem.headers)
+
+
+def _plain(params: Mapping[str, object]) -> dict[str, int | float | str]:
+    return {name: value if isinstance(value, (int, float)) else str(value) for name, value in params.items()}
 
 
 async def refuse_socket(socket: WebSocket, problem: Problem) -> None:
@@ -109,13 +127,28 @@ def _fault(error: Any) -> str:
     return words or str(error["msg"]).removeprefix("Value error, ")
 
 
+class InvalidRequest(Problem):
+    """Malformed input. ``where`` of a fault may be a key of the request, ``message`` is the validator's."""
+
+    def __init__(self, faults: Sequence[dict[str, str]]) -> None:
+        self._faults = faults
+        params = {"faults": self._listed(str)}
+        super().__init__(422, "invalid", "{faults}; nothing was sent", params=params, errors=faults)
+
+    def text(self, t: Callable[..., str]) -> str:
+        """Each message in the language of ``t``, each place as it is."""
+        return t(self.template, faults=self._listed(t))
+
+    def _listed(self, t: Callable[[str], str]) -> str:
+        return "; ".join(f"{fault['where']}: {t(fault['message'])}" for fault in self._faults)
+
+
 def invalid(errors: Sequence[Any]) -> Problem:
     """Malformed input, each fault named. Nothing was done."""
     if any(error["type"] == "json_invalid" for error in errors):
         return Problem(422, "invalid", "the body is not JSON; nothing was sent")
-    faults = [{"where": _place(error["loc"]), "message": _fault(error)} for error in errors]
-    words = "; ".join(f"{fault['where']}: {fault['message']}" for fault in faults)
-    return Problem(422, "invalid", f"{words}; nothing was sent", errors=faults)
+    faults = [{"where": _place(error["loc"]), "message": _fault(error)} for error in errors[:MOST_FAULTS]]
+    return InvalidRequest(faults)
 
 
 async def _on_problem(request: Request | WebSocket, error: Exception) -> Response | None:
@@ -157,7 +190,8 @@ async def _on_invalid(request: Request, error: Exception) -> Response:
 
 
 async def _on_caller(request: Request, error: Exception) -> Response:
-    return respond(request, Problem(422, "invalid", str(error)))
+    assert isinstance(error, CallerError)
+    return respond(request, Problem(422, "invalid", error.template, params=error.params))
 
 
 async def _on_store(request: Request, error: Exception) -> Response:
@@ -165,13 +199,19 @@ async def _on_store(request: Request, error: Exception) -> Response:
     return respond(request, Problem(503, "store", str(error)))
 
 
+async def _on_too_costly(request: Request, error: Exception) -> Response:
+    return respond(request, Problem(503, "too_costly", str(error)))
+
+
 async def _on_undecodable(request: Request, _error: Exception) -> Response:
     return respond(request, Problem(422, "invalid", "the body is not UTF-8 text; nothing was sent"))
 
 
 async def _on_anything(request: Request, error: Exception) -> Response:
+    """Starlette calls this outside of every middleware, so the headers of all others are set here."""
     log.error("failed", path=request.url.path, exc_info=error)
-    return respond(request, Problem(500, "failed", "the server failed at this; its log says why"))
+    problem = Problem(500, "failed", "the server failed at this; its log says why")
+    return respond(request, problem.with_headers(**HEADERS))
 
 
 def install(app: FastAPI) -> None:
@@ -181,6 +221,7 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, _on_invalid)
     app.add_exception_handler(CallerError, _on_caller)
     app.add_exception_handler(StoreError, _on_store)
+    app.add_exception_handler(TooCostlyError, _on_too_costly)
     app.add_exception_handler(UnicodeDecodeError, _on_undecodable)
     app.add_exception_handler(json.JSONDecodeError, _on_undecodable)
     app.add_exception_handler(Exception, _on_anything)

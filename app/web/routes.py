@@ -1,20 +1,31 @@
-"""The rule that nothing is open by accident: every route names a role or says that it is public."""
+"""The rules that hold for every route: it names a role or says that it is public, and the role is checked
+before a byte of the body is read."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import inf
 from typing import Any
 
 from fastapi import FastAPI
-from fastapi.routing import RouteContext, iter_route_contexts
+from fastapi.routing import APIRoute, RouteContext, iter_route_contexts
+from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Receive, Scope, Send
 
+from app.server.fair_queue import FairQueue
 from app.web.access import Requires, Role, public
+from app.web.bounds import MOST_PLAIN_BODY_BYTES, BoundedBody
+from app.web.turns import DOWNLOAD, MOST_READS_WAITING, READS_AT_ONCE, SEARCH, ReadInTurn
 
 
 def _calls(dependant: Any) -> Iterator[Any]:
     for dependency in dependant.dependencies:
         yield dependency.call
         yield from _calls(dependency)
+
+
+def _requirements(dependant: Any) -> Iterator[Requires]:
+    return (call for call in _calls(dependant) if isinstance(call, Requires))
 
 
 def _roles(route: RouteContext) -> Iterator[Role | None]:
@@ -36,3 +47,32 @@ def refuse_undeclared(app: FastAPI) -> None:
     for route, roles in demands(app):
         if not roles:
             raise RuntimeError(f"{route.path} declares no role: add Requires(Role.…) or public to it")
+
+
+def guard(app: FastAPI) -> None:
+    """Check the role of every route, then the size of the body, before the route reads it; and let an account
+    read few things at a time.
+
+    FastAPI reads and parses a body first and asks for the role then. A route that takes files says how large
+    they may be by FastAPI's ``max_body_size``; one that is a `SEARCH` or a `DOWNLOAD` has its own turns.
+    """
+    reads: FairQueue[str] = FairQueue(inf, READS_AT_ONCE, MOST_READS_WAITING)
+    for route in app.routes:
+        if isinstance(route, APIRoute):
+            guarded: ASGIApp = BoundedBody(route.app, route.max_body_size or MOST_PLAIN_BODY_BYTES)
+            if "GET" in (route.methods or ()) and not {SEARCH, DOWNLOAD} & set(route.dependencies):
+                guarded = ReadInTurn(guarded, reads)
+            route.app = _RolesFirst(guarded, list(_requirements(route.dependant)))
+
+
+class _RolesFirst:
+    """Raises Problem 401 or 403 before ``app`` is called."""
+
+    def __init__(self, app: ASGIApp, requirements: list[Requires]) -> None:
+        self._app = app
+        self._requirements = requirements
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        for requirement in self._requirements:
+            await requirement(HTTPConnection(scope))
+        await self._app(scope, receive, send)

@@ -1,4 +1,4 @@
-"""What the browser is told to forbid, and which requests are not ours to answer.
+"""Which requests are not ours to answer.
 
 A request that changes something, and every WebSocket handshake, must come from our own pages when a
 browser sends it: browsers name the page's origin in ``Origin``. One without ``Origin`` is not from a
@@ -9,30 +9,15 @@ from __future__ import annotations
 
 from urllib.parse import urlsplit
 
-from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import HTTPConnection, Request
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.datastructures import Headers
+from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from app.errors import Problem
 from app.web.arrival import SAFE_METHODS
-from app.web.problems import problem_json, refuse_socket, respond
+from app.web.problems import problem_json, refuse_socket
 
-CONTENT_POLICY = (
-    "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
-    "form-action 'self'; frame-ancestors 'none'"
-)
-HEADERS = {
-    "Content-Security-Policy": CONTENT_POLICY,
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "same-origin",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
-}
-MOST_BODY_BYTES = 4 * 1024 * 1024
-"""The largest thing anybody sends is a file of parameter sets: 255 units are half a megabyte."""
-LONGEST_PATH = 1000
 _DEFAULT_PORTS = {"http": 80, "https": 443, "ws": 80, "wss": 443}
 
 
@@ -70,28 +55,6 @@ async def refuse(scope: Scope, receive: Receive, send: Send, problem: Problem) -
         await problem_json(problem)(scope, receive, send)
 
 
-class SecurityHeaders:
-    """Adds the headers above to every answer. What does not say how long it holds is kept by nobody."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-
-        async def with_headers(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in HEADERS.items():
-                    headers.setdefault(name, value)
-                headers.setdefault("Cache-Control", "no-store")
-            await send(message)
-
-        await self._app(scope, receive, with_headers)
-
-
 class OwnPagesOnly:
     """Refuses what a foreign page makes a browser send."""
 
@@ -101,49 +64,8 @@ class OwnPagesOnly:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] in ("http", "websocket") and is_foreign(scope):
             origin = HTTPConnection(scope).headers.get("origin", "another site")
-            detail = f"this came from a page of {origin}, not from here; nothing was done"
-            await refuse(scope, receive, send, Problem(403, "foreign_origin", detail))
+            detail = "this came from a page of {origin}, not from here; nothing was done"
+            problem = Problem(403, "foreign_origin", detail, params={"origin": origin})
+            await refuse(scope, receive, send, problem)
             return
         await self._app(scope, receive, send)
-
-
-class BoundedRequest:
-    """Refuses a body or an address larger than anything that is asked for here, before it costs anything."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
-        if len(scope["path"]) > LONGEST_PATH:
-            await refuse(
-                scope, receive, send, Problem(414, "too_long", "nothing here has so long an address")
-            )
-            return
-        said = Headers(scope=scope).get("content-length", "0")
-        if said.isdecimal() and int(said) > MOST_BODY_BYTES:
-            await respond(Request(scope), _too_large())(scope, receive, send)
-            return
-        await self._app(scope, _counting(receive), send)
-
-
-def _too_large() -> Problem:
-    megabytes = MOST_BODY_BYTES // 1024**2
-    return Problem(413, "too_large", f"more than {megabytes} MB were sent; nothing was done")
-
-
-def _counting(receive: Receive) -> Receive:
-    """For a body that does not say its length."""
-    seen = 0
-
-    async def counting() -> Message:
-        nonlocal seen
-        message = await receive()
-        seen += len(message.get("body", b""))
-        if seen > MOST_BODY_BYTES:
-            raise _too_large()
-        return message
-
-    return counting

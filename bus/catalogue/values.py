@@ -11,6 +11,7 @@ from bus.catalogue.parameter import Parameter, Scale
 from bus.errors import CallerError
 
 RATIO_DECIMALS = 4
+MOST_DECIMALS = 9
 HIGHEST_ATD = 255
 _FULL_VOLTS = 10
 _NUMBER = re.compile(r"([0-9]{1,9})(?:[.,]([0-9]{1,9}))?")
@@ -18,7 +19,13 @@ _SCALE_UNITS = {Scale.TENTHS: "s", Scale.BAUD: "baud"}
 
 
 def speed_text(raw: int, decimals: int) -> str:
-    """``raw`` display units with ``decimals`` (#3) places: 12345 with 1 is "1234.5"."""
+    """``raw`` display units with ``decimals`` (#3) places: 12345 with 1 is "1234.5".
+
+    Marked as raw where a unit reports more than :data:`MOST_DECIMALS`: ten to the power of a four-byte number
+    takes for ever.
+    """
+    if decimals > MOST_DECIMALS:
+        return f"{raw} raw"
     whole, part = divmod(raw, 10**decimals)
     return f"{whole}.{part:0{decimals}d}" if decimals else str(whole)
 
@@ -127,20 +134,30 @@ def _decimals(parameter: Parameter, decimals: int | None, follower: bool) -> int
 
 
 def _raw(text: str, decimals: int) -> int:
+    if decimals > MOST_DECIMALS:
+        raise CallerError("the unit reports more decimals (#3) than a value can have; check #3 at its panel")
     text = text.strip()
     number = _NUMBER.fullmatch(text)
     if number is None:
-        raise CallerError(_why_no_number(text, speed_text(1234, decimals)))
+        raise _no_number(text, speed_text(1234, decimals))
     whole, part = number[1], number[2] or ""
     if len(part) > decimals:
-        allowed = f"at most {decimals}" if decimals else "no"
-        raise CallerError(f"{text} has {len(part)} decimals; this value has {allowed}")
+        raise _too_many_decimals(text, len(part), decimals)
     return int(whole + part.ljust(decimals, "0"))
 
 
-def _why_no_number(text: str, example: str) -> str:
+def _too_many_decimals(text: str, count: int, allowed: int) -> CallerError:
+    params = {"number": text, "count": count, "allowed": allowed}
+    if not allowed:
+        return CallerError("{number} has {count} decimals; this value has no", params=params)
+    return CallerError("{number} has {count} decimals; this value has at most {allowed}", params=params)
+
+
+def _no_number(text: str, example: str) -> CallerError:
     if not text:
-        return f"no number is given, and empty is not zero; write it like {example}"
+        template = "no number is given, and empty is not zero; write it like {example}"
+        return CallerError(template, params={"example": example})
     if _NUMBER.fullmatch(text.replace("\N{MINUS SIGN}", "-").removeprefix("-")):
-        return f"{text} is below 0, the lowest there is"
-    return f"{text!r} is not a number; write it like {example}"
+        return CallerError("{number} is below 0, the lowest there is", params={"number": text})
+    params = {"text": text, "example": example}
+    return CallerError("'{text}' is not a number; write it like {example}", params=params)

@@ -26,6 +26,7 @@ from bus.contract.actions import (
     WriteOutput,
     WriteParameter,
 )
+from bus.contract.bounds import LONGEST_FRAME, MOST_CLAUSES, MOST_UPDATES
 from bus.contract.fates import (
     FoundUnit,
     Progress,
@@ -33,6 +34,7 @@ from bus.contract.fates import (
     UnitOutcome,
 )
 from bus.contract.message import (
+    BUFFER_AGE_S,
     CONTRACT_VERSION,
     BusLinkState,
     Direction,
@@ -62,6 +64,7 @@ from bus.contract.speech import (
     Command,
     Delivered,
     Hello,
+    MalformedMessageError,
     Reserve,
     Snapshot,
     Update,
@@ -75,7 +78,11 @@ from bus.contract.speech import (
 )
 
 __all__ = [
+    "BUFFER_AGE_S",
     "CONTRACT_VERSION",
+    "LONGEST_FRAME",
+    "MOST_CLAUSES",
+    "MOST_UPDATES",
     "Action",
     "AppMessage",
     "Batch",
@@ -95,6 +102,7 @@ __all__ = [
     "Frame",
     "Frames",
     "Hello",
+    "MalformedMessageError",
     "Message",
     "Outcome",
     "ParameterValue",

@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from msgspec import field
+from msgspec import Meta, field
 
+from bus.contract.bounds import (
+    MOST_FRAMES,
+    MOST_UNITS,
+    Baud,
+    Byte,
+    Count,
+    FourBytes,
+    Id,
+    Seconds,
+    Stamp,
+    Text,
+    UnitId,
+    Words,
+)
 from bus.contract.message import Message, Outcome, Stage
 from bus.contract.readings import Frame, ParameterValue
 
@@ -13,51 +27,51 @@ from bus.contract.readings import Frame, ParameterValue
 class Progress(Message, frozen=True, tag="progress"):
     """How far a command has come. ``done``/``of`` count rows or addresses where there are several."""
 
-    id: str
-    at: float
+    id: Id
+    at: Stamp
     stage: Stage
-    unit: int | None = None
-    done: int = 0
-    of: int = 0
+    unit: UnitId | None = None
+    done: Count = 0
+    of: Count = 0
 
 
 class UnitOutcome(Message, frozen=True, tag="unit_outcome"):
     """The fate of a command at one unit, with the times of its frames."""
 
-    unit: int
+    unit: UnitId
     outcome: Outcome
-    message: str = ""
-    unit_error: int | None = None
-    read_back: int | None = None
-    sent_at: float | None = None
-    acknowledged_at: float | None = None
-    proven_at: float | None = None
-    attempts: int = 0
+    message: Text = ""
+    unit_error: Byte | None = None
+    read_back: FourBytes | None = None
+    sent_at: Stamp | None = None
+    acknowledged_at: Stamp | None = None
+    proven_at: Stamp | None = None
+    attempts: Count = 0
 
 
 class FoundUnit(Message, frozen=True, tag="found_unit"):
     """What a scan saw at one address. ``kind``: digimax, garbled (two units?), foreign, or late where
     responses come too late to be told apart."""
 
-    unit: int
-    baud: int
+    unit: UnitId
+    baud: Baud
     kind: Literal["digimax", "garbled", "foreign", "late"]
-    parameters: list[int] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)
+    parameters: Annotated[list[Byte], Meta(max_length=256)] = field(default_factory=list)
+    remarks: Annotated[list[Words], Meta(max_length=20)] = field(default_factory=list)
 
 
 class Result(Message, frozen=True, tag="result"):
     """The one fate of a command. ``values``: what ReadParameters read. ``skew_s``: upper bound of the
     time between the first and the last unit's acting on one broadcast. ``frames``: what carried it."""
 
-    id: str
-    at: float
+    id: Id
+    at: Stamp
     outcome: Outcome
-    message: str = ""
-    unit_error: int | None = None
-    read_back: int | None = None
-    units: list[UnitOutcome] = field(default_factory=list)
-    values: list[ParameterValue] = field(default_factory=list)
-    found: list[FoundUnit] = field(default_factory=list)
-    skew_s: float | None = None
-    frames: list[Frame] = field(default_factory=list)
+    message: Text = ""
+    unit_error: Byte | None = None
+    read_back: FourBytes | None = None
+    units: Annotated[list[UnitOutcome], Meta(max_length=MOST_UNITS)] = field(default_factory=list)
+    values: Annotated[list[ParameterValue], Meta(max_length=40)] = field(default_factory=list)
+    found: Annotated[list[FoundUnit], Meta(max_length=MOST_UNITS)] = field(default_factory=list)
+    skew_s: Seconds | None = None
+    frames: Annotated[list[Frame], Meta(max_length=MOST_FRAMES)] = field(default_factory=list)

@@ -2,113 +2,131 @@
 
 from __future__ import annotations
 
-from msgspec import Struct, field
+from typing import Annotated
+
+from msgspec import Meta, Struct, field
 
 from bus.clauses import Clause, in_english
+from bus.contract.bounds import (
+    MOST_CLAUSES,
+    MOST_FRAMES,
+    MOST_UNITS,
+    Byte,
+    Count,
+    FourBytes,
+    FrameBytes,
+    Hertz,
+    ParameterNumber,
+    Seconds,
+    Share,
+    Stamp,
+    Text,
+    UnitId,
+)
 from bus.contract.message import BusLinkState, Direction, Message, UnitLinkState
 
 
 class Reading(Message, frozen=True, tag="reading"):
     """One answer to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1, all as sent."""
 
-    unit: int
-    at: float
-    commanded: int
-    actual: int
-    analog: int
-    outputs: int
-    inputs: int
+    unit: UnitId
+    at: Stamp
+    commanded: FourBytes
+    actual: FourBytes
+    analog: Byte
+    outputs: Byte
+    inputs: Byte
 
 
 class ParameterValue(Message, frozen=True, tag="parameter"):
     """What 85h answered, and the very frame that said so (``frame``, as on the wire, for evidence).
     ``available`` False: the unit said NAK 82h, it does not have this one."""
 
-    unit: int
-    number: int
-    at: float
-    raw: int | None
+    unit: UnitId
+    number: ParameterNumber
+    at: Stamp
+    raw: FourBytes | None
     available: bool = True
-    frame: bytes = b""
+    frame: FrameBytes = b""
 
 
 class UnitLink(Message, frozen=True, tag="unit_link"):
     """A unit was heard, is overdue, was lost or was never seen."""
 
-    unit: int
-    at: float
+    unit: UnitId
+    at: Stamp
     link: UnitLinkState
-    cause: str = ""
+    cause: Text = ""
 
 
 class BusLink(Message, frozen=True, tag="bus_link"):
     """The port was opened or closed ``at``; ``cause`` says why in words. Told again, with the same ``at``,
     when it goes at another rate."""
 
-    at: float
+    at: Stamp
     link: BusLinkState
-    cause: str = ""
-    baud: int = 0
+    cause: Text = ""
+    baud: Annotated[int, Meta(ge=0, le=9600)] = 0
     """The rate that the port goes at now, which a change of #18 may have moved; 0 from an older worker."""
 
 
 class Staged(Message, frozen=True, tag="staged"):
     """The speed a unit has acknowledged by 82h and not yet executed; None once executed or withdrawn."""
 
-    unit: int
-    at: float
-    raw: int | None
+    unit: UnitId
+    at: Stamp
+    raw: FourBytes | None
 
 
 class UnitState(Message, frozen=True, tag="unit_state"):
     """All that the worker knows of one unit now."""
 
-    unit: int
+    unit: UnitId
     link: UnitLink
     reading: Reading | None = None
-    parameters: list[ParameterValue] = field(default_factory=list)
-    staged: int | None = None
+    parameters: Annotated[list[ParameterValue], Meta(max_length=40)] = field(default_factory=list)
+    staged: FourBytes | None = None
 
 
 class UnitCounts(Struct, omit_defaults=True):
     """What became of every request to one unit since the worker started; the worker counts in it."""
 
-    unit: int
-    polls: int = 0
-    answers: int = 0
-    timeouts: int = 0
-    retries: int = 0
-    checksum_errors: int = 0
-    foreign: int = 0
-    late: int = 0
-    naks: dict[int, int] = field(default_factory=dict)
+    unit: UnitId
+    polls: Count = 0
+    answers: Count = 0
+    timeouts: Count = 0
+    retries: Count = 0
+    checksum_errors: Count = 0
+    foreign: Count = 0
+    late: Count = 0
+    naks: Annotated[dict[Byte, Count], Meta(max_length=256)] = field(default_factory=dict)
 
 
 # Frozen, as it is told, of what is counted in: msgspec allows that, the rule is for dataclasses.
 class UnitFigures(UnitCounts, Message, frozen=True, tag="unit_figures"):  # type: ignore[misc]
     """The counters of one unit, and its answer times in seconds (first byte after request)."""
 
-    answer_s_min: float | None = None
-    answer_s_median: float | None = None
-    answer_s_p99: float | None = None
-    answer_s_max: float | None = None
+    answer_s_min: Seconds | None = None
+    answer_s_median: Seconds | None = None
+    answer_s_p99: Seconds | None = None
+    answer_s_max: Seconds | None = None
 
 
 class BusFigures(Message, frozen=True, tag="bus_figures"):
     """What the wire carries, about once a second. ``diagnosis`` is the likely cause of trouble in words."""
 
-    at: float
-    scan_hz: float
-    scan_s: float
-    wire_utilisation: float
-    scan_s_with_one_more: float
-    noise_bytes: int = 0
-    echoes: int = 0
-    diagnosis: str = ""
-    units: list[UnitFigures] = field(default_factory=list)
-    updates_lost: int = 0
+    at: Stamp
+    scan_hz: Hertz
+    scan_s: Seconds
+    wire_utilisation: Share
+    scan_s_with_one_more: Seconds
+    noise_bytes: Count = 0
+    echoes: Count = 0
+    diagnosis: Text = ""
+    units: Annotated[list[UnitFigures], Meta(max_length=MOST_UNITS)] = field(default_factory=list)
+    updates_lost: Count = 0
     """Readings and news dropped because the app was away longer than the worker can keep them."""
-    answers_for_all: int = 0
+    answers_for_all: Byte = 0
     """The unit that seems to answer to every address beside the others, so that each answer of theirs comes
     twice and nobody knows which one is whose; 0: none."""
 
@@ -116,10 +134,10 @@ class BusFigures(Message, frozen=True, tag="bus_figures"):
 class Frame(Message, frozen=True, tag="frame"):
     """One frame (or piece of rubbish) as it passed the port, with what it says."""
 
-    at: float
+    at: Stamp
     direction: Direction
-    data: bytes
-    clauses: list[Clause]
+    data: FrameBytes
+    clauses: Annotated[list[Clause], Meta(max_length=MOST_CLAUSES)]
     valid: bool = True
 
     @property
@@ -131,4 +149,4 @@ class Frame(Message, frozen=True, tag="frame"):
 class Frames(Message, frozen=True, tag="frames"):
     """Trace, sent only while someone follows it."""
 
-    frames: list[Frame]
+    frames: Annotated[list[Frame], Meta(max_length=MOST_FRAMES)]

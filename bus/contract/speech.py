@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Annotated, TypeVar
+
 import msgspec
+from msgspec import Meta
 
 from bus.contract.actions import Action
+from bus.contract.bounds import MOST_UNITS, MOST_UPDATES, Id, Sequence, Stamp, Text, UnitId, Words
 from bus.contract.fates import Progress, Result
 from bus.contract.message import Message
 from bus.contract.readings import (
@@ -25,30 +29,30 @@ class Hello(Message, frozen=True, tag="hello"):
     """First word of a worker. ``worker`` is new at every start, so sequence numbers belong to it."""
 
     version: int
-    bus: str
-    worker: str
-    started_at: float
-    software: str
-    port: str
-    sent_at: float
+    bus: Words
+    worker: Id
+    started_at: Stamp
+    software: Words
+    port: Text
+    sent_at: Stamp
 
 
 class Snapshot(Message, frozen=True, tag="snapshot"):
     """The whole present state; ``seq`` is the number of the last update it includes."""
 
-    seq: int
-    sent_at: float
+    seq: Sequence
+    sent_at: Stamp
     bus: BusLink
-    units: list[UnitState]
+    units: Annotated[list[UnitState], Meta(max_length=MOST_UNITS)]
     figures: BusFigures | None = None
 
 
 class Batch(Message, frozen=True, tag="batch"):
     """Updates in order. ``live`` False: kept while the app was away; they belong to history only."""
 
-    seq: int
-    sent_at: float
-    updates: list[Update]
+    seq: Sequence
+    sent_at: Stamp
+    updates: Annotated[list[Update], Meta(max_length=MOST_UPDATES)]
     live: bool = True
 
 
@@ -60,8 +64,8 @@ class Command(Message, frozen=True, tag="command"):
     which a frame that writes may leave (the worker knows that clock by ``Clock``).
     A worker carries out an id once; asked again, it repeats the fate."""
 
-    id: str
-    deadline: float
+    id: Id
+    deadline: Stamp
     action: Action
 
 
@@ -72,35 +76,35 @@ class Reserve(Message, frozen=True, tag="reserve"):
 class Cancel(Message, frozen=True, tag="cancel"):
     """Give up a command at the next point where nothing is half done."""
 
-    id: str
+    id: Id
 
 
 class Welcome(Message, frozen=True, tag="welcome"):
     """The app's answer to Hello. ``seq``: the last batch it has of this very worker (0: none)."""
 
     version: int
-    seq: int
-    app_time: float
-    refused: str = ""
+    seq: Sequence
+    app_time: Stamp
+    refused: Text = ""
 
 
 class Delivered(Message, frozen=True, tag="delivered"):
     """Everything up to ``seq`` is safe with the app; the worker may forget it."""
 
-    seq: int
+    seq: Sequence
 
 
 class Clock(Message, frozen=True, tag="clock"):
     """The app's time, about once a second: the worker keeps the least delay it has seen, so that a
     command held up on the way is known to be late."""
 
-    app_time: float
+    app_time: Stamp
 
 
 class Watch(Message, frozen=True, tag="watch"):
     """The units on a page that someone has open, and whether someone follows the trace."""
 
-    units: list[int]
+    units: Annotated[list[UnitId], Meta(max_length=MOST_UNITS)]
     trace: bool = False
 
 
@@ -109,6 +113,13 @@ class WantSnapshot(Message, frozen=True, tag="want_snapshot"):
 
 
 AppMessage = Welcome | Delivered | Clock | Watch | WantSnapshot | Reserve | Command | Cancel
+
+M = TypeVar("M")
+
+
+class MalformedMessageError(Exception):
+    """What came is no message of the other side. The text may quote what came: it is for a log only."""
+
 
 _encoder = msgspec.msgpack.Encoder()
 _worker_decoder: msgspec.msgpack.Decoder[WorkerMessage] = msgspec.msgpack.Decoder(WorkerMessage)
@@ -121,10 +132,18 @@ def encode(message: WorkerMessage | AppMessage) -> bytes:
 
 
 def decode_from_worker(data: bytes) -> WorkerMessage:
-    """Raises msgspec.DecodeError (ValidationError) when it is not a worker's message."""
-    return _worker_decoder.decode(data)
+    """The message. Raises MalformedMessageError when it is none of a worker, or outside the bounds."""
+    return _decoded(_worker_decoder, data)
 
 
 def decode_from_app(data: bytes) -> AppMessage:
-    """Raises msgspec.DecodeError (ValidationError) when it is not the app's message."""
-    return _app_decoder.decode(data)
+    """The message. Raises MalformedMessageError when it is none of the app, or outside the bounds."""
+    return _decoded(_app_decoder, data)
+
+
+def _decoded(decoder: msgspec.msgpack.Decoder[M], data: bytes) -> M:
+    try:
+        return decoder.decode(data)
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:
+        # Text that is no UTF-8 is a ValueError; arrays within arrays without end a RecursionError.
+        raise MalformedMessageError(str(error)) from error

@@ -1,14 +1,15 @@
-"""Keeps the port open: waits for one that is absent or taken, notices a lost one, opens it anew for ever."""
+"""Keeps the port open: waits for one that is absent or taken, notices a lost one and opens it again."""
 
 from __future__ import annotations
 
 import asyncio
+import random
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
 
 import structlog
 
 from bus.errors import WireError
+from bus.line.backoff import STABLE_S, Backoff
 from bus.line.poller import Poller
 from bus.line.port import OpenPort, Receiver
 from bus.line.transport import open_port
@@ -31,6 +32,8 @@ class Opener:
         self._lost: asyncio.Future[str] | None = None
         self._port: OpenPort | None = None
         self._cause = ""
+        self._lost_cause = ""
+        self._backoff = Backoff(random.random)
         self._listener: _Listener | None = None
         poller.lost = self._is_lost
 
@@ -38,11 +41,8 @@ class Opener:
         """Until cancelled, which closes the port."""
         try:
             while True:
-                began = self._poller.clock.now()
-                if await self._try():
-                    await self._until_lost()
-                if self._poller.clock.now() - began < RETRY_S:
-                    await asyncio.sleep(RETRY_S)
+                pause_s = await self._open_until_lost()
+                await asyncio.sleep(pause_s)
         finally:
             self.close()
 
@@ -51,6 +51,20 @@ class Opener:
         if self._port is not None:
             self._port.close()
             self._port = None
+
+    async def _open_until_lost(self) -> float:
+        """One opening of the port, from its beginning to its end; in how many seconds to try the next."""
+        clock, counts = self._poller.clock, self._poller.link.counts
+        began, answers = clock.now(), counts.answers
+        if not await self._try():
+            return RETRY_S if clock.now() - began < RETRY_S else 0.0
+        opened = clock.now()
+        stable = asyncio.get_running_loop().call_later(STABLE_S, self._note_stable)
+        await self._until_lost()
+        stable.cancel()
+        pause_s = self._backoff.ended(clock.now() - opened, useful=counts.answers > answers)
+        self._tell(self._lost_cause)
+        return pause_s
 
     async def _try(self) -> bool:
         poller = self._poller
@@ -63,15 +77,24 @@ class Opener:
             poller.still_closed(str(error))
             return False
         self._cause = ""
-        _log.info("port open", port=poller.bus.port, baud=poller.baud)
+        if self._backoff.is_worth_a_line:
+            self._log_open()
         poller.port_opened(self._port)
         return True
+
+    def _note_stable(self) -> None:
+        """The opening that has lasted at last may have been none worth a line."""
+        if not self._backoff.is_worth_a_line:
+            self._log_open()
+
+    def _log_open(self) -> None:
+        _log.info("port open", port=self._poller.bus.port, baud=self._poller.baud)
 
     async def _until_lost(self) -> None:
         assert self._lost is not None
         while not self._lost.done():
-            with suppress(TimeoutError):
-                await asyncio.wait_for(asyncio.shield(self._lost), CHECK_S)
+            # Not wait_for(): of Python 3.11 it swallows a cancellation that comes as the port is lost.
+            await asyncio.wait({self._lost}, timeout=CHECK_S)
             self._check()
         self.close()
 
@@ -84,13 +107,13 @@ class Opener:
             self._poller.port_lost(str(error))
 
     def _is_lost(self, cause: str) -> None:
-        self._tell(cause)
+        self._lost_cause = cause
         if self._lost is not None and not self._lost.done():
             self._lost.set_result(cause)
 
     def _tell(self, cause: str) -> None:
-        if cause and cause != self._cause:
-            _log.warning("port closed; it is tried again until it is there", cause=cause)
+        if cause and cause != self._cause and self._backoff.is_worth_a_line:
+            _log.warning("port closed; retrying", cause=cause, lost_soon_after_opening=self._backoff.count)
         self._cause = cause
 
     def heard(self, listener: _Listener, data: bytes) -> None:

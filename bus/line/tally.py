@@ -22,6 +22,7 @@ class WireCounts:
     noise_bytes: int = 0
     echoes: int = 0
     broadcasts: int = 0
+    answers: int = 0
 
 
 class Tally:
@@ -68,6 +69,7 @@ class Tally:
             return
         self._last_answer = exchange.frame
         statistics.counts.answers += 1
+        self.wire.answers += 1
         statistics.times.add(_begins(exchange, now, byte_s) - exchange.ends_sending)
         if isinstance(reply, Nak):
             statistics.refused(reply.code)

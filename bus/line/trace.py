@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from bus.contract import Clause, Direction, Frame
+from bus.contract import LONGEST_FRAME, MOST_CLAUSES, Clause, Direction, Frame
 from bus.settings import Dialect
 from bus.wire.describe import Describer
 from bus.wire.framing import FrameDecoder
@@ -54,8 +54,8 @@ class Trace:
         """The frames of the command under way are put down here as well."""
 
     def add(self, passed: Passed) -> None:
-        """Keep one; a secret one without its bytes."""
-        data = b"" if passed.hidden else passed.data
+        """Keep one; a secret one without its bytes, of noise without end only the beginning."""
+        data = b"" if passed.hidden else passed.data[:LONGEST_FRAME]
         if not self._pieces or len(self._pieces[-1].packed) >= PIECE_BYTES:
             self._pieces.append(_Piece(passed.at, bytearray()))
             self._drop_old(passed.at)
@@ -122,4 +122,4 @@ class Interpreter:
             if clauses:
                 clauses[-1] = replace(clauses[-1], then="; ")
             clauses += described.clauses
-        return clauses
+        return clauses[:MOST_CLAUSES]

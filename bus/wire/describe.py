@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, status_bits
 from bus.clauses import Clause, in_english
-from bus.errors import unit_error_name
+from bus.errors import UNNAMED_UNIT_ERROR, UnitErrorCode, unit_error_name
 from bus.settings import Dialect
 from bus.wire.bodies import IllegalRequest, parse_reply, parse_request
 from bus.wire.commands import (
@@ -254,7 +254,9 @@ def _data_fields(data: bytes) -> dict[str, Json]:
 def _nak(reply: Nak, wire: bytes, nak: Clause) -> Described:
     name = unit_error_name(reply.code)
     fields: dict[str, Json] = {"unit_error": reply.code, "name": name}
-    return Described(reply.unit, "nak", fields, (_unit(reply.unit), nak, Clause(name)), wire)
+    is_named = reply.code in set(UnitErrorCode)
+    why = Clause(name) if is_named else Clause(UNNAMED_UNIT_ERROR, {"code": f"{reply.code:02X}"})
+    return Described(reply.unit, "nak", fields, (_unit(reply.unit), nak, why), wire)
 
 
 def _status(reply: StatusReply, wire: bytes, dialect: Dialect) -> Described:

@@ -11,12 +11,14 @@ from collections import deque
 from collections.abc import Iterable
 from itertools import chain
 
-from bus.contract import Batch, BusFigures, Frames, Progress, Reading, Update
+from msgspec.structs import replace
+
+from bus.contract import MOST_UPDATES, Batch, BusFigures, Frames, Progress, Reading, Result, Update
 
 MOST_READINGS = 30_000
 """13 minutes of one bus at 9600 baud (38.4 readings a second)."""
 MOST_OTHERS = 10_000
-MOST_IN_A_BATCH = 500
+FRAMES_OF_ONE = 10
 ENOUGH_WAITING = 1_000
 """With so much waiting, what is of the moment only is not queued as well."""
 
@@ -70,17 +72,21 @@ class Outbox:
         """The app is away."""
         self.connected = False
 
-    def resume(self, delivered: int) -> None:
-        """The app is back and has every batch up to ``delivered``; all else is backlog now."""
+    def resume(self, delivered: int, *, oldest: float = 0.0) -> None:
+        """The app is back and has every batch up to ``delivered``; all else is backlog now, except what is
+        from before ``oldest`` (seconds since the epoch), which it would refuse."""
         self.delivered(delivered)
         batches = chain(self._stripped, self._sent)
         updates = chain(chain.from_iterable(batch.updates for batch in batches), self._old, self._waiting)
-        kept: deque[Update] = deque(update for update in updates if not isinstance(update, Passing))
+        lasting = [update for update in updates if not isinstance(update, Passing)]
+        kept: deque[Update] = deque(update for update in lasting if update.at >= oldest)
+        self.lost += len(lasting) - len(kept)
         for queue in (self._stripped, self._sent, self._old):
             queue.clear()
         self._waiting = kept
-        self._readings = sum(isinstance(update, Reading) for update in kept)
-        self._others = len(kept) - self._readings
+        self._readings = self._others = 0
+        for update in kept:
+            self._count(update, 1)
         self._seq = delivered
         self._backlog = len(kept)
         self.connected = True
@@ -95,7 +101,7 @@ class Outbox:
         self._backlog = max(0, self._backlog - len(updates))
         self._seq += 1
         batch = Batch(seq=self._seq, sent_at=at, updates=updates, live=live)
-        self._sent.append(batch)
+        self._keep_until_confirmed(batch)
         return batch
 
     def delivered(self, seq: int) -> None:
@@ -106,12 +112,23 @@ class Outbox:
                     self._count(update, -1)
 
     def _take(self) -> list[Update]:
-        wanted = min(MOST_IN_A_BATCH, self._backlog or MOST_IN_A_BATCH)
+        wanted = min(MOST_UPDATES, self._backlog or MOST_UPDATES)
         updates: list[Update] = []
         for queue in (self._old, self._waiting):
             while queue and len(updates) < wanted:
                 updates.append(queue.popleft())
         return updates
+
+    def _keep_until_confirmed(self, batch: Batch) -> None:
+        """Without what is of the moment: an app that never confirms must not fill the memory."""
+        lasting: list[Update] = []
+        for update in batch.updates:
+            if isinstance(update, Passing):
+                self._count(update, -1)
+            else:
+                lasting.append(update)
+        if lasting:
+            self._sent.append(replace(batch, updates=lasting))
 
     def _worth_queueing(self) -> bool:
         return self.connected and len(self._waiting) < ENOUGH_WAITING
@@ -120,7 +137,7 @@ class Outbox:
         if isinstance(update, Reading):
             self._readings += step
         else:
-            self._others += step
+            self._others += step * _weight(update)
 
     def _keep_bounds(self) -> None:
         while self._readings > self._most_readings:
@@ -164,3 +181,8 @@ class Outbox:
         self._count(update, -1)
         self.lost += 1
         self._backlog = max(0, self._backlog - 1)
+
+
+def _weight(update: Update) -> int:
+    """Of an update that is no reading: a result with a piece of the trace is as large as many."""
+    return 1 + len(update.frames) // FRAMES_OF_ONE if isinstance(update, Result | Frames) else 1

@@ -39,6 +39,9 @@ from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
 
 FATES_KEPT = 2_000
+MOST_COMMANDS, MOST_TRACES = 300, 8
+"""At once, far more than people and programs ask for: an app gone wrong must not fill the memory."""
+TOO_MANY = "too many commands are under way at the bus worker: nothing was sent"
 FIGURES_S = 1.0
 FINISH_WITHIN_S = 1.4
 """What a change in flight may take once the worker is told to go."""
@@ -127,7 +130,10 @@ class BusWorker:
         self.poller.cancel(command_id)
 
     def command(self, command: Command) -> None:
-        """Carry it out once; asked again, repeat its fate."""
+        """Carry it out once; asked again, repeat its fate. A piece of the trace is read again."""
+        if isinstance(command.action, ReadTrace):
+            self._begin_trace(command.id, command.action)
+            return
         if command.id in self._fates:
             known = self._fates[command.id]
             if known is not None:
@@ -141,11 +147,6 @@ class BusWorker:
     def _begin(self, command: Command) -> None:
         now = self.clock.now()
         deadline = now + self.app_clock.here(command.deadline) - self.clock.epoch(now)
-        if isinstance(command.action, ReadTrace):
-            task = asyncio.ensure_future(self._read_trace(command.id, command.action))
-            self._reading_traces.add(task)
-            task.add_done_callback(self._reading_traces.discard)
-            return
         why = self._why_not(command, deadline - now)
         errand = errand_of(self.poller, command.id, command.action, deadline)
         if why is None and errand is None:
@@ -159,10 +160,20 @@ class BusWorker:
         self._emit([Progress(command.id, self._epoch(), "waiting")])
         self.poller.submit(errand)
 
+    def _begin_trace(self, command_id: str, action: ReadTrace) -> None:
+        if len(self._reading_traces) >= MOST_TRACES:
+            self._emit([Result(command_id, self._epoch(), "not_sent", TOO_MANY)])
+            return
+        task = asyncio.ensure_future(self._read_trace(command_id, action))
+        self._reading_traces.add(task)
+        task.add_done_callback(self._reading_traces.discard)
+
     def _why_not(self, command: Command, time_left_s: float) -> Result | None:
         """Why nothing is sent for it, when that is plain at once."""
         if self._leaving:
             return Result("", 0.0, "not_sent", "the bus worker is stopping: nothing was sent")
+        if len(self.poller.errands) >= MOST_COMMANDS:
+            return Result("", 0.0, "not_sent", TOO_MANY)
         if not self.poller.link.open:
             cause = self.poller.state.cause
             return Result("", 0.0, "bus_closed", f"there is no link to the bus: {cause}; nothing was sent")
@@ -181,7 +192,8 @@ class BusWorker:
     def _emit(self, updates: list[Update]) -> None:
         for update in updates:
             if isinstance(update, Result):
-                self._remember(update.id, update)
+                if update.id in self._fates:
+                    self._remember(update.id, msgspec.structs.replace(update, frames=[]))
                 _log.info("fate", id=update.id, outcome=update.outcome, message=update.message)
             elif isinstance(update, UnitLink):
                 _log.info("unit", unit=update.unit, link=update.link, cause=update.cause)

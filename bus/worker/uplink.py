@@ -1,4 +1,4 @@
-"""The WebSocket to the app: opened from here, again for ever; its order of speech is in ``bus.contract``."""
+"""The WebSocket to the app: opened from here, and again whenever it ends. Its order: ``bus.contract``."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ import msgspec
 import structlog
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidStatus, WebSocketException
+from websockets.http11 import Response
 
+from bus.bucket import Bucket
 from bus.contract import (
+    BUFFER_AGE_S,
     CONTRACT_VERSION,
     AppMessage,
     Cancel,
@@ -22,6 +25,7 @@ from bus.contract import (
     Command,
     Delivered,
     Hello,
+    MalformedMessageError,
     Reserve,
     Snapshot,
     WantSnapshot,
@@ -31,6 +35,7 @@ from bus.contract import (
     decode_from_app,
     encode,
 )
+from bus.line.backoff import Backoff
 from bus.worker.deadline import AppClock
 from bus.worker.outbox import Outbox
 
@@ -39,10 +44,16 @@ LONGEST_PAUSE_S = 2.0
 HURRY_S = 5.0
 """So long after the start, or after a link was lost, the pause stays short: the app is probably starting."""
 REFUSED_PAUSE_S = 5.0
+MESSAGES_PER_S, MESSAGES_AT_ONCE = 500.0, 2_000.0
+"""What is taken from the app; more waits in the socket, and the wire goes on being polled."""
 OPEN_TIMEOUT_S = 5.0
 WELCOME_WITHIN_S = 10.0
 PING_S = 5.0
 MOST_BYTES = 4_000_000
+MOST_DETAIL_BYTES = 4_000
+MOST_DETAIL = 300
+GOING_AWAY = 1001
+"""Close code of a worker that leaves: its bus is free at once. After any other end it may come back."""
 
 _log = structlog.get_logger("bus.uplink")
 
@@ -69,6 +80,10 @@ class Duty(Protocol):
         """What people look at."""
 
 
+class _Problem(msgspec.Struct):
+    detail: str
+
+
 class Refused(Exception):
     """The app does not want this worker; the text is the app's."""
 
@@ -93,30 +108,40 @@ class Uplink:
         self._epoch = epoch
         self._snapshot_wanted = False
         self._told = ""
+        self._backoff = Backoff(random.random)
+        self._accepted_at: float | None = None
+        """When the app accepted the connection; None where it did not."""
 
     async def run(self) -> None:
-        """Be connected, for ever."""
+        """Be connected, until cancelled."""
         loop = asyncio.get_running_loop()
         pause, linked_at = SHORTEST_PAUSE_S, loop.time()
         while True:
-            began = loop.time()
-            try:
-                await self._be_connected()
-            except Refused as error:
-                self._tell(f"the dashboard refused this worker: {error}")
-                pause = REFUSED_PAUSE_S
-            except InvalidStatus as error:
-                self._tell(_about_status(error.response.status_code))
-                pause = LONGEST_PAUSE_S
-            except (OSError, UnicodeError, WebSocketException, msgspec.DecodeError) as error:
-                self._tell(f"no dashboard at {self._url}: {_words(error)}")
+            self._accepted_at = None
+            refused = await self._try()
             self._outbox.disconnected()
             self._duty.watch(Watch(units=[]))
-            if loop.time() - began > LONGEST_PAUSE_S:
-                pause, linked_at = SHORTEST_PAUSE_S, loop.time()
-            await asyncio.sleep(pause * random.uniform(0.75, 1.25))
-            if loop.time() - linked_at > HURRY_S:
+            if refused:
+                pause = REFUSED_PAUSE_S
+            elif self._accepted_at is not None:
+                pause = self._backoff.ended(loop.time() - self._accepted_at) or SHORTEST_PAUSE_S
+                linked_at = loop.time()
+            elif loop.time() - linked_at > HURRY_S:
                 pause = min(pause * 1.6, LONGEST_PAUSE_S)
+            await asyncio.sleep(pause * random.uniform(0.75, 1.25))
+
+    async def _try(self) -> bool:
+        """Be connected once, until that ends; whether the app refused this worker."""
+        try:
+            await self._be_connected()
+        except Refused as error:
+            self._tell(f"the dashboard refused this worker: {error}")
+            return True
+        except InvalidStatus as error:
+            self._tell(_about_status(error.response))
+        except (OSError, TimeoutError, WebSocketException, MalformedMessageError) as error:
+            self._tell(f"no dashboard at {self._url}: {_words(error)}")
+        return False
 
     async def _be_connected(self) -> None:
         async with connect(
@@ -130,18 +155,26 @@ class Uplink:
             max_size=MOST_BYTES,
             proxy=None,
         ) as socket:
+            self._accepted_at = asyncio.get_running_loop().time()
             welcome = await self._introduce(socket)
-            self._outbox.resume(welcome.seq)
+            self._outbox.resume(welcome.seq, oldest=self._epoch() - BUFFER_AGE_S)
             await socket.send(encode(self._duty.snapshot(self._outbox.seq)))
-            self._told = ""
-            _log.info("linked to the dashboard", url=self._url, kept=len(self._outbox))
+            self._linked()
             sending = asyncio.create_task(self._send(socket))
             try:
                 await self._receive(socket)
+            except asyncio.CancelledError:
+                await socket.close(GOING_AWAY, "the worker leaves")
+                raise
             finally:
                 sending.cancel()
                 with suppress(asyncio.CancelledError, WebSocketException, OSError):
                     await sending
+
+    def _linked(self) -> None:
+        if self._backoff.is_worth_a_line:
+            self._told = ""
+            _log.info("linked to the dashboard", url=self._url, kept=len(self._outbox))
 
     async def _introduce(self, socket: ClientConnection) -> Welcome:
         await socket.send(encode(self._duty.hello()))
@@ -160,13 +193,17 @@ class Uplink:
         return answer
 
     async def _receive(self, socket: ClientConnection) -> None:
+        loop, bucket, is_new = asyncio.get_running_loop(), Bucket(MESSAGES_PER_S, MESSAGES_AT_ONCE), True
         async for data in socket:
             try:
-                message = _decoded(data)
-            except msgspec.DecodeError as error:
-                _log.warning("the dashboard said what this worker does not know", error=str(error))
-                continue
-            self._take(message)
+                self._take(_decoded(data))
+            except MalformedMessageError as error:
+                if is_new:
+                    _log.warning(
+                        "the dashboard sent a malformed message; ignored", error=str(error)[:MOST_DETAIL]
+                    )
+                is_new = False
+            await asyncio.sleep(bucket.pour(1.0, loop.time()))
 
     def _take(self, message: AppMessage) -> None:
         match message:
@@ -203,7 +240,7 @@ class Uplink:
 
     def _tell(self, what: str) -> None:
         if what != self._told:
-            _log.warning("not linked; it is tried again for ever, readings are kept", why=what)
+            _log.warning("dashboard unreachable; retrying, buffering readings", why=what)
         self._told = what
 
 
@@ -219,10 +256,21 @@ def _decoded(data: str | bytes) -> AppMessage:
     return decode_from_app(data.encode() if isinstance(data, str) else data)
 
 
-def _about_status(status: int) -> str:
+def _about_status(response: Response) -> str:
+    status = response.status_code
     if status in (401, 403):
-        return f"the dashboard does not accept the token ({status}): make one with 'lineside token create'"
+        why = _problem_detail(bytes(response.body or b"")) or "create one with 'lineside token create'"
+        return f"the dashboard does not accept the token ({status}): {why}"
     return f"the dashboard answers {status} instead of opening the feed: is the address right?"
+
+
+def _problem_detail(body: bytes) -> str:
+    """The detail of an ``application/problem+json``, for the log: one line of bounded length."""
+    try:
+        detail = msgspec.json.decode(body[:MOST_DETAIL_BYTES], type=_Problem).detail
+    except (msgspec.DecodeError, ValueError):
+        return ""
+    return "".join(sign for sign in detail[:MOST_DETAIL] if sign.isprintable())
 
 
 def _words(error: BaseException) -> str:

@@ -60,7 +60,7 @@ class PlayedLine:
 
     def end(self, outcome: Outcome) -> None:
         """Give the command that was held last its result."""
-        self.channel.heard(Result(self.held[-1].id, time.time(), outcome))
+        self.channel.on_update(Result(self.held[-1].id, time.time(), outcome), self)
 
     async def _answer(self, command: Command) -> None:
         match command.action:
@@ -68,13 +68,13 @@ class PlayedLine:
                 values = [_value(unit, number, self.memory[unit][number]) for number in numbers]
                 await self.before_read(unit)
                 self.live.apply(BUS, values)
-                self.channel.heard(Result(command.id, time.time(), "verified", values=values))
+                self.channel.on_update(Result(command.id, time.time(), "verified", values=values), self)
             case WriteParameter(unit=unit, number=number, raw=raw):
                 await self.before_write(len(self.written))
                 self.memory[unit][number] = raw
                 self.written.append((unit, number, raw))
                 self.live.apply(BUS, [_value(unit, number, raw)])
-                self.channel.heard(Result(command.id, time.time(), "verified", read_back=raw))
+                self.channel.on_update(Result(command.id, time.time(), "verified", read_back=raw), self)
             case _:
                 self.held.append(command)
 

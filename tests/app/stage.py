@@ -64,6 +64,8 @@ from tests.app.played_rights import PlayedRights
 
 REMOTE, HEALTHY = 0b0100_0000, 0b0000_0010
 PARAMETERS = {1: 1750, 2: 20000, 3: 1, 8: 0, 22: 0, 23: 500, 28: 2, 29: 100, 30: 2000, 12: 20}
+OWN_WORKER = "own"
+"""The name under which a worker of the stage is the child of the server."""
 Play = Callable[[Command], Awaitable[Sequence[Update]]]
 
 
@@ -157,9 +159,9 @@ class PlayedWorker:
         assert self.closed is not None
         return self.closed
 
-    async def leave(self) -> None:
+    async def leave(self, code: int = 1000) -> None:
         """End the connection."""
-        await self._socket.close()
+        await self._socket.close(code)
         await self._listening
 
     def _of(self, kind: type[AppMessage]) -> list[AppMessage]:
@@ -206,7 +208,14 @@ class Stage:
         self.live = LiveState([settings], time.time())
         self.history = History()
         self.pipeline = Pipeline(self.live, self.history, self.events)
-        self.workers = Workers([settings.name], self.pipeline, silent_ticks=silent_ticks)
+        self.skipped_s = 0.0
+        """By how much the clock of the leases is ahead of the real one."""
+        self.workers = Workers(
+            [settings.name],
+            self.pipeline,
+            monotonic=lambda: time.monotonic() + self.skipped_s,
+            silent_ticks=silent_ticks,
+        )
         self.rights = PlayedRights()
         self.guards = Safeguards(
             self.database, self.events, control_required=control, find=find, rights=self.rights
@@ -251,9 +260,11 @@ class Stage:
         url = f"/api/v1/buses/dry-end{path}"
         return await self.http(role, more.pop("name", "")).request(method, url, json=body, **more)
 
-    async def worker(self, first: Hello | None = None, state: Snapshot | None = None) -> PlayedWorker:
+    async def worker(
+        self, first: Hello | None = None, state: Snapshot | None = None, name: str = ""
+    ) -> PlayedWorker:
         """A worker that said hello and, unless ``state`` is told otherwise, its whole state."""
-        played = await self.connect()
+        played = await self.connect(name=name)
         await played.say(first or hello())
         welcome = await played.hear(Welcome)
         assert isinstance(welcome, Welcome)
@@ -286,7 +297,8 @@ class _ByHeader:
         headers = dict(scope.get("headers", ()))
         role = headers.get(b"x-role", b"").decode()
         name = headers.get(b"x-name", role.encode()).decode()
-        via: Via = "token" if role == Role.WORKER else "session"
+        own = role == Role.WORKER and name == OWN_WORKER
+        via: Via = "worker" if own else "token" if role == Role.WORKER else "session"
         bus = headers.get(b"x-bus", b"").decode()
         scope["person"] = Person(name, Role(role), via, bus=bus) if role else None
         await self._app(scope, receive, send)

@@ -143,8 +143,8 @@ async def test_a_token_opens_pages_and_a_cookie_the_api(house: House) -> None:
 
 async def test_a_session_that_is_over(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     client = await house.signed_in(Role.OPERATOR)
-    now = house.services.sign_in._clock() + rules.PERSON_LIFETIME.idle_s
-    monkeypatch.setattr(house.services.sign_in, "_clock", lambda: now)
+    now = house.services.identity._clock() + 12 * rules.HOUR
+    monkeypatch.setattr(house.services.identity, "_clock", lambda: now)
     assert (await client.get("/api/v1/line")).status_code == 401
     page = await client.get("/events?unit=1", headers={"accept": "text/html"})
     assert (page.status_code, page.headers["location"]) == (303, "/login?next=/events%3Funit%3D1")

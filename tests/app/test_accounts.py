@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from app.audit.log import EventLog
 from app.audit.store import Filter
+from app.auth import rules
 from app.auth.accounts import Accounts
 from app.auth.passwords import Passwords
 from app.database import Database
@@ -16,6 +18,7 @@ from app.web.access import Role
 from bus.errors import CallerError
 
 BY = {"by": "root", "origin": "test"}
+PASSWORD = "correct horse"
 
 
 @pytest.fixture
@@ -27,9 +30,9 @@ async def accounts(tmp_path: Path) -> AsyncIterator[Accounts]:
 
 
 async def test_a_name_is_given_once(accounts: Accounts) -> None:
-    await accounts.add_user("ann", Role.VIEWER, "password1", **BY)
+    await accounts.add_user("ann", Role.VIEWER, PASSWORD, **BY)
     with pytest.raises(CallerError, match="there is a user ann already"):
-        await accounts.add_user("ann", Role.ADMIN, "password1", **BY)
+        await accounts.add_user("ann", Role.ADMIN, PASSWORD, **BY)
     assert [(user.name, user.role) for user in await accounts.users()] == [("ann", Role.VIEWER)]
 
 
@@ -43,7 +46,7 @@ async def test_nobody_and_nothing(accounts: Accounts) -> None:
     with pytest.raises(CallerError, match="no user eve"):
         await accounts.set_role("eve", Role.ADMIN, **BY)
     with pytest.raises(CallerError, match="no user eve"):
-        await accounts.set_password("eve", "password1", **BY)
+        await accounts.set_password("eve", PASSWORD, **BY)
     with pytest.raises(CallerError, match="no user eve"):
         await accounts.remove_user("eve", **BY)
     with pytest.raises(CallerError, match="no token plc"):
@@ -57,8 +60,8 @@ async def test_an_admin_remains(accounts: Accounts, ending: str) -> None:
         "disable": lambda: accounts.set_disabled("ann", True, **BY),
         "remove": lambda: accounts.remove_user("ann", **BY),
     }
-    await accounts.add_user("ann", Role.ADMIN, "password1", **BY)
-    await accounts.add_user("bob", Role.VIEWER, "password1", **BY)
+    await accounts.add_user("ann", Role.ADMIN, PASSWORD, **BY)
+    await accounts.add_user("bob", Role.VIEWER, PASSWORD, **BY)
     with pytest.raises(CallerError, match="ann is the last admin; give another user the role admin first"):
         await changes[ending]()
     assert (await accounts.users())[0].role is Role.ADMIN
@@ -67,7 +70,7 @@ async def test_an_admin_remains(accounts: Accounts, ending: str) -> None:
 
 
 async def test_what_a_name_may_do(accounts: Accounts) -> None:
-    await accounts.add_user("ann", Role.OPERATOR, "password1", **BY)
+    await accounts.add_user("ann", Role.OPERATOR, PASSWORD, **BY)
     await accounts.create_token("recipes", Role.ENGINEER, **BY)
     assert [await accounts.find(name) for name in ("ann", "recipes", "nobody")] == [
         ("ann", Role.OPERATOR),
@@ -78,15 +81,21 @@ async def test_what_a_name_may_do(accounts: Accounts) -> None:
     assert await accounts.find("ann") is None
 
 
+async def test_a_token_that_has_expired_may_do_nothing(accounts: Accounts) -> None:
+    await accounts.create_token("recipes", Role.ENGINEER, expires_days=1, **BY)
+    accounts._clock = lambda: time.time() + 2 * rules.DAY
+    assert await accounts.find("recipes") is None
+
+
 async def test_a_user_and_a_token_of_one_name_are_two(accounts: Accounts) -> None:
-    await accounts.add_user("ann", Role.OPERATOR, "password1", **BY)
+    await accounts.add_user("ann", Role.OPERATOR, PASSWORD, **BY)
     await accounts.create_token("ann", Role.ENGINEER, **BY)
     assert await accounts.find("ann") == ("ann", Role.OPERATOR)
     assert await accounts.find("ann (token)") == ("ann (token)", Role.ENGINEER)
 
 
 async def test_every_change_is_an_event_with_its_author(accounts: Accounts) -> None:
-    await accounts.add_user("ann", Role.VIEWER, "password1", **BY)
+    await accounts.add_user("ann", Role.VIEWER, PASSWORD, **BY)
     await accounts.set_role("ann", Role.OPERATOR, **BY)
     await accounts.set_disabled("ann", True, **BY)
     await accounts.remove_user("ann", **BY)
@@ -107,8 +116,32 @@ async def test_who_listens_hears_whose_rights_changed(accounts: Accounts) -> Non
         heard.append(name)
 
     accounts.on_rights_changed(hear)
-    await accounts.add_user("ann", Role.VIEWER, "password1", **BY)
+    await accounts.add_user("ann", Role.VIEWER, PASSWORD, **BY)
     await accounts.set_role("ann", Role.OPERATOR, **BY)
     await accounts.create_token("plc", Role.VIEWER, **BY)
     await accounts.revoke_token("plc", **BY)
     assert heard == ["ann", "plc (token)"]
+
+
+async def test_every_way_to_a_password_or_pin_has_the_same_rules(accounts: Accounts) -> None:
+    with pytest.raises(CallerError, match="12 to 256 characters"):
+        await accounts.add_user("ann", Role.VIEWER, "x", **BY)
+    with pytest.raises(CallerError, match="contains the user name"):
+        await accounts.add_user("annabel", Role.VIEWER, "annabel-is-the-best", **BY)
+    with pytest.raises(CallerError, match="6 to 12 digits"):
+        await accounts.add_panel("p1", Role.VIEWER, "0000", "/", **BY)
+    await accounts.add_user("ann", Role.VIEWER, PASSWORD, **BY)
+    await accounts.add_panel("p1", Role.VIEWER, "471193", "/", **BY)
+    for name, secret in (("ann", "short"), ("ann", "passwordpassword"), ("p1", "123456"), ("p1", PASSWORD)):
+        with pytest.raises(CallerError):
+            await accounts.set_password(name, secret, **BY)
+
+
+@pytest.mark.parametrize("role", [Role.ENGINEER, Role.ADMIN])
+async def test_a_panel_is_operator_at_most(accounts: Accounts, role: Role) -> None:
+    with pytest.raises(CallerError, match="a panel is operator at most"):
+        await accounts.add_panel("p1", role, "471193", "/", **BY)
+    await accounts.add_panel("p1", Role.OPERATOR, "471193", "/", **BY)
+    with pytest.raises(CallerError, match="a panel is operator at most"):
+        await accounts.set_role("p1", role, **BY)
+    assert (await accounts.users())[0].role is Role.OPERATOR

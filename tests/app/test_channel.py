@@ -61,13 +61,13 @@ async def test_a_silent_worker_is_not_waited_for_past_the_deadline() -> None:
 
 
 async def test_a_worker_that_speaks_of_other_things_is_waited_for(quick_looks: float) -> None:
-    channel = Channel("bus")
-    await channel.opened(Connection(), "w")
+    channel, connection = Channel("bus"), Connection()
+    await channel.opened(connection, "w")
     asked = asyncio.create_task(channel.ask(COMMAND))
     for _ in range(3 * SILENT_LOOKS):
-        channel.spoken()
+        channel.on_message()
         assert not (await asyncio.wait({asked}, timeout=quick_looks))[0]
-    channel.heard(verified())
+    channel.on_update(verified(), connection)
     assert (await asked).outcome == "verified"
 
 
@@ -86,22 +86,47 @@ async def test_a_broken_send_is_said_again_to_the_same_worker() -> None:
     asked = asyncio.create_task(channel.ask(COMMAND))
     await asyncio.sleep(0)
     await channel.opened(back, "w")
-    channel.heard(verified())
+    channel.on_update(verified(), back)
     assert (await asked).outcome == "verified"
     assert back.sent == [COMMAND]
 
 
 async def test_the_first_fate_counts_and_old_news_is_passed_over() -> None:
-    channel = Channel("bus")
-    await channel.opened(Connection(), "w")
+    channel, connection = Channel("bus"), Connection()
+    await channel.opened(connection, "w")
     asked = asyncio.create_task(channel.ask(COMMAND))
     await asyncio.sleep(0)
-    channel.heard(verified())
-    channel.heard(Result(id="a", at=2.0, outcome="refused"))
-    channel.heard(Progress(id="a", at=2.0, stage="sent"))
-    channel.heard(Progress(id="nobody", at=2.0, stage="sent"))
+    channel.on_update(verified(), connection)
+    channel.on_update(Result(id="a", at=2.0, outcome="refused"), connection)
+    channel.on_update(Progress(id="a", at=2.0, stage="sent"), connection)
+    channel.on_update(Progress(id="nobody", at=2.0, stage="sent"), connection)
     assert (await asked).outcome == "verified"
-    channel.heard(verified())
+    channel.on_update(verified(), connection)
+
+
+async def test_a_result_counts_only_from_the_connection_that_the_command_was_sent_to() -> None:
+    channel, connection, other = Channel("bus", patience_s=0.2), Connection(), Connection()
+    await channel.opened(connection, "w")
+    asked = asyncio.create_task(channel.ask(COMMAND))
+    await asyncio.sleep(0)
+    channel.on_update(verified(), other)
+    await channel.opened(other, "w")
+    channel.on_update(verified(), connection)
+    assert (await asked).outcome == "unverified"
+    assert connection.sent == other.sent == [COMMAND]
+
+
+async def test_a_send_that_fails_late_does_not_close_the_connection_that_came_meanwhile() -> None:
+    class Slow(Connection):
+        async def send(self, message: AppMessage) -> None:
+            self.sent.append(message)
+            await channel.opened(newer, "w")
+            raise ConnectionError("gone")
+
+    channel, newer = Channel("bus"), Connection()
+    await channel.opened(Slow(), "w")
+    await channel.reserve()
+    assert channel.connected
 
 
 async def test_an_older_connection_that_ends_later_closes_nothing() -> None:

@@ -17,6 +17,10 @@ from app.errors import StoreError
 from tests.app.history_line import BUS, NOON, Shelf, opened, polls, until
 
 
+def keys_in(folder: Path) -> list[Path]:
+    return [folder / "lineside.audit.key"]
+
+
 def seen(data: Path) -> int:
     shelf = Shelf(data / "history.db")
     count = len(shelf.ask("actual", NOON, NOON + 60).series.at)
@@ -35,10 +39,16 @@ def test_a_copy_taken_while_it_is_written_holds_what_was_there(tmp_path: Path) -
     writer.take((BUS.name, polls(NOON + 30, NOON + 60)))
     writer.close()
     assert seen(data) == 300
-    assert read_backup(tmp_path / "one.tar", data)[0] == ["history.db", "lineside.db"]
+    assert read_backup(tmp_path / "one.tar", data, keys_in(tmp_path))[0] == [
+        "history.db",
+        "lineside.db",
+    ]
     assert seen(data) == 150
     assert (data / "history.db.before-restore").exists()
-    assert read_backup(tmp_path / "one.tar", tmp_path / "elsewhere")[0] == ["history.db", "lineside.db"]
+    assert read_backup(tmp_path / "one.tar", tmp_path / "elsewhere", keys_in(tmp_path))[0] == [
+        "history.db",
+        "lineside.db",
+    ]
     assert seen(tmp_path / "elsewhere") == 150
 
 
@@ -46,10 +56,10 @@ def test_an_open_store_is_not_replaced(tmp_path: Path) -> None:
     writer = opened(tmp_path)
     write_backup(tmp_path, tmp_path / "one.tar")
     with pytest.raises(StoreError, match="in use"):
-        read_backup(tmp_path / "one.tar", tmp_path)
+        read_backup(tmp_path / "one.tar", tmp_path, keys_in(tmp_path))
     writer.close()
     assert not (tmp_path / "history.db.before-restore").exists()
-    read_backup(tmp_path / "one.tar", tmp_path)
+    read_backup(tmp_path / "one.tar", tmp_path, keys_in(tmp_path))
 
 
 @pytest.mark.parametrize("damage", ["cut", "other", "changed", "unsound"])
@@ -72,7 +82,7 @@ def test_a_damaged_backup_changes_nothing(tmp_path: Path, damage: str) -> None:
             (tmp_path / "manifest.json").write_text(json.dumps({"nothing": 1}))
             archive.add(tmp_path / "manifest.json", "manifest.json")
     with pytest.raises(StoreError):
-        read_backup(backup, data)
+        read_backup(backup, data, keys_in(tmp_path))
     assert seen(data) == 50
 
 

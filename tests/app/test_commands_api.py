@@ -215,7 +215,10 @@ async def test_a_line_action_answers_for_each_unit_with_frames(stage: Stage, wor
         UnitOutcome(unit=2, outcome="unverified", message="no answer"),
     ]
     frame = Frame(
-        at=1.5, direction="out", data=b"\x10\x02\x00\x83\x10\x03\x7d", clauses=[Clause("execute, all")]
+        at=time.time(),
+        direction="out",
+        data=b"\x10\x02\x00\x83\x10\x03\x7d",
+        clauses=[Clause("execute, all")],
     )
     worker.play = answering("unverified", units=units, skew_s=0.02, frames=[frame])
     answer = await stage.ask("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
@@ -272,7 +275,9 @@ async def test_a_value_reads_the_decimals_first_where_they_are_not_known(stage: 
     async def play(command: Command) -> Sequence[Update]:
         if isinstance(command.action, ReadParameters):
             known = {2: 20000, 3: 2, 8: 0}
-            values = [ParameterValue(1, number, 1.0, known[number]) for number in command.action.numbers]
+            values = [
+                ParameterValue(1, number, time.time(), known[number]) for number in command.action.numbers
+            ]
             return [*values, fate(command, "verified", values=values)]
         return [fate(command, "verified", read_back=1)]
 

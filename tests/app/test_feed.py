@@ -9,8 +9,21 @@ from pathlib import Path
 import pytest
 import websockets
 
-from bus.contract import CONTRACT_VERSION, Batch, Clock, Command, Delivered, WantSnapshot, Watch, Welcome
-from tests.app.stage import Stage, fate, hello, reading, snapshot, staged, until
+from app.audit.store import Filter
+from app.feed.holders import Ending
+from app.feed.socket import GOING_AWAY
+from bus.contract import (
+    CONTRACT_VERSION,
+    Batch,
+    BusLink,
+    Clock,
+    Command,
+    Delivered,
+    WantSnapshot,
+    Watch,
+    Welcome,
+)
+from tests.app.stage import OWN_WORKER, Stage, fate, hello, reading, snapshot, staged, until
 
 
 @pytest.mark.parametrize("role", ["", "viewer", "operator", "engineer", "admin"])
@@ -32,7 +45,7 @@ async def test_a_token_speaks_for_its_own_bus_only(stage: Stage, of_token: str, 
     await worker.say(hello(bus=said))
     welcome = await worker.hear(Welcome)
     assert isinstance(welcome, Welcome)
-    assert f"the token is for bus '{of_token}', not for '{said}'" in welcome.refused
+    assert welcome.refused == f"the token is for bus {of_token}; create one for the bus of this worker"
     await worker.gone()
 
 
@@ -41,7 +54,7 @@ async def test_a_bus_that_is_not_configured_any_more_is_refused_in_words(stage: 
     await worker.say(hello(bus="wet-end"))
     welcome = await worker.hear(Welcome)
     assert isinstance(welcome, Welcome)
-    assert "no [[bus]] is called 'wet-end'" in welcome.refused
+    assert "no [[bus]] is called wet-end" in welcome.refused
     assert "dry-end" in welcome.refused
     await worker.gone()
 
@@ -68,7 +81,7 @@ async def test_rubbish_later_ends_it_and_nothing_of_it_is_applied(stage: Stage) 
     await worker.say_raw(b"\x00\x01\x02")
     await worker.gone()
     await until(lambda: stage.live.buses["dry-end"].link.link == "closed", "the bus closed")
-    assert "sent away" in stage.live.buses["dry-end"].link.cause
+    assert "a malformed message" in stage.live.buses["dry-end"].link.cause
 
 
 async def test_a_batch_before_the_snapshot_ends_it(stage: Stage) -> None:
@@ -134,34 +147,104 @@ async def test_the_same_worker_is_told_where_to_go_on(stage: Stage) -> None:
     welcome = await back.hear(Welcome)
     assert isinstance(welcome, Welcome)
     assert welcome.seq == 1
+
+
+async def test_another_worker_begins_at_zero(stage: Stage) -> None:
+    worker = await stage.worker()
+    await worker.update(reading(1, 5))
+    await worker.hear(Delivered)
+    await worker.leave(GOING_AWAY)
     stranger = await stage.connect()
     await stranger.say(hello("w2"))
-    assert (await stranger.hear(Welcome)) == Welcome(
-        version=CONTRACT_VERSION,
-        seq=0,
-        app_time=stranger.heard[0].app_time,  # type: ignore[union-attr]
-    )
+    welcome = await stranger.hear(Welcome)
+    assert isinstance(welcome, Welcome)
+    assert (welcome.version, welcome.seq, welcome.refused) == (CONTRACT_VERSION, 0, "")
 
 
-async def test_a_worker_whose_port_is_open_is_not_sent_away_by_another(stage: Stage) -> None:
-    holder = await stage.worker()
-    other = await stage.connect()
-    await other.say(hello("w2"))
+async def refused(stage: Stage, worker: str = "w2", name: str = "") -> str:
+    """Why a worker is refused; empty where it is admitted."""
+    other = await stage.connect(name=name)
+    await other.say(hello(worker))
     welcome = await other.hear(Welcome)
     assert isinstance(welcome, Welcome)
-    assert "its port is open" in welcome.refused
-    await other.gone()
+    if welcome.refused:
+        await other.gone()
+    return welcome.refused
+
+
+async def test_a_second_worker_is_refused_while_the_first_lives(stage: Stage) -> None:
+    holder = await stage.worker(state=snapshot(link="closed"))
+    assert "another worker has this bus" in await refused(stage)
+    assert "another worker has this bus" in await refused(stage, name="other")
     await holder.update(reading(1, 7))
     await until(lambda: _commanded(stage) == 7, "the holder's reading")
 
 
-async def test_a_newer_connection_takes_the_place_of_an_older_without_a_port(stage: Stage) -> None:
-    older = await stage.worker(state=snapshot(link="closed"))
-    newer = await stage.worker(hello("w2"))
-    await older.gone()
-    await newer.update(reading(1, 9))
-    await until(lambda: _commanded(stage) == 9, "the newer one's reading")
-    assert stage.live.buses["dry-end"].link.link == "open"
+async def test_a_refusal_is_an_event_that_names_both_tokens_and_addresses(stage: Stage) -> None:
+    await stage.worker(name="cabinet-3")
+    await refused(stage, name="laptop")
+    await stage.pipeline.recorded()
+    found, _ = await stage.events.page(Filter(kind="worker"), 1)
+    assert (found[0]["what"], found[0]["bus"]) == ("bus worker refused", "dry-end")
+    assert (found[0]["old"], found[0]["new"]) == ("cabinet-3 (127.0.0.1)", "laptop (127.0.0.1)")
+    assert "another worker has this bus" in found[0]["message"]
+
+
+async def test_a_worker_that_vanished_may_come_back_before_another_gets_its_bus(stage: Stage) -> None:
+    worker = await stage.worker()
+    await worker.leave()
+    assert "a moment ago" in await refused(stage, name="other")
+    back = await stage.worker()
+    await back.leave()
+    await until(lambda: not stage.live.buses["dry-end"].worker_connected, "the loss")
+    stage.skipped_s += Ending.LOST.value
+    assert await refused(stage, name="other") == ""
+
+
+async def test_a_worker_that_says_that_it_leaves_gives_its_bus_up(stage: Stage) -> None:
+    worker = await stage.worker()
+    await worker.leave(GOING_AWAY)
+    assert await refused(stage, name="other") == ""
+
+
+async def test_a_worker_that_stands_still_keeps_its_bus(tmp_path: Path) -> None:
+    """Suspended for 8 s, it lost its bus to whoever asked, and forged results were taken for verified."""
+    async with staged(tmp_path, silent_ticks=1) as stage:
+        worker = await stage.worker()
+        await worker.gone()
+        stage.skipped_s += Ending.LOST.value + 1
+        assert "a moment ago" in await refused(stage, name="other")
+        back = await stage.worker()
+        await back.gone()
+        await until(lambda: not stage.live.buses["dry-end"].worker_connected, "the loss")
+        stage.skipped_s += Ending.CUT.value
+        assert await refused(stage, name="other") == ""
+
+
+async def test_the_servers_own_worker_without_a_port_makes_room_and_takes_none(stage: Stage) -> None:
+    """The child of a bus whose port is on another machine."""
+    child = await stage.worker(state=snapshot(link="closed"), name=OWN_WORKER)
+    remote = await stage.worker(hello("w2"))
+    await child.gone()
+    assert "another worker has this bus" in await refused(stage, "w1", OWN_WORKER)
+    await remote.update(reading(1, 9))
+    await until(lambda: _commanded(stage) == 9, "the remote worker's reading")
+
+
+async def test_the_servers_own_worker_keeps_the_bus_once_its_port_was_open(stage: Stage) -> None:
+    child = await stage.worker(name=OWN_WORKER)
+    await child.update(BusLink(at=time.time(), link="closed", cause="gone"))
+    await until(lambda: stage.live.buses["dry-end"].link.link == "closed", "the port closed")
+    assert "another worker has this bus" in await refused(stage)
+    await child.leave()
+    await until(lambda: not stage.live.buses["dry-end"].worker_connected, "the loss")
+    assert "a moment ago" in await refused(stage)
+    assert await refused(stage, "w3", OWN_WORKER) == "", "its successor starts after its end"
+
+
+async def test_of_two_that_come_at_once_one_gets_the_bus(stage: Stage) -> None:
+    both = await asyncio.gather(refused(stage, "w1", "a"), refused(stage, "w2", "b"))
+    assert sorted(map(bool, both)) == [False, True]
 
 
 async def test_a_lost_worker_closes_the_bus_and_nothing_looks_fresh(stage: Stage) -> None:
@@ -223,7 +306,7 @@ async def test_a_command_under_way_is_unverified_with_another_worker(stage: Stag
     worker = await stage.worker()
     asked = asyncio.create_task(stage.ask("POST", "/units/1/speed", {"raw": 5}))
     await worker.hear(Command)
-    await worker.leave()
+    await worker.leave(GOING_AWAY)
     stranger = await stage.worker(hello("w2"))
     answer = await asked
     assert answer.status_code == 504

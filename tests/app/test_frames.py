@@ -16,8 +16,9 @@ from websockets.exceptions import ConnectionClosedError
 from websockets.frames import Frame, Opcode
 from websockets.streams import StreamReader
 
-from app.cli.frames import FramesProtocol
-from app.web.frames import Outlet, outlet_of, text_frame
+from app.server.connections import Connection, Connections
+from app.server.frames import Outlet, outlet_of, text_frame
+from app.server.websocket import WebSocketProtocol
 
 PATIENCE_S = 30.0
 
@@ -64,7 +65,12 @@ async def held() -> AsyncIterator[tuple[Echo, ClientConnection]]:
     config = uvicorn.Config(app, ws_per_message_deflate=False, log_level="critical")
     config.load()
     loop = asyncio.get_running_loop()
-    async with await loop.create_server(lambda: FramesProtocol(config, state, {}), "127.0.0.1", 0) as server:
+
+    def protocol() -> WebSocketProtocol:
+        connection = Connection("127.0.0.1", lambda: None, lambda: False)
+        return WebSocketProtocol(config, state, {}, connection=connection, open_connections=Connections())
+
+    async with await loop.create_server(protocol, "127.0.0.1", 0) as server:
         port = server.sockets[0].getsockname()[1]
         async with connect(f"ws://127.0.0.1:{port}", compression=None, max_queue=1) as client:
             await app.opened.wait()
@@ -86,7 +92,7 @@ async def test_a_client_that_does_not_read_is_not_written_to() -> None:
         while app.outlet.write(frame):
             sent += 1
         protocol = app.outlet
-        assert isinstance(protocol, FramesProtocol)
+        assert isinstance(protocol, WebSocketProtocol)
         assert 0 < protocol.transport.get_write_buffer_size() <= len(frame)
         assert not app.outlet.write(text_frame(b"late")), "nothing more is kept for it"
         later = asyncio.create_task(app.socket.send_text("the present"))

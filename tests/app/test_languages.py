@@ -59,7 +59,7 @@ def test_one_file_adds_a_language(tmp_path: Path) -> None:
         ),
         ("operator holds control of this line", "operator hat die Bedienung dieser Linie"),
         ("user operator added as operator", "Benutzer operator angelegt als Bediener"),
-        ("there is no recipe at speed for line", "es gibt kein Rezept at speed für line"),
+        ("recipe at speed version 2 saved", "Rezept at speed, Fassung 2, gespeichert"),
         ("unit 2 is blocked by user: ramping", "Regler 2 ist von user gesperrt: ramping"),
         (
             "unit 3: 25000 is outside 0 to 2000 (the limits set for this unit); the nearest is 2000; "

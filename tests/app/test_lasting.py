@@ -11,8 +11,13 @@ import pytest
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
-from app.auth import lasting
-from app.auth.lasting import NO_LONGER_SIGNED_IN, while_allowed
+from app.auth.lasting import (
+    NO_LONGER_SIGNED_IN,
+    Rechecks,
+    RightsEndedError,
+    sending_while_allowed,
+    while_allowed,
+)
 from app.main import create_app
 from app.web.access import Role
 from tests.app.whole_app import settings_in
@@ -41,7 +46,7 @@ async def test_it_ends_with_its_right() -> None:
     async def is_allowed() -> bool:
         return next(answers)
 
-    await while_allowed(socket.work(), is_allowed, socket.send, every_s=0.001)
+    await while_allowed(socket.work(), is_allowed, socket.send, Rechecks(), every_s=0.001)
     assert socket.ended
     assert socket.sent == [{"type": "websocket.close", "code": NO_LONGER_SIGNED_IN}]
 
@@ -55,7 +60,7 @@ async def test_one_that_ends_by_itself_is_not_closed_again() -> None:
     async def is_allowed() -> bool:
         return True
 
-    await while_allowed(short(), is_allowed, socket.send)
+    await while_allowed(short(), is_allowed, socket.send, Rechecks())
     assert socket.sent == []
 
 
@@ -67,7 +72,7 @@ async def test_a_failure_comes_through() -> None:
         return True
 
     with pytest.raises(ZeroDivisionError):
-        await while_allowed(fail(), is_allowed, Socket().send)
+        await while_allowed(fail(), is_allowed, Socket().send, Rechecks())
 
 
 async def test_a_server_that_ends_takes_it_along() -> None:
@@ -76,7 +81,7 @@ async def test_a_server_that_ends_takes_it_along() -> None:
     async def is_allowed() -> bool:
         return True
 
-    task = asyncio.ensure_future(while_allowed(socket.work(), is_allowed, socket.send))
+    task = asyncio.ensure_future(while_allowed(socket.work(), is_allowed, socket.send, Rechecks()))
     await asyncio.sleep(0)
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
@@ -89,8 +94,63 @@ def read_to_the_end(socket: WebSocketTestSession) -> None:
         socket.receive_text()
 
 
-def test_a_revoked_token_loses_its_open_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lasting.while_allowed, "__defaults__", (0.01,))
+async def test_it_is_looked_at_again_when_rights_change() -> None:
+    socket, rechecks, allowed = Socket(), Rechecks(), True
+
+    async def is_allowed() -> bool:
+        return allowed
+
+    task = asyncio.ensure_future(while_allowed(socket.work(), is_allowed, socket.send, rechecks))
+    await asyncio.sleep(0)
+    rechecks.now()
+    for _ in range(10):
+        await asyncio.sleep(0)
+    assert not task.done()
+    allowed = False
+    rechecks.now()
+    async with asyncio.timeout(20):
+        await task
+    assert socket.ended
+
+
+async def test_a_change_during_a_look_is_looked_at_too() -> None:
+    socket, rechecks, looks = Socket(), Rechecks(), 0
+
+    async def is_allowed() -> bool:
+        nonlocal looks
+        looks += 1
+        if looks == 1:
+            rechecks.now()
+            return True
+        return False
+
+    task = asyncio.ensure_future(while_allowed(socket.work(), is_allowed, socket.send, rechecks))
+    await asyncio.sleep(0)
+    rechecks.now()
+    async with asyncio.timeout(20):
+        await task
+    assert looks == 2
+
+
+async def test_a_response_in_pieces_ends_with_its_right() -> None:
+    socket, rechecks, allowed = Socket(), Rechecks(), True
+
+    async def is_allowed() -> bool:
+        return allowed
+
+    send = sending_while_allowed(socket.send, is_allowed, rechecks)
+    piece = {"type": "http.response.body", "body": b"x", "more_body": True}
+    await send(piece)
+    allowed = False
+    await send(piece)
+    rechecks.now()
+    with pytest.raises(RightsEndedError):
+        await send(piece)
+    assert len(socket.sent) == 2
+
+
+def test_a_revoked_token_loses_its_open_page(tmp_path: Path) -> None:
+    """It was looked at every 20 s."""
     app = create_app(settings_in(tmp_path))
     accounts = app.state.services.accounts
     by = {"by": "t", "origin": "t"}

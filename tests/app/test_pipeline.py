@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
+from app.audit.store import Filter
 from app.errors import StoreError
+from app.pipeline import FEW
 from bus.contract import Batch, BusLink
 from tests.app.stage import HEALTHY, Stage, hello, reading, snapshot, until
 
@@ -90,3 +92,27 @@ async def test_events_that_cannot_be_written_now_are_written_later(
     await until(lambda: refused >= 3, "some tries")
     monkeypatch.setattr(stage.events, "record", record)
     assert [event["kind"] for event in await events(stage, 2)] == ["worker", "mode"]
+
+
+async def test_a_port_that_opens_and_closes_for_ever_is_few_events_with_a_count(stage: Stage) -> None:
+    """Four a second came into a log that is kept for good."""
+    for number in range(500):
+        links: list[BusLink] = [BusLink(1.0, "open"), BusLink(1.0, "closed", f"closed {number}")]
+        stage.pipeline.batch("dry-end", links, live=True)
+    await stage.pipeline.recorded()
+    found, _ = await stage.events.page(Filter(kind="bus"), 100)
+    assert len(found) == FEW + 1
+    last = found[0]
+    assert (last["what"], last["new"]) == ("port closed: closed 499", "closed")
+    assert last["message"].startswith(f"the last of {999 - FEW} events within ")
+
+
+async def test_a_summary_is_recorded_without_anything_new(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    later = 0.0
+    monkeypatch.setattr(stage.pipeline, "_monotonic", lambda: later)
+    for _ in range(10):
+        stage.pipeline.batch("dry-end", [BusLink(1.0, "open"), BusLink(1.0, "closed")], live=True)
+    later = 3600.0
+    await events(stage, FEW + 1)

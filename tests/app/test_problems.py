@@ -9,6 +9,7 @@ import httpx
 import pytest
 
 from app.errors import StoreError
+from app.server.security_headers import HEADERS
 from app.web.access import Role
 from tests.app.whole_app import House, whole_app
 
@@ -136,7 +137,7 @@ async def test_a_store_that_fails_at_the_door_refuses(
     async def fail(*_: object) -> None:
         raise StoreError("the store x: the disk failed at it; check the disk")
 
-    monkeypatch.setattr(house.services.sign_in, "by_token", fail)
+    monkeypatch.setattr(house.services.identity, "by_token", fail)
     check_problem(await engineer.get("/api/v1/line"), 503, "store")
     assert (await house.client().get("/healthz")).status_code == 200
 
@@ -153,6 +154,7 @@ async def test_our_own_failure_says_nothing_of_itself(
         answer = await other.get("/api/v1/events")
     check_problem(answer, 500, "failed")
     assert "secret" not in answer.text
+    assert {name: answer.headers.get(name) for name in HEADERS} == HEADERS
 
 
 async def test_a_wrong_method_names_all_methods_of_the_path(engineer: httpx.AsyncClient) -> None:

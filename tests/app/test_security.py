@@ -10,7 +10,8 @@ from starlette.testclient import TestClient, WebSocketDenialResponse
 
 from app.main import create_app
 from app.web.access import Role
-from app.web.security import MOST_BODY_BYTES, same_origin
+from app.web.bounds import MOST_BODY_BYTES
+from app.web.security import same_origin
 from tests.app.whole_app import HOST, House, settings_in, whole_app
 
 
@@ -149,8 +150,8 @@ async def test_nobody_fills_the_memory(house: House) -> None:
     unsaid = await asked.post("/api/v1/buses/dry-end/units/1/speed", content=pieces())
     assert (unsaid.status_code, unsaid.json()["code"]) == (413, "too_large")
     page = await client.post("/login", content=b"x" * much, headers={"accept": "text/html"})
-    assert (page.status_code, "more than 4 MB were sent" in page.text) == (413, True)
+    assert (page.status_code, "more than 2 MB were sent" in page.text) == (413, True)
     assert page.headers["content-type"].startswith("text/html")
-    long_name = await client.post("/login", content=b"name=" + b"x" * 500_000, headers=form)
+    long_name = await client.post("/login", content=b"name=" + b"x" * 60_000, headers=form)
     assert long_name.status_code == 401
     assert "x" * 100 not in long_name.text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from inspect import iscoroutinefunction
+from inspect import isasyncgenfunction, iscoroutinefunction
 from pathlib import Path
 
 from fastapi.dependencies.models import Dependant
@@ -22,7 +22,7 @@ async def test_no_route_waits_for_a_thread_to_look_something_up(tmp_path: Path) 
         f"{route.path}: {call}"
         for route in routes
         for call in calls_of(route.dependant)
-        if not (iscoroutinefunction(call) or isinstance(call, Requires))
+        if not (iscoroutinefunction(call) or isasyncgenfunction(call) or isinstance(call, Requires))
     }
     assert plain == set()
 

@@ -200,7 +200,7 @@ def unit_that_tells(values: dict[int, int | None]) -> Any:
             return [fate(command, "verified")]
         told = [
             ParameterValue(
-                command.action.unit, number, 1.0, values[number], available=values[number] is not None
+                command.action.unit, number, time.time(), values[number], available=values[number] is not None
             )
             for number in command.action.numbers
             if number in values

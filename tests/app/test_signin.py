@@ -11,14 +11,20 @@ from app.audit.log import EventLog
 from app.audit.store import Filter
 from app.auth import rules
 from app.auth.accounts import Accounts
-from app.auth.failures import PER_NAME, WINDOW_S
+from app.auth.identity import Identity
 from app.auth.passwords import Passwords
-from app.auth.signin import SignIn
+from app.auth.rules import Lifetimes
+from app.auth.signin import SignedIn, SignIn
+from app.auth.throttle import FIRST_WAIT_S, FREE, OF_NAME, OF_NAME_EVERY_S
 from app.database import Database
 from app.errors import Problem
+from app.settings import Sessions
 from app.web.access import Role
+from bus.errors import CallerError
 
 PASSWORD = "correct horse"
+PIN = "471193"
+LIFETIME = Lifetimes.of(Sessions()).person
 OWN = {"dry-end": "token-of-dry-end", "wet-end": "token-of-wet-end"}
 
 
@@ -31,17 +37,24 @@ class House:
         self.passwords = Passwords()
         self.log = EventLog(database, lambda: self.now)
         self.accounts = Accounts(database, self.passwords, self.log, lambda: self.now, buses=OWN)
-        self.sign_in = SignIn(database, self.passwords, self.log, OWN, lambda: self.now)
+        lifetimes = Lifetimes.of(Sessions())
+        self.sign_in = SignIn(database, self.passwords, self.log, lifetimes, lambda: self.now, site="Mill 7")
+        self.identity = Identity(database, self.sign_in, OWN, lambda: self.now)
 
     async def add(self, name: str = "ann", role: Role = Role.OPERATOR) -> None:
         await self.accounts.add_user(name, role, PASSWORD, by="t", origin="t")
 
-    async def enter(self, name: str = "ann", password: str = PASSWORD, address: str = "a") -> str:
-        return await self.sign_in.sign_in(name, password, address)
+    async def begin(self, name: str = "ann", address: str = "a", device: str = "") -> SignedIn:
+        return await self.sign_in.sign_in(name, PASSWORD, address, device=device)
 
-    async def refused(self, name: str = "ann", password: str = "wrong", address: str = "a") -> int:
+    async def enter(self, name: str = "ann", password: str = PASSWORD, address: str = "a") -> str:
+        return (await self.sign_in.sign_in(name, password, address)).session
+
+    async def refused(
+        self, name: str = "ann", password: str = "wrong", address: str = "a", device: str = ""
+    ) -> int:
         with pytest.raises(Problem) as caught:
-            await self.enter(name, password, address)
+            await self.sign_in.sign_in(name, password, address, device=device)
         return caught.value.status
 
     async def log_of(self, kind: str) -> list[tuple[str, str]]:
@@ -60,7 +73,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 
 async def test_the_right_password_opens_a_session(house: House) -> None:
     await house.add()
-    person = await house.sign_in.by_cookie(await house.enter())
+    person = await house.identity.by_cookie(await house.enter())
     assert person is not None
     assert (person.name, person.role, person.via) == ("ann", Role.OPERATOR, "session")
     assert await house.log_of("login") == [("ann", "a")]
@@ -93,43 +106,113 @@ async def test_refusals_are_events_and_never_hold_what_may_be_a_password(house: 
     assert await house.log_of("login_refused") == [("ann", "a"), ("unknown name", "a")]
 
 
-async def test_too_many_failures_are_refused_unheard_even_with_the_right_password(house: House) -> None:
+async def test_whoever_guesses_waits_longer_each_time_and_is_told_how_long(house: House) -> None:
     await house.add()
-    assert [await house.refused(address=f"a{n}") for n in range(PER_NAME)] == [401] * PER_NAME
-    assert await house.refused(password=PASSWORD, address="b") == 429
-    house.now += WINDOW_S
+    assert [await house.refused() for _ in range(FREE)] == [401] * FREE
+    with pytest.raises(Problem) as caught:
+        await house.enter()
+    assert (caught.value.status, caught.value.code) == (429, "too_many")
+    assert caught.value.headers["Retry-After"] == "2"
+    house.now += FIRST_WAIT_S
+    assert await house.refused() == 401
+    house.now += FIRST_WAIT_S
+    assert await house.refused(password=PASSWORD) == 429
+    house.now += FIRST_WAIT_S
     await house.enter()
+
+
+async def test_nobody_is_locked_out_where_they_signed_in_before(house: House) -> None:
+    """Ten wrong sign-ins from anywhere locked a named operator everywhere."""
+    await house.add()
+    await house.enter(address="192.0.2.7")
+    for number in range(OF_NAME + 5):
+        await house.refused(address=f"198.51.100.{number}")
+    assert await house.refused(password=PASSWORD, address="203.0.113.5") == 429, "a stranger waits"
+    await house.enter(address="192.0.2.7")
+    house.now += OF_NAME_EVERY_S
+    await house.enter(address="203.0.113.5")
+
+
+async def test_a_known_browser_does_not_wait_for_who_shares_its_address(house: House) -> None:
+    """Behind one proxy everybody has the same address."""
+    await house.add()
+    device = (await house.begin(address="proxy")).device
+    for _ in range(FREE):
+        await house.refused(address="proxy")
+    assert await house.refused(password=PASSWORD, address="proxy") == 429
+    assert (await house.begin(address="proxy", device=device)).device == device
+    assert await house.refused(address="proxy", device="x" * 43) == 429, "of this browser nothing is known"
+
+
+async def test_a_browser_is_known_for_the_names_that_signed_in_with_it(house: House) -> None:
+    await house.add()
+    await house.add("bob")
+    device = (await house.begin("ann", "proxy")).device
+    for _ in range(OF_NAME):
+        await house.refused("bob", address="elsewhere", device=device)
+        house.now += 60
+    attempt = await house.sign_in._attempt("bob", "other", device, False)
+    assert not attempt.known
+
+
+async def test_the_present_password_is_guessed_no_faster(house: House) -> None:
+    await house.add()
+    for _ in range(FREE):
+        with pytest.raises(CallerError, match="the present password is not right"):
+            await house.sign_in.check_present("ann", "wrong", "a")
+    with pytest.raises(Problem) as caught:
+        await house.sign_in.check_present("ann", PASSWORD, "a")
+    assert caught.value.status == 429
+    await house.log.repeated.tell_rest()
+    found, _ = await house.log.page(Filter(kind="user"), 100)
+    refused = [event for event in found if event["what"] == "password change refused"]
+    assert [(event["who"], event["origin"], event["count"]) for event in refused] == [
+        ("ann", "a", FREE - 1),
+        ("ann", "a", None),
+    ]
+
+
+async def test_a_secret_that_todays_rules_refuse_works_and_is_noted(house: House) -> None:
+    await house.add()
+    hashed = await house.passwords.hash("short")
+    await house.database.write(lambda c: c.execute("UPDATE users SET secret_hash = ?", (hashed,)))
+    await house.enter(password="short")
+    assert (await house.accounts.users())[0].weak_secret
+    await house.accounts.set_password("ann", PASSWORD, by="t", origin="t")
+    assert not (await house.accounts.users())[0].weak_secret
+    await house.enter()
+    assert not (await house.accounts.users())[0].weak_secret
 
 
 async def test_a_session_that_is_not_used_ends(house: House) -> None:
     await house.add()
     cookie = await house.enter()
-    house.now += rules.PERSON_LIFETIME.idle_s - 1
-    assert await house.sign_in.by_cookie(cookie)
-    house.now += rules.PERSON_LIFETIME.idle_s - 1
-    assert await house.sign_in.by_cookie(cookie), "it was used since"
-    house.now += rules.PERSON_LIFETIME.idle_s
-    assert await house.sign_in.by_cookie(cookie) is None
+    house.now += LIFETIME.idle_s - 1
+    assert await house.identity.by_cookie(cookie)
+    house.now += LIFETIME.idle_s - 1
+    assert await house.identity.by_cookie(cookie), "it was used since"
+    house.now += LIFETIME.idle_s
+    assert await house.identity.by_cookie(cookie) is None
 
 
 async def test_even_one_in_use_ends_some_day(house: House) -> None:
     await house.add()
     cookie = await house.enter()
-    end = house.now + rules.PERSON_LIFETIME.whole_s
+    end = house.now + LIFETIME.whole_s
     while house.now < end:
-        assert await house.sign_in.by_cookie(cookie)
-        house.now += rules.PERSON_LIFETIME.idle_s / 2
-    assert await house.sign_in.by_cookie(cookie) is None
+        assert await house.identity.by_cookie(cookie)
+        house.now += LIFETIME.idle_s / 2
+    assert await house.identity.by_cookie(cookie) is None
 
 
 async def test_signing_out_ends_this_session_only(house: House) -> None:
     await house.add()
     one, other = await house.enter(), await house.enter()
-    person = await house.sign_in.by_cookie(one)
+    person = await house.identity.by_cookie(one)
     assert person is not None
     await house.sign_in.sign_out(one, person, "a")
-    assert await house.sign_in.by_cookie(one) is None
-    assert await house.sign_in.by_cookie(other)
+    assert await house.identity.by_cookie(one) is None
+    assert await house.identity.by_cookie(other)
 
 
 @pytest.mark.parametrize("ending", ["password", "disable", "remove"])
@@ -138,12 +221,12 @@ async def test_what_ends_every_session_of_somebody(house: House, ending: str) ->
     cookie = await house.enter()
     match ending:
         case "password":
-            await house.accounts.set_password("ann", "another one", by="t", origin="t")
+            await house.accounts.set_password("ann", "another good one", by="t", origin="t")
         case "disable":
             await house.accounts.set_disabled("ann", True, by="t", origin="t")
         case "remove":
             await house.accounts.remove_user("ann", by="t", origin="t")
-    assert await house.sign_in.by_cookie(cookie) is None
+    assert await house.identity.by_cookie(cookie) is None
     assert await house.refused(password=PASSWORD) == 401
 
 
@@ -151,50 +234,80 @@ async def test_a_new_role_counts_at_once(house: House) -> None:
     await house.add()
     cookie = await house.enter()
     await house.accounts.set_role("ann", Role.VIEWER, by="t", origin="t")
-    person = await house.sign_in.by_cookie(cookie)
+    person = await house.identity.by_cookie(cookie)
     assert person is not None
     assert person.role is Role.VIEWER
 
 
 async def test_a_panel_signs_in_by_its_pin_and_there_only(house: House) -> None:
-    await house.accounts.add_panel("p1", Role.VIEWER, "4711", "/units/a/1", by="t", origin="t")
+    await house.accounts.add_panel("p1", Role.VIEWER, PIN, "/units/a/1", by="t", origin="t")
     await house.add()
-    cookie = await house.sign_in.sign_in("p1", "4711", "a", panel=True)
-    person = await house.sign_in.by_cookie(cookie)
+    cookie = (await house.sign_in.sign_in("p1", PIN, "a", panel=True)).session
+    person = await house.identity.by_cookie(cookie)
     assert person is not None
     assert (person.panel, person.role, person.home) == (True, Role.VIEWER, "/units/a/1")
-    assert await house.refused("p1", "4711") == 401
+    assert await house.refused("p1", PIN) == 401
     with pytest.raises(Problem):
         await house.sign_in.sign_in("ann", PASSWORD, "a", panel=True)
     house.now += 30 * rules.DAY
-    assert await house.sign_in.by_cookie(cookie), "a panel stays signed in"
+    assert await house.identity.by_cookie(cookie), "a panel stays signed in"
+
+
+async def test_a_panel_from_before_that_may_too_much_is_refused(house: House) -> None:
+    await house.accounts.add_panel("p1", Role.OPERATOR, PIN, "/", by="t", origin="t")
+    cookie = (await house.sign_in.sign_in("p1", PIN, "a", panel=True)).session
+    await house.database.write(lambda c: c.execute("UPDATE users SET role = 'admin' WHERE name = 'p1'"))
+    assert await house.identity.by_cookie(cookie) is None
+    with pytest.raises(Problem) as caught:
+        await house.sign_in.sign_in("p1", PIN, "a", panel=True)
+    assert caught.value.status == 403
+    assert "a panel is operator at most" in caught.value.detail
+
+
+async def test_a_changed_password_ends_the_other_sessions_only(house: House) -> None:
+    await house.add()
+    this, other = await house.enter(), await house.enter()
+    keep = rules.secret_hash(this)
+    await house.accounts.set_password("ann", "another good one", by="ann", origin="t", keep=keep)
+    assert await house.identity.by_cookie(this)
+    assert await house.identity.by_cookie(other) is None
+
+
+async def test_shorter_lifetimes_hold_for_sessions_that_are_open(house: House) -> None:
+    await house.add()
+    cookie = await house.enter()
+    house.sign_in.lifetimes = Lifetimes.of(Sessions(idle_hours=0.5))
+    house.now += 1799
+    assert await house.identity.by_cookie(cookie, is_use=False)
+    house.now += 1
+    assert await house.identity.by_cookie(cookie) is None
 
 
 async def test_tokens(house: House) -> None:
     token = await house.accounts.create_token("plc", Role.ENGINEER, by="ann", origin="t")
-    person = await house.sign_in.by_token(token)
+    person = await house.identity.by_token(token)
     assert person is not None
     assert (person.name, person.role, person.via) == ("plc", Role.ENGINEER, "token")
     assert (await house.accounts.tokens())[0].used_at == house.now
     await house.accounts.revoke_token("plc", by="ann", origin="t")
-    assert await house.sign_in.by_token(token) is None
+    assert await house.identity.by_token(token) is None
 
 
 @pytest.mark.parametrize("bearer", ["", "x", "ü", "x" * 10_000])
 async def test_what_is_no_token(house: House, bearer: str) -> None:
-    assert await house.sign_in.by_token(bearer) is None
+    assert await house.identity.by_token(bearer) is None
 
 
 @pytest.mark.parametrize("bus", OWN)
 async def test_each_of_the_servers_own_workers_has_a_token_for_its_bus(house: House, bus: str) -> None:
-    person = await house.sign_in.by_token(OWN[bus])
+    person = await house.identity.by_token(OWN[bus])
     assert person is not None
     assert (person.role, person.via, person.bus) == (Role.WORKER, "worker", bus)
 
 
 async def test_a_workers_token_names_its_bus(house: House) -> None:
     token = await house.accounts.create_token("w", Role.WORKER, bus="dry-end", by="ann", origin="t")
-    person = await house.sign_in.by_token(token)
+    person = await house.identity.by_token(token)
     assert person is not None
     assert (person.role, person.via, person.bus) == (Role.WORKER, "token", "dry-end")
 
@@ -202,10 +315,10 @@ async def test_a_workers_token_names_its_bus(house: House) -> None:
 async def test_a_token_expires_and_says_so_to_who_holds_it(house: House) -> None:
     token = await house.accounts.create_token("plc", Role.VIEWER, expires_days=30, by="ann", origin="t")
     house.now += 30 * rules.DAY - 1
-    assert await house.sign_in.by_token(token)
+    assert await house.identity.by_token(token)
     house.now += 1
     with pytest.raises(Problem) as caught:
-        await house.sign_in.by_token(token)
+        await house.identity.by_token(token)
     assert (caught.value.status, caught.value.code) == (401, "unauthorized")
     assert caught.value.detail == "the token plc expired on 1970-02-11; an admin can create a new one"
     assert 'error="invalid_token"' in caught.value.headers["WWW-Authenticate"]
@@ -227,7 +340,7 @@ async def test_the_last_signing_out_is_told_and_no_other(house: House, gone: lis
     await house.add()
     first, second = await house.enter(), await house.enter()
     for cookie, told in ((first, []), (second, ["ann"])):
-        person = await house.sign_in.by_cookie(cookie)
+        person = await house.identity.by_cookie(cookie)
         assert person is not None
         await house.sign_in.sign_out(cookie, person, "a")
         assert gone == told
@@ -236,6 +349,6 @@ async def test_the_last_signing_out_is_told_and_no_other(house: House, gone: lis
 async def test_a_session_that_is_over_is_told_once(house: House, gone: list[str]) -> None:
     await house.add()
     cookie = await house.enter()
-    house.now += rules.PERSON_LIFETIME.idle_s + 1
-    assert [await house.sign_in.by_cookie(cookie) for _ in range(2)] == [None, None]
+    house.now += LIFETIME.idle_s + 1
+    assert [await house.identity.by_cookie(cookie) for _ in range(2)] == [None, None]
     assert gone == ["ann"]

@@ -14,11 +14,10 @@ import uvloop
 from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
-from app.cli import stamping
-from app.cli.loop_watch import LoopWatch
-from app.cli.stamping import StampingProtocol
-from app.cli.tcp_wait import TcpWait, tcp_wait
-from app.web.arrival import ARRIVED_AT
+from app.server import stamping
+from app.server.loop_watch import LoopWatch
+from app.server.stamping import ARRIVED_AT, StampingProtocol
+from app.server.tcp_wait import TcpWait, tcp_wait
 from tests.app.stage import until
 
 Run = Callable[[Coroutine[Any, Any, None]], None]

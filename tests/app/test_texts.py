@@ -37,7 +37,14 @@ FOR_PROGRAMS = (
     *("app/audit/walk.py", "app/audit/key_file.py", "app/audit/keys.py", "app/audit/anchor.py"),
     "app/database/private.py",
     *("app/feed/ingest.py", "app/feed/socket.py", "bus/configuration.py", "bus/settings.py"),
-    *("bus/simulator", "bus/wire", "bus/worker/uplink.py", "bus/__main__.py", "app/web/routes.py"),
+    *(
+        "app/server",
+        "bus/simulator",
+        "bus/wire",
+        "bus/worker/uplink.py",
+        "bus/__main__.py",
+        "app/web/routes.py",
+    ),
 )
 """What is said on a console, in a log or between our own programs; no page shows it."""
 UNSEEN_CALLS = {
@@ -100,6 +107,7 @@ UNSEEN = {
     "no history is kept, everything else works": "said with its time and cause",
     "of a size that cannot be known now": "has a pattern of its own",
     "a worker says hello first": "said to a program",
+    "this bus was connected to too often; wait a minute": "said to a program",
     'Bearer error="invalid_token", error_description="The access token expired"': "a header",
     'it must be a JSON object, {"…": …}, sent as Content-Type: application/json': "said to a program",
     "X1 needs one more package: pip install 'lineside[rfc2217]'": "what is to be typed stays",

@@ -9,7 +9,7 @@ import pytest
 
 from app.live.trace_frames import frame_fields
 from app.web.languages import Languages
-from bus.clauses import Clause
+from bus.clauses import LONGEST, Clause
 from bus.contract import Frame
 from bus.errors import UnitErrorCode
 from bus.line.trace import HIDDEN
@@ -110,3 +110,28 @@ def test_a_frame_in_german() -> None:
         "valid": True,
     }
     assert frame.meaning == "unit 3: write parameter #6 Acceleration Ramp Rate = 50"
+
+
+@pytest.mark.parametrize("tag", ["en", "de"])
+@pytest.mark.parametrize(
+    ("clause", "meaning"),
+    [
+        (
+            Clause("{a.__class__} {a[0]} {a!r} {a:>99999}", {"a": "x"}),
+            "{a.__class__} {a[0]} {a!r} {a:>99999}",
+        ),
+        (Clause("{}", {"": 1}), "{}"),
+        (Clause("{a", {"a": 1}), "{a"),
+        (Clause("{missing} {a}", {"a": "{a}"}), "{missing} {a}"),
+        (Clause("a: " * 90), "a: " * 90),
+        (Clause("{a}" * 100, {"a": "x" * 300}), "x" * LONGEST),
+    ],
+)
+def test_a_workers_words_are_no_format_and_no_pattern(tag: str, clause: Clause, meaning: str) -> None:
+    frame = Frame(at=1.0, direction="in", data=b"", clauses=[clause])
+    assert frame_fields(frame, voice(tag))["meaning"] == frame.meaning == meaning
+
+
+def test_a_meaning_of_many_clauses_is_bounded() -> None:
+    frame = Frame(at=1.0, direction="in", data=b"", clauses=[Clause("x" * 300)] * 30)
+    assert len(frame.meaning) == len(frame_fields(frame, voice("de"))["meaning"]) == LONGEST

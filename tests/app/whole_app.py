@@ -75,9 +75,12 @@ class House:
 
 
 @asynccontextmanager
-async def whole_app(folder: Path, *, demo: bool = False, **site: Any) -> AsyncIterator[House]:
+async def whole_app(
+    folder: Path, *, demo: bool = False, server: Server | None = None, **site: Any
+) -> AsyncIterator[House]:
     """From start to end, as the server would."""
-    app = create_app(settings_in(folder, **site), demo=demo)
+    settings = settings_in(folder, **site)
+    app = create_app(settings.model_copy(update={"server": server or settings.server}), demo=demo)
     house = House(app, app.state.services)
     async with running(house.services):
         try:

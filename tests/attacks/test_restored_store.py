@@ -12,7 +12,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
+from app.audit.store import head_of
 from app.auth import store
 from app.auth.accounts import Accounts
 from app.auth.passwords import Passwords
@@ -20,6 +22,7 @@ from app.cli import cli
 from app.commands.blocks import Block, BlockStore
 from app.commands.limits import Limits, LimitsStore
 from app.database import Database
+from app.settings import load
 from app.web.access import Role
 
 PASSWORD, OTHER_PASSWORD = "correct horse battery", "wrong horse battery"
@@ -39,7 +42,8 @@ class Plant:
         database, passwords = Database(self.store), Passwords()
 
         async def run() -> None:
-            await work(Accounts(database, passwords, EventLog(database)), database)
+            keys = open_keys(load(self.config).key_files, self.store, await database.read(head_of))
+            await work(Accounts(database, passwords, EventLog(database, keys=keys)), database)
 
         asyncio.run(run())
         passwords.close()
@@ -68,7 +72,9 @@ async def people(accounts: Accounts, database: Database) -> None:
         await accounts.add_user(name, Role.ENGINEER, PASSWORD, by="t", origin="t")
     for name in ("kept", "stolen"):
         await accounts.create_token(name, Role.ENGINEER, by="t", origin="t")
-    await database.write(lambda connection: store.begin_session(connection, b"s", "ann", 1.0, 9e9))
+    await database.write(
+        lambda connection: store.begin_session(connection, b"s", "ann", 1.0, 9e9, weak_secret=False)
+    )
 
 
 async def withdrawals(accounts: Accounts, database: Database) -> None:
@@ -159,7 +165,7 @@ def test_a_stranger_in_the_present_store_does_not_survive(plant: Plant) -> None:
 def test_a_panel_made_in_the_place_of_a_person_gives_the_person_no_pin(plant: Plant) -> None:
     async def replace(accounts: Accounts, _: Database) -> None:
         await accounts.remove_user("ann", by="t", origin="t")
-        await accounts.add_panel("ann", Role.VIEWER, "2468", "/", by="t", origin="t")
+        await accounts.add_panel("ann", Role.VIEWER, "246813", "/", by="t", origin="t")
 
     plant.change(replace)
     plant.restore()

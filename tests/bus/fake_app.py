@@ -47,6 +47,7 @@ class FakeApp:
         self.heard: dict[str, int] = {}
         self._server: Server | None = None
         self._port = 0
+        self.close_codes: list[int | None] = []
         self._connection: ServerConnection | None = None
         self._count = 0
         self._news = asyncio.Event()
@@ -92,7 +93,8 @@ class FakeApp:
                     if self.confirms:
                         await connection.send(encode(Delivered(seq=message.seq)))
         except ConnectionClosed:
-            pass
+            self.close_codes.append(connection.close_code)
+            self._news.set()
 
     def _keep(self, message: WorkerMessage) -> None:
         self.messages.append(message)

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from bus.contract import LONGEST_FRAME, MOST_CLAUSES
 from bus.errors import WireError
 from bus.line.asking import Heard
 from bus.line.link import SECRET_LINGERS_S, Link
@@ -329,9 +330,26 @@ def test_the_trace_is_bounded_by_time_and_by_bytes() -> None:
     for number in range(60_000):
         trace.add(Passed(number * 0.001, "in", bytes(20)))
     assert trace.size <= 400_000 + 70_000
-    for number in range(10):
-        trace.add(Passed(1000.0 + number, "in", bytes(60_000)))
+    for number in range(600):
+        trace.add(Passed(1000.0 + number / 60, "in", bytes(1_000)))
     assert next(trace.since(0.0)).at >= 60.0 - 1
+
+
+def test_of_noise_without_end_the_beginning_is_kept(wires: Wires) -> None:
+    """A server that floods the port comes in pieces of any size."""
+    followed: list[Passed] = []
+    wires.trace.follower = followed.append
+    wires.link.data_received(bytes(100_000))
+    assert [len(passed.data) for passed in wires.trace.since(0.0)] == [LONGEST_FRAME]
+    assert [len(passed.data) for passed in followed] == [LONGEST_FRAME]
+    assert wires.link.counts.noise_bytes == 100_000
+
+
+def test_what_noise_means_is_bounded(wires: Wires) -> None:
+    many = b"".join(encode_reply(Ack(unit), PLAIN) for unit in range(1, 100))
+    wires.link.data_received(many)
+    (passed,) = wires.trace.since(0.0)
+    assert len(Interpreter(PLAIN).frame(passed).clauses) == MOST_CLAUSES
 
 
 def test_a_broadcast_is_left_to_leave() -> None:

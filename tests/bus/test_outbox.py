@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.contract import BusFigures, Frames, Progress, Reading, Result, UnitLink, Update
+from bus.contract import BusFigures, Frame, Frames, Progress, Reading, Result, UnitLink, Update
 from bus.worker.deadline import AppClock
 from bus.worker.outbox import MOST_READINGS, Outbox
 
@@ -121,6 +121,31 @@ def test_what_is_of_the_moment_only_is_not_kept(outbox: Outbox) -> None:
     outbox.put([UnitLink(1, 0.0, "online")])
     outbox.resume(0)
     assert drain(outbox) == [UnitLink(1, 0.0, "online")]
+
+
+def test_what_the_app_would_refuse_for_its_age_is_dropped_and_counted(outbox: Outbox) -> None:
+    old, fresh = UnitLink(1, 10.0, "online"), UnitLink(1, 20.0, "offline")
+    outbox.put([old, fresh])
+    outbox.resume(0, oldest=20.0)
+    assert drain(outbox) == [fresh]
+    assert outbox.lost == 1
+
+
+def test_an_app_that_never_confirms_costs_nothing_for_what_is_of_the_moment(outbox: Outbox) -> None:
+    outbox.resume(0)
+    for _ in range(1000):
+        outbox.put([BusFigures(0.0, 1, 1, 1, 1), Frames([])])
+        assert outbox.next_batch(0.0) is not None
+    assert len(outbox) == 0
+    assert len(outbox._sent) == 0
+
+
+def test_a_result_with_many_frames_counts_as_many() -> None:
+    outbox = Outbox(most_others=100)
+    frame = Frame(0.0, "in", b"", [])
+    outbox.put([Result(str(number), 0.0, "verified", frames=[frame] * 200) for number in range(50)])
+    outbox.resume(0)
+    assert len(drain(outbox)) == 4
 
 
 def test_others_are_bounded(outbox: Outbox) -> None:

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 from structlog.testing import capture_logs
+from websockets.datastructures import Headers
+from websockets.http11 import Response
 
 from bus.contract import (
     CONTRACT_VERSION,
@@ -26,7 +28,7 @@ from bus.contract import (
 )
 from bus.worker.deadline import AppClock
 from bus.worker.outbox import Outbox
-from bus.worker.uplink import Uplink, feed_url
+from bus.worker.uplink import GOING_AWAY, Uplink, _about_status, feed_url
 from tests.bus.fake_app import TOKEN, FakeApp
 
 
@@ -95,7 +97,7 @@ def test_the_address_of_the_feed(given: str, feed: str) -> None:
 async def test_hello_snapshot_then_batches_that_are_forgotten_once_delivered() -> None:
     async with FakeApp() as app, linked(app) as (outbox, _):
         await app.until(app.snapshots)
-        outbox.put([Reading(1, 1.0, 2, 3, 4, 5, 6)])
+        outbox.put([Reading(1, time.time(), 2, 3, 4, 5, 6)])
         await app.until(app.readings)
         assert [type(message).__name__ for message in app.messages] == ["Hello", "Snapshot", "Batch"]
         assert app.batches()[0].live
@@ -125,17 +127,41 @@ async def test_it_comes_back_for_ever_and_nobody_watches_meanwhile() -> None:
         await desk.until(Watch(units=[1]))
         await app.stop()
         await desk.until(Watch(units=[]))
-        outbox.put([Reading(1, 1.0, 2, 3, 4, 5, 6)])
+        outbox.put([Reading(1, time.time(), 2, 3, 4, 5, 6)])
         await app.start()
         await app.until(app.readings)
         assert [batch.live for batch in app.batches()] == [False]
+
+
+async def test_it_says_that_it_leaves() -> None:
+    async with FakeApp() as app:
+        async with linked(app):
+            await app.until(app.snapshots)
+        await app.until(lambda: app.close_codes)
+        assert app.close_codes == [GOING_AWAY]
 
 
 async def test_a_wrong_token_is_named() -> None:
     with capture_logs() as logs:
         async with FakeApp() as app, linked(app, token="wrong"):
             await _said(logs)
-    assert "does not accept the token (401)" in logs[0]["why"]
+    assert "does not accept the token (401): create one with 'lineside token create'" in logs[0]["why"]
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        (b'{"detail":"the token plc expired on 2026-11-22"}', "the token plc expired on 2026-11-22"),
+        (b'{"detail":"two\\nlines\\u001b[31m"}', "twolines[31m"),
+        (b'{"detail":"' + b"x" * 3000 + b'"}', "x" * 300),
+        (b"<html>", "create one with 'lineside token create'"),
+        (b'{"detail":7}', "create one with 'lineside token create'"),
+        (b"\xff", "create one with 'lineside token create'"),
+    ],
+)
+def test_why_a_token_is_not_accepted_is_one_line_of_bounded_length(body: bytes, said: str) -> None:
+    response = Response(403, "Forbidden", Headers(), body)
+    assert _about_status(response) == f"the dashboard does not accept the token (403): {said}"
 
 
 async def test_a_refusal_and_another_version_are_named() -> None:
@@ -153,7 +179,7 @@ async def test_words_it_does_not_know_do_not_end_the_link() -> None:
         await app.until(app.snapshots)
         assert app._connection is not None
         await app._connection.send(b"\x81\xa2is\xa7unknown")
-        outbox.put([Reading(1, 1.0, 2, 3, 4, 5, 6)])
+        outbox.put([Reading(1, time.time(), 2, 3, 4, 5, 6)])
         await app.until(app.readings)
         assert len(app.snapshots()) == 1
 

@@ -18,7 +18,7 @@ from tests.e2e.site import site as one_site
 PANEL: ViewportSize = {"width": 1280, "height": 800}
 LIVE = "body[data-link=live]"
 HOME = "/units/line/2"
-PIN = "246810"
+PIN = "471193"
 FAKE_LOCK = """
 window.locks = [];
 Object.defineProperty(navigator, "wakeLock", {value: {request: async kind => {

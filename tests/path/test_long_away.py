@@ -14,11 +14,12 @@ from typing import Any
 
 import httpx
 
-from bus.contract import CONTRACT_VERSION, BusLink, Command, Hello, Reading, Snapshot, Watch
+from bus import contract
+from bus.contract import CONTRACT_VERSION, BusLink, Hello, Reading, Snapshot, Watch
 from bus.worker.deadline import AppClock
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
-from tests.e2e.site import LINESIDE, end, eventually, free_port, people
+from tests.e2e.site import LINESIDE, command, end, eventually, free_port, people
 
 UNITS = (1, 2, 3, 4)
 AWAY_S = 600
@@ -48,7 +49,7 @@ class Polling:
         """The port is open."""
         return Snapshot(seq=seq, sent_at=time.time(), bus=BusLink(self.since, "open", baud=9600), units=[])
 
-    def command(self, command: Command) -> None:
+    def command(self, command: contract.Command) -> None:
         """Nobody asks for one."""
 
     def reserve(self) -> None:
@@ -79,8 +80,10 @@ def test_ten_minutes_are_delivered_at_their_own_times(tmp_path: Path) -> None:
     kept = ten_minutes(line.since)
     for reading in kept:
         outbox.put([reading])
-    uplink = Uplink(url, tokens["engineer"], outbox, line, AppClock(), time.time)
-    with at_work(uplink), served(tmp_path, number):
+    config = configured(tmp_path, number)
+    token = command(config, "token", "create", "far", "--role", "worker", "--bus", "far").strip()
+    uplink = Uplink(url, token, outbox, line, AppClock(), time.time)
+    with at_work(uplink), served(config):
         eventually(lambda: outbox.connected and not len(outbox), "everything delivered")
         for unit in UNITS:
             said = _history(url, tokens["viewer"], unit, line.since)
@@ -105,16 +108,21 @@ def at_work(uplink: Uplink) -> Iterator[None]:
         loop.close()
 
 
-@contextmanager
-def served(folder: Path, number: int) -> Iterator[None]:
-    """``lineside serve`` with a bus whose port is not on this machine."""
+def configured(folder: Path, number: int) -> Path:
+    """The lineside.toml of a bus whose port is not on this machine."""
     config = folder / "lineside.toml"
     units = "".join(f'[[bus.unit]]\nid = {unit}\nname = "Unit {unit}"\n' for unit in UNITS)
     config.write_text(
         f'[server]\nport = {number}\ndata = "./data"\n'
         f'[[bus]]\nname = "far"\nport = "{folder}/not-here"\n{units}'
     )
-    with (folder / "serve.log").open("wb") as log:
+    return config
+
+
+@contextmanager
+def served(config: Path) -> Iterator[None]:
+    """``lineside serve`` until the end of the block."""
+    with (config.parent / "serve.log").open("wb") as log:
         server = subprocess.Popen([LINESIDE, "serve", "--config", config], stdout=log, stderr=log)
         try:
             yield

@@ -10,6 +10,8 @@ from pathlib import Path
 from app.web.languages.sentences import Sentences
 
 DEFAULT = "en"
+LONGEST_HEADER = 400
+"""Characters of Accept-Language that are read; browsers send a dozen tags at most."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Language:
         translated = self.texts.get(text)
         if values:
             return (translated or text).format(**values)
-        return self.sentences.say(text, self.t) if translated is None else translated
+        return self.sentences.say(text) if translated is None else translated
 
     def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
         """The text for a count: ``one`` for exactly one, else ``many``; ``{n}`` in it is the count."""
@@ -68,14 +70,14 @@ class Languages:
 
 def _load(path: Path) -> Language:
     data = tomllib.loads(path.read_text(encoding="utf-8"))
-    sentences = Sentences(data.get("sentences"))
+    sentences = Sentences(data.get("sentences"), data["texts"])
     return Language(path.stem, data["name"], data["locale"], data["texts"], sentences)
 
 
 def _by_preference(accept_language: str) -> list[str]:
     """``de-AT,de;q=0.9,en;q=0.8`` → ``["de-at", "de", "en"]``, each tag followed by its main part."""
     weighed: list[tuple[float, str]] = []
-    for part in accept_language.split(","):
+    for part in accept_language[:LONGEST_HEADER].split(","):
         tag, _, weight = part.strip().partition(";q=")
         try:
             weighed.append((float(weight or 1), tag.lower()))

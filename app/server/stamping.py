@@ -5,14 +5,17 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from app.cli.connection_arrivals import ConnectionArrivals
-from app.cli.loop_watch import LoopWatch
-from app.cli.patience import PatientProtocol
-from app.cli.tcp_wait import TcpSocket, tcp_wait
-from app.web.arrival import ARRIVED_AT
+from app.server.connection_arrivals import ConnectionArrivals
+from app.server.http import HttpProtocol
+from app.server.loop_watch import LoopWatch
+from app.server.tcp_wait import TcpSocket, tcp_wait
+
+ARRIVED_AT = "lineside.arrived_at"
+"""Key in the ``state`` of an ASGI scope: the moment at which the first byte of a request arrived, seconds by
+:func:`time.monotonic`."""
 
 
-class StampingProtocol(PatientProtocol):
+class StampingProtocol(HttpProtocol):
     """A command's time counts from the stamp (:mod:`app.web.arrival`)."""
 
     _socket: TcpSocket | None = None

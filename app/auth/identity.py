@@ -1,0 +1,111 @@
+"""Who a session cookie or a bearer token stands for."""
+
+from __future__ import annotations
+
+import hmac
+import sqlite3
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+
+from app.auth import rules, store
+from app.auth.rights import credential_of_token, credential_of_user
+from app.auth.signin import SignIn
+from app.auth.store import Session, Token
+from app.database import Database
+from app.errors import Problem, StoreError
+from app.web.access import Person, Role, account_of
+
+
+class Identity:
+    """``worker_tokens``: by bus, of the workers that this server starts itself; they end with the server."""
+
+    def __init__(
+        self,
+        database: Database,
+        sign_in: SignIn,
+        worker_tokens: Mapping[str, str],
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self._database = database
+        self._sign_in = sign_in
+        self._worker_tokens = worker_tokens
+        self._clock = clock
+
+    async def by_cookie(self, cookie: str, *, is_use: bool = True) -> Person | None:
+        """Who a session cookie stands for; None when it is over or was never good.
+
+        ``is_use`` False: the look prolongs nothing.
+        """
+        hash_ = rules.secret_hash(cookie)
+        session = await self._database.read(lambda connection: store.session(connection, hash_))
+        now = self._clock()
+        if session is None or session.user.disabled or _has_too_many_rights(session):
+            return None
+        lifetime = self._sign_in.lifetime_of(session.user)
+        if min(session.expires_at, lifetime.ends_at(session.created_at, session.used_at)) <= now:
+            await self._sign_in.end(hash_, session.user.name)
+            return None
+        if is_use and now - session.used_at >= rules.USE_NOTED_EVERY_S:
+            ends = lifetime.ends_at(session.created_at, now)
+            await self._note(lambda connection: store.prolong_session(connection, hash_, now, ends))
+        user = session.user
+        return Person(
+            user.name,
+            user.role,
+            "session",
+            user.language,
+            user.panel,
+            user.home,
+            user.created_at,
+            credential=credential_of_user(user, session.secret_hash),
+        )
+
+    async def by_token(self, bearer: str) -> Person | None:
+        """Who a bearer token stands for. Raises ExpiredTokenError for one that has."""
+        for bus, own in self._worker_tokens.items():
+            if hmac.compare_digest(bearer.encode(), own.encode()):
+                return Person("worker", Role.WORKER, "worker", bus=bus)
+        hash_ = rules.secret_hash(bearer)
+        token = await self._database.read(lambda connection: store.token(connection, hash_))
+        if token is None:
+            return None
+        now = self._clock()
+        if not token.is_good(now):
+            raise ExpiredTokenError(token)
+        if token.used_at is None or now - token.used_at > rules.USE_NOTED_EVERY_S:
+            number = token.id
+            await self._note(lambda connection: store.note_token_used(connection, number, now))
+        return Person(
+            token.name,
+            token.role,
+            "token",
+            created_at=token.created_at,
+            bus=token.bus or "",
+            credential=credential_of_token(token),
+        )
+
+    async def _note(self, work: Callable[[sqlite3.Connection], None]) -> None:
+        """When somebody was last here. On a disk that takes nothing the line can still be watched."""
+        with suppress(StoreError):
+            await self._database.write(work)
+
+
+def _has_too_many_rights(session: Session) -> bool:
+    """A panel from before panels were operators at most."""
+    return session.user.panel and not Role.OPERATOR.includes(session.user.role)
+
+
+class ExpiredTokenError(Problem):
+    """401, which tells a stranger nothing: only who holds the token gets it. ``account``: whose it was."""
+
+    def __init__(self, token: Token) -> None:
+        day = datetime.fromtimestamp(token.expires_at or 0.0, UTC).date().isoformat()
+        detail = "the token {called} expired on {day}; an admin can create a new one"
+        super().__init__(401, "unauthorized", detail, params={"called": token.name, "day": day})
+        self.account = account_of(token.name, token=True)
+        # RFC 6750, 3.1
+        self.with_headers(
+            WWW_Authenticate='Bearer error="invalid_token", error_description="The access token expired"'
+        )

@@ -1,0 +1,155 @@
+"""Which passwords and PINs are refused, because they are among the first that anybody tries. Pure.
+
+A text is cut into pieces: common words (also with digits for letters), repetitions, sequences, runs of
+neighboring keys, and single characters. What has too few pieces is easy to guess, however long it is.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from bus.errors import CallerError
+
+SHORTEST_PASSWORD, LONGEST_PASSWORD = 12, 256
+"""Argon2 works on all of it; nobody is to make us work on a megabyte."""
+FEWEST_PIECES = 7
+FEWEST_SIGNS = 5
+FEWEST_PIECES_OF_PIN = 4
+LEAST_NAME = 4
+"""Of a name that a password may not contain; a shorter one is in too many words."""
+_PIN = re.compile(r"\d{6,12}")
+
+_LOOK_ALIKES = str.maketrans("013457@$!|", "oieastasii")
+_WORDS = frozenset(
+    line
+    for line in Path(__file__).with_name("common_words.txt").read_text(encoding="utf-8").splitlines()
+    if not line.startswith("#")
+)
+_YEAR = re.compile(r"(?:19|20)\d\d")
+_LONGEST_WORD = max(map(len, _WORDS))
+_SHORTEST_WORD = min(map(len, _WORDS))
+_ROWS = ((0.0, "1234567890-="), (0.5, "qwertyuiop[]"), (0.75, "asdfghjkl;'"), (1.25, "zxcvbnm,./"))
+_KEYS = {sign: (x + shift, float(y)) for y, (shift, row) in enumerate(_ROWS) for x, sign in enumerate(row)}
+_SWAPPED = str.maketrans("yz", "zy")
+"""A German keyboard."""
+_PAD = {
+    digit: (float(x), float(y)) for y, row in enumerate(("123", "456", "789")) for x, digit in enumerate(row)
+}
+LEAST_RUN, LEAST_WALK = 3, 4
+
+
+def check_password(password: str, *, user: str, site: str) -> None:
+    """Raises CallerError for a password that ``user`` may not choose at ``site``."""
+    if not SHORTEST_PASSWORD <= len(password) <= LONGEST_PASSWORD:
+        detail = "a password has {least} to {most} characters; this one has {count}"
+        bounds = {"least": SHORTEST_PASSWORD, "most": LONGEST_PASSWORD}
+        raise CallerError(detail, params={**bounds, "count": len(password)})
+    if _contains(password, user):
+        raise CallerError("the password contains the user name; choose another")
+    if _contains(password, site):
+        raise CallerError("the password contains the name of the site; choose another")
+    if is_easy_password(password):
+        raise CallerError(
+            "the password is easy to guess (common words, repetition, sequences, key runs); choose another"
+        )
+
+
+def check_pin(pin: str) -> None:
+    """Raises CallerError."""
+    if not _PIN.fullmatch(pin) or not pin.isascii():
+        raise CallerError("a PIN is 6 to 12 digits")
+    if is_easy_pin(pin):
+        raise CallerError("the PIN is easy to guess (repetition, sequences, key runs); choose another")
+
+
+def is_easy_password(password: str) -> bool:
+    """Whether it is among what is tried first."""
+    text = password.casefold()
+    block = _block_of(text)
+    return (
+        len(set(text)) < FEWEST_SIGNS
+        or (len(block) < len(text) and len(block) < SHORTEST_PASSWORD - LEAST_WALK)
+        or _pieces(text, _KEYS, words=True) < FEWEST_PIECES
+        or _pieces(text.translate(_SWAPPED), _KEYS, words=True) < FEWEST_PIECES
+    )
+
+
+def is_easy_pin(pin: str) -> bool:
+    """Whether it is among what is tried first."""
+    return (
+        len(set(pin)) <= 2
+        or len(_block_of(pin)) <= LEAST_RUN
+        or _pieces(pin, _PAD, words=False) < FEWEST_PIECES_OF_PIN
+    )
+
+
+def _contains(password: str, name: str) -> bool:
+    """Whether the letters and digits of a name are in those of a password, next to one another."""
+    wanted = _plain(name)
+    return len(wanted) >= LEAST_NAME and wanted in _plain(password)
+
+
+def _plain(text: str) -> str:
+    return "".join(sign for sign in text.casefold() if sign.isalnum())
+
+
+def _block_of(text: str) -> str:
+    """The shortest text that, repeated, is this one."""
+    return text[: (text + text).find(text, 1)]
+
+
+def _pieces(text: str, keys: dict[str, tuple[float, float]], *, words: bool) -> int:
+    letters = text.translate(_LOOK_ALIKES)
+    place, count = 0, 0
+    while place < len(text):
+        longest = max(_run(text, place), _walk(text, place, keys), _repeated(text, place))
+        if words:
+            year = 4 if _YEAR.match(text, place) else 0
+            longest = max(longest, year, _word(text, place), _word(letters, place))
+        place += max(1, longest)
+        count += 1
+    return count
+
+
+def _word(text: str, place: int) -> int:
+    for length in range(min(_LONGEST_WORD, len(text) - place), _SHORTEST_WORD - 1, -1):
+        if text[place : place + length] in _WORDS:
+            return length
+    return 0
+
+
+def _run(text: str, place: int) -> int:
+    """Of one sign, or of signs each next to the one before in the alphabet or among the digits."""
+    if place + 1 >= len(text):
+        return 0
+    step = ord(text[place + 1]) - ord(text[place])
+    if abs(step) > 1:
+        return 0
+    end = place + 1
+    while end < len(text) and ord(text[end]) - ord(text[end - 1]) == step:
+        end += 1
+    return end - place if end - place >= LEAST_RUN else 0
+
+
+def _walk(text: str, place: int, keys: dict[str, tuple[float, float]]) -> int:
+    """Of neighboring keys."""
+    end = place + 1
+    while end < len(text) and _are_neighbors(keys.get(text[end - 1]), keys.get(text[end])):
+        end += 1
+    least = LEAST_WALK if keys is _KEYS else LEAST_RUN
+    return end - place if end - place >= least else 0
+
+
+def _are_neighbors(one: tuple[float, float] | None, other: tuple[float, float] | None) -> bool:
+    return (
+        one is not None and other is not None and max(abs(one[0] - other[0]), abs(one[1] - other[1])) <= 1.0
+    )
+
+
+def _repeated(text: str, place: int) -> int:
+    """Of what stands before already."""
+    length = LEAST_RUN
+    while place + length <= len(text) and text[place : place + length] in text[:place]:
+        length += 1
+    return length - 1 if length > LEAST_RUN else 0

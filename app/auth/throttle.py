@@ -1,0 +1,136 @@
+"""How soon a sign-in may be tried again. Pure: ``now`` is a time in seconds.
+
+A name and a place together back off, so whoever guesses waits, and nobody is locked out elsewhere. A place is
+a browser that has signed in with this name before, or else the network of the address. A name is slowed down
+as a whole only for places from which it never signed in: many addresses that guess one name together get one
+try in a while, and its owner is not among them. A network that fails with many names waits, except for names
+that have signed in from it.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from bus.bucket import Bucket
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+FREE, FREE_OF_PANEL = 5, 3
+"""Failures of a name at one place without any wait; a PIN has few digits."""
+FIRST_WAIT_S, LONGEST_WAIT_S = 2.0, 300.0
+FORGOTTEN_AFTER_S = 900.0
+"""Without a failure; the longest wait is over by then."""
+OF_ADDRESS, OF_ADDRESS_WINDOW_S = 30, 300.0
+"""Failures of one address: more people than one sit behind a proxy."""
+OF_NAME = 10
+"""Tries of one name from places where it never signed in, all together, before they are slowed down."""
+OF_NAME_EVERY_S, OF_PANEL_EVERY_S = 10.0, 30.0
+MOST_KEPT = 10_000
+"""Of names, addresses and pairs each; what was used longest ago goes first."""
+
+
+@dataclass(slots=True)
+class _Failures:
+    """How many there were, and when the last was."""
+
+    count: int = 0
+    at: float = 0.0
+
+    def recent(self, now: float) -> int:
+        """How many of them still count."""
+        return self.count if now - self.at < FORGOTTEN_AFTER_S else 0
+
+
+class _Kept(Generic[K, V]):
+    """Values by key, no more than ``most``; ``new`` makes what is there for a key without one."""
+
+    def __init__(self, most: int, new: Callable[[], V]) -> None:
+        self._most = most
+        self._new = new
+        self._values: OrderedDict[K, V] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def get(self, key: K) -> V:
+        """To look at; what is changed must be `kept`."""
+        found = self._values.get(key)
+        return self._new() if found is None else found
+
+    def kept(self, key: K) -> V:
+        """To change: the newest now."""
+        found = self._values.setdefault(key, self._new())
+        self._values.move_to_end(key)
+        while len(self._values) > self._most:
+            self._values.popitem(last=False)
+        return found
+
+    def drop(self, key: K) -> None:
+        self._values.pop(key, None)
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """A sign-in to be tried. ``known``: the name has signed in from this ``place`` before."""
+
+    name: str
+    place: str
+    panel: bool = False
+    known: bool = False
+
+    @property
+    def pair(self) -> tuple[str, str]:
+        """What backs off together."""
+        return self.name, self.place
+
+
+class Throttle:
+    """What failed in the last quarter of an hour."""
+
+    def __init__(self, most: int = MOST_KEPT) -> None:
+        self._pairs: _Kept[tuple[str, str], _Failures] = _Kept(most, _Failures)
+        self._places: _Kept[str, Bucket] = _Kept(
+            most, lambda: Bucket(OF_ADDRESS / OF_ADDRESS_WINDOW_S, OF_ADDRESS)
+        )
+        self._names: _Kept[str, Bucket] = _Kept(most, lambda: Bucket(1 / OF_NAME_EVERY_S, OF_NAME))
+        self._panels: _Kept[str, Bucket] = _Kept(most, lambda: Bucket(1 / OF_PANEL_EVERY_S, OF_NAME))
+
+    def wait_s(self, attempt: Attempt, now: float) -> float:
+        """For how many seconds this is not to be tried; 0.0: now."""
+        waits = [self._wait_of_pair(attempt, now)]
+        if not attempt.known:
+            waits.append(self._places.get(attempt.place).wait_s(now))
+            waits.append(self._names_of(attempt).get(attempt.name).wait_s(now))
+        return max(waits)
+
+    def begin(self, attempt: Attempt, now: float) -> None:
+        """It is tried. Noted before its end, lest many at once each be the last that is allowed."""
+        if not attempt.known:
+            self._names_of(attempt).kept(attempt.name).pour(1, now)
+
+    def failed(self, attempt: Attempt, now: float) -> None:
+        """It was wrong."""
+        failures = self._pairs.kept(attempt.pair)
+        failures.count, failures.at = failures.recent(now) + 1, now
+        self._places.kept(attempt.place).pour(1, now)
+
+    def succeeded(self, attempt: Attempt, now: float) -> None:
+        """It was right: nothing of this name counts against this place; what others tried still does."""
+        self._pairs.drop(attempt.pair)
+        if not attempt.known:
+            self._names_of(attempt).kept(attempt.name).pour(-1, now)
+
+    def _names_of(self, attempt: Attempt) -> _Kept[str, Bucket]:
+        return self._panels if attempt.panel else self._names
+
+    def _wait_of_pair(self, attempt: Attempt, now: float) -> float:
+        failures = self._pairs.get(attempt.pair)
+        over = failures.recent(now) - (FREE_OF_PANEL if attempt.panel else FREE)
+        if over < 0:
+            return 0.0
+        wait: float = min(FIRST_WAIT_S * 2.0 ** min(over, 16), LONGEST_WAIT_S)
+        return max(0.0, failures.at + wait - now)

@@ -1,0 +1,65 @@
+"""Which worker has a bus, and when another may take it. Pure: ``now`` is a monotonic time in seconds.
+
+What a worker reports is what commands are verified by. So a bus goes to another worker only once the former
+one is provably gone: it has said that it leaves, or its connection ended and it did not return in time. A
+worker that merely stands still (suspended, starved, behind a cut network) keeps its bus for longer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from math import inf
+
+
+class Ending(Enum):
+    """How the connection of a worker ended. The value: seconds for which its bus is kept for it."""
+
+    LEFT = 0.0
+    """It said that it leaves."""
+    LOST = 5.0
+    """The other side ended it: a worker that lives is back within 3 s."""
+    CUT = 60.0
+    """This side ended it, because nothing came: the worker may live, and resume."""
+
+
+@dataclass(frozen=True, slots=True)
+class Credential:
+    """By which token, for which bus, and from which address a worker connected. ``own``: it is the child of
+    this server."""
+
+    token: str
+    bus: str
+    address: str
+    own: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.token} ({self.address})" if self.address else self.token
+
+
+@dataclass(slots=True)
+class Holder:
+    """The worker that has a bus, connected or expected back. ``port_seen``: its port has been open."""
+
+    worker: str
+    credential: Credential
+    port_seen: bool = False
+    free_at: float = inf
+
+    def connection_ended(self, ending: Ending, now: float) -> None:
+        """The bus is kept for its worker for as long as the ending says."""
+        self.free_at = now + ending.value
+
+    def is_same(self, worker: str, credential: Credential) -> bool:
+        """Whether this is the very process, come back."""
+        return self.worker == worker and self.credential.token == credential.token
+
+    def yields_to(self, worker: str, credential: Credential, now: float) -> bool:
+        """Whether the bus goes to this worker: to the same one always, to another when the holder is gone."""
+        if self.is_same(worker, credential) or now >= self.free_at:
+            return True
+        if self.credential.own and not self.port_seen:
+            # The child of a bus whose port is on another machine: the worker there must get it.
+            return not credential.own
+        # One process at most has the token of a child, and its next starts after its end.
+        return self.credential.own and credential.own and self.free_at < inf

@@ -1,0 +1,1 @@
+"""What touches the server and the framework below the app: addresses, protocols, bounds."""

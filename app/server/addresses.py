@@ -1,0 +1,40 @@
+"""Network addresses as limits and logs see them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
+
+Address = IPv4Address | IPv6Address
+Network = IPv4Network | IPv6Network
+
+SUBNET_BITS = 64
+"""Of IPv6, what one subscriber or one machine has at least (RFC 6177, 2)."""
+
+
+def parse_address(text: str) -> Address | None:
+    """An address, an IPv4 one also where a dual-stack socket writes it as ``::ffff:10.0.0.5``."""
+    try:
+        address = ip_address(text)
+    except ValueError:
+        return None
+    return getattr(address, "ipv4_mapped", None) or address
+
+
+def canonical(text: str) -> str:
+    """The address in its one usual form; anything else as it is."""
+    return str(parse_address(text) or text)
+
+
+def source_of(text: str) -> str:
+    """Who is counted as one: an IPv4 address, or the /64 of an IPv6 address; anything else as it is."""
+    address = parse_address(text)
+    if isinstance(address, IPv6Address):
+        return str(ip_network((int(address) >> SUBNET_BITS << SUBNET_BITS, SUBNET_BITS)))
+    return str(address or text)
+
+
+def is_within(text: str, networks: Collection[Network]) -> bool:
+    """Whether the address belongs to one of the networks."""
+    address = parse_address(text)
+    return address is not None and any(address in network for network in networks)

@@ -1,0 +1,101 @@
+"""How many connections may be open: for each address, for each account, and in all.
+
+Nobody new is turned away. Beyond a limit the oldest of the group with the most is dropped, one that waits for
+its client before one that is being served: connections that are held open push out one another, nobody else.
+Who has signed in, the bus workers among them, is counted by account, apart from strangers.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+from starlette.types import Scope
+
+from app.server.addresses import Network, is_within, source_of
+
+EXTENSION = "lineside.connection"
+MOST_OF_ADDRESS = 64
+"""Of strangers; all browsers of a plant may share an address until they have sent their cookie."""
+MOST_STRANGERS = 256
+MOST_OF_ACCOUNT = 400
+MOST_IN_ALL = 2000
+
+
+@dataclass(eq=False, slots=True)
+class Connection:
+    """One open connection. ``address``: the other end's, which is a trusted proxy's behind one."""
+
+    address: str
+    drop: Callable[[], None]
+    """End it now."""
+    is_waiting: Callable[[], bool]
+    """Whether it is the client's turn."""
+    account: str = ""
+    """Of whom it has shown a valid credential."""
+
+
+class Connections:
+    """Those that are open now; ``most``: how many the system allows."""
+
+    def __init__(self, trusted_proxies: Collection[Network] = (), most: int = MOST_IN_ALL) -> None:
+        self._trusted = trusted_proxies
+        self._most = min(most, MOST_IN_ALL)
+        self._strangers: defaultdict[str, dict[Connection, None]] = defaultdict(dict)
+        self._known: defaultdict[str, dict[Connection, None]] = defaultdict(dict)
+        self._count = {True: 0, False: 0}
+
+    def open(self, connection: Connection) -> None:
+        """One more. A trusted proxy counts as one account: it has its own limits for its clients."""
+        if is_within(connection.address, self._trusted):
+            connection.account = f"proxy {connection.address}"
+        self._add(connection)
+
+    def identify(self, connection: Connection, account: str) -> None:
+        """It has shown a valid credential of this account."""
+        if connection.account or connection not in self._strangers.get(self._key(connection), ()):
+            return
+        self.close(connection)
+        connection.account = account
+        self._add(connection)
+
+    def close(self, connection: Connection) -> None:
+        """One less; nothing happens where it was dropped before."""
+        groups, key = self._groups(connection), self._key(connection)
+        if connection in groups.get(key, ()):
+            del groups[key][connection]
+            self._count[bool(connection.account)] -= 1
+            if not groups[key]:
+                del groups[key]
+
+    def _add(self, connection: Connection) -> None:
+        groups, is_known = self._groups(connection), bool(connection.account)
+        group = groups[self._key(connection)]
+        group[connection] = None
+        self._count[is_known] += 1
+        if len(group) > (MOST_OF_ACCOUNT if is_known else MOST_OF_ADDRESS):
+            self._drop_one(group)
+        elif not is_known and self._count[False] > MOST_STRANGERS:
+            self._drop_one(max(self._strangers.values(), key=len))
+        elif sum(self._count.values()) > self._most:
+            self._drop_one(max((*self._strangers.values(), *self._known.values()), key=len))
+
+    def _drop_one(self, group: dict[Connection, None]) -> None:
+        oldest = next(iter(group))
+        dropped = next((connection for connection in group if connection.is_waiting()), oldest)
+        self.close(dropped)
+        dropped.drop()
+
+    def _groups(self, connection: Connection) -> defaultdict[str, dict[Connection, None]]:
+        return self._known if connection.account else self._strangers
+
+    def _key(self, connection: Connection) -> str:
+        return connection.account or source_of(connection.address)
+
+
+def identify(scope: Scope, account: str) -> None:
+    """Count the connection of a request for this account from now on, where the server offers to."""
+    offered: Callable[[str], None] | None = scope.get("extensions", {}).get(EXTENSION)
+    if offered is not None:
+        offered(account)

@@ -1,0 +1,207 @@
+"""HTTP as uvicorn speaks it, with bounds for what uvicorn waits for or takes without end."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, cast
+
+import uvicorn
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.server import ServerState
+
+from app.server.connections import EXTENSION, Connection, Connections
+from app.server.pace import Awaited, Backlog, Pace
+from app.server.refusal import MALFORMED, TOO_LONG, TOO_MANY, TOO_SLOW, Refusal
+
+MOST_HEAD_BYTES = 32 * 1024
+MOST_HEADERS = 100
+MOST_PIPELINED = 8
+"""Requests that wait for the response to one before them."""
+CLOSING_S = 5.0
+"""What a client gets to read the end of a connection."""
+
+
+class BeyondBoundsError(Exception):
+    """Ends the parsing of a request."""
+
+
+class HttpProtocol(HttpToolsProtocol):
+    """One connection. The server calls :meth:`check` once a second."""
+
+    def __init__(
+        self,
+        config: uvicorn.Config,
+        server_state: ServerState,
+        app_state: dict[str, Any],
+        _loop: asyncio.AbstractEventLoop | None = None,
+        *,
+        open_connections: Connections,
+    ) -> None:
+        super().__init__(config, server_state, app_state, _loop)
+        self._open_connections = open_connections
+        self._backlog = Backlog()
+        self._closing_since: float | None = None
+        self._refusal = MALFORMED
+        self._is_ending = False
+        self._head_bytes = 0
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """The first request is awaited from here on."""
+        super().connection_made(transport)
+        self._pace = Pace(self.loop.time())
+        address = self.client[0] if self.client else ""
+        self.connection = Connection(address, self._give_way, self._is_clients_turn)
+        self._open_connections.open(self.connection)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Nothing is awaited any more."""
+        self._open_connections.close(self.connection)
+        super().connection_lost(exc)
+
+    def check(self, now: float) -> None:
+        """End the connection of a client that takes too long to send or to read. ``now``: the loop's time."""
+        waiting = self.transport.get_write_buffer_size()
+        if self.transport.is_closing() or self._closing_since is not None:
+            self._closing_since = self._closing_since or now
+            if now - self._closing_since > CLOSING_S:
+                self.transport.abort()
+            return
+        if self._is_servers_turn():
+            self._pace.since = now
+        is_written = self.flow.write_paused or self.cycle is None or self.cycle.response_complete
+        if self._backlog.is_stuck(waiting if is_written else 0, now):
+            self.transport.abort()
+        elif self._pace.is_overdue(now):
+            self._refuse(TOO_SLOW)
+
+    def data_received(self, data: bytes) -> None:
+        """Headers that go on and on are as bad as those that stand still."""
+        if self._is_ending:
+            return
+        scope = self.scope
+        super().data_received(data)
+        if self._pace.awaited is Awaited.HEAD and self.scope is scope:
+            self._pace.received += len(data)
+            if self._pace.received > MOST_HEAD_BYTES:
+                self._refuse(TOO_LONG)
+
+    def resume_writing(self) -> None:
+        """The client has read what waited."""
+        self._backlog = Backlog()
+        super().resume_writing()
+
+    def send_400_response(self, msg: str) -> None:  # noqa: ARG002
+        """Of uvicorn, for what cannot be parsed."""
+        self._refuse(self._refusal)
+
+    def handle_websocket_upgrade(self) -> None:
+        """The WebSocket goes on with the connection."""
+        protocol = self.config.ws_protocol_class
+        assert protocol is not None
+
+        def continued(**how: Any) -> asyncio.Protocol:
+            return protocol(**how, connection=self.connection, open_connections=self._open_connections)  # type: ignore[call-arg]
+
+        self.ws_protocol_class = continued  # type: ignore[assignment]
+        super().handle_websocket_upgrade()
+
+    # --- of the parser -------------------------------------------------------------------------------
+
+    def on_message_begin(self) -> None:
+        """A request, perhaps before the one before it is answered."""
+        if len(self.pipeline) >= MOST_PIPELINED:
+            raise BeyondBoundsError("too many requests wait for a response")
+        super().on_message_begin()
+        self._head_bytes = 0
+        self._pace.expect(Awaited.HEAD, self.loop.time())
+
+    def on_url(self, url: bytes) -> None:
+        """The address, or a part of it."""
+        self._count_head(len(url))
+        super().on_url(url)
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        """A whole header."""
+        self._count_head(len(name) + len(value))
+        super().on_header(name, value)
+
+    def on_headers_complete(self) -> None:
+        """It is known what is asked; the app may begin."""
+        self._pace.expect(Awaited.BODY, self.loop.time())
+        self.scope["extensions"] = cast(Any, {EXTENSION: self._identify})
+        super().on_headers_complete()
+
+    def on_body(self, body: bytes) -> None:
+        """A part of the body."""
+        self._pace.received += len(body)
+        super().on_body(body)
+
+    def on_message_complete(self) -> None:
+        """The whole request is here."""
+        self._pace.expect(Awaited.NOTHING, self.loop.time())
+        super().on_message_complete()
+        if self.cycle is not None and self.cycle.response_complete:
+            self._pace.expect(Awaited.NEXT, self.loop.time())
+
+    def on_response_complete(self) -> None:
+        """The client may ask for more, and must not send for ever what nobody reads."""
+        super().on_response_complete()
+        if self.cycle.response_complete and self._pace.awaited in (Awaited.BODY, Awaited.NOTHING):
+            is_whole = self._pace.awaited is Awaited.NOTHING
+            self._pace.expect(Awaited.NEXT if is_whole else Awaited.REST, self.loop.time())
+
+    # --- how it stands -------------------------------------------------------------------------------
+
+    def _is_answering(self) -> bool:
+        return self.cycle is not None and not self.cycle.response_complete
+
+    def _is_servers_turn(self) -> bool:
+        """Whether the client waits for the server: what it owes besides that costs no time."""
+        begun = self._pace.awaited is Awaited.HEAD and self._is_answering()
+        return begun or bool(self.pipeline) or self.flow.read_paused
+
+    def _is_clients_turn(self) -> bool:
+        return self._pace.awaited is not Awaited.NOTHING or self.flow.write_paused
+
+    def _identify(self, account: str) -> None:
+        self._open_connections.identify(self.connection, account)
+
+    def _count_head(self, size: int) -> None:
+        self._head_bytes += size
+        if self._head_bytes > MOST_HEAD_BYTES or len(self.headers) >= MOST_HEADERS:
+            self._refusal = TOO_LONG
+            raise BeyondBoundsError("the headers are too long or too many")
+
+    # --- its end -------------------------------------------------------------------------------------
+
+    def _give_way(self) -> None:
+        """Make room at once."""
+        if self._is_answering() and (
+            self.pipeline or self.cycle.response_started or not self.cycle.more_body
+        ):
+            self.transport.abort()
+        else:
+            self._respond(TOO_MANY)
+            self.transport.close()
+
+    def _refuse(self, refusal: Refusal) -> None:
+        """End the connection. Requests that are whole are answered before, and nothing is read after them;
+        else the refusal is the response where one is awaited and none has begun."""
+        if self._is_answering() and not self.cycle.more_body:
+            self.cycle.keep_alive = False
+        elif self._is_answering() and (self.pipeline or self.cycle.response_started):
+            self.transport.abort()
+        elif self._respond(refusal) and self.transport.can_write_eof():
+            # To close with bytes unread resets the connection, and the client may never see the response
+            # (RFC 9112, 9.6): the rest is read and passed over for a while.
+            self.transport.write_eof()
+            self._closing_since = self.loop.time()
+        else:
+            self.transport.close()
+        self._is_ending = True
+
+    def _respond(self, refusal: Refusal) -> bool:
+        is_awaited = self._pace.awaited in (Awaited.HEAD, Awaited.BODY)
+        if is_awaited:
+            self.transport.write(refusal.response())
+        return is_awaited

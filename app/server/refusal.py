@@ -1,0 +1,46 @@
+"""Responses that the server writes itself, where a request does not get as far as the app."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from http import HTTPStatus
+
+from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
+
+from app.server.security_headers import HEADERS
+
+MEDIA_TYPE = "application/problem+json"
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A problem (RFC 9457) for a request that could not be read; the connection ends with it."""
+
+    status: int
+    code: str
+    detail: str
+
+    def response(self) -> bytes:
+        """The whole HTTP response."""
+        phrase, body = HTTPStatus(self.status).phrase, self._body()
+        headers = {**HEADERS, "Content-Type": MEDIA_TYPE, "Content-Length": len(body), "Connection": "close"}
+        lines = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
+        return f"HTTP/1.1 {self.status} {phrase}\r\n{lines}\r\n".encode() + body
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """As an ASGI app."""
+        await Response(self._body(), self.status, HEADERS, MEDIA_TYPE)(scope, receive, send)
+
+    def _body(self) -> bytes:
+        phrase = HTTPStatus(self.status).phrase
+        problem = {"type": "about:blank", "title": phrase, "status": self.status}
+        return json.dumps({**problem, "code": self.code, "detail": self.detail}).encode()
+
+
+MALFORMED = Refusal(400, "malformed", "this is no HTTP request; nothing was done")
+TOO_SLOW = Refusal(408, "too_slow", "the request did not arrive in time; nothing was done")
+TOO_LONG = Refusal(431, "too_long", "the headers are too long or too many; nothing was done")
+TOO_MANY_REQUESTS = Refusal(429, "too_many", "too many requests of this address are under way; try again")
+TOO_MANY = Refusal(503, "too_many", "too many connections are open; nothing was done, try again")

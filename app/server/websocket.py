@@ -1,0 +1,145 @@
+"""WebSockets as uvicorn speaks them, with the short way out of :mod:`app.server.frames`, and with bounds."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, cast
+
+import uvicorn
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from uvicorn.server import ServerState
+from websockets.frames import CloseCode, Frame
+from websockets.http11 import Request
+from websockets.protocol import State
+
+from app.server.connections import EXTENSION as CONNECTION
+from app.server.connections import Connection, Connections
+from app.server.frames import EXTENSION, OUTLET
+from app.server.http import CLOSING_S
+from app.server.pace import Backlog
+from bus.bucket import Bucket
+
+FEED_PATH = "/feed"
+"""Where bus workers say what they have read: large messages, and many after a break."""
+MOST_MESSAGE_BYTES = 32 * 1024
+"""Of any other socket: a page names the units that it shows."""
+FRAMES_A_SECOND = 10.0
+MOST_FRAMES_AT_ONCE = 60
+SLICE_BYTES = 4096
+"""Parsed at once. A chunk of the network has room for 40,000 empty frames, which take half a second."""
+MOST_UNREAD_BYTES = 64 * 1024
+"""Of responses to pings."""
+
+
+class WebSocketProtocol(WebSocketsSansIOProtocol):
+    """Handshake, control frames, close and every ``send`` are uvicorn's; only whole frames that are ready
+    may pass it by. It writes what it has in the same turn too, so the two cannot mix within a message."""
+
+    def __init__(
+        self,
+        config: uvicorn.Config,
+        server_state: ServerState,
+        app_state: dict[str, Any],
+        _loop: asyncio.AbstractEventLoop | None = None,
+        *,
+        connection: Connection,
+        open_connections: Connections,
+    ) -> None:
+        super().__init__(config, server_state, app_state, _loop)
+        self._connection = connection
+        self._open_connections = open_connections
+        self._backlog = Backlog()
+        self._closing_since: float | None = None
+        self._bucket: Bucket | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """A client that does not read is waited for after one message, not after 64 KiB of them."""
+        super().connection_made(transport)
+        self.transport.set_write_buffer_limits(high=0)
+        self._connection.drop = self.transport.abort
+        self._connection.is_waiting = lambda: False
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Nothing is awaited any more."""
+        self._open_connections.close(self._connection)
+        super().connection_lost(exc)
+
+    def check(self, now: float) -> None:
+        """End the connection of a client that does not read. ``now``: the loop's time."""
+        if self.transport.is_closing():
+            self._closing_since = self._closing_since or now
+            if now - self._closing_since > CLOSING_S:
+                self.transport.abort()
+        elif self._backlog.is_stuck(self.transport.get_write_buffer_size(), now):
+            self.transport.abort()
+
+    def resume_writing(self) -> None:
+        """The client has read what waited."""
+        self._backlog = Backlog()
+        super().resume_writing()
+
+    def data_received(self, data: bytes) -> None:
+        """Not more at once than the loop can do without."""
+        for start in range(0, len(data), SLICE_BYTES):
+            if self.close_sent or self.transport.is_closing():
+                return
+            super().data_received(data[start : start + SLICE_BYTES])
+
+    def handle_connect(self, event: Request) -> None:
+        """The handshake, which says what it is for."""
+        if event.path.partition("?")[0] != FEED_PATH:
+            self._bucket = Bucket(FRAMES_A_SECOND, MOST_FRAMES_AT_ONCE)
+            self.conn.max_message_size = MOST_MESSAGE_BYTES
+        super().handle_connect(event)
+
+    def handle_text(self, event: Frame) -> None:
+        """A frame of the client."""
+        if self._is_allowed():
+            super().handle_text(event)
+
+    def handle_bytes(self, event: Frame) -> None:
+        """A frame of the client."""
+        if self._is_allowed():
+            super().handle_bytes(event)
+
+    def handle_cont(self, event: Frame) -> None:
+        """A frame of the client."""
+        if self._is_allowed():
+            super().handle_cont(event)
+
+    def handle_pong(self, event: Frame) -> None:
+        """A frame of the client."""
+        if self._is_allowed():
+            super().handle_pong(event)
+
+    def handle_ping(self) -> None:
+        """A frame of the client; its response waits for the client to read."""
+        if self.transport.get_write_buffer_size() > MOST_UNREAD_BYTES:
+            self.transport.abort()
+        elif self._is_allowed():
+            super().handle_ping()
+
+    async def run_asgi(self) -> None:
+        """The app, told of the short way."""
+        self.scope["extensions"] |= cast(Any, {EXTENSION: {OUTLET: self}, CONNECTION: self._identify})
+        await super().run_asgi()
+
+    def write(self, frame: bytes, /) -> bool:
+        """As :class:`app.server.frames.Outlet`."""
+        transport = self.transport
+        if self.conn.state is not State.OPEN or transport.is_closing() or transport.get_write_buffer_size():
+            return False
+        transport.write(frame)
+        return True
+
+    def _identify(self, account: str) -> None:
+        self._open_connections.identify(self._connection, account)
+
+    def _is_allowed(self) -> bool:
+        if self.close_sent or self.transport.is_closing():
+            return False
+        if self._bucket is None or self._bucket.take(self.loop.time()):
+            return True
+        self.conn.fail(CloseCode.POLICY_VIOLATION, "too many messages")
+        self.handle_parser_exception()
+        return False

@@ -1,0 +1,75 @@
+"""Turns at what costs much: an account has few at a time, and its others wait while other people's go on."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from math import inf
+from typing import Any
+
+from fastapi import Depends
+from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from app.errors import Problem
+from app.server.fair_queue import FairQueue, TooManyWaitingError
+from app.web.access import Viewer, person_of
+
+AT_ONCE = 2
+MOST_WAITING = 30
+"""Of searches, and of downloads."""
+READS_AT_ONCE = 6
+MOST_READS_WAITING = 200
+"""Of everything else that is read."""
+
+
+@asynccontextmanager
+async def turn_of(turns: FairQueue[str], account: str) -> AsyncIterator[None]:
+    """Wait for a turn, and have it. Raises Problem 429 where too many wait."""
+    async with AsyncExitStack() as stack:
+        try:
+            await stack.enter_async_context(turns.turn(account))
+        except TooManyWaitingError:
+            detail = "too many of your requests wait already; let some end"
+            raise Problem(429, "too_many", detail).with_headers(Retry_After="2") from None
+        yield
+
+
+def in_turn(turns: FairQueue[str]) -> Any:
+    """``dependencies=[SEARCH]`` of a route: one turn from before it runs until its response is sent."""
+
+    async def take_turn(person: Viewer) -> AsyncIterator[None]:
+        async with turn_of(turns, person.account):
+            yield
+
+    return Depends(take_turn)
+
+
+searches: FairQueue[str] = FairQueue(inf, AT_ONCE, MOST_WAITING)
+"""By account, as all of these."""
+downloads: FairQueue[str] = FairQueue(inf, AT_ONCE, MOST_WAITING)
+SEARCH, DOWNLOAD = in_turn(searches), in_turn(downloads)
+
+
+class ReadInTurn:
+    """Makes few responses of one account at a time. To render a page of a long line takes the event loop tens
+    of milliseconds; the requests of others come in between."""
+
+    def __init__(self, app: ASGIApp, turns: FairQueue[str]) -> None:
+        self._app = app
+        self._turns = turns
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        person = person_of(HTTPConnection(scope))
+        if person is None:
+            await self._app(scope, receive, send)
+            return
+        async with AsyncExitStack() as turn:
+
+            async def sending(message: Message) -> None:
+                # What is sent is made: a stream that lasts keeps nobody waiting.
+                await turn.aclose()
+                await send(message)
+
+            await turn.enter_async_context(turn_of(self._turns, person.account))
+            await self._app(scope, receive, sending)

@@ -1,0 +1,148 @@
+"""How many connections may be open, how long a client may take, how often it may ask: pure rules."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from ipaddress import ip_network
+
+import pytest
+
+from app.server.connections import (
+    EXTENSION,
+    MOST_IN_ALL,
+    MOST_OF_ACCOUNT,
+    MOST_OF_ADDRESS,
+    MOST_STRANGERS,
+    Connection,
+    Connections,
+    identify,
+)
+from app.server.pace import LEAST_RATE, LONGEST_BODY_S, STALL_S, WITHIN_S, Awaited, Backlog, Pace
+
+
+@dataclass
+class World:
+    connections: Connections = field(default_factory=lambda: Connections([ip_network("10.0.0.5")]))
+    dropped: list[str] = field(default_factory=list)
+
+    def open(self, name: str, address: str = "192.0.2.7", *, waiting: bool = True) -> Connection:
+        connection = Connection(address, lambda: self.dropped.append(name), lambda: waiting)
+        self.connections.open(connection)
+        return connection
+
+    def open_many(self, count: int, address: str = "192.0.2.7") -> list[Connection]:
+        return [self.open(f"{address} {number}", address) for number in range(count)]
+
+
+@pytest.fixture
+def world() -> World:
+    return World()
+
+
+def test_the_oldest_of_an_address_gives_way(world: World) -> None:
+    world.open_many(MOST_OF_ADDRESS)
+    assert world.dropped == []
+    world.open("new")
+    world.open("newer")
+    assert world.dropped == ["192.0.2.7 0", "192.0.2.7 1"]
+
+
+def test_the_addresses_of_one_subnet_of_ipv6_are_one(world: World) -> None:
+    for number in range(MOST_OF_ADDRESS + 1):
+        world.open(str(number), f"2001:db8::{number:x}")
+    assert world.dropped == ["0"]
+
+
+def test_among_many_addresses_the_one_with_the_most_gives_way(world: World) -> None:
+    world.open("alone", "198.51.100.1")
+    addresses = [f"192.0.2.{n}" for n in range(1 + MOST_STRANGERS // (MOST_OF_ADDRESS - 1))]
+    for address in addresses:
+        world.open_many(MOST_OF_ADDRESS - 1, address)
+    assert world.dropped
+    assert "alone" not in world.dropped
+    assert len(world.dropped) == (MOST_OF_ADDRESS - 1) * len(addresses) + 1 - MOST_STRANGERS
+
+
+def test_who_is_being_served_gives_way_last(world: World) -> None:
+    world.open("served", waiting=False)
+    world.open_many(MOST_OF_ADDRESS)
+    assert world.dropped == ["192.0.2.7 0"]
+    served = [world.open(f"served {n}", "198.51.100.1", waiting=False) for n in range(MOST_OF_ADDRESS + 1)]
+    assert world.dropped[1:] == ["served 0"]
+    assert len(served) == MOST_OF_ADDRESS + 1
+
+
+def test_an_account_is_no_stranger_wherever_it_comes_from(world: World) -> None:
+    for number in range(MOST_OF_ACCOUNT):
+        world.connections.identify(world.open(f"ann {number}"), "ann")
+    world.open_many(MOST_OF_ADDRESS)
+    assert world.dropped == []
+    world.connections.identify(world.open("one more"), "ann")
+    assert world.dropped == ["192.0.2.7 0", "ann 0"]
+
+
+def test_an_account_is_counted_once_for_each_connection(world: World) -> None:
+    connection = world.open("ann")
+    for _ in range(3):
+        world.connections.identify(connection, "ann")
+    world.connections.identify(connection, "ben")
+    assert connection.account == "ann"
+    world.connections.close(connection)
+    world.connections.close(connection)
+    assert world.connections._count == {True: 0, False: 0}
+
+
+def test_who_was_dropped_is_counted_no_more(world: World) -> None:
+    oldest, *_ = world.open_many(MOST_OF_ADDRESS + 1)
+    world.connections.identify(oldest, "ann")
+    world.connections.close(oldest)
+    assert world.connections._count == {True: 0, False: MOST_OF_ADDRESS}
+
+
+def test_a_trusted_proxy_has_more_than_a_stranger(world: World) -> None:
+    world.open_many(MOST_OF_ADDRESS * 2, "10.0.0.5")
+    assert world.dropped == []
+
+
+def test_there_is_an_end_to_accounts_too(world: World) -> None:
+    for number in range(MOST_IN_ALL):
+        world.connections.identify(world.open(str(number)), f"account {number // 300}")
+    assert world.dropped == []
+    world.open("new")
+    assert len(world.dropped) == 1
+
+
+def test_a_request_is_identified_where_the_server_offers_to() -> None:
+    seen: list[str] = []
+    identify({"extensions": {EXTENSION: seen.append}}, "ann")
+    identify({"type": "http"}, "ann")
+    assert seen == ["ann"]
+
+
+@pytest.mark.parametrize("awaited", WITHIN_S)
+def test_each_thing_owed_has_its_time(awaited: Awaited) -> None:
+    pace = Pace(1000.0, awaited)
+    assert not pace.is_overdue(1000.0 + WITHIN_S[awaited])
+    assert pace.is_overdue(1000.1 + WITHIN_S[awaited])
+    pace.expect(Awaited.NOTHING, 1000.0)
+    assert not pace.is_overdue(1e9)
+
+
+def test_a_body_earns_time_by_its_bytes_and_ends_some_time() -> None:
+    pace = Pace(0.0, Awaited.BODY, round(30 * LEAST_RATE))
+    assert not pace.is_overdue(30 + WITHIN_S[Awaited.BODY])
+    assert pace.is_overdue(31 + WITHIN_S[Awaited.BODY])
+    assert Pace(0.0, Awaited.BODY, 10**9).is_overdue(LONGEST_BODY_S + 1)
+    assert Pace(0.0, Awaited.HEAD, 10**9).is_overdue(WITHIN_S[Awaited.HEAD] + 1)
+
+
+def test_a_reader_keeps_the_least_rate_or_is_stuck() -> None:
+    enough = round(LEAST_RATE * STALL_S)
+    backlog = Backlog()
+    assert not backlog.is_stuck(10 * enough, 0.0)
+    assert not backlog.is_stuck(10 * enough, STALL_S - 1)
+    assert not backlog.is_stuck(9 * enough, STALL_S)
+    assert backlog.is_stuck(8 * enough + 1, 2 * STALL_S)
+    assert not backlog.is_stuck(0, 3 * STALL_S)
+    assert not backlog.is_stuck(1, 4 * STALL_S)
+    assert backlog.is_stuck(1, 5 * STALL_S)

@@ -1,0 +1,117 @@
+"""Turns at what costs much: one key does not wait for all that another has sent."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from app.server.fair_queue import FairQueue, TooManyWaitingError
+
+MOST_OF_ONE, MOST_WAITING = 5, 200
+
+
+class Scene:
+    """Everybody holds the turn until ``go`` says that one may end."""
+
+    def __init__(self, at_once: int = 1) -> None:
+        self.turns: FairQueue[str] = FairQueue(at_once, 1, MOST_OF_ONE, MOST_WAITING)
+        self.order: list[str] = []
+        self.running = 0
+        self.most_running = 0
+        self._go = asyncio.Semaphore(0)
+        self.tasks: list[asyncio.Task[None]] = []
+
+    async def _one(self, who: str, place: str, known: bool) -> None:
+        async with self.turns.turn(place, known=known):
+            self.order.append(who)
+            self.running += 1
+            self.most_running = max(self.most_running, self.running)
+            await self._go.acquire()
+            self.running -= 1
+
+    async def comes(self, who: str, place: str = "", *, known: bool = False) -> asyncio.Task[None]:
+        task = asyncio.create_task(self._one(who, place or who, known))
+        self.tasks.append(task)
+        await self.settle()
+        return task
+
+    async def settle(self) -> None:
+        for _ in range(10):
+            await asyncio.sleep(0)
+
+    async def all_end(self) -> list[str]:
+        for _ in self.tasks:
+            self._go.release()
+            await self.settle()
+        await asyncio.gather(*self.tasks, return_exceptions=True)
+        return self.order
+
+
+async def test_one_place_takes_one_turn_at_a_time() -> None:
+    scene = Scene(at_once=2)
+    for number in range(4):
+        await scene.comes(f"a{number}", "a")
+    assert scene.order == ["a0"]
+    await scene.comes("b0", "b")
+    assert scene.order == ["a0", "b0"]
+    assert await scene.all_end() == ["a0", "b0", "a1", "a2", "a3"]
+    assert scene.most_running == 2
+
+
+async def test_places_take_turns() -> None:
+    scene = Scene()
+    for number in range(4):
+        await scene.comes(f"a{number}", "a")
+    await scene.comes("b0", "b")
+    await scene.comes("c0", "c")
+    assert await scene.all_end() == ["a0", "a1", "b0", "c0", "a2", "a3"]
+
+
+async def test_a_place_that_is_known_waits_for_one_stranger_at_most() -> None:
+    """A hundred strangers held one lock for two seconds."""
+    scene = Scene()
+    for number in range(50):
+        await scene.comes(f"stranger{number}")
+    await scene.comes("ann", known=True)
+    order = await scene.all_end()
+    assert order.index("ann") <= 2
+
+
+async def test_what_waits_is_bounded() -> None:
+    scene = Scene()
+    await scene.comes("first", "a")
+    waiting = [await scene.comes(f"a{number}", "a") for number in range(MOST_OF_ONE)]
+    too_many = await scene.comes("one more", "a")
+    with pytest.raises(TooManyWaitingError):
+        await too_many
+    assert not any(task.done() for task in waiting)
+    for number in range(MOST_WAITING):
+        await scene.comes(f"stranger{number}")
+    refused = [task for task in scene.tasks if task.done()]
+    assert len(refused) > MOST_WAITING // 2
+    known = await scene.comes("ann", known=True)
+    assert not known.done(), "strangers leave room"
+    await scene.all_end()
+
+
+async def test_who_goes_away_while_waiting_holds_nothing_up() -> None:
+    scene = Scene()
+    await scene.comes("a")
+    gone = await scene.comes("b")
+    await scene.comes("c")
+    gone.cancel()
+    await scene.settle()
+    assert await scene.all_end() == ["a", "c"]
+
+
+async def test_who_goes_away_at_its_turn_gives_it_on() -> None:
+    scene = Scene()
+    first = await scene.comes("a")
+    second = await scene.comes("b")
+    await scene.comes("c")
+    first.cancel()
+    second.cancel()
+    await scene.settle()
+    assert "c" in scene.order
+    await scene.all_end()

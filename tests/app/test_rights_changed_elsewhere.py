@@ -1,0 +1,126 @@
+"""Rights that end in another process, or by themselves, are noticed once."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from app.audit.log import EventLog
+from app.auth import rules
+from app.auth.accounts import Accounts
+from app.auth.passwords import Passwords
+from app.auth.rights import Rights
+from app.database import Database
+from app.web.access import Role
+
+BY = {"by": "root", "origin": "test"}
+PASSWORD = "correct horse"
+
+
+class House:
+    """A server with its watch, and the command line beside it over the same store."""
+
+    def __init__(self, path: Path) -> None:
+        self.now = 1_000_000.0
+        self.passwords = Passwords()
+        self.stores = [Database(path), Database(path, checkpoints=False)]
+        self.here, self.elsewhere = (
+            Accounts(each, self.passwords, EventLog(each), lambda: self.now, buses=("dry-end",))
+            for each in self.stores
+        )
+        self.rights = Rights(self.stores[0], lambda: self.now)
+        self.told: list[str] = []
+
+        async def hear(account: str) -> None:
+            self.told.append(account)
+
+        self.rights.on_withdrawn(hear)
+        self.rights.on_changed(self.here.rechecks.now)
+        self.here.on_own_password(self.rights.refresh)
+
+    def close(self) -> None:
+        self.passwords.close()
+        for store in self.stores:
+            store.close()
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    house = House(tmp_path / "lineside.db")
+    await house.here.add_user("root", Role.ADMIN, PASSWORD, **BY)
+    await house.here.add_user("ann", Role.ENGINEER, PASSWORD, **BY)
+    await house.here.create_token("plc", Role.OPERATOR, **BY)
+    await house.rights.refresh()
+    assert house.told == []
+    await house.rights.refresh()
+    yield house
+    house.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "account"),
+    [
+        ("revoke", "plc (token)"),
+        ("role", "ann"),
+        ("disable", "ann"),
+        ("remove", "ann"),
+        ("password", "ann"),
+        ("replace", "plc (token)"),
+    ],
+)
+async def test_what_another_process_does_is_told(house: House, change: str, account: str) -> None:
+    there, looked = house.elsewhere, house.here.rechecks.count
+    match change:
+        case "revoke":
+            await there.revoke_token("plc", **BY)
+        case "role":
+            await there.set_role("ann", Role.VIEWER, **BY)
+        case "disable":
+            await there.set_disabled("ann", True, **BY)
+        case "remove":
+            await there.remove_user("ann", **BY)
+        case "password":
+            await there.set_password("ann", "another good one", **BY)
+        case "replace":
+            await there.revoke_token("plc", **BY)
+            house.now += 0.001
+            await there.create_token("plc", Role.OPERATOR, **BY)
+    assert house.told == []
+    await house.rights.refresh()
+    assert house.told == [account]
+    assert house.here.rechecks.count > looked, "open connections look again"
+    await house.rights.refresh()
+    assert house.told == [account]
+
+
+async def test_what_ends_no_rights_is_not_told(house: House) -> None:
+    await house.elsewhere.add_user("bob", Role.VIEWER, PASSWORD, **BY)
+    await house.elsewhere.create_token("hmi", Role.VIEWER, **BY)
+    await house.rights.refresh()
+    await house.stores[0].write(lambda c: c.execute("UPDATE users SET seen_at = 5"))
+    await house.rights.refresh()
+    assert house.told == []
+
+
+async def test_an_own_new_password_withdraws_nothing(house: House) -> None:
+    """A password that its owner changes keeps the session, and with it control of a line."""
+    keep = rules.secret_hash("session")
+    await house.here.set_password("ann", "another good one", keep=keep, **BY)
+    await house.rights.refresh()
+    await house.elsewhere.create_token("hmi", Role.VIEWER, **BY)
+    await house.rights.refresh()
+    assert house.told == []
+
+
+async def test_a_token_that_expires_is_told_once(house: House) -> None:
+    await house.here.create_token("short", Role.OPERATOR, expires_days=1, **BY)
+    await house.rights.refresh()
+    house.now += rules.DAY - 1
+    await house.rights.refresh()
+    assert house.told == []
+    house.now += 1
+    await house.rights.refresh()
+    await house.rights.refresh()
+    assert house.told == ["short (token)"]

@@ -1,0 +1,305 @@
+"""What an attacker does to a server, each in a process of its own:
+``python -m tests.attacks.attackers NAME URL SECONDS TOKENS`` (TOKENS: JSON, by role)."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+import sys
+import time
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from urllib.parse import urlsplit
+
+Attack = Callable[["Target"], Awaitable[None]]
+ATTACKS: dict[str, Attack] = {}
+HANDSHAKE = (
+    "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+    "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+)
+ERRORS = (OSError, EOFError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError)
+
+
+@dataclass
+class Target:
+    """A server, and what the attacker has stolen. ``end``: on the monotonic clock."""
+
+    host: str
+    port: int
+    tokens: dict[str, str]
+    end: float
+
+    @property
+    def goes_on(self) -> bool:
+        return time.monotonic() < self.end
+
+    def head(self, line: str, role: str = "", more: str = "") -> bytes:
+        """A request's head without its last empty line."""
+        token = f"Authorization: Bearer {self.tokens[role]}\r\n" if role else ""
+        return f"{line} HTTP/1.1\r\nHost: {self.host}:{self.port}\r\n{token}{more}".encode()
+
+    async def open(self, begun: bytes = b"") -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        reader, writer = await asyncio.open_connection(self.host, self.port)
+        writer.write(begun)
+        return reader, writer
+
+    async def ask(self, request: bytes) -> None:
+        """One request on a connection of its own; the response is read to its end."""
+        reader, writer = await self.open(request)
+        try:
+            await asyncio.wait_for(reader.read(), 30)
+        finally:
+            writer.close()
+
+
+def attack(function: Attack) -> Attack:
+    """Known by its name, with spaces."""
+    ATTACKS[function.__name__.replace("_", " ")] = function
+    return function
+
+
+async def many(target: Target, count: int, one: Callable[[int], Awaitable[None]]) -> None:
+    """So many at a time, each again and again until the end."""
+
+    async def again(number: int) -> None:
+        while target.goes_on:
+            begun = time.monotonic()
+            with suppress(*ERRORS):
+                await one(number)
+            await asyncio.sleep(0.02 if time.monotonic() - begun < 0.02 else 0)
+
+    await asyncio.gather(*(again(number) for number in range(count)))
+
+
+async def hold(target: Target, begun: bytes, more: bytes = b"", every_s: float = 1.0) -> None:
+    """Open a connection and keep it, with ``more`` now and then."""
+    _, writer = await target.open(begun)
+    try:
+        while target.goes_on and not writer.is_closing():
+            await asyncio.sleep(every_s)
+            writer.write(more)
+    finally:
+        writer.transport.abort()
+
+
+@attack
+async def nothing(target: Target) -> None:
+    await asyncio.sleep(target.end - time.monotonic())
+
+
+@attack
+async def connections_without_a_request(target: Target) -> None:
+    await many(target, 600, lambda _: hold(target, b""))
+
+
+@attack
+async def heads_without_an_end(target: Target) -> None:
+    await many(target, 600, lambda _: hold(target, target.head("GET /login"), b"X-A: b\r\n"))
+
+
+@attack
+async def bodies_without_an_end(target: Target) -> None:
+    head = target.head("POST /login", more="Content-Length: 50000\r\n") + b"\r\n"
+    await many(target, 600, lambda _: hold(target, head, b"x"))
+
+
+@attack
+async def chunks_without_an_end(target: Target) -> None:
+    head = target.head("POST /login", more="Transfer-Encoding: chunked\r\n") + b"\r\n"
+    await many(target, 200, lambda _: hold(target, head, b"1\r\nx\r\n", 0.05))
+
+
+@attack
+async def responses_nobody_reads(target: Target) -> None:
+    head = target.head("GET /api/v1/events.csv", "viewer") + b"\r\n"
+    await many(target, 200, lambda _: hold(target, head))
+
+
+@attack
+async def requests_by_the_thousand_at_once(target: Target) -> None:
+    await many(target, 8, lambda _: target.ask((target.head("GET /login") + b"\r\n") * 3000))
+
+
+@attack
+async def addresses_with_patterns(target: Target) -> None:
+    line = "GET /static/x/" + "%3A%20" * 150
+    await many(target, 12, lambda _: target.ask(target.head(line, more=GERMAN) + b"\r\n"))
+
+
+GERMAN = "Accept-Language: de\r\nAccept: text/html\r\nConnection: close\r\n"
+
+
+@attack
+async def queries_with_patterns(target: Target) -> None:
+    line = "GET /login?next=/&" + "%3B%20a%3A%20=" * 1200
+    await many(target, 12, lambda _: target.ask(target.head(line, more=GERMAN) + b"\r\n"))
+
+
+@attack
+async def cookies_to_unquote(target: Target) -> None:
+    cookie = 'Cookie: lineside_session="' + "\\\\" * 14_000 + '"\r\nConnection: close\r\n'
+    await many(target, 12, lambda _: target.ask(target.head("GET /login", more=cookie) + b"\r\n"))
+
+
+def post(target: Target, path: str, body: bytes, kind: str, role: str = "") -> bytes:
+    more = f"Content-Type: {kind}\r\nContent-Length: {len(body)}\r\nConnection: close\r\n"
+    return target.head(f"POST {path}", role, more) + b"\r\n" + body
+
+
+@attack
+async def forms_in_punycode(target: Target) -> None:
+    part = b'--b\r\nContent-Disposition: form-data; name="name"\r\n\r\n' + b"9" * 60_000 + b"\r\n--b--\r\n"
+    request = post(target, "/login", part, "multipart/form-data; charset=punycode; boundary=b")
+    await many(target, 12, lambda _: target.ask(request))
+
+
+@attack
+async def keys_by_the_thousand(target: Target) -> None:
+    body = ("{" + ",".join(f'"{n}":0' for n in range(24_000)) + ',"0":0}').encode()
+    path = "/api/v1/buses/line/units/1/speed"
+    requests = [post(target, path, body, "application/json", role) for role in ("viewer", "engineer")]
+    await many(target, 12, lambda number: target.ask(requests[number % 2]))
+
+
+@attack
+async def documents_of_a_megabyte(target: Target) -> None:
+    document = "".join(f"k{n} = 1\n" for n in range(110_000))
+    body = json.dumps({"document": document}).encode()
+    request = post(target, "/api/v1/buses/line/units/1/restores", body, "application/json", "engineer")
+    await many(target, 6, lambda _: target.ask(request))
+
+
+@attack
+async def keys_with_dots(target: Target) -> None:
+    body = json.dumps({"document": "a." * 500_000 + "a = 1"}).encode()
+    request = post(target, "/api/v1/buses/line/units/1/restores", body, "application/json", "engineer")
+    await many(target, 6, lambda _: target.ask(request))
+
+
+@attack
+async def searches(target: Target) -> None:
+    head = "GET /api/v1/events?limit=1000&search=no-such-word"
+    request = target.head(head, "viewer", "Connection: close\r\n") + b"\r\n"
+    await many(target, 12, lambda _: target.ask(request))
+
+
+@attack
+async def pages_of_a_thousand_events(target: Target) -> None:
+    request = target.head("GET /api/v1/events?limit=1000", "viewer", "Connection: close\r\n") + b"\r\n"
+    await many(target, 12, lambda _: target.ask(request))
+
+
+@attack
+async def downloads_of_events(target: Target) -> None:
+    request = target.head("GET /api/v1/events.csv", "viewer", "Connection: close\r\n") + b"\r\n"
+    await many(target, 12, lambda _: target.ask(request))
+
+
+@attack
+async def tokens_to_guess(target: Target) -> None:
+    more = "Authorization: Bearer guess\r\nConnection: close\r\n"
+    await many(target, 12, lambda _: target.ask(target.head("GET /api/v1/line", more=more) + b"\r\n"))
+
+
+@attack
+async def pages_without_a_sign_in(target: Target) -> None:
+    await many(target, 12, lambda _: target.ask(target.head("GET /login", more=GERMAN) + b"\r\n"))
+
+
+def frame(opcode: int, payload: bytes = b"", size: int | None = None) -> bytes:
+    """As a client sends it (RFC 6455, 5.2), masked with zeros; ``size``: what it says of itself."""
+    size = len(payload) if size is None else size
+    length = bytes([0x80 | size]) if size < 126 else struct.pack("!BQ", 0x80 | 127, size)
+    return bytes([opcode]) + length + b"\0\0\0\0" + payload
+
+
+async def live(target: Target, flood: bytes, every_s: float, *, reads: bool) -> None:
+    """A page that sends ``flood`` again and again."""
+    origin = f"Origin: http://{target.host}:{target.port}\r\n"
+    reader, writer = await target.open(target.head("GET /live", "viewer", origin + HANDSHAKE) + b"\r\n")
+    reading = asyncio.create_task(_read(reader)) if reads else None
+    try:
+        while target.goes_on and not writer.is_closing():
+            writer.write(flood)
+            await asyncio.wait_for(writer.drain(), 10)
+            await asyncio.sleep(every_s)
+    finally:
+        writer.transport.abort()
+        if reading is not None:
+            reading.cancel()
+
+
+async def _read(reader: asyncio.StreamReader) -> None:
+    with suppress(*ERRORS):
+        while await reader.read(65536):
+            pass
+
+
+SNAPSHOT = frame(0x81, b'{"want":"snapshot"}')
+EVERYTHING = frame(0x81, json.dumps({"units": [f"line/{n}" for n in range(1, 256)]}).encode())
+
+
+@attack
+async def snapshots_without_end(target: Target) -> None:
+    await many(target, 20, lambda _: live(target, SNAPSHOT * 2000, 1.0, reads=False))
+
+
+@attack
+async def snapshots_at_the_limit(target: Target) -> None:
+    await many(target, 50, lambda _: live(target, SNAPSHOT, 0.2, reads=True))
+
+
+@attack
+async def pages_by_the_hundred(target: Target) -> None:
+    await many(target, 400, lambda _: live(target, EVERYTHING, 2.0, reads=True))
+
+
+@attack
+async def pages_that_turn(target: Target) -> None:
+    turning = EVERYTHING + frame(0x81, b"{}")
+    await many(target, 50, lambda _: live(target, turning, 0.25, reads=True))
+
+
+@attack
+async def pages_that_open_and_close(target: Target) -> None:
+    async def open_and_close(_: int) -> None:
+        begun = target.head(
+            "GET /live", "viewer", f"Origin: http://{target.host}:{target.port}\r\n" + HANDSHAKE
+        )
+        reader, writer = await target.open(begun + b"\r\n")
+        try:
+            await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 10)
+        finally:
+            writer.transport.abort()
+
+    await many(target, 12, open_and_close)
+
+
+@attack
+async def pings_without_end(target: Target) -> None:
+    await many(target, 20, lambda _: live(target, frame(0x89, b"x" * 100) * 2000, 0.05, reads=False))
+
+
+@attack
+async def frames_of_a_hundred_megabytes(target: Target) -> None:
+    flood = frame(0x81, b"x" * 60_000, size=100_000_000)
+    await many(target, 20, lambda _: live(target, flood, 0.05, reads=True))
+
+
+@attack
+async def fragments_without_end(target: Target) -> None:
+    await many(target, 20, lambda _: live(target, frame(0x01) + frame(0x00) * 5000, 0.05, reads=True))
+
+
+async def main(name: str, url: str, seconds: float, tokens: dict[str, str]) -> None:
+    """Attack for so long."""
+    parts = urlsplit(url)
+    target = Target(parts.hostname or "", parts.port or 80, tokens, time.monotonic() + seconds)
+    with suppress(TimeoutError):
+        await asyncio.wait_for(ATTACKS[name](target), seconds + 1)
+
+
+if __name__ == "__main__":
+    asyncio.run(main(sys.argv[1], sys.argv[2], float(sys.argv[3]), json.loads(sys.argv[4])))

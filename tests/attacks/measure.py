@@ -1,0 +1,214 @@
+"""What others notice of an attack: ``python -m tests.attacks.measure [NAME…]`` prints a table.
+
+For each attack: the longest of a hundred waits (p99) of another client's ``/healthz`` and of an operator's
+command, what the server's memory grew by, and whether the bus worker kept its link.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import httpx
+
+from app.audit.log import EventLog
+from app.database import Database
+from tests.attacks.attackers import ATTACKS
+from tests.e2e.site import Site, site
+
+SLOWEST_S = 0.25
+MOST_GROWTH_MIB = 20.0
+PROBE_EVERY_S = 0.05
+SETTLE_S = 2.0
+EVENTS, CHUNK = 300_000, 5000
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass
+class Waits:
+    """How long each request of one kind took, seconds; what failed is as long as its limit."""
+
+    taken: list[float] = field(default_factory=list)
+    failed: list[str] = field(default_factory=list)
+
+    @property
+    def p99(self) -> float:
+        """The wait that one in a hundred exceeds."""
+        return sorted(self.taken)[max(0, math.ceil(len(self.taken) * 0.99) - 1)] if self.taken else math.inf
+
+
+@dataclass
+class Measured:
+    """One attack as the others saw it."""
+
+    attack: str
+    health: Waits
+    command: Waits
+    growth_mib: float
+    links_lost: int
+    after: float
+    """How long ``/healthz`` took once the attacker had stopped, seconds."""
+
+    @property
+    def faults(self) -> list[str]:
+        """What is not as it must be, in words."""
+        found = [f"healthz: {fault}" for fault in self.health.failed[:3]]
+        found += [f"command: {fault}" for fault in self.command.failed[:3]]
+        found += ["the worker's link was lost"] * bool(self.links_lost)
+        if self.growth_mib > MOST_GROWTH_MIB:
+            found.append(f"memory grew by {self.growth_mib:.0f} MiB")
+        return found
+
+    @property
+    def is_quick(self) -> bool:
+        """Whether nobody waited longer than `SLOWEST_S`."""
+        return max(self.health.p99, self.command.p99, self.after) <= SLOWEST_S
+
+    @property
+    def row(self) -> str:
+        """One line of the table."""
+        times = "".join(f"{1000 * wait:9.0f}" for wait in (self.health.p99, self.command.p99, self.after))
+        kept = "lost" if self.links_lost else "kept"
+        return f"{self.attack:<40}{times}{self.growth_mib:10.1f}  {kept:<6}{'; '.join(self.faults)}"
+
+
+HEADING = (
+    f"{'attack':<40}{'healthz':>9}{'command':>9}{'after':>9}{'memory':>10}  link\n"
+    f"{'':<40}{'p99 ms':>9}{'p99 ms':>9}{'ms':>9}{'+MiB':>10}"
+)
+
+
+def measure(target: Site, attack: str, seconds: float) -> Measured:
+    """Attack the site for so long, and ask it meanwhile as others do."""
+    assert target.server is not None
+    before, lost = memory_mib(target.server.pid), links_lost(target)
+    most = [before]
+    health, command = Waits(), Waits()
+    with attacking(target, attack, seconds) as is_over:
+        threads = [
+            threading.Thread(target=probe, args=(ask, waits, is_over))
+            for ask, waits in ((asks_health(target), health), (commands(target), command))
+        ]
+        for thread in threads:
+            thread.start()
+        while not is_over():
+            most.append(memory_mib(target.server.pid))
+            time.sleep(0.1)
+        for thread in threads:
+            thread.join()
+    begun = time.monotonic()
+    asks_health(target)()
+    after = time.monotonic() - begun
+    time.sleep(SETTLE_S)
+    return Measured(attack, health, command, max(most) - before, links_lost(target) - lost, after)
+
+
+@contextmanager
+def attacking(target: Site, attack: str, seconds: float) -> Iterator[Callable[[], bool]]:
+    """An attacker of its own process; the function that is given says whether it has ended."""
+    command = [sys.executable, "-m", "tests.attacks.attackers", attack, target.url, str(seconds)]
+    process = subprocess.Popen(
+        [*command, json.dumps(target.tokens)], cwd=ROOT, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        yield lambda: process.poll() is not None
+        _, said = process.communicate()
+        assert process.returncode == 0, said
+    finally:
+        process.kill()
+        process.wait()
+
+
+def probe(ask: Callable[[], None], waits: Waits, is_over: Callable[[], bool]) -> None:
+    """Ask again and again until it is over."""
+    while not is_over():
+        begun = time.monotonic()
+        try:
+            ask()
+        except (httpx.HTTPError, AssertionError) as error:
+            waits.failed.append(f"{type(error).__name__} {error}".strip())
+        waits.taken.append(time.monotonic() - begun)
+        time.sleep(PROBE_EVERY_S)
+
+
+def asks_health(target: Site) -> Callable[[], None]:
+    """A client that is not signed in, on a connection of its own each time."""
+
+    def ask() -> None:
+        answer = httpx.get(f"{target.url}/healthz", trust_env=False, timeout=30)
+        assert answer.json() == {"status": "ok"}, answer.text
+
+    return ask
+
+
+def commands(target: Site) -> Callable[[], None]:
+    """An operator who switches an output, each time to the other state."""
+    client, states = target.api("operator"), [True, False]
+
+    def ask() -> None:
+        states.reverse()
+        answer = client.put("/buses/line/units/1/outputs/1", json={"on": states[0]})
+        assert answer.json().get("outcome") == "verified", answer.text[:200]
+
+    return ask
+
+
+def memory_mib(process: int) -> float:
+    """Resident memory."""
+    pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def links_lost(target: Site) -> int:
+    """How often a bus worker was lost, by the events."""
+    with target.api() as client:
+        events: list[dict[str, Any]] = client.get("/events?kind=worker&limit=1000").json()["events"]
+    return sum(event["new"] == "gone" for event in events)
+
+
+def fill_the_log(target: Site, events: int) -> None:
+    """So many events, as of years, while the server is stopped."""
+    target.stop()
+    database = Database(target.folder / "data" / "lineside.db", synchronous="NORMAL")
+    said = {"who": "operator", "origin": "page", "bus": "line", "what": "set speed"}
+    intents = [{**said, "unit": number % 4 + 1, "new": f"{number}.0"} for number in range(CHUNK)]
+
+    async def fill() -> None:
+        for _ in range(events // CHUNK):
+            await EventLog(database).intend_together(intents)
+
+    try:
+        asyncio.run(fill())
+    finally:
+        database.close()
+    target.start()
+    target.wait_for_units()
+
+
+def main(names: list[str], seconds: float = 20.0) -> int:
+    """Print the table; 1 where a figure is not kept."""
+    print(HEADING, flush=True)
+    faulty = 0
+    with TemporaryDirectory() as folder, site(Path(folder), 4) as target:
+        fill_the_log(target, EVENTS)
+        for name in names or ATTACKS:
+            measured = measure(target, name, seconds)
+            faulty += bool(measured.faults) or not measured.is_quick
+            print(measured.row, flush=True)
+    return int(faulty > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

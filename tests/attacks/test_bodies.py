@@ -1,0 +1,198 @@
+"""Bodies that cost more than they weigh, and who may send one at all."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import httpx
+import pytest
+from starlette.types import Message, Scope
+
+from app.sets.document import MOST_DOTTED, DocumentError, read_document
+from app.web.access import Role
+from app.web.bounds import (
+    LONGEST_CONTENT_TYPE,
+    LONGEST_QUERY,
+    MOST_BODY_BYTES,
+    MOST_PARAMETERS,
+    MOST_PLAIN_BODY_BYTES,
+)
+from tests.app.whole_app import House, whole_app
+
+SPEED = "/api/v1/buses/dry-end/units/1/speed"
+RESTORES = "/api/v1/buses/dry-end/units/1/restores"
+CPU_S = 1.0
+"""Of this thread, many times what any of these takes; the attack took seconds to minutes."""
+JSON = {"content-type": "application/json"}
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+async def cpu_s(client: httpx.AsyncClient, status: int, path: str, content: bytes, **headers: str) -> float:
+    """What a request takes of the event loop's thread; it is answered with ``status``."""
+    begun = time.thread_time()
+    answer = await client.post(path, content=content, headers=headers)
+    taken = time.thread_time() - begun
+    assert answer.status_code == status, answer.text[:200]
+    return taken
+
+
+@pytest.mark.parametrize("path", [SPEED, RESTORES])
+async def test_keys_by_the_thousand_cost_no_more_than_their_length(house: House, path: str) -> None:
+    engineer = await house.program(Role.ENGINEER)
+    size = MOST_BODY_BYTES if path == RESTORES else MOST_PLAIN_BODY_BYTES
+    keys = ",".join(f'"{n:06}":0' for n in range(size // 11 - 2))
+    assert await cpu_s(engineer, 422, path, f"{{{keys}}}".encode(), **JSON) < CPU_S
+
+
+async def test_the_last_of_many_keys_is_found_to_be_there_twice(house: House) -> None:
+    engineer = await house.program(Role.ENGINEER)
+    keys = ",".join(f'"{n}":0' for n in range(900))
+    answer = await engineer.post(SPEED, content=f'{{{keys},"899":0}}'.encode(), headers=JSON)
+    assert (answer.status_code, "'899': it is given twice" in answer.json()["detail"]) == (422, True)
+
+
+@pytest.mark.parametrize("part", ["[", '{"a":', "[{}", '{"a":[', "1,", '"\\ud800",'])
+async def test_what_is_nested_without_end_is_malformed(house: House, part: str) -> None:
+    engineer = await house.program(Role.ENGINEER)
+    content = (part * MOST_PLAIN_BODY_BYTES)[:MOST_PLAIN_BODY_BYTES].encode()
+    assert await cpu_s(engineer, 422, SPEED, content, **JSON) < CPU_S
+
+
+async def test_a_key_of_half_a_surrogate_pair_is_answered(house: House) -> None:
+    engineer = await house.program(Role.ENGINEER)
+    for body in (b'{"raw": 1, "\\ud800": 2}', b'{"\\ud800": 1, "\\ud800": 2}'):
+        answer = await engineer.post(SPEED, content=body, headers=JSON)
+        assert (answer.status_code, answer.json()["code"]) == (422, "invalid")
+
+
+async def test_a_body_with_many_faults_is_answered_with_the_first(house: House) -> None:
+    engineer = await house.program(Role.ENGINEER)
+    answer = await engineer.post(SPEED, json={f"k{n}": 0 for n in range(900)})
+    assert (answer.status_code, len(answer.json()["errors"])) == (422, 20)
+
+
+@pytest.mark.parametrize("path", [SPEED, RESTORES, "/units/dry-end/1/restore", "/setpoints/review"])
+@pytest.mark.parametrize("role", [None, Role.VIEWER])
+async def test_who_may_not_is_refused_before_the_body_is_read(
+    house: House, path: str, role: Role | None
+) -> None:
+    token = {"Authorization": f"Bearer {await house.token(role)}"} if role else {}
+    headers = {"host": "plant.example", "content-type": "application/json", "content-length": "5", **token}
+    scope: Scope = {
+        "type": "http",
+        "asgi": {"version": "3.0"},
+        "http_version": "1.1",
+        "method": "POST",
+        "scheme": "http",
+        "path": path,
+        "raw_path": path.encode(),
+        "root_path": "",
+        "query_string": b"",
+        "headers": [(name.lower().encode(), value.encode()) for name, value in headers.items()],
+        "client": ("192.0.2.7", 1),
+        "server": ("plant.example", 80),
+    }
+    sent: list[Message] = []
+
+    async def receive() -> Message:
+        raise AssertionError("the body was read")
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    await house.app(scope, receive, send)
+    assert sent[0]["status"] == (403 if role else 303 if not path.startswith("/api/") else 401)
+
+
+async def test_only_what_carries_a_file_may_be_large(house: House) -> None:
+    engineer = await house.program(Role.ENGINEER)
+    large = json.dumps({"document": "x" * MOST_PLAIN_BODY_BYTES}).encode()
+    assert (await engineer.post(SPEED, content=large, headers=JSON)).status_code == 413
+    answer = await engineer.post(RESTORES, content=large, headers=JSON)
+    assert (answer.status_code, "not readable as TOML" in answer.text) == (422, True)
+
+
+@pytest.mark.parametrize("charset", ["punycode", "utf-8", "idna", '"utf-7"'])
+async def test_the_parts_of_a_form_are_decoded_by_no_codec_of_the_senders_choice(
+    house: House, charset: str
+) -> None:
+    part = b'--b\r\nContent-Disposition: form-data; name="name"\r\n\r\n' + b"9" * 50_000 + b"\r\n--b--\r\n"
+    kind = f"multipart/form-data; charset={charset}; boundary=b"
+    assert await cpu_s(house.client(), 415, "/login", part, **{"content-type": kind}) < CPU_S
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "status"),
+    [
+        ("cookie", 'lineside_session="' + "\\\\" * 15_000 + '"', 401),
+        ("cookie", 'x="' + "\\\\" * 15_000 + '"; y', 401),
+        ("cookie", "a=b;" * 7000, 401),
+        ("content-type", "multipart/form-data" + ";" * 30_000, 415),
+        ("content-type", "multipart/form-data; boundary=" + "b" * LONGEST_CONTENT_TYPE, 415),
+        ("authorization", "Bearer " + "a " * 15_000, 401),
+        ("accept-language", "de;q=0.1," * 3000, 401),
+        ("referer", "http://" + "[" * 30_000, 401),
+        ("hx-current-url", "http://" + "@:" * 15_000, 401),
+        ("origin", "http://" + "[" * 30_000, 403),
+        ("host", "[" * 30_000, 401),
+        ("lineside-asked-at", "9" * 30_000, 401),
+    ],
+)
+async def test_no_header_costs_more_than_its_length(house: House, name: str, value: str, status: int) -> None:
+    headers = {"accept": "application/json", "hx-request": "true", name: value}
+    assert await cpu_s(house.client(), status, "/login" if status == 415 else SPEED, b"", **headers) < CPU_S
+
+
+@pytest.mark.parametrize("query", ["a" * (LONGEST_QUERY + 1), "&" * (MOST_PARAMETERS + 1), "a&" * 9000])
+async def test_an_address_beyond_any_page_is_refused(house: House, query: str) -> None:
+    answer = await house.client().get(f"/login?{query}")
+    assert (answer.status_code, answer.json()["code"]) == (414, "too_long")
+
+
+@pytest.mark.parametrize("number", ["9" * 5000, "\u0661", "1_0", "+1", " 1"])
+async def test_no_number_of_an_address_makes_the_server_fail(house: House, number: str) -> None:
+    client = await house.signed_in(Role.ENGINEER)
+    body = {"name": "n", "setpoints": {number: 1}}
+    answer = await client.post("/api/v1/buses/dry-end/recipes", json=body)
+    assert (answer.status_code, answer.json()["code"]) == (422, "invalid")
+    for path in (
+        f"/api/v1/history/series?series=dry-end/{number}/actual",
+        f"/sets/compare?one=set:{number}:1&other=set:1:{number}",
+        f"/events?unit={number[:3]}&before={number[:18]}",
+    ):
+        assert (await client.get(path)).status_code in (200, 404, 422), path
+    for data in ({"source": f"{number}:1"}, {"source": f"1:{number}"}):
+        assert (await client.post("/units/dry-end/1/restore", data=data)).status_code in (404, 422)
+    batch = {"number": number, f"unit-{number}": "1"}
+    assert (await client.post("/batch/dry-end/review", data=batch)).status_code in (404, 422)
+
+
+@pytest.mark.parametrize(
+    "line", ["a." * 3000 + "a = 1\n", '"a".' * 3000 + "a = 1\n", "[" + "a." * 3000 + "b]\n"]
+)
+def test_a_key_of_many_parts_costs_no_more_than_its_length(line: str) -> None:
+    begun = time.thread_time()
+    with pytest.raises(DocumentError, match="too many dotted parts"):
+        read_document(line)
+    assert time.thread_time() - begun < CPU_S
+
+
+def test_a_comment_may_have_as_many_dots_as_it_likes() -> None:
+    assert MOST_DOTTED > 1000**2
+    with pytest.raises(DocumentError, match="lacks format"):
+        read_document('comment = "' + "." * 1000 + '"')
+
+
+async def test_a_document_is_read_beside_the_loop(house: House) -> None:
+    engineer = await house.program(Role.ENGINEER)
+    document = "".join(f"k{n} = 1\n" for n in range(20_000))
+    content = json.dumps({"document": document}).encode()
+    assert await cpu_s(engineer, 422, RESTORES, content, **JSON) < 0.1

@@ -1,0 +1,283 @@
+"""A compromised worker against the app: whatever it sends, nothing fails, and every page still answers."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import time
+import tracemalloc
+from collections.abc import Iterator, Sequence
+from contextlib import AsyncExitStack
+from pathlib import Path
+from uuid import uuid4
+
+import httpx
+import msgspec
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from structlog.testing import capture_logs
+
+from app.audit.store import Filter
+from app.feed.holders import Credential
+from app.feed.workers import WorkerLeft
+from app.live.browser import Browser
+from app.web.access import Role
+from bus.contract import (
+    MOST_UPDATES,
+    AppMessage,
+    Batch,
+    BusLink,
+    Command,
+    Frame,
+    Frames,
+    ParameterValue,
+    Result,
+    SetSpeed,
+    Snapshot,
+    Update,
+    encode,
+)
+from tests.app.stage import hello, reading, snapshot
+from tests.app.whole_app import House, whole_app
+from tests.attacks.hostile import COMMAND_ID, GARBAGE, batches, broken, encoded, of_type
+
+BUS = "dry-end"
+PAGES = (
+    *("/", "/units/dry-end/1", "/units/dry-end/1/parameters", "/setpoints", "/bus/dry-end", "/events"),
+    *("/trends", "/sets", "/recipes", "/users", "/metrics", "/api/v1/line", "/api/v1/events"),
+    *("/api/v1/events.csv", "/api/v1/buses/dry-end/units/1", "/api/v1/buses/dry-end/units/1/parameters"),
+    "/api/v1/buses/dry-end/figures",
+    "/api/v1/history?bus=dry-end&unit=1&value=actual&from=2020-01-01T00:00:00Z&to=2100-01-01T00:00:00Z",
+)
+SNAPSHOTS = of_type(msgspec.inspect.type_info(Snapshot))
+BATCHES = batches(2**53)
+PLAUSIBLE = st.tuples(encoded(SNAPSHOTS), *(encoded(batches(2**53 - seq)) for seq in (3, 2, 1)))
+MESSAGES = st.one_of(
+    encoded(BATCHES), encoded(SNAPSHOTS), encoded(broken(BATCHES)), encoded(broken(SNAPSHOTS)), GARBAGE
+)
+
+
+class HostileSocket:
+    """Gives what it was made with, and then leaves."""
+
+    def __init__(self, messages: Sequence[bytes]) -> None:
+        self._messages = list(messages)
+        self.sent: list[AppMessage] = []
+        self.reason: str | None = None
+
+    async def receive(self) -> bytes:
+        if self.reason is not None:
+            raise ConnectionError("closed")
+        if not self._messages:
+            raise WorkerLeft
+        return self._messages.pop(0)
+
+    async def send(self, message: AppMessage) -> None:
+        self.sent.append(message)
+
+    async def close(self, reason: str) -> None:
+        self.reason = reason
+
+
+class Scene:
+    """The whole app with an open page in German that follows the trace, and an admin who looks at all."""
+
+    def __init__(self, house: House, admin: httpx.AsyncClient) -> None:
+        self.house = house
+        self.admin = admin
+        self.page = Browser("ada", "admin", "de", units=frozenset({(BUS, 1)}), trace=BUS)
+        house.services.hub.join(self.page)
+        self._skipped_s = 0.0
+        house.services.workers._monotonic = lambda: time.monotonic() + self._skipped_s
+
+    async def attack(self, *messages: bytes) -> HostileSocket:
+        """One connection that sends them after a hello; the worker before is gone for long."""
+        return await self.serve(HostileSocket([encode(hello(uuid4().hex)), *messages]))
+
+    async def serve(self, socket: HostileSocket) -> HostileSocket:
+        """One connection, by another token each time; nothing behind it fails unnoticed."""
+        self._skipped_s += 60.0
+        with capture_logs() as logs:
+            await self.house.services.workers.serve(socket, Credential(uuid4().hex, BUS, "192.0.2.66"))
+        assert [entry for entry in logs if entry["log_level"] == "error"] == []
+        return socket
+
+    async def look_at_everything(self) -> None:
+        """An exception in a page comes through to the test."""
+        self.house.services.hub.tick()
+        for path in PAGES:
+            answer = await self.admin.get(path)
+            assert answer.status_code == 200, (path, answer.status_code, answer.text[:500])
+
+
+@pytest.fixture(scope="module")
+def runner() -> Iterator[asyncio.Runner]:
+    with asyncio.Runner() as runner:
+        yield runner
+
+
+@pytest.fixture(scope="module")
+def scene(runner: asyncio.Runner, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
+    async def begin(folder: Path) -> tuple[AsyncExitStack, Scene]:
+        stack = AsyncExitStack()
+        house = await stack.enter_async_context(whole_app(folder))
+        return stack, Scene(house, await house.signed_in(Role.ADMIN, "ada"))
+
+    stack, scene = runner.run(begin(tmp_path_factory.mktemp("attack")))
+    yield scene
+    runner.run(stack.aclose())
+
+
+@settings(suppress_health_check=[HealthCheck.too_slow], max_examples=20)
+@given(plausible=PLAUSIBLE, messages=st.lists(MESSAGES, max_size=3))
+def test_no_message_of_a_worker_breaks_the_app_or_a_page(
+    runner: asyncio.Runner, scene: Scene, plausible: tuple[bytes, ...], messages: list[bytes]
+) -> None:
+    async def attack() -> None:
+        await scene.attack(*plausible, *messages)
+        await scene.look_at_everything()
+
+    runner.run(attack())
+
+
+@given(first=st.one_of(encoded(BATCHES), GARBAGE))
+def test_no_first_message_does_either(runner: asyncio.Runner, scene: Scene, first: bytes) -> None:
+    async def attack() -> None:
+        assert (await scene.serve(HostileSocket([first]))).sent == []
+
+    runner.run(attack())
+
+
+@pytest.mark.parametrize("decimals", [10, 255, 2**32 - 1])
+def test_decimals_that_no_value_can_have_are_not_believed(
+    runner: asyncio.Runner, scene: Scene, decimals: int
+) -> None:
+    """Ten to the power of #3 took for ever."""
+
+    async def attack() -> None:
+        now = time.time()
+        values: list[Update] = [ParameterValue(1, 3, now, decimals), ParameterValue(1, 2, now, 2**32 - 1)]
+        await scene.attack(encode(snapshot()), encode(Batch(1, now, [*values, reading(1, 2**32 - 1)])))
+        await scene.look_at_everything()
+
+    runner.run(attack())
+
+
+def test_values_from_outside_the_window_are_refused_and_counted(runner: asyncio.Runner, scene: Scene) -> None:
+    async def attack() -> None:
+        now = time.time()
+        updates: list[Update] = [
+            msgspec.structs.replace(reading(1, 7777), at=at) for at in (now + 3600, now - 9 * 86_400, 0.0)
+        ]
+        unknown = [reading(200, 7777)]
+        await scene.attack(encode(snapshot()), encode(Batch(1, now, [*updates, *unknown])))
+        unit = (await scene.admin.get("/api/v1/buses/dry-end/units/1")).json()
+        assert unit["commanded_raw"] != 7777
+        await scene.house.services.pipeline.recorded()
+        events, _ = await scene.house.services.events.page(Filter(kind="worker"), 10)
+        refused = [event for event in events if event["what"] == "updates of the bus worker refused"]
+        assert refused[0]["new"] == "4"
+
+    runner.run(attack())
+
+
+def test_a_state_without_a_plausible_time_still_holds(runner: asyncio.Runner, scene: Scene) -> None:
+    async def attack() -> None:
+        closed = BusLink(at=time.time() + 1e9, link="closed", cause="cut")
+        live, seen = scene.house.services.live, []
+        end = live.subscribe(lambda _, updates: seen.extend(updates))
+        await scene.attack(encode(snapshot()), encode(Batch(1, time.time(), [closed])))
+        end()
+        (taken,) = [update for update in seen if isinstance(update, BusLink) and update.cause == "cut"]
+        assert taken.link == "closed"
+        assert taken.at < time.time() + 60
+
+    runner.run(attack())
+
+
+def test_a_batch_larger_than_any_worker_makes_is_no_message(runner: asyncio.Runner, scene: Scene) -> None:
+    async def attack() -> None:
+        many = Batch(1, time.time(), [reading(1)] * (MOST_UPDATES + 1))
+        socket = await scene.attack(encode(snapshot()), encode(many))
+        assert socket.reason is not None
+        assert f"length <= {MOST_UPDATES}" in socket.reason
+
+    runner.run(attack())
+
+
+def test_only_the_parts_of_a_result_that_belong_to_its_command_count(
+    runner: asyncio.Runner, scene: Scene
+) -> None:
+    async def attack() -> None:
+        channel = scene.house.services.workers.channels[BUS]
+        frame = Frame(time.time(), "in", b"\x10\x02", [])
+        values = [ParameterValue(1, 20, time.time(), 4711)]
+
+        class Answering(HostileSocket):
+            async def send(self, message: AppMessage) -> None:
+                if isinstance(message, Command):
+                    forged = Result(message.id, 0.0, "verified", values=values, frames=[frame] * 2_000)
+                    self._messages.append(encode(Batch(1, time.time(), [forged])))
+                    told.set()
+
+            async def receive(self) -> bytes:
+                if not self._messages:
+                    opened.set()
+                    await told.wait()
+                return await super().receive()
+
+        told, opened = asyncio.Event(), asyncio.Event()
+        socket = Answering([encode(hello(uuid4().hex)), encode(snapshot())])
+        serving = asyncio.create_task(scene.serve(socket))
+        async with asyncio.timeout(20):
+            await opened.wait()
+            result = await channel.ask(Command(COMMAND_ID, time.time() + 5, SetSpeed(1, 5)))
+            await serving
+        assert (result.outcome, result.values, len(result.frames)) == ("verified", [], 300)
+        assert abs(result.at - time.time()) < 60
+
+    runner.run(attack())
+
+
+def test_a_flood_of_events_is_summed_up(runner: asyncio.Runner, scene: Scene) -> None:
+    """Every reading with another mode, run input and e-stop: three events each into a log that is kept."""
+
+    async def attack() -> None:
+        events = scene.house.services.events
+        before = (await events.page(Filter(), 1))[0][0]["id"]
+        flips: list[Update] = [
+            msgspec.structs.replace(reading(1), outputs=0x40 * (n % 2), inputs=3 * (n % 2))
+            for n in range(MOST_UPDATES)
+        ]
+        batches = [encode(Batch(seq, time.time(), flips)) for seq in range(1, 7)]
+        await scene.attack(encode(snapshot()), *batches)
+        await scene.house.services.pipeline.recorded()
+        found, _ = await events.page(Filter(), 1000)
+        fresh = [event for event in found if event["id"] > before]
+        assert len(fresh) < 100
+        summary = next(event for event in fresh if event["kind"] == "estop" and event["message"])
+        assert summary["message"].startswith("the last of 29")
+
+    runner.run(attack())
+
+
+def test_memory_does_not_grow_with_what_a_worker_sends(runner: asyncio.Runner, scene: Scene) -> None:
+    async def attack() -> None:
+        for _ in range(2):
+            frames = [Frame(time.time(), "in", bytes(1024), []) for _ in range(100)]
+            await scene.attack(
+                encode(snapshot()),
+                *(encode(Batch(seq, time.time(), [Frames(frames)])) for seq in range(1, 20)),
+            )
+
+    scene.page.trace = ""  # nobody reads what this page is told, so it would keep some of it
+    tracemalloc.start()
+    runner.run(attack())
+    gc.collect()
+    before, _ = tracemalloc.get_traced_memory()
+    runner.run(attack())
+    gc.collect()
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 1_000_000, "it sent 4 MB"

@@ -1,0 +1,123 @@
+"""A compromised app against a worker: the line goes on being polled, and memory is bounded."""
+
+from __future__ import annotations
+
+import asyncio
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus.contract import (
+    AppMessage,
+    Clock,
+    Command,
+    ReadTrace,
+    Result,
+    SetSpeed,
+    WantSnapshot,
+    decode_from_app,
+    encode,
+)
+from bus.contract import MalformedMessageError as Malformed
+from bus.worker.deadline import AppClock
+from bus.worker.outbox import Outbox
+from bus.worker.service import FATES_KEPT, MOST_COMMANDS, MOST_TRACES
+from bus.worker.uplink import MESSAGES_AT_ONCE, MESSAGES_PER_S, Uplink
+from tests.attacks.hostile import GARBAGE, broken, encoded, of_type
+from tests.bus.fake_app import TOKEN
+from tests.bus.test_uplink import Desk
+from tests.bus.virtual_line import EPOCH, VirtualLine, run, run_virtually
+
+MESSAGES = of_type(msgspec.inspect.type_info(AppMessage))
+
+
+@given(st.lists(st.one_of(encoded(MESSAGES), encoded(broken(MESSAGES)), GARBAGE), min_size=5, max_size=20))
+def test_no_message_of_the_app_breaks_the_worker(messages: list[bytes]) -> None:
+    async def scene(line: VirtualLine) -> None:
+        uplink = Uplink(
+            "http://app", TOKEN, line.worker.outbox, line.worker, line.worker.app_clock, lambda: 0.0
+        )
+        for data in messages:
+            try:
+                uplink._take(decode_from_app(data))
+            except Malformed:
+                continue
+        line.worker.app_clock = type(line.worker.app_clock)()
+        seen = len(line.readings())
+        await line.until(lambda: len(line.readings()) > seen + 3)
+
+    run(scene, 2)
+
+
+def test_more_commands_than_anybody_asks_for_are_not_taken() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await line.until(lambda: line.readings(1))
+        asked = [line.command(SetSpeed(1, 640), timeout_s=3600.0) for _ in range(MOST_COMMANDS + 50)]
+        ended = [fate for each in asked if (fate := line.fate_of(each)) is not None]
+        assert len(ended) == 50
+        assert {(fate.outcome, "too many commands" in fate.message) for fate in ended} == {("not_sent", True)}
+
+    run(scene, 2)
+
+
+def test_what_is_remembered_of_commands_is_bounded() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await line.until(lambda: line.readings(1))
+        for number in range(FATES_KEPT + 100):
+            line.worker.command(Command(f"late-{number}", EPOCH, SetSpeed(1, 640)))
+        assert len(line.worker._fates) == FATES_KEPT
+        line.command(SetSpeed(1, 640), command_id="kept")
+        await line.until(lambda: line.fate_of("kept"))
+        kept = line.worker._fates["kept"]
+        assert kept is not None
+        assert kept.frames == []
+
+    run(scene, 2)
+
+
+def test_the_trace_is_read_by_few_at_once_and_remembered_by_none() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await line.until(lambda: len(line.readings()) > 20)
+        asked = [line.command(ReadTrace(0.0, limit=100)) for _ in range(MOST_TRACES + 5)]
+        refused = [fate for each in asked if (fate := line.fate_of(each)) is not None]
+        assert [fate.outcome for fate in refused] == ["not_sent"] * 5
+        await line.until(lambda: all(line.fate_of(each) for each in asked))
+        assert not set(asked) & line.worker._fates.keys()
+
+    run(scene, 2)
+
+
+class Flood:
+    """A socket that always has one more message."""
+
+    def __init__(self, message: AppMessage, count: int) -> None:
+        self._data, self._left = encode(message), count
+
+    def __aiter__(self) -> Flood:
+        return self
+
+    async def __anext__(self) -> bytes:
+        if not self._left:
+            raise StopAsyncIteration
+        self._left -= 1
+        return self._data
+
+
+@pytest.mark.parametrize("message", [WantSnapshot(), Clock(app_time=1.0)], ids=["snapshots", "clocks"])
+def test_a_flood_is_read_no_faster_than_it_is_meant_to_be(message: AppMessage) -> None:
+    """The rest waits in the socket, and the loop is free meanwhile."""
+
+    async def scene() -> float:
+        uplink = Uplink("http://app", TOKEN, Outbox(), Desk(), AppClock(), lambda: 0.0)
+        flood = Flood(message, int(MESSAGES_AT_ONCE + 10 * MESSAGES_PER_S))
+        await uplink._receive(flood)  # type: ignore[arg-type]
+        return asyncio.get_running_loop().time()
+
+    assert run_virtually(scene()) == pytest.approx(10.0, rel=0.01)
+
+
+def test_a_result_is_no_message_of_the_app() -> None:
+    with pytest.raises(Malformed):
+        decode_from_app(msgspec.msgpack.encode(Result("c", 0.0, "verified")))

@@ -1,0 +1,119 @@
+"""Pages that ask for the whole state again and again, and pages by the hundred."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient, WebSocketDenialResponse
+
+from app.live import socket
+from app.live.admission import MOST_OF_ACCOUNT, Admission
+from app.live.browser import Browser, Diff
+from app.live.hub import MOST_TOLD_AT_ONCE, Hub
+from app.live.readers import Readers
+from app.main import create_app
+from app.web.access import Role
+from tests.app.screens import line, screen
+from tests.app.whole_app import settings_in
+
+ORIGIN = {"origin": "http://testserver"}
+
+
+@pytest.fixture
+def client(tmp_path: Path) -> Iterator[TestClient]:
+    app = create_app(settings_in(tmp_path))
+    with TestClient(app) as client:
+        make = app.state.services.accounts.create_token
+        token = client.portal.call(lambda: make("t", Role.VIEWER, by="t", origin="t"))  # type: ignore[union-attr]
+        client.headers["authorization"] = f"Bearer {token}"
+        yield client
+
+
+def hub_of(client: TestClient) -> Hub:
+    hub: Hub = client.app.state.services.hub  # type: ignore[attr-defined]
+    return hub
+
+
+async def test_a_page_that_asks_a_thousand_times_and_does_not_read_waits_for_one_snapshot() -> None:
+    readers = Readers(screen(line()), lambda: 100.0)
+    browser = Browser("anna", "viewer", "en")
+    readers.join(browser)
+    for _ in range(1000):
+        readers.tell_everything(browser)
+    assert [json.loads(text)["is"] for text in await browser.next()] == ["snapshot"]
+    assert browser._snapshot is None
+
+
+async def test_what_changes_after_the_request_still_follows_the_snapshot() -> None:
+    browser = Browser("anna", "viewer", "en")
+    browser.say({"is": "snapshot", "n": 1})
+    browser.tell(Diff(1, 2, 100.0, {"dry/1": {"actual": "1"}}))
+    assert [json.loads(text)["is"] for text in await browser.next()] == ["snapshot", "diff"]
+
+
+def test_a_page_that_asks_without_end_is_answered_at_its_pace(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pauses: list[float] = []
+
+    async def sleep(seconds: float) -> None:
+        pauses.append(seconds)
+
+    monkeypatch.setattr(socket.asyncio, "sleep", sleep)
+    asked = 50
+    with client.websocket_connect("/live", headers=ORIGIN) as page:
+        for _ in range(asked):
+            page.send_text('{"want": "snapshot"}')
+        snapshots = 0
+        while snapshots < asked - socket.MOST_SNAPSHOTS_AT_ONCE and len(pauses) < asked:
+            snapshots += json.loads(page.receive_text())["is"] == "snapshot"
+    assert pauses.count(1 / socket.SNAPSHOTS_A_SECOND) >= asked - socket.MOST_SNAPSHOTS_AT_ONCE - 1
+
+
+def test_one_page_too_many_is_refused_and_the_others_stay(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    admission = Admission()
+    monkeypatch.setattr(hub_of(client), "admission", admission)
+    for number in range(MOST_OF_ACCOUNT - 1):
+        admission.enter("t (token)", f"elsewhere {number}", 0.0)
+    with client.websocket_connect("/live", headers=ORIGIN) as page:
+        page.receive_text()
+        with (
+            pytest.raises(WebSocketDenialResponse) as refused,
+            client.websocket_connect("/live", headers=ORIGIN),
+        ):
+            pass
+        assert (refused.value.status_code, refused.value.json()["code"]) == (429, "too_many")
+        assert refused.value.headers["retry-after"]
+        assert hub_of(client).connected == 1
+    with client.websocket_connect("/live", headers=ORIGIN) as page:
+        page.receive_text()
+
+
+def test_pages_that_turn_without_end_do_not_flood_the_workers(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hub, told = hub_of(client), list[Any]()
+    monkeypatch.setattr(hub, "watch", lambda *wish: told.append(wish))
+    monkeypatch.setattr(hub, "_clock", lambda: 100.0)
+    browser = Browser("anna", "viewer", "en")
+    for turn in range(1000):
+        hub.follow(browser, frozenset({("dry-end", turn % 2 + 1)}), "")
+    assert len(told) <= MOST_TOLD_AT_ONCE
+    monkeypatch.setattr(hub, "_clock", lambda: 101.0)
+    hub.tick()
+    assert told[-1] == ("dry-end", [2], False)
+
+
+def test_a_page_cannot_make_the_server_remember_what_there_is_not(client: TestClient) -> None:
+    hub = hub_of(client)
+    browser = Browser("anna", "engineer", "en")
+    for turn in range(100):
+        hub.follow(browser, frozenset({(f"bus-{turn}", 1), ("dry-end", turn + 3)}), f"bus-{turn}")
+    assert (browser.units, browser.trace) == (frozenset(), "")
+    assert len(hub._pages._traces) <= 2

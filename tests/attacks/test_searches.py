@@ -1,0 +1,171 @@
+"""Searches and downloads of one account, and what is left for the others."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.types import Message, Receive, Scope, Send
+
+from app.server.fair_queue import FairQueue
+from app.web.access import Person, Role
+from app.web.turns import (
+    AT_ONCE,
+    MOST_WAITING,
+    READS_AT_ONCE,
+    ReadInTurn,
+    downloads,
+    searches,
+)
+from tests.app.whole_app import House, whole_app
+
+PATIENCE_S = 30.0
+SEARCHES = (
+    "/api/v1/events?search=nothing-like-it",
+    "/events?search=nothing-like-it",
+    "/api/v1/events.csv?search=nothing-like-it",
+    "/api/v1/history?bus=dry-end&unit=1&value=actual",
+    "/api/v1/history/series?series=dry-end/1/actual",
+    "/api/v1/history/sparks?series=dry-end/1/actual",
+    "/api/v1/history/marks",
+    "/api/v1/history/export?series=dry-end/1/actual",
+)
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+async def until(holds: Callable[[], object]) -> None:
+    async with asyncio.timeout(PATIENCE_S):
+        while not holds():  # noqa: ASYNC110
+            await asyncio.sleep(0.001)
+
+
+@pytest.mark.parametrize("path", SEARCHES)
+async def test_an_account_has_few_at_a_time_and_others_do_not_wait(
+    house: House, monkeypatch: pytest.MonkeyPatch, path: str
+) -> None:
+    running, gate, most = 0, asyncio.Event(), 0
+
+    def slow(original: Callable[..., Any]) -> Callable[..., Any]:
+        async def held(*args: Any, **how: Any) -> Any:
+            nonlocal running, most
+            running += 1
+            most = max(most, running)
+            await gate.wait()
+            running -= 1
+            return await original(*args, **how)
+
+        return held
+
+    monkeypatch.setattr(house.services.events, "page", slow(house.services.events.page))
+    monkeypatch.setattr(house.services.history, "read", slow(house.services.history.read))
+    one, other = await house.signed_in(Role.VIEWER, "ann"), await house.signed_in(Role.OPERATOR, "ben")
+    asked = [asyncio.create_task(one.get(path)) for _ in range(12)]
+    await until(lambda: running == AT_ONCE)
+    assert (await one.get("/healthz")).status_code == 200
+    assert (await other.get("/api/v1/line")).status_code == 200
+    theirs = asyncio.create_task(other.get(path))
+    await until(lambda: running == AT_ONCE + 1)
+    gate.set()
+    assert {answer.status_code for answer in await asyncio.gather(*asked, theirs)} == {200}
+    assert most == AT_ONCE + 1
+
+
+async def test_a_download_keeps_its_turn_until_it_is_read(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate, begun = asyncio.Event(), 0
+
+    async def every(*_: Any) -> AsyncIterator[list[Any]]:
+        nonlocal begun
+        begun += 1
+        yield []
+        await gate.wait()
+
+    monkeypatch.setattr(house.services.events, "every", every)
+    client = await house.program(Role.VIEWER)
+    asked = [asyncio.create_task(client.get("/api/v1/events.csv")) for _ in range(AT_ONCE + 2)]
+    await until(lambda: downloads.count_of("key-viewer (token)") == AT_ONCE + 2)
+    assert begun == AT_ONCE
+    gate.set()
+    assert [answer.status_code for answer in await asyncio.gather(*asked)] == [200] * len(asked)
+    assert begun == AT_ONCE + 2
+    assert not downloads.count_of("key-viewer (token)")
+
+
+async def test_beyond_those_that_wait_an_account_is_refused(house: House) -> None:
+    gate = asyncio.Event()
+
+    async def hold() -> None:
+        async with searches.turn("key-viewer (token)"):
+            await gate.wait()
+
+    held = [asyncio.create_task(hold()) for _ in range(AT_ONCE + MOST_WAITING)]
+    await until(lambda: searches.count_of("key-viewer (token)") == len(held))
+    client = await house.program(Role.VIEWER)
+    refused = await client.get("/api/v1/events")
+    assert (refused.status_code, refused.json()["code"], refused.headers["retry-after"]) == (
+        429,
+        "too_many",
+        "2",
+    )
+    gate.set()
+    await asyncio.gather(*held)
+    assert (await client.get("/api/v1/events")).status_code == 200
+
+
+async def test_what_an_account_reads_comes_in_turns_and_others_do_not_wait(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate, running = asyncio.Event(), 0
+
+    async def slow(*_: Any) -> list[Any]:
+        nonlocal running
+        running += 1
+        await gate.wait()
+        return []
+
+    monkeypatch.setattr(house.services.accounts, "users", slow)
+    ann, ben = await house.signed_in(Role.ADMIN, "ann"), await house.signed_in(Role.ADMIN, "ben")
+    asked = [asyncio.create_task(ann.get("/users")) for _ in range(READS_AT_ONCE + 5)]
+    await until(lambda: running == READS_AT_ONCE)
+    asked.append(asyncio.create_task(ben.get("/users")))
+    await until(lambda: running == READS_AT_ONCE + 1)
+    assert (await ann.post("/logout")).status_code == 303
+    gate.set()
+    assert {answer.status_code for answer in await asyncio.gather(*asked)} == {200}
+
+
+async def test_a_response_that_is_being_sent_has_no_turn_any_more() -> None:
+    turns: FairQueue[str] = FairQueue(inf, 1, 0)
+    gate, begun = asyncio.Event(), 0
+
+    async def stream(_scope: Scope, _receive: Receive, send: Send) -> None:
+        nonlocal begun
+        begun += 1
+        await send({"type": "http.response.start", "status": 200})
+        await gate.wait()
+
+    async def ignore(_: Message) -> None:
+        return None
+
+    async def receive() -> Message:
+        return {"type": "http.disconnect"}
+
+    scope = {"type": "http", "person": Person("ann", Role.VIEWER, "session")}
+    app = ReadInTurn(stream, turns)
+    sent = [asyncio.create_task(app({**scope}, receive, ignore)) for _ in range(1)]
+    await until(lambda: begun == 1)
+    sent.append(asyncio.create_task(app({**scope}, receive, ignore)))
+    await until(lambda: begun == 2)
+    assert not turns.count_of("ann")
+    gate.set()
+    await asyncio.gather(*sent)

@@ -1,0 +1,194 @@
+"""Guessing, locking others out, and going on after one's rights have ended."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+import httpx
+import pytest
+from starlette.testclient import TestClient, WebSocketTestSession
+from starlette.types import Message
+from starlette.websockets import WebSocketDisconnect
+
+from app.audit.log import CHUNK, EventLog
+from app.auth import lasting
+from app.auth.accounts import Accounts
+from app.auth.lasting import NO_LONGER_SIGNED_IN
+from app.auth.passwords import Passwords
+from app.auth.throttle import FREE
+from app.database import Database
+from app.main import create_app
+from app.web.access import Role
+from bus.contract import CONTRACT_VERSION, Hello, encode
+from tests.app.whole_app import PASSWORD, House, settings_in, whole_app
+
+BY = {"by": "attacker", "origin": "test"}
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+def at(house: House, address: str) -> httpx.AsyncClient:
+    """A browser at this address."""
+    house.address = address
+    return house.client()
+
+
+async def sign_in(client: httpx.AsyncClient, name: str = "ann", password: str = PASSWORD) -> int:
+    return (await client.post("/login", data={"name": name, "password": password})).status_code
+
+
+async def test_a_named_operator_cannot_be_locked_out(house: House) -> None:
+    await house.add("ann", Role.OPERATOR)
+    own = at(house, "192.0.2.7")
+    assert await sign_in(own) == 303
+    for number in range(40):
+        assert await sign_in(at(house, f"198.51.100.{number}"), password="wrong") in (401, 429)
+    assert (await own.get("/api/v1/me")).status_code == 200, "who is signed in stays so"
+    await own.post("/logout")
+    assert await sign_in(own) == 303, "and may come back at once"
+    assert await sign_in(at(house, "192.0.2.7")) == 303, "with another browser too"
+
+
+async def test_guessing_from_one_place_comes_to_nothing(house: House) -> None:
+    await house.add("ann", Role.OPERATOR)
+    client = at(house, "198.51.100.1")
+    answers = [await sign_in(client, password=f"guess{number}") for number in range(50)]
+    assert answers.count(401) == FREE
+    assert answers.count(429) == 50 - FREE
+
+
+async def test_many_sign_ins_at_once_delay_only_their_own_place(house: House) -> None:
+    """All waited for one lock, 20 ms each."""
+    await house.add("ann", Role.OPERATOR)
+    assert await sign_in(at(house, "192.0.2.7")) == 303
+    attacker = at(house, "198.51.100.1")
+    flood = [asyncio.create_task(sign_in(attacker, f"n{number}", "x")) for number in range(200)]
+    await asyncio.sleep(0)
+    assert await sign_in(at(house, "192.0.2.7")) == 303
+    answers = await asyncio.gather(*flood)
+    assert set(answers) <= {401, 429}
+    assert answers.count(429) > 150
+
+
+async def test_a_flood_of_refusals_is_a_few_events_with_a_count(house: House) -> None:
+    for number in range(60):
+        await sign_in(at(house, f"198.51.100.{number}"), "nobody")
+    await house.services.events.repeated.tell_rest()
+    events = await house.events("login_refused")
+    assert len(events) < 30
+    assert events[0]["who"] == "unknown name"
+
+
+async def test_the_account_page_is_no_way_around(house: House) -> None:
+    client = await house.signed_in(Role.OPERATOR, "ann")
+    form = {"present": "wrong", "password": "a good new one", "again": "a good new one"}
+    answers = [(await client.post("/account/password", data=form)).status_code for _ in range(FREE + 3)]
+    assert answers == [422] * FREE + [429] * 3
+    await house.services.events.repeated.tell_rest()
+    refused = [event for event in await house.events("user") if event["what"] == "password change refused"]
+    assert [(event["who"], event["message"]) for event in refused] == [
+        ("ann", f"{FREE - 1} times"),
+        ("ann", ""),
+    ]
+
+
+async def test_a_response_in_pieces_ends_with_the_rights_of_its_person(house: House) -> None:
+    """An export goes on for minutes."""
+    accounts, events = house.services.accounts, house.services.events
+    token = await accounts.create_token("t", Role.VIEWER, **BY)
+    for number in range(2 * CHUNK):
+        await events.record(kind="server", what=f"line {number}")
+    headers = [(b"authorization", f"Bearer {token}".encode()), (b"host", b"plant.example")]
+    scope = {
+        "type": "http",
+        "method": "GET",
+        "path": "/api/v1/events.csv",
+        "query_string": b"",
+        "headers": headers,
+    }
+    scope |= {
+        "scheme": "http",
+        "client": ("192.0.2.7", 1),
+        "server": ("plant.example", 80),
+        "http_version": "1.1",
+    }
+    sent: list[Message] = []
+
+    async def receive() -> Message:
+        return await asyncio.Future()
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+        if message["type"] == "http.response.body" and len(sent) == 2:
+            await accounts.revoke_token("t", **BY)
+
+    await house.app(scope, receive, send)
+    assert sent[0]["status"] == 200
+    assert sent[-1]["more_body"], "it was cut off, and is seen to be"
+    assert len(sent) == 2
+
+
+def elsewhere(folder: Path, change: Callable[[Accounts], object]) -> None:
+    """What ``lineside token …`` or ``lineside user …`` does in a process of its own."""
+    database, passwords = Database(folder / "data" / "lineside.db", checkpoints=False), Passwords()
+    try:
+        asyncio.run(change(Accounts(database, passwords, EventLog(database))))  # type: ignore[arg-type]
+    finally:
+        passwords.close()
+        database.close()
+
+
+def until_closed(socket: WebSocketTestSession) -> WebSocketDisconnect:
+    """Whatever comes, to the end."""
+    while True:
+        try:
+            socket._raise_on_close(socket.receive())
+        except WebSocketDisconnect as ended:
+            return ended
+
+
+@pytest.mark.parametrize("path", ["/live", "/feed"])
+def test_a_token_that_the_command_line_revokes_stops_soon(
+    tmp_path: Path, path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was looked at every 20 s only, which is never here; and a command line is another process."""
+    monkeypatch.setattr(lasting.while_allowed, "__defaults__", (1e6,))
+    role, bus = (Role.WORKER, "dry-end") if path == "/feed" else (Role.VIEWER, "")
+    app = create_app(settings_in(tmp_path))
+    accounts = app.state.services.accounts
+    with TestClient(app) as client:
+        call = client.portal.call  # type: ignore[union-attr]
+        token = call(lambda: accounts.create_token("t", role, bus=bus, **BY))
+        headers = {"authorization": f"Bearer {token}"}
+        with client.websocket_connect(path, headers=headers) as socket:
+            if path == "/feed":
+                now = time.time()
+                socket.send_bytes(encode(Hello(CONTRACT_VERSION, bus, "w", now, "test", "p", now)))
+            assert socket.receive()["type"] == "websocket.send"
+            elsewhere(tmp_path, lambda there: there.revoke_token("t", **BY))
+            assert until_closed(socket).code == NO_LONGER_SIGNED_IN
+        assert client.get("/api/v1/line", headers=headers).status_code == 401
+
+
+def test_control_of_a_line_ends_with_a_token_that_the_command_line_revokes(tmp_path: Path) -> None:
+    """It was kept for ten minutes."""
+    app = create_app(settings_in(tmp_path, control=True))
+    accounts, safeguards = app.state.services.accounts, app.state.services.safeguards
+    with TestClient(app) as client:
+        call = client.portal.call  # type: ignore[union-attr]
+        token = call(lambda: accounts.create_token("t", Role.OPERATOR, **BY))
+        taken = client.post("/api/v1/buses/dry-end/control", headers={"authorization": f"Bearer {token}"})
+        assert taken.status_code == 200, taken.text
+        assert safeguards.holder("dry-end") == "t (token)"
+        elsewhere(tmp_path, lambda there: there.revoke_token("t", **BY))
+        end = time.monotonic() + 20
+        while safeguards.holder("dry-end"):
+            assert time.monotonic() < end, "never: control given back"
+            time.sleep(0.01)

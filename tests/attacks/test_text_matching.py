@@ -1,0 +1,145 @@
+"""Text of a request, and what people have typed, against the patterns of the translations."""
+
+from __future__ import annotations
+
+import string
+import time
+import tomllib
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import httpx
+import pytest
+from fastapi.routing import APIRoute
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.web import languages
+from app.web.access import Role
+from app.web.languages import Languages
+from app.web.languages.sentences import LONGEST, Sentences
+from tests.app.whole_app import House, whole_app
+
+MARK = "zq7"
+HOSTILE = f"{MARK}: {MARK}; {MARK}"
+CPU_S = 0.25
+"""Of this thread, a hundred times what the dearest text takes; n^k places take minutes to years."""
+FILE = Path(languages.__file__).parent / "de.toml"
+PATTERNS = list(tomllib.loads(FILE.read_text(encoding="utf-8"))["sentences"])
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        yield house
+
+
+@pytest.fixture
+def looked_up(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Every text that is compared with the patterns."""
+    found: list[str] = []
+    find = Sentences._find
+
+    def recording(self: Sentences, sentence: str, deepest: int) -> str:
+        found.append(sentence)
+        return find(self, sentence, deepest)
+
+    monkeypatch.setattr(Sentences, "_find", recording)
+    return found
+
+
+@st.composite
+def almost_a_sentence(draw: st.DrawFn) -> str:
+    """Literals of one or two patterns in their order, each as often as fits, and an end that spoils it."""
+    pieces = [
+        literal * draw(st.integers(1, 40))
+        for pattern in draw(st.lists(st.sampled_from(PATTERNS), min_size=1, max_size=2))
+        for literal, _, _, _ in string.Formatter().parse(pattern)
+        if literal
+    ]
+    filler = draw(st.sampled_from(["", "a", " ", "a b", "1", "; ", ": "]))
+    return filler.join(pieces)[: LONGEST - 1] + draw(st.sampled_from(["", "\0", "x"]))
+
+
+def cpu_s_of_saying(text: str) -> float:
+    german = Languages()["de"]
+    begun = time.thread_time()
+    german.t(text)
+    return time.thread_time() - begun
+
+
+@given(almost_a_sentence())
+def test_no_text_makes_the_patterns_work_for_long(text: str) -> None:
+    assert cpu_s_of_saying(text) < CPU_S
+
+
+@pytest.mark.parametrize("clause", ["a: ", "a; ", "it is at: ", "unit 1: it reads 2; ", "x, then "])
+def test_clauses_without_end_do_not_make_the_patterns_work_for_long(clause: str) -> None:
+    assert cpu_s_of_saying((clause * LONGEST)[: LONGEST - 1]) < CPU_S
+
+
+def test_a_text_longer_than_any_sentence_stays_as_it_is(looked_up: list[str]) -> None:
+    text = "unit 3 did not answer; " * 20
+    assert Languages()["de"].t(text) == text
+    assert looked_up == []
+
+
+@pytest.mark.parametrize("header", ["de," * 100_000, "de;q=" + "9" * 100_000, ",;=" * 100_000])
+def test_a_language_header_of_any_size_is_read_in_part(header: str) -> None:
+    begun = time.thread_time()
+    Languages().choose("", header, "en")
+    assert time.thread_time() - begun < CPU_S
+
+
+def requests_of(route: APIRoute) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Requests with the hostile text in each place that a route reads, and in places that it does not."""
+    names = [param.alias for param in route.dependant.query_params]
+    query = dict.fromkeys([*names, HOSTILE], HOSTILE)
+    fields = {param.alias: HOSTILE for param in route.dependant.body_params} | {HOSTILE: HOSTILE}
+    for path in (filled(route.path, HOSTILE), filled(route.path, "")):
+        for method in sorted(route.methods):
+            yield method, path, {"params": query}
+            if method not in ("GET", "HEAD"):
+                yield method, path, {"data": fields}
+                yield method, path, {"json": {HOSTILE: HOSTILE, "value": HOSTILE, "raw": HOSTILE}}
+                yield method, path, {"json": {"value": HOSTILE}, "headers": {"idempotency-key": HOSTILE}}
+
+
+def filled(path: str, text: str) -> str:
+    """The path of a route with ``text`` in each parameter; where it is empty, what there is."""
+    known = {"bus": "dry-end", "unit": "1", "unit_id": "1"}
+    parts = []
+    for literal, name, _, _ in string.Formatter().parse(path):
+        parts += [literal, (text or known.get(name, "1")) if name else ""]
+    return "".join(parts)
+
+
+@pytest.mark.parametrize("accept", ["text/html", "application/json"])
+async def test_no_text_of_a_request_is_compared_with_the_patterns(
+    house: House, looked_up: list[str], accept: str
+) -> None:
+    client = await house.signed_in(Role.ADMIN)
+    client.headers.update({"accept-language": "de", "accept": accept, "referer": f"http://x/{HOSTILE}"})
+    routes = [route for route in house.app.routes if isinstance(route, APIRoute)]
+    skipped = ("/logout", "/stream")
+    for route in routes:
+        for method, path, more in requests_of(route):
+            if not path.endswith(skipped):
+                answer: httpx.Response = await client.request(method, path, **more)
+                assert answer.status_code < 500 or answer.status_code == 503, (method, path, answer.text)
+    assert [text for text in looked_up if MARK in text] == []
+
+
+@pytest.mark.parametrize(
+    "text", ["\0", "\ufffd", "..", "../../etc/passwd", "%s%n", "'\"", "-1", "1e9", "9" * 300]
+)
+async def test_no_text_of_an_address_makes_a_route_fail(house: House, text: str) -> None:
+    client = await house.signed_in(Role.ADMIN)
+    for route in (route for route in house.app.routes if isinstance(route, APIRoute)):
+        names = [param.alias for param in route.dependant.query_params]
+        path = quote(filled(route.path, text))
+        if "GET" in (route.methods or ()) and not path.endswith("/stream"):
+            answer = await client.get(path, params=dict.fromkeys(names, text))
+            assert answer.status_code < 500, (path, answer.text)

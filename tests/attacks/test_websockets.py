@@ -1,0 +1,191 @@
+"""Clients of a WebSocket that send more than anybody reads, or read nothing, on real sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+import time
+from collections.abc import AsyncIterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+import pytest
+import uvicorn
+from starlette.types import Receive, Scope, Send
+from starlette.websockets import WebSocket
+from uvicorn.server import ServerState
+
+from app.server.connections import Connections
+from app.server.http import HttpProtocol
+from app.server.pace import STALL_S
+from app.server.websocket import (
+    FEED_PATH,
+    MOST_FRAMES_AT_ONCE,
+    MOST_MESSAGE_BYTES,
+    MOST_UNREAD_BYTES,
+    WebSocketProtocol,
+)
+
+PATIENCE_S = 30.0
+HANDSHAKE = (
+    "GET {path} HTTP/1.1\r\nHost: here\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+    "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+)
+FIN, CONT, TEXT, PING, PONG = 0x80, 0x0, 0x1, 0x9, 0xA
+CPU_S = 0.5
+"""Of this thread; one chunk of empty frames alone took half a second."""
+
+
+def frame(opcode: int, payload: bytes = b"", size: int | None = None) -> bytes:
+    """As a client sends it (RFC 6455, 5.2), masked with zeros; ``size``: what it says of itself."""
+    size = len(payload) if size is None else size
+    length = bytes([0x80 | size]) if size < 126 else struct.pack("!BQ", 0x80 | 127, size)
+    return bytes([opcode]) + length + b"\0\0\0\0" + payload
+
+
+@dataclass
+class Site:
+    """A server with an app that reads a socket when it is told to, and writes to it."""
+
+    port: int = 0
+    protocols: list[WebSocketProtocol] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
+    reads: asyncio.Event = field(default_factory=asyncio.Event)
+    accepted: asyncio.Event = field(default_factory=asyncio.Event)
+    writers: list[asyncio.StreamWriter] = field(default_factory=list)
+    closed: int = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        socket = WebSocket(scope, receive, send)
+        await socket.accept()
+        self.accepted.set()
+        await self.reads.wait()
+        while (message := await socket.receive())["type"] != "websocket.disconnect":
+            self.messages.append(message.get("text", ""))
+        self.closed = message["code"]
+
+    async def connect(self, path: str = "/live") -> asyncio.StreamReader:
+        """A client that has opened its socket."""
+        reader, writer = await asyncio.open_connection("127.0.0.1", self.port)
+        self.writers.append(writer)
+        writer.write(HANDSHAKE.format(path=path).encode())
+        assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 101")
+        return reader
+
+    @property
+    def protocol(self) -> WebSocketProtocol:
+        return self.protocols[-1]
+
+
+@pytest.fixture
+async def site() -> AsyncIterator[Site]:
+    site, state, connections = Site(), ServerState(), Connections()
+    site.reads.set()
+
+    class Known(WebSocketProtocol):
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            site.protocols.append(self)
+            super().connection_made(transport)
+
+    config = uvicorn.Config(
+        site, lifespan="off", log_level="critical", ws_per_message_deflate=False, ws=Known
+    )
+    loop = asyncio.get_running_loop()
+    server = await loop.create_server(
+        lambda: HttpProtocol(config, state, {}, open_connections=connections), "127.0.0.1", 0
+    )
+    site.port = server.sockets[0].getsockname()[1]
+    yield site
+    for writer in site.writers:
+        writer.transport.abort()
+        with suppress(ConnectionError):
+            await writer.wait_closed()
+    server.close()
+    await until_gone(state)
+    assert connections._known == connections._strangers == {}
+
+
+async def until_gone(state: ServerState) -> None:
+    async with asyncio.timeout(PATIENCE_S):
+        while state.connections or state.tasks:  # noqa: ASYNC110
+            await asyncio.sleep(0.001)
+
+
+async def everything(reader: asyncio.StreamReader) -> bytes:
+    """Until the server closes."""
+    with suppress(ConnectionError):
+        return await asyncio.wait_for(reader.read(), PATIENCE_S)
+    return b""
+
+
+@pytest.mark.parametrize(
+    "flood",
+    [
+        frame(FIN | TEXT, b"{}") * 100_000,
+        frame(FIN | TEXT) * 100_000,
+        frame(TEXT) + frame(CONT) * 100_000,
+        frame(FIN | PING) * 100_000,
+        frame(FIN | PING, b"x" * 125) * 10_000,
+        frame(FIN | PONG) * 100_000,
+    ],
+    ids=["messages", "empty messages", "fragments", "empty pings", "pings", "pongs"],
+)
+async def test_a_flood_of_frames_ends_its_socket(site: Site, flood: bytes) -> None:
+    reader = await site.connect()
+    begun = time.thread_time()
+    site.writers[0].write(flood)
+    heard = await everything(reader)
+    assert time.thread_time() - begun < CPU_S
+    assert b"too many messages" in heard or heard == b""
+    assert len(site.messages) <= MOST_FRAMES_AT_ONCE
+    assert site.protocol.queue.qsize() <= MOST_FRAMES_AT_ONCE
+
+
+async def test_a_frame_larger_than_any_message_ends_its_socket_before_it_arrives(site: Site) -> None:
+    reader = await site.connect()
+    site.writers[0].write(frame(FIN | TEXT, b"x", size=100_000_000))
+    heard = await everything(reader)
+    assert struct.pack("!H", 1009) in heard
+
+
+async def test_fragments_count_together(site: Site) -> None:
+    reader = await site.connect()
+    half = b"x" * (MOST_MESSAGE_BYTES // 2 + 1)
+    site.writers[0].write(frame(TEXT, half) + frame(CONT, half))
+    assert struct.pack("!H", 1009) in await everything(reader)
+
+
+async def test_a_client_that_asks_and_does_not_read_is_dropped(site: Site) -> None:
+    await site.connect()
+    await site.accepted.wait()
+    site.protocol.transport.write(b"x" * 10_000_000)
+    assert site.protocol.transport.get_write_buffer_size() > MOST_UNREAD_BYTES
+    site.writers[0].write(frame(FIN | PING, b"x"))
+    async with asyncio.timeout(PATIENCE_S):
+        await site.protocol.loop.create_task(_until_closing(site))
+
+
+async def test_a_client_that_reads_nothing_is_dropped(site: Site) -> None:
+    await site.connect()
+    await site.accepted.wait()
+    site.protocol.transport.write(b"x" * 10_000_000)
+    now = site.protocol.loop.time()
+    site.protocol.check(now)
+    site.protocol.check(now + STALL_S - 1)
+    assert not site.protocol.transport.is_closing()
+    site.protocol.check(now + STALL_S + 1)
+    assert site.protocol.transport.is_closing()
+
+
+async def test_a_worker_may_say_much_at_once(site: Site) -> None:
+    reader = await site.connect(FEED_PATH)
+    site.writers[0].write(frame(FIN | TEXT, b"{}") * 2000 + frame(FIN | TEXT, b"x" * 1_000_000))
+    async with asyncio.timeout(PATIENCE_S):
+        while len(site.messages) < 2001:  # noqa: ASYNC110
+            await asyncio.sleep(0.001)
+    assert not reader.at_eof()
+
+
+async def _until_closing(site: Site) -> None:
+    while not site.protocol.transport.is_closing():  # noqa: ASYNC110
+        await asyncio.sleep(0.001)
