@@ -96,10 +96,10 @@ def measure(target: Site, attack: str, seconds: float) -> Measured:
     before, lost = memory_mib(target.server.pid), links_lost(target)
     most = [before]
     health, command = Waits(), Waits()
-    with attacking(target, attack, seconds) as is_over:
+    with target.api("operator") as client, attacking(target, attack, seconds) as is_over:
         threads = [
             threading.Thread(target=probe, args=(ask, waits, is_over))
-            for ask, waits in ((asks_health(target), health), (commands(target), command))
+            for ask, waits in ((asks_health(target), health), (commands(client), command))
         ]
         for thread in threads:
             thread.start()
@@ -153,9 +153,9 @@ def asks_health(target: Site) -> Callable[[], None]:
     return ask
 
 
-def commands(target: Site) -> Callable[[], None]:
+def commands(client: httpx.Client) -> Callable[[], None]:
     """An operator who switches an output, each time to the other state."""
-    client, states = target.api("operator"), [True, False]
+    states = [True, False]
 
     def ask() -> None:
         states.reverse()
