@@ -186,8 +186,7 @@ def _connect(services: Services) -> None:
     services.history_news.pipeline = services.pipeline
     services.desk.before_write = services.first_writes.before
     services.restores.on_end = services.swaps.ended
-    services.accounts.on_rights_changed(lambda _: services.rights.refresh())
-    services.accounts.on_own_password(services.rights.refresh)
+    services.accounts.on_changed(services.rights.refresh)
     services.rights.on_withdrawn(safeguards.release_all_of)
     services.rights.on_changed(services.accounts.rechecks.now)
     services.sign_in.on_gone = safeguards.release_all_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable, Collection, Iterable
+from collections.abc import Awaitable, Callable, Collection
 
 from app.audit.kinds import Kind
 from app.audit.log import EventLog
@@ -16,7 +16,7 @@ from app.database import Database
 from app.web.access import Role, account_of, name_of
 from bus.errors import CallerError
 
-Ended = Callable[[str], Awaitable[None]]
+Changed = Callable[[str], Awaitable[None]]
 
 
 class Accounts:
@@ -41,20 +41,16 @@ class Accounts:
         self._site = site
         self.rechecks = Rechecks()
         """Whoever has a connection open is looked at again after each change."""
-        self._subscribers: list[Ended] = []
-        self._password_kept: list[Ended] = []
+        self._subscribers: list[Changed] = []
 
     def now(self) -> float:
         """Unix time as this service has it, by which tokens expire."""
         return self._clock()
 
-    def on_rights_changed(self, subscriber: Ended) -> None:
-        """Hear the account of each user or token whose rights changed or ended, to close what is open."""
+    def on_changed(self, subscriber: Changed) -> None:
+        """Call ``subscriber`` after each change. It gets the account of a user who chose another password and
+        stays signed in, else an empty text."""
         self._subscribers.append(subscriber)
-
-    def on_own_password(self, subscriber: Ended) -> None:
-        """Hear the account of each user who has chosen another password and stays signed in."""
-        self._password_kept.append(subscriber)
 
     async def users(self) -> list[User]:
         """All users and panels by name."""
@@ -106,18 +102,18 @@ class Accounts:
             return store.set_role(connection, name, role)
 
         await self._change(name, change)
-        await self._note("user", f"user {name} is {role} now", by, origin, name)
+        await self._note("user", f"user {name} is {role} now", by, origin)
 
     async def set_disabled(self, name: str, disabled: bool, *, by: str, origin: str) -> None:
         """Refuse a user, or admit again. Raises CallerError for nobody and for the last admin."""
         await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
         words = "is refused from now on" if disabled else "may sign in again"
-        await self._note("user", f"user {name} {words}", by, origin, name)
+        await self._note("user", f"user {name} {words}", by, origin)
 
     async def remove_user(self, name: str, *, by: str, origin: str) -> None:
         """Raises CallerError for nobody and for the last admin."""
         await self._change(name, lambda connection: store.remove_user(connection, name))
-        await self._note("user", f"user {name} removed", by, origin, name)
+        await self._note("user", f"user {name} removed", by, origin)
 
     async def set_password(
         self, name: str, password: str, *, by: str, origin: str, keep: bytes = b""
@@ -134,9 +130,7 @@ class Accounts:
         hashed = await self._passwords.hash(password)
         await self._change(name, lambda connection: store.set_secret(connection, name, hashed, keep))
         what = f"user {name} has a new password"
-        await self._note("user", what, by, origin, *(() if keep else (name,)))
-        for subscriber in self._password_kept if keep else ():
-            await subscriber(name)
+        await self._note("user", what, by, origin, kept=name if keep else "")
 
     async def set_language(self, name: str, language: str) -> None:
         """The user's own wish; empty: what the browser asks for."""
@@ -174,7 +168,7 @@ class Accounts:
         """Raises CallerError for one that is not there."""
         if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
             raise CallerError("there is no token {name}", params={"name": name[:80]})
-        await self._note("token", f"token {name} revoked", by, origin, name)
+        await self._note("token", f"token {name} revoked", by, origin)
 
     async def _add(self, user: User, secret: str) -> None:
         hashed = await self._passwords.hash(secret)
@@ -195,12 +189,8 @@ class Accounts:
 
         await self._database.write(guarded)
 
-    async def _note(self, kind: Kind, what: str, by: str, origin: str, *ended: str) -> None:
+    async def _note(self, kind: Kind, what: str, by: str, origin: str, kept: str = "") -> None:
         await self._events.record(kind=kind, what=what, who=by, origin=origin)
-        await self._rights_ended(account_of(name, token=kind == "token") for name in ended)
-
-    async def _rights_ended(self, accounts: Iterable[str]) -> None:
-        for account in accounts:
-            for subscriber in self._subscribers:
-                await subscriber(account)
+        for subscriber in self._subscribers:
+            await subscriber(kept)
         self.rechecks.now()

@@ -119,8 +119,8 @@ def read_backup(
     """Put the stores of a backup into a data folder; gives their names, and what was withheld from the
     ``main`` one where the backup holds it, whose log goes on under the key in the first of ``key_files``.
 
-    Raises StoreError; then all is as it was: every store of the backup is proved, and the main one made ready,
-    before the first is put in its place."""
+    Raises StoreError; then all is as it was: every store of the backup is proved, and the main one made
+    ready, before the first is put in its place."""
     make_private(data)
     with in_words(file), tempfile.TemporaryDirectory(dir=data) as folder:
         proved, taken_at = _unpack(file, Path(folder))

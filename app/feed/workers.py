@@ -8,6 +8,8 @@ from collections import defaultdict
 from collections.abc import Callable
 from typing import Protocol
 
+import structlog
+
 from app.feed.admission import refusal
 from app.feed.channel import Channel, Connection
 from app.feed.holders import Credential, Ending, Holder
@@ -17,6 +19,8 @@ from app.live.state import NO_WORKER
 from app.pipeline import Pipeline
 from bus.bucket import Bucket
 from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome, decode_from_worker
+
+_log = structlog.get_logger()
 
 SILENT = "the bus worker is connected and says nothing"
 MALFORMED = "the bus worker was disconnected: it sent a malformed message"
@@ -141,6 +145,7 @@ class Workers:
             await socket.send(Welcome(CONTRACT_VERSION, seq, self._now()))
             await self._follow(hello, socket)
         except MalformedMessageError as error:
+            _log.warning("bus worker sent a malformed message", bus=hello.bus, why=str(error))
             self._release(hello.bus, socket, MALFORMED, Ending.LOST)
             await socket.close(str(error))
         except WorkerSilent:

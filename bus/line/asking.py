@@ -22,6 +22,8 @@ class Heard(msgspec.Struct, frozen=True):
     answered_at: float | None = None
     frame: bytes = b""
     rubbish: Rubbish = NO_RUBBISH
+    dialect: Dialect | None = None
+    """How the request was written, where something was sent."""
 
 
 class Asking:

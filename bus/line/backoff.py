@@ -14,7 +14,7 @@ STABLE_S = 10.0
 """What lasts so long has worked."""
 FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 30.0
-LONGEST_USEFUL_PAUSE_S = 2.0
+LONGEST_USEFUL_PAUSE_S = 0.5
 """While it is of use in between: a plug with a bad contact."""
 JITTER = 0.25
 

@@ -209,7 +209,8 @@ class Poller:
                 self.schedule.fell_silent(request.unit, now)
             return updates
         assert heard.answered_at is not None
-        updates = self.roster.heard(request, reply, heard.answered_at, heard.frame)
+        is_probe = heard.dialect not in (None, self.bus.dialect)
+        updates = self.roster.heard(request, reply, heard.answered_at, heard.frame, is_probe=is_probe)
         if self.roster.is_configured(request.unit):
             self.schedule.answers(request.unit, now)
             if isinstance(request, WriteParameter) and not isinstance(reply, Nak):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
+from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     ParameterValue,
     Reading,
@@ -112,11 +113,16 @@ class Roster:
 
     # --- what a unit said ----------------------------------------------------------------------
 
-    def heard(self, request: Request, reply: Reply, at: float, frame: bytes) -> list[Update]:
-        """``reply`` is the answer to ``request``."""
+    def heard(
+        self, request: Request, reply: Reply, at: float, frame: bytes, *, is_probe: bool = False
+    ) -> list[Update]:
+        """``reply`` is the answer to ``request``. A probe is not written in the unit's own dialect: that the
+        unit answers is true of it, and a parameter's number and value need not be."""
         record = self[request.unit]
         updates = self._answered(record, at)
         match request, reply:
+            case ReadParameter(number=number), _ if is_probe or number not in PARAMETERS:
+                pass
             case _, StatusReply():
                 record.reading = _reading(reply, at)
                 updates.append(record.reading)

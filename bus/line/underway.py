@@ -35,6 +35,7 @@ class UnderWay(msgspec.Struct):
             answered_at,
             b"" if exchange.prepared.secret else self.frame,
             self._rubbish(),
+            exchange.dialect,
         )
 
     def _rubbish(self) -> Rubbish:

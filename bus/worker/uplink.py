@@ -139,7 +139,7 @@ class Uplink:
             return True
         except InvalidStatus as error:
             self._tell(_about_status(error.response))
-        except (OSError, TimeoutError, WebSocketException, MalformedMessageError) as error:
+        except (OSError, TimeoutError, UnicodeError, WebSocketException, MalformedMessageError) as error:
             self._tell(f"no dashboard at {self._url}: {_words(error)}")
         return False
 

@@ -109,18 +109,19 @@ async def test_every_change_is_an_event_with_its_author(accounts: Accounts) -> N
     assert {event["who"] for event in found} == {"root"}
 
 
-async def test_who_listens_hears_whose_rights_changed(accounts: Accounts) -> None:
+async def test_who_listens_hears_of_each_change_and_whose_session_is_kept(accounts: Accounts) -> None:
     heard: list[str] = []
 
-    async def hear(name: str) -> None:
-        heard.append(name)
+    async def hear(kept: str) -> None:
+        heard.append(kept)
 
-    accounts.on_rights_changed(hear)
+    accounts.on_changed(hear)
     await accounts.add_user("ann", Role.VIEWER, PASSWORD, **BY)
     await accounts.set_role("ann", Role.OPERATOR, **BY)
+    await accounts.set_password("ann", "another good one", keep=b"session", **BY)
     await accounts.create_token("plc", Role.VIEWER, **BY)
     await accounts.revoke_token("plc", **BY)
-    assert heard == ["ann", "plc (token)"]
+    assert heard == ["", "", "ann", "", ""]
 
 
 async def test_every_way_to_a_password_or_pin_has_the_same_rules(accounts: Accounts) -> None:

@@ -38,7 +38,7 @@ class House:
 
         self.rights.on_withdrawn(hear)
         self.rights.on_changed(self.here.rechecks.now)
-        self.here.on_own_password(self.rights.refresh)
+        self.here.on_changed(self.rights.refresh)
 
     def close(self) -> None:
         self.passwords.close()

@@ -15,6 +15,7 @@ from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
 from app.server import stamping
+from app.server.connections import Connections
 from app.server.loop_watch import LoopWatch
 from app.server.stamping import ARRIVED_AT, StampingProtocol
 from app.server.tcp_wait import TcpWait, tcp_wait
@@ -91,7 +92,9 @@ async def served(stamps: list[float], watch: LoopWatch) -> AsyncIterator[socket.
     config, state = uvicorn.Config(note, lifespan="off", log_level="critical"), ServerState()
     loop = asyncio.get_running_loop()
     server = await loop.create_server(
-        lambda: StampingProtocol(config, state, {}, watch=watch), "127.0.0.1", 0
+        lambda: StampingProtocol(config, state, {}, watch=watch, open_connections=Connections()),
+        "127.0.0.1",
+        0,
     )
     client = socket.create_connection(server.sockets[0].getsockname())
     await until(lambda: state.connections, "the connection accepted")

@@ -93,6 +93,16 @@ def test_another_refusal_says_nothing_about_the_parameter(roster: Roster) -> Non
     assert roster[1].parameters == {}
 
 
+def test_a_probe_says_that_a_unit_answers_and_nothing_of_its_parameters(roster: Roster) -> None:
+    """A unit that counts in BCD takes 23 (17h) for #17, and 64 (40h) for #40."""
+    updates = roster.heard(ReadParameter(1, 23), ParameterReply(1, 1), 101.0, b"", is_probe=True)
+    updates += roster.heard(ReadParameter(1, 64), ParameterReply(1, 200), 102.0, b"")
+    updates += roster.heard(ReadParameter(1, 64), Nak(1, 0x82), 103.0, b"")
+    assert links(updates) == ["online"]
+    assert [update for update in updates if isinstance(update, ParameterValue)] == []
+    assert roster.states()[0].parameters == []
+
+
 def test_staged_until_executed(roster: Roster) -> None:
     assert Staged(1, 101.0, 640) in roster.heard(StageSpeed(1, 640), Ack(1), 101.0, b"")
     assert roster[1].staged == 640

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable
 
-from bus.contract import FoundUnit, Progress, Reading, Result, ScanBus, UnitLink
+from bus.contract import FoundUnit, ParameterValue, Progress, Reading, Result, ScanBus, UnitLink
 from bus.simulator.faults import Kind
 from bus.simulator.memory import Memory
 from bus.simulator.section import Section
@@ -30,6 +30,16 @@ def test_it_finds_units_that_nobody_configured() -> None:
     assert result.found == [
         FoundUnit(unit, 9600, "digimax", list(range(1, 41)), []) for unit in range(1, PRESENT + 1)
     ]
+
+
+def test_a_scan_teaches_no_parameter_that_there_is_not() -> None:
+    """Its probes ask for numbers beyond the list, and the app refuses a message with one."""
+
+    async def scene(line: VirtualLine) -> set[int]:
+        await scan(line)
+        return {update.number for update in line.updates if isinstance(update, ParameterValue)}
+
+    assert run(scene, PRESENT, configured=CONFIGURED) <= set(range(1, 41))
 
 
 def test_the_app_hears_of_strangers_only_in_the_result() -> None:
