@@ -11,7 +11,7 @@ import structlog
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
-from starlette.requests import HTTPConnection, Request
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 from starlette.websockets import WebSocket
@@ -161,7 +161,8 @@ async def _on_problem(request: Request | WebSocket, error: Exception) -> Respons
 
 async def _on_http(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    if error.status_code in (204, 304):
+    # The client went away in the middle of its body: there is nobody to draw a page for.
+    if error.status_code in (204, 304) or isinstance(error.__cause__, ClientDisconnect):
         return Response(status_code=error.status_code)
     if isinstance(error.__cause__, Problem):
         return respond(request, error.__cause__)
