@@ -177,11 +177,13 @@ ALSO_BLOCKED: list[tuple[str, str, dict[str, Any]]] = [
 
 
 def press(client: httpx.Client, site: Site, method: str, path: str, asked: dict[str, Any]) -> httpx.Response:
-    """As a page or a program sends it, with what a review would have put into the form."""
+    """As a page or a program sends it, with what a review would have put into the form. That of a batch holds
+    the value of its parameter, and may come without."""
     form = dict(asked.get("data", {}))
     if form:
         present = str(setpoint(site, 1))
-        form = {"was": present, "was-1": present, "reviewed_at": "9999999999", **form}
+        reviewed = {} if path.startswith("/batch/") else {"was": present, "was-1": present}
+        form = {**reviewed, "reviewed_at": "9999999999", **form}
         asked = {"data": form, "headers": {"HX-Request": "true", "Accept": "text/html"}}
     return client.request(method, path, **asked)
 

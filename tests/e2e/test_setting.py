@@ -385,7 +385,7 @@ def test_a_block_is_said_and_lifted(site: Site, browser_page: OpensPages) -> Non
     expect(page.locator("#setpoint")).to_have_count(0)
     expect(page.locator(".plate__set")).to_contain_text("belt off since 14:20")
     opened(page, "/")
-    expect(page.locator("[data-strip]")).to_contain_text("belt off since 14:20")
+    expect(page.locator(".well")).to_contain_text("belt off since 14:20")
     opened(page, "/units/line/7")
     page.locator("summary").click()
     page.get_by_role("button", name=re.compile("^Lift ")).click()
