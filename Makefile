@@ -4,7 +4,7 @@ PORT ?= 8000
 VENV := .venv
 BIN := $(VENV)/bin
 VENDOR := static/vendor/made-from.sha256
-CHROMIUM := /usr/bin/chromium
+CHROMIUM := /usr/bin/chromium-headless-shell
 NODE_TOOLS := node_modules/.package-lock.json
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
 	--custom-compile-command "make lock" --extra rfc2217
@@ -22,10 +22,10 @@ free-port:
 
 setup: $(VENV)/.lineside
 
-# Three browsers, their servers and their lines share the machine: half their time they wait. A real line starved
+# Four browsers, their servers and their lines share the machine: half their time they wait. A real line starved
 # of time misses polls as it should. What fails so is run again alone; only what fails again has failed.
 test: development
-	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder || $(BIN)/pytest --last-failed --last-failed-no-failures none
+	$(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder || $(BIN)/pytest --last-failed --last-failed-no-failures none
 
 # What takes long, alone on the machine: it measures.
 soak: development
@@ -85,5 +85,5 @@ $(NODE_TOOLS): package.json package-lock.json
 	@touch $@
 
 $(CHROMIUM):
-	@test "$$(id -u)" = 0 || { echo "The browser tests need Chromium: as root, apt-get install chromium, then run this again." >&2; exit 1; }
-	apt-get update && apt-get install --yes --no-install-recommends chromium
+	@test "$$(id -u)" = 0 || { echo "The browser tests need Chromium: as root, apt-get install chromium-headless-shell, then run this again." >&2; exit 1; }
+	apt-get update && apt-get install --yes --no-install-recommends chromium-headless-shell

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
+from copy import copy
 from importlib.metadata import version
 
 from fastapi import FastAPI
@@ -118,7 +119,8 @@ def create_app(
     app.state.services = services
     for feature in FEATURES:
         # Not by include_router: that builds every route again, which is a third of a second of the start.
-        app.router.routes.extend(feature.router.routes)
+        # Copies: an app guards its own routes, and a process may have several apps.
+        app.router.routes.extend(copy(route) for route in feature.router.routes)
     problems.install(app)
     app.add_middleware(HeadAsGet)
     app.add_middleware(Identify, identity=services.identity, rechecks=services.accounts.rechecks, demo=demo)
