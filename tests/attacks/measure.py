@@ -97,8 +97,6 @@ def measure(target: Site, attack: str, seconds: float) -> Measured:
     health, command = Waits(), Waits()
     with target.api("operator") as client:
         asks = ((asks_health(target), health), (commands(client), command))
-        # What a server loads when it is first asked, and takes for its first sign-in (19 MiB), is no growth.
-        who = {"name": "nobody", "password": "not the password"}
         httpx.post(
             f"{target.url}/login", data=who, headers={"Origin": target.url}, trust_env=False, timeout=30
         )
