@@ -17,6 +17,8 @@ from app.history.runs import DAY, HOUR, MINUTE, micros
 from app.history.service import FILE
 from app.history.writer import MIGRATIONS
 
+pytestmark = pytest.mark.soak
+
 DAYS = 60
 ROWS = DAYS * 1440
 MOST_MB = 100

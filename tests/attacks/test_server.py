@@ -19,7 +19,6 @@ SHORT = (
     "bodies without an end",
     "snapshots without end",
     "keys by the thousand",
-    "queries with patterns",
     "searches",
 )
 

@@ -132,9 +132,7 @@ async def test_no_text_of_a_request_is_compared_with_the_patterns(
     assert [text for text in looked_up if MARK in text] == []
 
 
-@pytest.mark.parametrize(
-    "text", ["\0", "\ufffd", "..", "../../etc/passwd", "%s%n", "'\"", "-1", "1e9", "9" * 300]
-)
+@pytest.mark.parametrize("text", ["\0", "../../etc/passwd", "%s%n", "-1", "9" * 300])
 async def test_no_text_of_an_address_makes_a_route_fail(house: House, text: str) -> None:
     client = await house.signed_in(Role.ADMIN)
     for route in (route for route in house.app.routes if isinstance(route, APIRoute)):

@@ -21,6 +21,8 @@ import pytest
 from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
 
+pytestmark = pytest.mark.soak
+
 CLOCK = """\
 import os, time
 from pathlib import Path

@@ -11,6 +11,8 @@ from playwright.sync_api import Page
 
 from tests.e2e.conftest import OpensPages
 
+pytestmark = pytest.mark.soak
+
 RUN_MS = 20_000
 MOST = 0.25
 """Of the main thread."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
+
+pytestmark = pytest.mark.soak
 
 PHONE = {"width": 360, "height": 600}
 LAST = "line/8"
