@@ -23,6 +23,7 @@ class Dashboard:
     folder: Path
     url: str
     cable: Cable
+    client: httpx.Client
     tokens: dict[str, str] = field(default_factory=dict)
 
     def call(
@@ -31,10 +32,7 @@ class Dashboard:
         """One call under /api/v1; ``path`` that begins with "/units" or the like is of the bus."""
         headers = {"Authorization": f"Bearer {self.tokens[role]}"} if role else {}
         headers |= more.pop("headers", {})
-        url = f"{self.url}/api/v1{path}"
-        return httpx.request(
-            method, url, json=body, headers=headers, timeout=PATIENCE_S, trust_env=False, **more
-        )
+        return self.client.request(method, f"/api/v1{path}", json=body, headers=headers, **more)
 
     def bus(
         self, method: str, path: str, body: Any = None, role: str = "admin", **more: Any
@@ -83,8 +81,12 @@ def dashboard(
     cable_of: type[Cable] = Cable,
 ) -> Iterator[Dashboard]:
     """Serve these units; every one has been read, with its parameters, when this begins."""
-    with plugged(folder / "tty", units, cable_of) as cable:
-        made = Dashboard(folder, f"http://127.0.0.1:{free_port()}", cable)
+    url = f"http://127.0.0.1:{free_port()}"
+    with (
+        plugged(folder / "tty", units, cable_of) as cable,
+        httpx.Client(base_url=url, timeout=PATIENCE_S, trust_env=False) as client,
+    ):
+        made = Dashboard(folder, url, cable, client)
         config = folder / "lineside.toml"
         config.write_text(_configuration(made, site_toml, bus_toml), encoding="utf-8")
         store, tokens = people()
@@ -104,7 +106,7 @@ def dashboard(
 
 def _serves(made: Dashboard) -> bool:
     try:
-        return httpx.get(f"{made.url}/healthz", trust_env=False).json() == {"status": "ok"}
+        return made.client.get("/healthz").json() == {"status": "ok"}
     except httpx.HTTPError:
         return False
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 from app.web.languages.sentences import Sentences
@@ -68,6 +69,7 @@ class Languages:
         return self[otherwise]
 
 
+@cache
 def _load(path: Path) -> Language:
     data = tomllib.loads(path.read_text(encoding="utf-8"))
     sentences = Sentences(data.get("sentences"), data["texts"])
