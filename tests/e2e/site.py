@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
@@ -110,7 +111,9 @@ def people() -> tuple[Path, dict[str, str]]:
     atexit.register(shutil.rmtree, folder)
     config = folder / "lineside.toml"
     config.write_text('[server]\ndata = "./data"\n')
-    tokens = with_accounts(config, _add_everybody)
+    # Playwright runs an event loop in the thread of the test.
+    with ThreadPoolExecutor(1) as thread:
+        tokens = thread.submit(with_accounts, config, _add_everybody).result()
     templates = Templates(
         templates_dir(), Assets(static_dir()), SiteSettings(), kept_in=folder / "data" / "compiled"
     )
