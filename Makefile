@@ -22,10 +22,9 @@ free-port:
 
 setup: $(VENV)/.lineside
 
-# Four browsers, their servers and their lines share the machine: half their time they wait. A real line starved
-# of time misses polls as it should. What fails so is run again alone; only what fails again has failed.
-test: development
-	$(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder || $(BIN)/pytest --last-failed --last-failed-no-failures none
+# Twice as many at a time as the machine has cores: half its time a test of a whole site waits.
+test: check
+	$(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder
 
 # What takes long, alone on the machine: it measures.
 soak: development
