@@ -104,7 +104,9 @@ class RestoreRun:
         restore = self._restore
         status = self._reader.status(restore.bus, restore.unit)
         runs = status is not None and status.run
-        return runs and restore.running is False and bool(warning_of(row.write.number, running=True))
+        if not runs or restore.running is not False:
+            return False
+        return bool(warning_of(row.write.number, row.write.wanted, running=True))
 
 
 def _go_on_or_raise(row: RowResult) -> None:
