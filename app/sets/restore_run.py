@@ -61,9 +61,7 @@ class RestoreRun:
         restore = self._restore
         for place, row in enumerate(restore.rows):
             if restore.cancelled_by:
-                who, done, rows = restore.cancelled_by, restore.done, len(restore.rows)
-                text = f"left off by {who} after {done} of {rows} rows"
-                raise Problem(409, "cancelled", text)
+                raise _cancelled(restore)
             if self._would_surprise(row):
                 raise Problem(409, "moved", STARTED)
             await self._store.sending(restore, place)
@@ -107,6 +105,12 @@ class RestoreRun:
         if not runs or restore.running is not False:
             return False
         return bool(warning_of(row.write.number, row.write.wanted, running=True))
+
+
+def _cancelled(restore: Restore) -> Problem:
+    who, done, rows = restore.cancelled_by, restore.done, len(restore.rows)
+    one, many = f"left off by {who} after {done} of 1 row", f"left off by {who} after {done} of {rows} rows"
+    return Problem(409, "cancelled", one if rows == 1 else many)
 
 
 def _go_on_or_raise(row: RowResult) -> None:
