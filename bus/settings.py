@@ -115,6 +115,6 @@ def check_port(port: str) -> str:
 def _names_host_and_port(url: str) -> bool:
     parts = urlsplit(url)
     try:
-        return bool(parts.hostname) and parts.port is not None
+        return bool(parts.hostname) and bool(parts.port)
     except ValueError:
         return False

@@ -55,7 +55,8 @@ def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
             raise StoreError(
                 f"the audit log is broken at entry {verdict.broken}: {verdict.fault}; compare a backup"
             )
-    typer.echo(f"the audit log is whole: {verdict.entries} entries")
+    entries = "1 entry" if verdict.entries == 1 else f"{verdict.entries} entries"
+    typer.echo(f"the audit log is whole: {entries}")
     for remark in _remarks(verdict, anchors):
         typer.echo(remark)
 

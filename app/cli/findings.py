@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import errno
-import getpass
 import importlib.util
 import os
 import socket
 import stat
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from app.cli.audit_findings import audit_findings
 from app.cli.counted import counted
+from app.cli.finding import Finding, is_visible, user
 from app.cli.listening import ListenError, listen
 from app.settings import Server, Settings
 from bus.line.ports.refusal import why_not
@@ -25,18 +25,11 @@ NO_BUS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One line of the report. A fault keeps Lineside from working as configured; the rest informs."""
-
-    text: str
-    is_fault: bool = False
-
-
 def findings(settings: Settings) -> Iterator[Finding]:
     """Everything worth knowing of a configuration on this machine, in the order of the file."""
     yield _address(settings.server)
     yield _data(settings.server.data)
+    yield from audit_findings(settings)
     if not settings.bus:
         yield Finding(NO_BUS, is_fault=True)
     for bus in settings.bus:
@@ -55,26 +48,18 @@ def _address(server: Server) -> Finding:
 
 
 def _data(folder: Path) -> Finding:
-    existing = next(each for each in (folder, *folder.parents) if _is_visible(each))
+    existing = next(each for each in (folder, *folder.parents) if is_visible(each))
     if not existing.is_dir():
         return Finding(f"data: {existing} is no folder. Name another one as data in [server].", is_fault=True)
     if not os.access(existing, os.W_OK | os.X_OK):
         what = "write to" if existing == folder else "create"
         return Finding(
-            f"data: {_user()} may not {what} {folder}. Give the folder to the user that runs Lineside, name "
+            f"data: {user()} may not {what} {folder}. Give the folder to the user that runs Lineside, name "
             "another one as data in [server], or run this check as that user.",
             is_fault=True,
         )
     later = "" if existing == folder else ", created at the first start"
     return Finding(f"data in {folder}{later}")
-
-
-def _is_visible(path: Path) -> bool:
-    """Whether it exists in a folder that this user may look into."""
-    try:
-        return path.exists()
-    except PermissionError:
-        return False
 
 
 def _bus(bus: BusSettings) -> Iterator[Finding]:
@@ -122,10 +107,3 @@ def _url_fault(url: str) -> str:
             f"{url} names a host that this machine does not know. Check its spelling, or give its IP address."
         )
     return ""
-
-
-def _user() -> str:
-    try:
-        return f"user {getpass.getuser()}"
-    except (KeyError, OSError):
-        return f"user {os.getuid()}"

@@ -74,11 +74,13 @@ def _fate_of_all(desk: Desktop, result: Result, proofs: list[Proof]) -> Fate:
     """The whole change in one sentence: how many of its units are proven."""
     fate = desk.fate(result)
     if result.outcome == "verified":
-        return Fate("good", desk.voice.t("verified at each of {n} units", n=len(proofs)))
+        return Fate("good", desk.voice.tn("verified", "verified at each of {n} units", len(proofs)))
     if result.outcome != "unverified":
         return fate
     proven = sum(unit.outcome == "verified" for unit in result.units)
-    counted = desk.voice.t("{n} of {units} units verified", n=proven, units=len(proofs))
+    counted = desk.voice.tn(
+        "{good} of {n} unit verified", "{good} of {n} units verified", len(proofs), good=proven
+    )
     return Fate(fate.tone, f"{counted}; {fate.text}")
 
 

@@ -9,6 +9,8 @@ from starlette.responses import Response
 
 from app.commands.fate import Fate
 from app.commands.forms import Desks, Desktop
+from app.commands.reviewing import facts
+from app.commands.risks import obstacle_of
 from app.commands.writer import EngineeringWriter, Writer
 from app.errors import Problem
 from app.live.state import UnitLive
@@ -46,6 +48,7 @@ async def review_output(person: Operator, desk: Desks, bus: str, unit: int, numb
         number=number,
         name=output_name(live, number),
         on=on,
+        obstacle=obstacle_of(facts(desk, bus, unit)),
     )
 
 
@@ -90,7 +93,11 @@ async def review_analog(
     except (CallerError, Problem) as error:
         return desk.not_so(error.text(desk.voice.t), "#analog-error")
     return desk.review(
-        "unit/_review_analog.html", unit=desk.shown(bus, unit), raw=raw, volts=_volts(desk, live, raw)
+        "unit/_review_analog.html",
+        unit=desk.shown(bus, unit),
+        raw=raw,
+        volts=_volts(desk, live, raw),
+        obstacle=obstacle_of(facts(desk, bus, unit)),
     )
 
 

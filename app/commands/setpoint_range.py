@@ -99,14 +99,16 @@ def _of_the_unit(unit: UnitLive, kind: SetpointKind) -> SetpointRange:
 
 
 def _narrowed(found: SetpointRange, limits: Limits) -> SetpointRange:
+    """Of a speed, an engineer's highest takes the place of #2. Nothing else widens what the unit says."""
     lowest, highest = found.lowest, found.highest
     if limits.highest is not None:
-        highest = _carried(limits.highest) if found.kind == "speed" else min(highest, limits.highest)
+        own = max(lowest, min(highest, limits.highest))
+        highest = _carried(limits.highest) if found.kind == "speed" else own
     if limits.lowest is not None:
-        lowest = max(lowest, limits.lowest)
+        lowest = min(max(lowest, limits.lowest), highest)
     if (lowest, highest) == (found.lowest, found.highest):
         return found
-    return SetpointRange(found.kind, lowest, max(lowest, highest), "limits")
+    return SetpointRange(found.kind, lowest, highest, "limits")
 
 
 def _carried(raw: int) -> int:

@@ -49,7 +49,9 @@ def wording(action: Action, bus: BusLive) -> Wording:
         case ExecuteSpeed():
             return _setpoint("execute staged speed (83h)", bus, action.unit, bus.units[action.unit].staged)
         case SetLine():
-            return _line(f"set {len(action.setpoints)} units at once (82h, 83h)", action, bus)
+            count = len(action.setpoints)
+            what = "set 1 unit (82h, 83h)" if count == 1 else f"set {count} units at once (82h, 83h)"
+            return _line(what, action, bus)
         case ExecuteAll():
             return _line("execute every staged speed (83h to all)", action, bus)
         case WriteOutput():

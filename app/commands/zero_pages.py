@@ -139,6 +139,14 @@ def _on_site(desk: Desktop, bus: str, name: str) -> str:
 def _in_all(desk: Desktop, proofs: list[Proof]) -> Fate:
     at_zero = sum(fate.tone == "good" for _, _, fate in proofs)
     if proofs and at_zero == len(proofs):
-        return Fate("good", desk.voice.t("{n} units took speed 0 and ramp down", n=at_zero))
-    text = "{n} of {units} units took speed 0: look at the others"
-    return Fate("bad", desk.voice.t(text, n=at_zero, units=len(proofs)))
+        good = desk.voice.tn(
+            "{n} unit took speed 0 and ramps down", "{n} units took speed 0 and ramp down", at_zero
+        )
+        return Fate("good", good)
+    bad = desk.voice.tn(
+        "the unit did not take speed 0: look at it",
+        "{good} of {n} units took speed 0: look at the others",
+        len(proofs),
+        good=at_zero,
+    )
+    return Fate("bad", bad)

@@ -54,6 +54,10 @@ class Voice:
         """The text in this language."""
         return self.language.t(text, **values)
 
+    def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
+        """The text for a count: ``one`` for exactly one, else ``many``; ``{n}`` in it is the count."""
+        return self.language.tn(one, many, n, **values)
+
 
 def unit_key(bus: str, unit: int) -> str:
     """The group of a unit's fields."""

@@ -103,11 +103,11 @@ def _all_well(tally: Tally, voice: Voice) -> str:
     if tally.units == 0:
         return voice.t("No unit is configured")
     if tally.at_zero == tally.units:
-        return voice.t("All {n} units at zero", n=tally.units)
+        return voice.tn("{n} unit at zero", "All {n} units at zero", tally.units)
     if tally.ramping:
         return voice.t("{n} of {units} ramping", n=tally.ramping, units=tally.units)
     if tally.at_speed == tally.units:
-        return voice.t("All {n} units at speed", n=tally.units)
+        return voice.tn("{n} unit at speed", "All {n} units at speed", tally.units)
     return voice.t("{n} of {units} at speed, the others at zero", n=tally.at_speed, units=tally.units)
 
 

@@ -116,9 +116,8 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
     present = (
         "not known" if raw is None else "hidden" if parameter.secret else with_unit(parameter, raw, known)
     )
-    warning = warning_of(parameter.number, running=None if status is None else status.run)
     reviewed = "" if raw is None or parameter.secret else str(raw)
-    row = BatchRow(unit.settings.id, unit.settings.name, present, raw, reviewed, typed, warning=warning)
+    row = BatchRow(unit.settings.id, unit.settings.name, present, raw, reviewed, typed)
     if not typed:
         return row
     try:
@@ -132,7 +131,8 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
     except CallerError as error:
         return replace(row, fault=error)
     shown = "hidden" if parameter.secret else with_unit(parameter, wanted, known)
-    return replace(row, wanted=wanted, shown=shown)
+    warning = warning_of(parameter.number, wanted, running=None if status is None else status.run)
+    return replace(row, wanted=wanted, shown=shown, warning=warning)
 
 
 async def _write(

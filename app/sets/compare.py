@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from app.sets.effects import OPERATING_VALUES
 from app.sets.model import Row, UnitRows
 from bus.catalogue.parameters import PARAMETERS, Parameter
 from bus.catalogue.values import parameter_text, parameter_unit
 
 Kind = Literal["equal", "differs", "unavailable", "unknown"]
-
-OPERATING_VALUES = frozenset({20, 37})
-"""Setpoints: they change with every shift, so they are compared and restored but are no drift."""
 
 _DECIMALS, _MODE = 3, 8
 _MEANINGS: dict[int, str] = {

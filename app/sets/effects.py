@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Literal
 
+from app.live.ramp_time import ACCELERATION, DECELERATION
+
 Effect = Literal[
     "setpoint", "speed_scale", "ramp", "contact", "ratio_limit", "meaning", "analog_output", "unknown"
 ]
@@ -17,7 +19,7 @@ _PARAMETERS: Mapping[Effect, Collection[int]] = {
     "setpoint": OPERATING_VALUES,
     # The motor speed is the setpoint * #1 / #2, by the pulses of #5, and #4 in a follower (protocol.md, 3).
     "speed_scale": (1, 2, 4, 5),
-    "ramp": (6, 7),
+    "ramp": (ACCELERATION, DECELERATION),
     "contact": (9, 10, 11, 13),
     "ratio_limit": (31, 38),
     "meaning": (3, 8),
@@ -40,14 +42,17 @@ EFFECT_TEXTS: Mapping[Effect, str] = {
     "analog_output": "Changes the analog output at once, and the speed of what it drives",
     "unknown": "May change the running unit: the manual does not explain this parameter",
 }
+NO_RAMP = "Takes the ramp away: from then on the unit changes its speed at once"
 
 
-def warning_of(number: int, *, running: bool | None) -> str:
-    """What a person must know before this write; empty where it changes nothing at the machine now.
+def warning_of(number: int, raw: int, *, running: bool | None) -> str:
+    """What a person must know before ``raw`` is written; empty where there is nothing to fear at the machine.
 
     ``running``: the Run input of the unit (None: not known, taken as running).
     """
     effect = EFFECTS.get(number)
+    if effect == "ramp" and raw == 0:
+        return NO_RAMP
     if effect is None or (running is False and effect != "setpoint"):
         return ""
     return EFFECT_TEXTS[effect]

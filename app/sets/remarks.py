@@ -23,7 +23,7 @@ def remarks(
 
 
 def _motion(running: bool | None, writes: Iterable[Write]) -> list[str]:
-    if not any(warning_of(write.number, running=running) for write in writes):
+    if not any(warning_of(write.number, write.wanted, running=running) for write in writes):
         return []
     return [] if running is False else [MAY_RUN if running is None else RUNS]
 

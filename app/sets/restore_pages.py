@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Form, Request, Response, UploadFile
+from fastapi import APIRouter, Form, Request, Response
 
 from app.errors import Problem
 from app.live.api import Live
@@ -13,8 +13,9 @@ from app.live.state import LiveState
 from app.sets.api import Keeper
 from app.sets.compare import compare
 from app.sets.effects import OPERATING_VALUES
+from app.sets.form_source import Chosen, FormSource, post_source
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import restore_or_404, uploaded_rows
+from app.sets.lookup import restore_or_404
 from app.sets.model import UnitRows
 from app.sets.offers import offers
 from app.sets.pages import go_to
@@ -26,7 +27,6 @@ from app.sets.shown import ComparedShown
 from app.sets.sides import side
 from app.sets.view import compared_json
 from app.web.access import Engineer
-from app.web.bounds import MOST_BODY_BYTES
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
 
@@ -51,24 +51,13 @@ async def restore_page(
     )
 
 
-@router.post(
-    "/units/{bus}/{unit}/restore",
-    max_body_size=MOST_BODY_BYTES,
-    form_limits={"max_files": 1, "max_fields": 100},
-)
+@post_source(router, "/units/{bus}/{unit}/restore")
 async def plan_page(
-    person: Engineer,
-    keeper: Keeper,
-    restores: Restores,
-    live: Live,
-    bus: str,
-    unit: int,
-    source: Annotated[str, Form()] = "",
-    file: UploadFile | None = None,
+    person: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int, chosen: Chosen
 ) -> Response:
     """Read the unit and say what would be written. Nothing is."""
     unit_or_404(live, bus, unit)
-    rows = await _chosen(keeper, live, unit, source, file)
+    rows = await chosen.uploaded(unit) or await _stored(keeper, live, chosen)
     restore = await restores.plan(person, bus, unit, rows)
     return go_to(f"/restores/{restore.id}")
 
@@ -133,15 +122,11 @@ async def cancel(person: Engineer, restores: Restores, restore_id: str) -> Respo
     return go_to(f"/restores/{restore_id}")
 
 
-async def _chosen(
-    keeper: SetKeeper, live: LiveState, unit: int, source: str, file: UploadFile | None
-) -> UnitRows:
-    """The rows of an uploaded file, else of a stored set named ``set:12:3``. Raises Problem 422 or 404."""
-    if file is not None and file.filename:
-        return await uploaded_rows(unit, file)
-    if not source.startswith("set:"):
+async def _stored(keeper: SetKeeper, live: LiveState, chosen: FormSource) -> UnitRows:
+    """The rows of a stored set named ``set:12:3``. Raises Problem 422 or 404."""
+    if not chosen.text.startswith("set:"):
         raise Problem(422, "invalid", "choose a stored set or a file")
-    return (await side(source, keeper, live)).rows
+    return (await side(chosen.text, keeper, live)).rows
 
 
 def _ticked(restore: Restore, rows: frozenset[int]) -> Selection:

@@ -61,9 +61,7 @@ class RestoreRun:
         restore = self._restore
         for place, row in enumerate(restore.rows):
             if restore.cancelled_by:
-                who, done, rows = restore.cancelled_by, restore.done, len(restore.rows)
-                text = f"left off by {who} after {done} of {rows} rows"
-                raise Problem(409, "cancelled", text)
+                raise _cancelled(restore)
             if self._would_surprise(row):
                 raise Problem(409, "moved", STARTED)
             await self._store.sending(restore, place)
@@ -104,7 +102,15 @@ class RestoreRun:
         restore = self._restore
         status = self._reader.status(restore.bus, restore.unit)
         runs = status is not None and status.run
-        return runs and restore.running is False and bool(warning_of(row.write.number, running=True))
+        if not runs or restore.running is not False:
+            return False
+        return bool(warning_of(row.write.number, row.write.wanted, running=True))
+
+
+def _cancelled(restore: Restore) -> Problem:
+    who, done, rows = restore.cancelled_by, restore.done, len(restore.rows)
+    one, many = f"left off by {who} after {done} of 1 row", f"left off by {who} after {done} of {rows} rows"
+    return Problem(409, "cancelled", one if rows == 1 else many)
 
 
 def _go_on_or_raise(row: RowResult) -> None:

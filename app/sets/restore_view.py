@@ -44,7 +44,7 @@ def _row_json(restore: Restore, row: RowResult, left: LeftOut | None) -> Restore
         "reason": None if left is None else left.text,
         "reason_code": None if left is None else left.reason,
         "effect": EFFECTS.get(number),
-        "warning": warning_of(number, running=restore.running) or None,
+        "warning": warning_of(number, row.write.wanted, running=restore.running) or None,
         "words": words,
         "meaning": words.format(new=values["wanted"], old=values["present"]),
         "outcome": row.outcome,

@@ -5,13 +5,14 @@ from __future__ import annotations
 from time import time
 from typing import Annotated
 
-from fastapi import APIRouter, Form, Request, Response, UploadFile
+from fastapi import APIRouter, Request, Response
 
 from app.commands.desk import Desk
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import unit_or_404
 from app.sets.api import Keeper
+from app.sets.form_source import Chosen, post_source
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.offers import offers
 from app.sets.restore_api import Restores
@@ -23,7 +24,6 @@ from app.swap.record import Swap
 from app.swap.rules import FACTORY_ADDRESS, PROVEN, STEPS, Advice, advice, done_steps
 from app.swap.sources import source_of
 from app.web.access import Engineer, Person
-from app.web.bounds import MOST_BODY_BYTES
 from app.web.services import service
 from app.web.templating import render
 
@@ -46,23 +46,13 @@ async def swap_page(
     )
 
 
-@router.post(
-    "/swap/{bus}/{unit}", max_body_size=MOST_BODY_BYTES, form_limits={"max_files": 1, "max_fields": 100}
-)
+@post_source(router, "/swap/{bus}/{unit}")
 async def begin(
-    person: Engineer,
-    keeper: Keeper,
-    live: Live,
-    swaps: Swaps,
-    bus: str,
-    unit: int,
-    source: Annotated[str, Form()] = "",
-    file: UploadFile | None = None,
+    person: Engineer, keeper: Keeper, live: Live, swaps: Swaps, bus: str, unit: int, chosen: Chosen
 ) -> Response:
-    """Begin it; nothing is sent to any unit but questions."""
+    """Begin it; units are only read."""
     unit_or_404(live, bus, unit)
-    chosen = await source_of(person, keeper, live, bus, unit, source, file)
-    await swaps.begin(person, bus, unit, chosen)
+    await swaps.begin(person, bus, unit, await source_of(person, keeper, live, bus, unit, chosen))
     return _to_swap(bus, unit)
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from fastapi import UploadFile
-
 from app.errors import Problem
 from app.live.state import LiveState
+from app.sets.form_source import FormSource
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import uploaded_rows
 from app.sets.sides import side
 from app.swap.record import Source
 from app.web.access import Person
@@ -17,27 +15,20 @@ SHEET = "sheet"
 
 
 async def source_of(
-    person: Person,
-    keeper: SetKeeper,
-    live: LiveState,
-    bus: str,
-    unit: int,
-    text: str,
-    file: UploadFile | None,
+    person: Person, keeper: SetKeeper, live: LiveState, bus: str, unit: int, form: FormSource
 ) -> Source | None:
-    """What was chosen, as a stored set: a neighbour is read now, a file is kept. None: the sheet.
+    """What the form chooses, as a stored set: a neighbor is read now, a file is kept. None: the sheet.
 
-    Raises Problem 404, 422 or 504 in words.
+    Raises Problem 404, 422 or 504.
     """
-    if file is not None and file.filename:
-        rows = await uploaded_rows(unit, file)
-        kept = await keeper.keep(person, bus, [rows], file.filename[:80], "", "from a file")
+    if rows := await form.uploaded(unit):
+        kept = await keeper.keep(person, bus, [rows], form.file_name[:80], "", "from a file")
         return Source(kept.id, rows.unit)
-    if text == SHEET:
+    if form.text == SHEET:
         return None
-    if not text:
+    if not form.text:
         raise Problem(422, "invalid", "choose what the spare shall become; nothing was begun")
-    chosen = await side(text, keeper, live)
+    chosen = await side(form.text, keeper, live)
     if chosen.kind == "set":
         return Source(int(chosen.of), chosen.unit)
     name = f"for the swap of unit {unit}"

@@ -39,5 +39,10 @@ class Backoff:
 
     @property
     def is_worth_a_line(self) -> bool:
-        """Whether to log this end: the first three, then each time that their number has doubled."""
-        return self.count <= 3 or self.count & (self.count - 1) == 0
+        """Whether to log this end."""
+        return is_worth_a_line(self.count)
+
+
+def is_worth_a_line(count: int) -> bool:
+    """Whether to log what happens for this time: the first three, then each time that it has doubled."""
+    return count <= 3 or count & (count - 1) == 0

@@ -9,9 +9,9 @@ from collections.abc import Awaitable, Callable
 import structlog
 
 from bus.errors import WireError
-from bus.line.backoff import STABLE_S, Backoff
+from bus.line.backoff import STABLE_S, Backoff, is_worth_a_line
 from bus.line.poller import Poller
-from bus.line.port import OpenPort, Receiver
+from bus.line.port import EndedWhileOpening, OpenPort, Receiver
 from bus.line.transport import open_port
 
 RETRY_S = 0.5
@@ -32,6 +32,8 @@ class Opener:
         self._lost: asyncio.Future[str] | None = None
         self._port: OpenPort | None = None
         self._cause = ""
+        self._causes = 0
+        """How often in a row another cause was seen than before."""
         self._lost_cause = ""
         self._backoff = Backoff(random.random)
         self._listener: _Listener | None = None
@@ -56,8 +58,9 @@ class Opener:
         """One opening of the port, from its beginning to its end; in how many seconds to try the next."""
         clock, counts = self._poller.clock, self._poller.link.counts
         began, answers = clock.now(), counts.answers
-        if not await self._try():
-            return RETRY_S if clock.now() - began < RETRY_S else 0.0
+        failure = await self._try()
+        if failure is not None:
+            return self._failed(failure, clock.now() - began)
         opened = clock.now()
         stable = asyncio.get_running_loop().call_later(STABLE_S, self._note_stable)
         await self._until_lost()
@@ -66,24 +69,33 @@ class Opener:
         self._tell(self._lost_cause)
         return pause_s
 
-    async def _try(self) -> bool:
+    def _failed(self, failure: WireError, took_s: float) -> float:
+        """In how many seconds to try again; one that is absent is looked for twice a second."""
+        pause_s = RETRY_S if took_s < RETRY_S else 0.0
+        if isinstance(failure, EndedWhileOpening):
+            pause_s = self._backoff.ended(0.0)
+        self._tell(str(failure))
+        self._poller.still_closed(str(failure))
+        return pause_s
+
+    async def _try(self) -> WireError | None:
+        """Why it cannot be opened; None: it is open."""
         poller = self._poller
         self._lost = asyncio.get_running_loop().create_future()
         self._listener = _Listener(self)
         try:
             self._port = await self._open(poller.bus.port, poller.baud, self._listener)
         except WireError as error:
-            self._tell(str(error))
-            poller.still_closed(str(error))
-            return False
+            return error
         self._cause = ""
         if self._backoff.is_worth_a_line:
             self._log_open()
         poller.port_opened(self._port)
-        return True
+        return None
 
     def _note_stable(self) -> None:
         """The opening that has lasted at last may have been none worth a line."""
+        self._causes = 0
         if not self._backoff.is_worth_a_line:
             self._log_open()
 
@@ -112,9 +124,10 @@ class Opener:
             self._lost.set_result(cause)
 
     def _tell(self, cause: str) -> None:
-        if cause and cause != self._cause and self._backoff.is_worth_a_line:
+        is_new, self._cause = bool(cause) and cause != self._cause, cause
+        self._causes += is_new
+        if is_new and self._backoff.is_worth_a_line and is_worth_a_line(self._causes):
             _log.warning("port closed; retrying", cause=cause, lost_soon_after_opening=self._backoff.count)
-        self._cause = cause
 
     def heard(self, listener: _Listener, data: bytes) -> None:
         """Bytes of one opening; of an old one they mean nothing any more."""

@@ -11,6 +11,10 @@ class PortUnavailable(WireError):
     """The port cannot be opened now; the text says why and what to do."""
 
 
+class EndedWhileOpening(PortUnavailable):
+    """The other end took the connection and ended it before the port was open."""
+
+
 class PartlySent(WireError):
     """The port took some of a request and broke: whether a unit heard it is not known."""
 

@@ -11,6 +11,8 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
+from app.audit.key_file import make_key_file
+from app.audit.keyring import Origin
 from app.cli import check, findings
 
 cli = typer.Typer()
@@ -140,3 +142,46 @@ def test_a_dashboard_port_in_use_is_no_fault(config: Path) -> None:
         result = run(config, f"[server]\nport = {taken.getsockname()[1]}\n" + bus("/dev/ttyUSB99"))
     assert result.exit_code == 0
     assert "which is in use now" in result.stdout
+
+
+# --- the audit log ------------------------------------------------------------------------------------
+
+
+def test_it_says_where_the_key_and_the_anchor_of_the_audit_log_are(config: Path, tmp_path: Path) -> None:
+    text = bus("/dev/ttyUSB99") + '[audit]\nanchor = "head.anchor"\n'
+    result = run(config, text)
+    assert (result.exit_code, result.stderr) == (0, "")
+    key = tmp_path / "lineside.audit.key"
+    assert f"audit key {key}, made at the first start\n" in result.stdout
+    assert f"audit anchor {tmp_path / 'head.anchor'}\n" in result.stdout
+    make_key_file(key, Origin(0, "0" * 64))
+    assert f"audit key {key}\n" in run(config, text).stdout
+
+
+@pytest.mark.parametrize(
+    ("audit", "words"),
+    [
+        ('key_file = "absent/lineside.key"', "absent/lineside.key"),
+        ('key_file = "lineside.toml"', "can be read or written by others"),
+        ('anchor = "absent/head.anchor"', "may not write"),
+        ('anchor = "."', "is no file"),
+        ('anchor = "/dev/null"', "is no file"),
+    ],
+)
+def test_an_audit_log_that_cannot_be_proven_is_a_fault(config: Path, audit: str, words: str) -> None:
+    config.touch(0o644)
+    result = run(config, f"{bus('/dev/ttyUSB99')}[audit]\n{audit}\n")
+    assert result.exit_code == 1
+    assert words in result.stderr
+
+
+def test_a_key_that_can_only_be_made_beside_the_data_is_warned_of(
+    config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As for a service with its configuration in /etc and nothing but its data folder to write."""
+    data = config.parent / "var" / "data"
+    data.mkdir(parents=True)
+    monkeypatch.setattr(findings.os, "access", lambda path, mode: path == data or not mode & os.W_OK)
+    result = run(config, f'[server]\ndata = "{data}"\n' + bus("/dev/ttyUSB99"))
+    assert result.exit_code == 0
+    assert f"audit key {data / 'lineside.audit.key'}, made at the first start; who can read" in result.stdout

@@ -137,6 +137,8 @@ async def test_the_page_has_one_row_and_each_units_values_and_result_in_it(house
     client = await house.signed_in(Role.VIEWER)
     page = (await client.get("/events", params={"kind": "command"})).text
     [row] = re.findall(r'<tr id="event-\d+" data-kind="command">.*?</details>.*?</tr>', page, re.DOTALL)
+    spans = re.findall(r'<td class="event__\w+[^"]*"(?: colspan="(\d)")?', row)
+    assert sum(int(span or 1) for span in spans) == 7, "each cell stands under its heading"
     text = re.sub(r"\s+", " ", re.sub("<[^>]+>", " ", row))
     assert "2 units: 1 verified, 1 unverified" in text
     assert "1 Unwind 10.0 → 11.0 verified" in text

@@ -139,6 +139,20 @@ def test_the_verdict_of_a_line_that_is_well_is_one_sentence(
         assert (shown["verdict"], shown["counts"], shown["level"]) == (text, "", "")
 
 
+@pytest.mark.parametrize(
+    ("changes", "verdict", "german"),
+    [
+        ({}, "1 unit at speed", "1 Regler auf Drehzahl"),
+        ({"commanded": 0, "actual": 0}, "1 unit at zero", "1 Regler auf null"),
+    ],
+)
+def test_the_verdict_of_one_unit(changes: dict[str, int], verdict: str, german: str) -> None:
+    live = line(1)
+    live.apply("dry", [reading(1, **changes)])
+    assert screen(live).shown["whole_line"]["verdict"] == verdict
+    assert screen(live, "de").shown["whole_line"]["verdict"] == german
+
+
 def test_without_units_the_verdict_says_so() -> None:
     assert screen(line(0)).shown["whole_line"]["verdict"] == "No unit is configured"
 

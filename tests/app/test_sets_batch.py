@@ -7,6 +7,7 @@ import pytest
 from app.errors import Problem
 from app.live.state import LiveState
 from app.sets.batch import BatchRow, refuse_moved, rows_of_batch, write_batch
+from app.sets.effects import NO_RAMP
 from bus.contract import ParameterValue
 from tests.app.played_desk import ANNA, PlayedDesk, a_bus, answering, factory
 
@@ -27,6 +28,11 @@ def typed(live: LiveState, number: int, *values: str) -> list[BatchRow]:
 )
 def test_the_review_warns_where_the_machine_changes(number: int, run: bool, warned: bool) -> None:
     assert [bool(row.warning) for row in typed(line(run=run), number, "3", "4")] == [warned, warned]
+
+
+def test_the_review_warns_of_a_ramp_of_nothing() -> None:
+    rows = typed(line(run=False), 7, "0.0", "0.1")
+    assert [row.warning for row in rows] == [NO_RAMP, ""]
 
 
 def test_a_value_that_moved_since_the_review_is_not_written() -> None:

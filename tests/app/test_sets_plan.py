@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.errors import Problem
-from app.sets.effects import OPERATING_VALUES, warning_of
+from app.sets.effects import NO_RAMP, OPERATING_VALUES, warning_of
 from app.sets.model import Row, UnitRows
 from app.sets.plan import plan_restore, refuse_unwritable
 from app.sets.remarks import MAY_RUN, RUNS, remarks
@@ -111,11 +111,11 @@ def test_a_row_cannot_be_named_and_excluded() -> None:
 
 def test_who_changes_a_running_machine_is_told_so() -> None:
     for number in (1, 2, 4, 5, 6, 7, 9, 20, 31, 33, 37, 38):
-        assert warning_of(number, running=True)
-        assert warning_of(number, running=None) == warning_of(number, running=True)
-    assert not any(warning_of(number, running=True) for number in (12, 15, 17, 21, 39))
-    assert not any(warning_of(number, running=False) for number in PARAMETERS if number not in (20, 37))
-    assert warning_of(20, running=False) == "Changes the machine's speed now"
+        assert warning_of(number, 5, running=True)
+        assert warning_of(number, 5, running=None) == warning_of(number, 5, running=True)
+    assert not any(warning_of(number, 5, running=True) for number in (12, 15, 17, 21, 39))
+    assert not any(warning_of(number, 5, running=False) for number in PARAMETERS if number not in (20, 37))
+    assert warning_of(20, 5, running=False) == "Changes the machine's speed now"
     ramp, window = ({number: 50} for number in (6, 12))
     for running, values, told in (
         (True, ramp, [RUNS]),
@@ -126,6 +126,12 @@ def test_who_changes_a_running_machine_is_told_so() -> None:
         wanted, present = rows(every(values)), rows(every())
         writes = plan_restore(wanted, present, running=running).writes
         assert remarks(wanted, present, running=running, writes=writes) == told
+
+
+@pytest.mark.parametrize("number", [6, 7])
+@pytest.mark.parametrize("running", [True, None, False])
+def test_a_ramp_of_nothing_is_warned_of_at_a_standstill_too(number: int, running: bool | None) -> None:
+    assert warning_of(number, 0, running=running) == NO_RAMP
 
 
 def test_the_mode_waits_for_run_to_go_off_and_unknown_counts_as_running() -> None:

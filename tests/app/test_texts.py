@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import string
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import get_args
 
@@ -116,23 +116,23 @@ UNSEEN = {
 OTHERS = [tag.tag for tag in Languages() if tag.tag != "en"]
 
 
-def in_templates() -> set[str]:
+def in_templates(*calls: re.Pattern[str]) -> set[str]:
     found = set()
     for path in templates_dir().rglob("*.html"):
         template = COMMENT.sub("", path.read_text(encoding="utf-8"))
-        for expression in (CALL, COUNTED):
+        for expression in calls or (CALL, COUNTED):
             for match in expression.finditer(template):
                 found |= {text for text in match.groups() if text is not None}
     return found
 
 
-def in_code() -> set[str]:
+def in_code(texts_of: Mapping[str, int] = TEXTS_OF) -> set[str]:
     found = set()
     for path in APP.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             name = getattr(node.func, "attr", "") if isinstance(node, ast.Call) else ""
-            if isinstance(node, ast.Call) and name in TEXTS_OF:
-                for text in node.args[: TEXTS_OF[name]]:
+            if isinstance(node, ast.Call) and name in texts_of:
+                for text in node.args[: texts_of[name]]:
                     if isinstance(text, ast.Constant) and isinstance(text.value, str):
                         found.add(text.value)
     return found
@@ -286,3 +286,14 @@ def test_the_search_finds_texts_at_all() -> None:
     assert f"set {FILLED} does not hold unit {FILLED}" in built()
     assert f"no answer to {FILLED} questions in a row" in spoken()
     assert "unit blocked" in noted()
+
+
+MANY = re.compile(r"\{n\} (units|rows|addresses|values|parameters|followers|sets|events|frames|readings)\b")
+NEVER_ONE = {"{n} values differ from golden: {parts}", "{name}, {n} units departed"}
+"""What is said of two at least."""
+
+
+def test_what_is_counted_has_a_text_for_one() -> None:
+    """A script that counts takes the texts of a ``tn`` from the page."""
+    uncounted = (in_templates(CALL) | in_code({"t": 1})) - in_templates(COUNTED)
+    assert {text for text in uncounted if MANY.search(text)} == NEVER_ONE

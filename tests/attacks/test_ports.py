@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from bus.errors import WireError
-from bus.line.port import OpenPort, PortUnavailable
+from bus.line.port import EndedWhileOpening, OpenPort, PortUnavailable
 from bus.line.transport import open_port
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
@@ -168,6 +168,20 @@ async def test_a_device_server_that_fails(scheme: str, fault: Any) -> None:
                     await asyncio.sleep(0.001)
             if port is not None:
                 port.close()
+
+
+async def test_a_server_that_ends_its_negotiation_is_told_from_one_that_is_absent() -> None:
+    """The one is tried ever more seldom, the other is looked for twice a second."""
+
+    async def hang_up(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.close()
+
+    async with server_that(hang_up) as number:
+        with pytest.raises(EndedWhileOpening):
+            await open_port(f"rfc2217://127.0.0.1:{number}", 9600, Ear())
+    with pytest.raises(PortUnavailable) as absent:
+        await open_port(f"rfc2217://127.0.0.1:{number}", 9600, Ear())
+    assert type(absent.value) is PortUnavailable
 
 
 @pytest.mark.parametrize("scheme", ["socket", "rfc2217"])

@@ -19,7 +19,7 @@ from bus.line.backoff import (
     Backoff,
 )
 from bus.line.opener import Opener
-from bus.line.port import OpenPort, Receiver
+from bus.line.port import EndedWhileOpening, OpenPort, Receiver
 from bus.worker.deadline import AppClock
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import REFUSED_PAUSE_S, Refused, Uplink
@@ -83,8 +83,14 @@ class Port:
 class Poller:
     """What the opener needs of it. Each opening lasts as ``lasts`` says and brings ``answers``."""
 
-    def __init__(self, lasts: Callable[[int], float | None], answers: int = 0) -> None:
+    def __init__(
+        self,
+        lasts: Callable[[int], float | None],
+        answers: int = 0,
+        failure: Callable[[int], WireError] = lambda _: WireError("it is not there"),
+    ) -> None:
         self.lasts = lasts
+        self.failure = failure
         self.answers = answers
         self.clock = SimpleNamespace(now=lambda: asyncio.get_running_loop().time())
         self.bus = SimpleNamespace(port="socket://box:4001")
@@ -98,7 +104,7 @@ class Poller:
         self.tried += 1
         lasts = self.lasts(self.tried)
         if lasts is None:
-            raise WireError("it is not there")
+            raise self.failure(self.tried)
         loop = asyncio.get_running_loop()
         self.opened.append(loop.time())
         loop.call_later(lasts, receiver.connection_lost, "it closed the connection")
@@ -152,6 +158,20 @@ def test_a_bad_contact_is_never_waited_for_longer_than_a_second() -> None:
 
 def test_one_that_is_absent_is_one_line() -> None:
     assert play(Poller(lambda _: None), DAY_S / 24) == ["port closed; retrying"]
+
+
+def test_a_server_that_accepts_and_ends_its_negotiation_is_left_in_peace_too() -> None:
+    """With RFC 2217 a port opens only after that; it was opened every half second."""
+    poller = Poller(lambda _: None, failure=lambda n: EndedWhileOpening(f"{('reset', 'closed')[n % 2]}"))
+    lines = play(poller, DAY_S)
+    assert DAY_S / (LONGEST_PAUSE_S * (1 + JITTER)) < poller.tried < DAY_S / LONGEST_PAUSE_S * 1.4
+    assert len(lines) < 40
+
+
+def test_causes_that_take_turns_are_few_lines() -> None:
+    poller = Poller(lambda _: None, failure=lambda n: WireError(("no route", "no response")[n % 2]))
+    assert len(play(poller, DAY_S / 24)) < 20
+    assert poller.tried > DAY_S / 24
 
 
 def test_the_opening_that_lasts_at_last_is_a_line() -> None:

@@ -135,6 +135,7 @@ def test_lines_are_found_in_arrays_dotted_keys_and_long_values() -> None:
         ("id = 16", 'id = 16\ngroup = "a\\u0000"', "character 2 is a control character (U+0000)"),
         ("socket://10.0.0.7:4001", "socket://10.0.0.7", "host and port number"),
         ("socket://10.0.0.7:4001", "rfc2217://:4001", "host and port number"),
+        ("socket://10.0.0.7:4001", "socket://10.0.0.7:0", "host and port number"),
     ],
 )
 def test_a_value_is_not_bent_into_what_was_meant(tmp_path: Path, good: str, bad: str, right: str) -> None:

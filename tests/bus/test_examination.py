@@ -135,6 +135,19 @@ def test_two_units_that_let_some_answers_through() -> None:
     assert one.kind == "garbled"
 
 
+def test_a_response_that_comes_after_its_window_is_late_and_not_doubled() -> None:
+    """Of each two requests, the response to the first comes in the window of the second."""
+    owed = False
+
+    def answer(question: Question) -> Outcome:
+        nonlocal owed
+        owed, was_owed = not owed and isinstance(question.request, ReadParameter), owed
+        return SILENCE if owed else replace(unit()(question), surplus=int(was_owed))
+
+    one = found(answer)
+    assert (one.kind, one.late) == ("digimax", True)
+
+
 def test_two_units_that_answer_one_after_the_other() -> None:
     one = found(lambda question: replace(unit()(question), surplus=1))
     assert one.kind == "garbled"

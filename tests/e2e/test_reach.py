@@ -72,6 +72,20 @@ def test_nothing_lies_over_what_can_be_pressed(browser_page: OpensPages, path: s
         assert page.evaluate(COVERED) == [], width
 
 
+def test_nothing_lies_over_the_rows_of_a_restore(site: Site, browser_page: OpensPages) -> None:
+    unit = "/buses/line/units/1"
+    with site.api("engineer") as client:
+        taken = client.post("/buses/line/sets", json={"units": [1]}).raise_for_status().json()
+        client.put(f"{unit}/parameters/6", json={"raw": 77}).raise_for_status()
+        plan = client.post(f"{unit}/restores", json={"set": taken["id"]}).raise_for_status().json()
+    page = browser_page("engineer", viewport={"width": 1280, "height": 600}, locale="de-DE")
+    opened(page, f"/restores/{plan['id']}")
+    expect(page.get_by_role("checkbox").first).to_be_visible()
+    for width in WIDTHS:
+        page.set_viewport_size({"width": width, "height": 600})
+        assert page.evaluate(COVERED) == [], width
+
+
 @pytest.mark.parametrize("width", [360, 700, 1280])
 def test_a_group_change_opens_at_its_head_and_its_result_at_the_verdict(
     browser_page: OpensPages, width: int

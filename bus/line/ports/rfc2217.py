@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from bus.line.port import OpenPort, PortUnavailable, Receiver
+from bus.line.port import EndedWhileOpening, OpenPort, PortUnavailable, Receiver
 from bus.line.ports import tcp
 from bus.line.ports.reception import Reception
 
@@ -21,7 +21,8 @@ async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
         raise PortUnavailable(f"{url} needs one more package: pip install 'lineside[rfc2217]'") from error
     tcp.address_of(url)
     protocol = Reception(receiver, f"{url} closed the connection")
-    kind = _rfc2217_transport()
+    accepted = asyncio.Event()
+    kind = _rfc2217_transport(accepted)
     try:
         async with asyncio.timeout(tcp.CONNECT_TIMEOUT_S):
             transport, _ = await serialx.create_serial_connection(
@@ -35,7 +36,8 @@ async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
     except UnicodeError as error:
         raise PortUnavailable(f"{url} names no host: check the part before the port number") from error
     except (OSError, ValueError) as error:
-        raise PortUnavailable(f"{url} cannot be opened ({error})") from error
+        fault = EndedWhileOpening if accepted.is_set() else PortUnavailable
+        raise fault(f"{url} cannot be opened ({error})") from error
     return tcp.TcpPort(transport, protocol, url)
 
 
@@ -51,8 +53,8 @@ def _parsed(feed: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
     return parse
 
 
-def _rfc2217_transport() -> Any:
-    """serialx's own, which takes servers as they are.
+def _rfc2217_transport(accepted: asyncio.Event) -> Any:
+    """serialx's own, which takes servers as they are. ``accepted``: set once one has taken the connection.
 
     Many never acknowledge the masks of line and modem states (RFC 2217, 3), which mean nothing on RS-422, and
     many speak first: what they say before the connection is known to be there would be an error. A command
@@ -75,6 +77,7 @@ def _rfc2217_transport() -> Any:
         async def _negotiate(self) -> None:
             assert self._tcp_transport is not None
             assert self._serial is not None
+            accepted.set()
             tcp.be_quick_to_notice(self._tcp_transport.get_extra_info("socket"))
             self._serial._engine.feed = _parsed(self._serial._engine.feed)  # type: ignore[assignment, method-assign, unused-ignore]
             super()._data_received(self._said_first)

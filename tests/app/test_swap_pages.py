@@ -1,0 +1,69 @@
+"""The form that begins a swap: what a spare is made from."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from app.web.access import Role
+from tests.app.played_line import BUS, played_line
+from tests.app.whole_app import House, whole_app
+
+SWAP = f"/swap/{BUS}/2"
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with whole_app(tmp_path) as house:
+        await played_line(house.services)
+        yield house
+
+
+@pytest.fixture
+async def client(house: House) -> httpx.AsyncClient:
+    return await house.signed_in(Role.ENGINEER)
+
+
+async def stored(client: httpx.AsyncClient) -> int:
+    return int((await client.post(f"/api/v1/buses/{BUS}/sets", json={"units": [2]})).json()["id"])
+
+
+async def test_a_stored_set(house: House, client: httpx.AsyncClient) -> None:
+    number = await stored(client)
+    begun = await client.post(SWAP, data={"source": f"set:{number}:2"})
+    assert (begun.status_code, begun.headers["location"]) == (303, SWAP)
+    swap = house.services.swaps.of_or_404(BUS, 2)
+    assert swap.source is not None
+    assert swap.source.set == number
+
+
+async def test_a_file_takes_the_place_of_what_is_selected(house: House, client: httpx.AsyncClient) -> None:
+    number = await stored(client)
+    document = (await client.get(f"/api/v1/sets/{number}/document")).content
+    data = {"source": f"set:{number}:2"}
+    begun = await client.post(SWAP, data=data, files={"file": ("nip.toml", document)})
+    assert begun.status_code == 303
+    source = house.services.swaps.of_or_404(BUS, 2).source
+    assert source is not None
+    kept = await house.services.sets.store.load(source.set)
+    assert kept is not None
+    assert (kept.id > number, kept.name, kept.origin) == (True, "nip.toml", "from a file")
+
+
+async def test_the_sheet(house: House, client: httpx.AsyncClient) -> None:
+    # As a browser does: the field of a file that was not chosen is sent, empty.
+    begun = await client.post(SWAP, data={"source": "sheet"}, files={"file": ("", b"")})
+    assert begun.status_code == 303
+    assert house.services.swaps.of_or_404(BUS, 2).source is None
+
+
+@pytest.mark.parametrize("source", ["", "set:99:2", "set:1", "nonsense"])
+async def test_what_names_no_source_begins_nothing(
+    house: House, client: httpx.AsyncClient, source: str
+) -> None:
+    refused = await client.post(SWAP, data={"source": source})
+    assert refused.status_code in (404, 422)
+    assert house.services.swaps.of(BUS, 2) is None
