@@ -27,6 +27,7 @@ from bus.contract import (
     Update,
     Watch,
 )
+from bus.contract.clock_offset import ClockOffset
 from bus.line.clock import Clock, RealClock
 from bus.line.opener import Opener, OpenFunction
 from bus.line.orders import errand_of
@@ -34,7 +35,6 @@ from bus.line.poller import Poller
 from bus.line.trace import Interpreter, Passed
 from bus.line.transport import open_port
 from bus.settings import BusSettings
-from bus.worker.deadline import AppClock
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
 
@@ -67,7 +67,7 @@ class BusWorker:
         self.clock = clock or RealClock()
         self.worker = uuid.uuid4().hex
         self.outbox = Outbox()
-        self.app_clock = AppClock()
+        self.app_clock = ClockOffset()
         self.poller = Poller(bus, self.clock, self._emit, seed if seed is not None else uuid.uuid4().int)
         self._opener = Opener(self.poller, open_function)
         self._started_at = self._epoch()
