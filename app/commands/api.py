@@ -23,8 +23,9 @@ from app.commands.bodies import (
 )
 from app.commands.desk import Desk
 from app.commands.shown import FateShown
+from app.commands.timeouts import timeout_s_for
 from app.commands.typed import Typed
-from app.commands.wish import timeout_s_for, writes_secret
+from app.commands.wish import writes_secret
 from app.commands.writer import EngineeringWriter, Writer, desk_of
 from app.errors import Problem
 from app.live.api import Live

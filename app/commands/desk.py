@@ -22,7 +22,8 @@ from app.commands.record import Record
 from app.commands.rules import check, is_write, setpoints_of, units_named, units_written
 from app.commands.safeguards import Safeguards
 from app.commands.setpoints import commanded_setpoint
-from app.commands.wish import Wish, timeout_s_for, without_secret
+from app.commands.timeouts import timeout_s_for
+from app.commands.wish import Wish, without_secret
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.feed.channel import Channel, ProgressListener

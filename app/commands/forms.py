@@ -14,7 +14,7 @@ from app.commands.fate import Fate, fate_of, fate_of_problem
 from app.commands.risks import Remark
 from app.commands.safeguards import Safeguards
 from app.commands.safeguards_api import safeguards_of
-from app.commands.wish import timeout_s_for
+from app.commands.timeouts import timeout_s_for
 from app.commands.words import shown_setpoint
 from app.commands.writer import desk_of
 from app.errors import Problem

@@ -17,8 +17,8 @@ from app.commands.ramp import present_setpoint
 from app.commands.reviewing import change, judge, keep_their_setpoint, know_ramps
 from app.commands.risks import by_remark
 from app.commands.setpoint_range import setpoint_range
+from app.commands.timeouts import longest_change_s
 from app.commands.typed import Typed
-from app.commands.wish import timeout_s_for
 from app.commands.words import shown_setpoint
 from app.errors import Problem
 from app.live.state import BusLive, follower
@@ -83,7 +83,7 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
         left_out=by_remark(left_out),
         unchanged=unchanged,
         followers=followers_of(live),
-        longest_s=2 * timeout_s_for(live, len(changes)),
+        longest_s=longest_change_s(live, len(changes)),
     )
 
 

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from msgspec.structs import replace
 
 from app.feed.channel import ProgressListener
-from app.live.state import BusLive
 from app.web.access import Person
-from app.web.deadline import DEFAULT_TIMEOUT_S, Deadline
+from app.web.deadline import Deadline
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Action, Result, UnitOutcome, WriteParameter
-from bus.contract.durations import longest_stage_s
 
 SECRET_DIFFERS = "the unit reads another value, which is not shown"
 
@@ -36,12 +34,6 @@ class Wish:
         """The one unit it is about, if it is about one."""
         unit = getattr(self.action, "unit", None)
         return unit if isinstance(unit, int) else None
-
-
-def timeout_s_for(bus: BusLive, staged_units: int = 0) -> float:
-    """How long a command may wait where its sender does not say: a change of several units needs the time of
-    its staging too. ``staged_units``: how many, 0 for a command to one."""
-    return DEFAULT_TIMEOUT_S + staged_units * longest_stage_s(bus.baud, bus.settings.turnaround_s)
 
 
 def writes_secret(action: Action) -> bool:

@@ -13,7 +13,7 @@ from starlette.responses import Response
 from app.commands.fate import Fate, fate_of_problem
 from app.commands.forms import Desks, Desktop
 from app.commands.risks import by_remark
-from app.commands.wish import timeout_s_for
+from app.commands.timeouts import longest_change_s, timeout_s_for
 from app.commands.words import shown_setpoint
 from app.commands.zero import ZeroPlan, plan_zero
 from app.errors import Problem
@@ -53,7 +53,7 @@ async def review_zero(person: Viewer, desk: Desks) -> Response:
 
 def _longest_s(bus: BusLive, units: int) -> float:
     """All at once, its withdrawal, and then each alone."""
-    return 2 * timeout_s_for(bus, units) + units * timeout_s_for(bus)
+    return longest_change_s(bus, units) + units * timeout_s_for(bus)
 
 
 def _plans(desk: Desktop) -> list[ZeroPlan]:

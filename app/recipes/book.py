@@ -8,7 +8,7 @@ from functools import partial
 
 from app.audit.log import EventLog
 from app.commands.desk import Desk
-from app.commands.wish import timeout_s_for
+from app.commands.timeouts import timeout_s_for
 from app.errors import Problem
 from app.live.state import BusLive, LiveState
 from app.recipes.rules import Departure, DryRun, Recipe, Setpoint, departures, dry_run, setpoint_kind

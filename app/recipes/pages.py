@@ -11,7 +11,7 @@ from app.commands.line_change import followers_of, proven, reviewed
 from app.commands.ramp import present_setpoint
 from app.commands.reviewing import keep_their_setpoint, know_ramps
 from app.commands.risks import by_remark
-from app.commands.wish import timeout_s_for
+from app.commands.timeouts import longest_change_s
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404
@@ -98,7 +98,7 @@ async def review(person: Operator, desk: Desks, book: Book, recipe_id: int) -> R
         risks=by_remark((step.name, risk) for step in run.steps for risk in step.risks),
         left_out=by_remark(left_out),
         unchanged=unchanged,
-        longest_s=2 * timeout_s_for(bus, len(run.steps)),
+        longest_s=longest_change_s(bus, len(run.steps)),
     )
 
 
