@@ -84,7 +84,7 @@ def lineside(
 
 def main() -> None:
     """The entry point."""
-    from app.cli.tether import tie_to_parent
+    from bus.worker.parent import tie_to_parent
 
     tie_to_parent()
     # Everything that any command writes is for its user alone.

@@ -1,4 +1,4 @@
-"""A child that ends with its parent, even when the parent is killed (Linux; elsewhere it lives on)."""
+"""Ties a child process to its parent, so that it ends even when the parent is killed (Linux only)."""
 
 from __future__ import annotations
 
