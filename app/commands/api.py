@@ -21,11 +21,11 @@ from app.commands.bodies import (
     SetpointsBody,
     SpeedBody,
 )
+from app.commands.catalogue import kind_of_command
 from app.commands.desk import Desk
 from app.commands.shown import FateShown
 from app.commands.timeouts import timeout_s_for
 from app.commands.typed import Typed
-from app.commands.wish import writes_secret
 from app.commands.writer import EngineeringWriter, Writer, desk_of
 from app.errors import Problem
 from app.live.api import Live
@@ -55,15 +55,12 @@ from bus.contract import (
 )
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"], route_class=ApiRoute)
-READ_TIMEOUT_S = 30.0
 FIRST_READ_WITHIN_S = 5.0
 """What a plain look at the parameters waits for those that were never read; the reading itself goes on."""
 FATE: dict[int | str, dict[str, Any]] = {
     200: {"model": FateShown, "description": "verified or acknowledged"},
     **problems(404, 409, 423, 504),
 }
-GAPS_TIMEOUT_S = 600.0
-"""Forty reads in a tenth of the wire at 300 baud."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +98,7 @@ class Asking:
         result = await self.desk.ask(
             person, self.bus, action, deadline=deadline, confirm=body.confirm, id=self.key
         )
-        secret = writes_secret(action)
+        secret = kind_of_command(action).is_secret(action)
         return answer(self.request, bus_or_404(self.live, self.bus), result, unit, secret=secret)
 
 
@@ -200,8 +197,7 @@ async def get_parameters(
 async def _read(person: Person, ask: Asking, unit: int, numbers: list[int], *, gaps: bool) -> None:
     """Read them from the unit. Raises Problem 503 or 504 when not all of them come."""
     action = ReadParameters(unit=unit, numbers=numbers, urgent=not gaps)
-    timeout_s = GAPS_TIMEOUT_S if gaps else READ_TIMEOUT_S
-    result = await ask.desk.ask(person, ask.bus, action, timeout_s=timeout_s)
+    result = await ask.desk.ask(person, ask.bus, action)
     if len(result.values) == len(numbers):
         return
     status = 503 if result.outcome in ("bus_closed", "not_sent") else 504

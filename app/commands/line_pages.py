@@ -121,9 +121,7 @@ async def set_setpoints(
     try:
         desk.refuse_lapsed(reviewed_at)
         setpoints = reviewed(live, form)
-        result = await desk.ask(
-            person, bus, SetLine(setpoints=setpoints), id, desk.deadline(live, len(setpoints))
-        )
+        result = await desk.ask(person, bus, SetLine(setpoints=setpoints), id)
     except Problem as problem:
         return desk.refused(problem, title)
     return proven(desk, bus, title, setpoints, result, form)

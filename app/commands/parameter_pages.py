@@ -29,7 +29,6 @@ from bus.errors import CallerError
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}/parameters", include_in_schema=False)
 Number = Annotated[int, Path(ge=1, le=40)]
-READ_TIMEOUT_S = 30.0
 CONFIRMING_WORD = "WRITE"
 
 
@@ -44,7 +43,7 @@ async def read_all(person: Viewer, desk: Desks, bus: str, unit: int) -> Response
     """All 40 as the unit gives them now."""
     desk.unit(bus, unit)
     action = ReadParameters(unit=unit, numbers=list(PARAMETERS))
-    result = await desk.desk.ask(person, bus, action, timeout_s=READ_TIMEOUT_S, origin="page")
+    result = await desk.desk.ask(person, bus, action, origin="page")
     missing = len(PARAMETERS) - len(result.values)
     return desk.render("unit/_parameters.html", missing=missing, **_table(desk, bus, unit))
 

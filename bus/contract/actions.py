@@ -35,6 +35,11 @@ class BusAction(Message, frozen=True):
         """The units that it names, ascending."""
         return ()
 
+    @property
+    def only_unit(self) -> int | None:
+        """The unit that it addresses alone."""
+        return None
+
 
 class UnitAction(BusAction, frozen=True):
     """Addresses one unit."""
@@ -45,6 +50,11 @@ class UnitAction(BusAction, frozen=True):
     def units(self) -> tuple[int, ...]:
         """Its unit."""
         return (self.unit,)
+
+    @property
+    def only_unit(self) -> int | None:
+        """Its unit."""
+        return self.unit
 
 
 class SetSpeed(UnitAction, frozen=True, tag="set_speed"):
