@@ -7,10 +7,12 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
+from app.commands.catalogue import SCAN_BUS
 from app.commands.control import LAPSES_AFTER_S
 from app.commands.forms import Desks, Desktop, new_id
+from app.commands.writer import permitted
 from app.errors import Problem
-from app.web.access import Engineer, Operator, Person, Role, Viewer
+from app.web.access import Operator, Person, Role, Viewer
 from bus.contract import ScanBus, UnitFigures
 from bus.errors import unit_error_name
 from bus.settings import BAUDS
@@ -77,7 +79,7 @@ def _ms(desk: Desktop, seconds: float | None) -> str:
 
 @router.post("/{bus}/scan")
 async def scan(
-    person: Engineer,
+    person: Annotated[Person, permitted(SCAN_BUS)],
     desk: Desks,
     bus: str,
     first: Annotated[int, Form(ge=1, le=255)] = 1,

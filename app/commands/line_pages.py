@@ -10,6 +10,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
+from app.commands.catalogue import SET_LINE
 from app.commands.forms import Desks, Desktop
 from app.commands.line_change import followers_of, proven, reviewed
 from app.commands.measure import measure_of_setpoint
@@ -20,10 +21,11 @@ from app.commands.setpoint_range import setpoint_range
 from app.commands.timeouts import longest_change_s
 from app.commands.typed import Typed
 from app.commands.words import shown_setpoint
+from app.commands.writer import permitted
 from app.errors import Problem
 from app.live.state import BusLive, follower
 from app.live.view import DECIMALS
-from app.web.access import Operator, Person, Viewer
+from app.web.access import Person, Viewer
 from bus.contract import SetLine
 from bus.errors import CallerError
 
@@ -60,7 +62,9 @@ def _line_of(desk: Desktop, name: str, bus: BusLive, number: int) -> dict[str, o
 
 
 @router.post("/setpoints/review")
-async def review_setpoints(request: Request, person: Operator, desk: Desks) -> Response:
+async def review_setpoints(
+    request: Request, person: Annotated[Person, permitted(SET_LINE)], desk: Desks
+) -> Response:
     """Each new setpoint that was typed, judged: old → new, limits, ramps, in one table."""
     form = await request.form()
     bus = str(form.get("bus", ""))
@@ -108,7 +112,7 @@ async def _typed_setpoints(person: Person, desk: Desktop, live: BusLive, form: F
 @router.post("/setpoints")
 async def set_setpoints(
     request: Request,
-    person: Operator,
+    person: Annotated[Person, permitted(SET_LINE)],
     desk: Desks,
     bus: Annotated[str, Form()],
     id: Annotated[str, Form(max_length=64)],

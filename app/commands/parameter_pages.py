@@ -9,6 +9,7 @@ from fastapi import APIRouter, Form, Path
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
+from app.commands.catalogue import READ_PARAMETERS, WRITE_PARAMETER
 from app.commands.fate import Fate
 from app.commands.forms import Desks, Desktop
 from app.commands.measure import measure_of_value
@@ -17,11 +18,11 @@ from app.commands.risks import obstacle_of, risks_of_writing
 from app.commands.setpoint_range import parameter_bounds
 from app.commands.typed import Typed
 from app.commands.words import known_parameter_text, text_of
-from app.commands.writer import EngineeringWriter
+from app.commands.writer import permitted, permitted_writer
 from app.errors import Problem
 from app.live.state import UnitLive
 from app.live.view import parameter_json
-from app.web.access import Engineer, Person, Viewer
+from app.web.access import Person, Viewer
 from bus.catalogue.parameter import Parameter, danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ReadParameters, WriteParameter
@@ -39,7 +40,9 @@ async def parameters(_: Viewer, desk: Desks, bus: str, unit: int) -> Response:
 
 
 @router.post("/read")
-async def read_all(person: Viewer, desk: Desks, bus: str, unit: int) -> Response:
+async def read_all(
+    person: Annotated[Person, permitted(READ_PARAMETERS)], desk: Desks, bus: str, unit: int
+) -> Response:
     """All 40 as the unit gives them now."""
     desk.unit(bus, unit)
     action = ReadParameters(unit=unit, numbers=list(PARAMETERS))
@@ -71,7 +74,7 @@ def _row(desk: Desktop, bus: str, live: UnitLive, number: int) -> dict[str, Any]
 
 @router.post("/{number:int}/review")
 async def review_parameter(
-    person: Engineer,
+    person: Annotated[Person, permitted(WRITE_PARAMETER)],
     desk: Desks,
     bus: str,
     unit: int,
@@ -106,7 +109,7 @@ async def review_parameter(
 
 @router.post("/{number:int}")
 async def write_parameter(
-    person: EngineeringWriter,
+    person: Annotated[Person, permitted_writer(WRITE_PARAMETER)],
     desk: Desks,
     bus: str,
     unit: int,
