@@ -26,6 +26,10 @@ MARK = "zq7"
 HOSTILE = f"{MARK}: {MARK}; {MARK}"
 CPU_S = 0.25
 """Of this thread, a hundred times what the dearest text takes; n^k places take minutes to years."""
+ADDRESS_TEXTS = [
+    *("\0", "\ufffd", "..", "../../etc/passwd", "%s%n", "{0.__class__}", "{", "'\""),
+    *("-1", "1e9", "9" * 300),
+]
 FILE = Path(languages.__file__).parent / "de.toml"
 PATTERNS = list(tomllib.loads(FILE.read_text(encoding="utf-8"))["sentences"])
 
@@ -132,12 +136,14 @@ async def test_no_text_of_a_request_is_compared_with_the_patterns(
     assert [text for text in looked_up if MARK in text] == []
 
 
-@pytest.mark.parametrize("text", ["\0", "../../etc/passwd", "%s%n", "-1", "9" * 300])
-async def test_no_text_of_an_address_makes_a_route_fail(house: House, text: str) -> None:
+async def test_no_text_of_an_address_makes_a_route_fail(house: House) -> None:
     client = await house.signed_in(Role.ADMIN)
     for route in (route for route in house.app.routes if isinstance(route, APIRoute)):
         names = [param.alias for param in route.dependant.query_params]
-        path = quote(filled(route.path, text))
-        if "GET" in (route.methods or ()) and not path.endswith("/stream"):
-            answer = await client.get(path, params=dict.fromkeys(names, text))
-            assert answer.status_code < 500, (path, answer.text)
+        is_asked = "GET" in route.methods and not route.path.endswith("/stream")
+        if is_asked and (names or "{" in route.path):
+            for text in ADDRESS_TEXTS:
+                # Encoded, the dots reach the route; the client would resolve them.
+                path = quote(filled(route.path, text)).replace("..", "%2E%2E")
+                answer = await client.get(path, params=dict.fromkeys(names, text))
+                assert answer.status_code < 500, (path, answer.text)
