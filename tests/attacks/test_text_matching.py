@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from app.web import languages
 from app.web.access import Role
 from app.web.languages import Languages
-from app.web.languages.sentences import LONGEST, Sentences
+from app.web.languages.sentences import LONGEST, Pattern, Sentences
 from tests.app.whole_app import House, whole_app
 
 MARK = "zq7"
@@ -82,6 +82,13 @@ def test_no_text_makes_the_patterns_work_for_long(text: str) -> None:
 @pytest.mark.parametrize("clause", ["a: ", "a; ", "it is at: ", "unit 1: it reads 2; ", "x, then "])
 def test_clauses_without_end_do_not_make_the_patterns_work_for_long(clause: str) -> None:
     assert cpu_s_of_saying((clause * LONGEST)[: LONGEST - 1]) < CPU_S
+
+
+def test_a_text_that_almost_fits_a_pattern_is_tried_at_one_place_for_each_brace() -> None:
+    pattern = Pattern.of("{a}, {b}, {c}, {d}, {e}!", "")
+    begun = time.thread_time()
+    assert pattern.values_in("!" + "x, " * 80) is None
+    assert time.thread_time() - begun < CPU_S
 
 
 def test_a_text_longer_than_any_sentence_stays_as_it_is(looked_up: list[str]) -> None:
