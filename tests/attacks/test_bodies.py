@@ -199,8 +199,11 @@ def test_a_comment_may_have_as_many_dots_as_it_likes() -> None:
         read_document('comment = "' + "." * 1000 + '"')
 
 
-async def test_a_document_is_read_beside_the_loop(house: House) -> None:
+@pytest.mark.parametrize(
+    "body",
+    [{"document": "".join(f"k{n} = 1\n" for n in range(20_000))}, {"document": [{"a": 1}] * 150_000}],
+    ids=["document", "JSON"],
+)
+async def test_what_is_large_is_read_beside_the_loop(house: House, body: object) -> None:
     engineer = await house.program(Role.ENGINEER)
-    document = "".join(f"k{n} = 1\n" for n in range(20_000))
-    content = json.dumps({"document": document}).encode()
-    assert await cpu_s(engineer, 422, RESTORES, content, **JSON) < 0.1
+    assert await cpu_s(engineer, 422, RESTORES, json.dumps(body).encode(), **JSON) < 0.1
