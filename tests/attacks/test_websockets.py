@@ -16,6 +16,7 @@ from starlette.websockets import WebSocket
 from uvicorn.server import ServerState
 
 from app.server.connections import EXTENSION, Connections
+from app.server.counted_protocol import CLOSING_S
 from app.server.http import HttpProtocol
 from app.server.pace import STALL_S
 from app.server.websocket import (
@@ -178,6 +179,34 @@ async def test_a_client_that_reads_nothing_is_dropped(site: Site) -> None:
     assert not site.protocol.transport.is_closing()
     site.protocol.check(now + STALL_S + 1)
     assert site.protocol.transport.is_closing()
+
+
+async def test_a_client_that_has_read_everything_has_its_time_again(site: Site) -> None:
+    reader = await site.connect()
+    await site.accepted.wait()
+    now = site.protocol.loop.time()
+    site.protocol.transport.write(b"x" * 10_000_000)
+    site.protocol.check(now)
+    await asyncio.wait_for(reader.readexactly(10_000_000), PATIENCE_S)
+    site.protocol.transport.write(b"x" * 20_000_000)
+    site.protocol.check(now + STALL_S + 1)
+    assert not site.protocol.transport.is_closing()
+
+
+async def test_who_does_not_read_the_end_of_a_connection_is_not_waited_for(site: Site) -> None:
+    await site.connect()
+    await site.accepted.wait()
+    now = site.protocol.loop.time()
+    site.protocol.transport.write(b"x" * 10_000_000)
+    site.protocol.transport.close()
+    for later in (0, CLOSING_S):
+        site.protocol.check(now + later)
+        await asyncio.sleep(0)
+        assert site.connections._strangers
+    site.protocol.check(now + CLOSING_S + 1)
+    async with asyncio.timeout(PATIENCE_S):
+        while site.connections._strangers:  # noqa: ASYNC110
+            await asyncio.sleep(0.001)
 
 
 async def test_a_worker_is_not_counted_as_a_stranger(site: Site) -> None:
