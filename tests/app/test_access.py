@@ -22,6 +22,14 @@ from app.web.routes import demands, refuse_undeclared
 from tests.app.whole_app import EVERY_ROLE, HOST, PASSWORD, House, settings_in, whole_app
 
 FILLED = {"bus": "dry-end", "unit": "1", "number": "1", "name": "nobody", "version": "x"}
+HAS = {
+    Role.VIEWER: {Role.VIEWER},
+    Role.OPERATOR: {Role.VIEWER, Role.OPERATOR},
+    Role.ENGINEER: {Role.VIEWER, Role.OPERATOR, Role.ENGINEER},
+    Role.ADMIN: {Role.VIEWER, Role.OPERATOR, Role.ENGINEER, Role.ADMIN},
+    Role.WORKER: {Role.WORKER},
+}
+"""Whose rights each role has. A worker has nothing but the feed, which nobody else has."""
 SIGNING_IN = {"/login", "/login/panel"}
 """They refuse an empty form by 401."""
 
@@ -48,7 +56,7 @@ def sockets(app: FastAPI) -> list[tuple[str, set[Role | None]]]:
 
 
 def may(role: Role, roles: set[Role | None]) -> bool:
-    return all(wanted is None or role.includes(wanted) for wanted in roles)
+    return roles <= {None, *HAS[role]}
 
 
 def is_refusal_for_role(answer: httpx.Response) -> bool:
