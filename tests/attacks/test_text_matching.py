@@ -18,6 +18,8 @@ from hypothesis import strategies as st
 
 from app.web import languages
 from app.web.access import Role
+from app.web.bounds import LONGEST_QUERY
+from app.web.formats import Formats
 from app.web.languages import Languages
 from app.web.languages.sentences import LONGEST, Pattern, Sentences
 from tests.app.whole_app import House, whole_app
@@ -95,6 +97,16 @@ def test_a_text_longer_than_any_sentence_stays_as_it_is(looked_up: list[str]) ->
     text = "unit 3 did not answer; " * 20
     assert Languages()["de"].t(text) == text
     assert looked_up == []
+
+
+@pytest.mark.parametrize("part", ["1", ",111", "1,111", " 1.1", "-1.1", "1.1,1", "1.", "-"])
+def test_numbers_without_end_cost_no_more_than_their_length(part: str) -> None:
+    """A refusal has its numbers as the reader writes them, also those that came with the request."""
+    text = f" 1{part * (LONGEST_QUERY // len(part))}x"
+    begun = time.thread_time()
+    Formats("de").sentence(text)
+    Formats("de").typed_number(text)
+    assert time.thread_time() - begun < CPU_S
 
 
 @pytest.mark.parametrize("header", ["de," * 100_000, "de;q=" + "9" * 100_000, ",;=" * 100_000])
