@@ -1,6 +1,7 @@
-# make demo [PORT=8100] | test | soak | setup | bench | check | screenshots | lock | clean
+# make demo [PORT=8100] | test | soak | flaky [N=20] | setup | bench | check | screenshots | lock | clean
 PYTHON ?= python3
 PORT ?= 8000
+N ?= 20
 VENV := .venv
 BIN := $(VENV)/bin
 VENDOR := static/vendor/made-from.sha256
@@ -9,7 +10,7 @@ NODE_TOOLS := node_modules/.package-lock.json
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
 	--custom-compile-command "make lock" --extra rfc2217
 
-.PHONY: demo free-port test soak setup bench check screenshots lock clean development
+.PHONY: demo free-port test soak flaky setup bench check screenshots lock clean development
 .DEFAULT_GOAL := demo
 
 demo: free-port setup
@@ -29,6 +30,10 @@ test: check
 # What takes long, alone on the machine: it measures.
 soak: development
 	$(BIN)/pytest -m soak -s
+
+# The browser tests N times: how often each failed.
+flaky: development
+	$(BIN)/python -m tests.flaky $(N)
 
 bench: development
 	$(BIN)/python -m benchmarks
