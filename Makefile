@@ -25,6 +25,7 @@ setup: $(VENV)/.lineside
 
 # Twice as many at a time as the machine has cores: half its time a test of a whole site waits.
 test: check
+	node --test tests/js/*.test.js
 	$(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder
 
 # What takes long, alone on the machine: it measures.
@@ -47,7 +48,7 @@ check: development
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/djlint templates --lint --quiet
-	node_modules/.bin/biome lint static/js static/css
+	node_modules/.bin/biome lint static/js static/css tests/js
 
 development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM)
 
