@@ -34,6 +34,11 @@ test("a field shows the wall clock of the site and is read as such", () => {
   assert.equal(fromField("2026-01-01T11:00"), at("2026-01-01T10:00:00"), "a browser leaves whole minutes short");
 });
 
+test("a field is read with the offset that holds then, in the hour before a change of the clocks too", () => {
+  assert.equal(fromField("2026-03-29T01:30:00"), at("2026-03-29T00:30:00"));
+  assert.equal(fromField("2026-10-25T01:30:00"), at("2026-10-24T23:30:00"));
+});
+
 test("labels of an axis name the day where it changes and are no finer than their distance", () => {
   const labels = (from, step) => axisLabels(null, [0, 1, 2].map((i) => at(from) + i * step), 0, 0, step);
   assert.deepEqual(labels("2026-01-01T22:00:00", 3600), ["23:00\n1. Jan.", "00:00\n2. Jan.", "01:00"]);
