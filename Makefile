@@ -1,4 +1,4 @@
-# make demo [PORT=8100] | test | soak | flaky [N=20] | setup | bench | check | screenshots | lock | clean
+# make demo [PORT=8100] | test | soak | flaky [N=20] | coverage | setup | bench | check | screenshots | lock | clean
 PYTHON ?= python3
 PORT ?= 8000
 N ?= 20
@@ -10,7 +10,7 @@ NODE_TOOLS := node_modules/.package-lock.json
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
 	--custom-compile-command "make lock" --extra rfc2217
 
-.PHONY: demo free-port test soak flaky setup bench check screenshots lock clean development
+.PHONY: demo free-port test soak flaky coverage setup bench check screenshots lock clean development
 .DEFAULT_GOAL := demo
 
 demo: free-port setup
@@ -35,6 +35,10 @@ soak: development
 # The browser tests N times: how often each failed.
 flaky: development
 	$(BIN)/python -m tests.flaky $(N)
+
+# Every line and branch of the pure modules, each by its own tests.
+coverage: development
+	$(BIN)/python -m tests.covered
 
 bench: development
 	$(BIN)/python -m benchmarks
