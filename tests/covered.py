@@ -33,7 +33,7 @@ def modules() -> list[str]:
     return sorted(str(path.relative_to(ROOT)) for path in found)
 
 
-def tests_of(module: str) -> str:
+def own_tests(module: str) -> str:
     """The test file of a module."""
     return TESTS.get(module, f"tests/bus/test_{Path(module).stem}.py")
 
@@ -42,11 +42,11 @@ def is_covered(module: str, folder: Path) -> bool:
     """Run the tests of a module and print what they do not reach of it."""
     coverage = [sys.executable, "-m", "coverage"]
     data = f"--data-file={folder / 'coverage'}"
-    pytest = ["-m", "pytest", "-q", "-p", "pytest_asyncio.plugin", tests_of(module)]
+    pytest = ["-m", "pytest", "-q", "-p", "pytest_asyncio.plugin", own_tests(module)]
     report = ["report", data, "--show-missing", "--skip-covered", "--fail-under=100", "--precision=2"]
     # The other plugins take longer to load than these tests to run.
     environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-    print(f"\n{module}: {tests_of(module)}", flush=True)
+    print(f"\n{module}: {own_tests(module)}", flush=True)
     run = [*coverage, "run", "--branch", f"--include={module}", data, *pytest]
     if subprocess.run(run, cwd=ROOT, env=environment).returncode:
         return False
@@ -58,7 +58,7 @@ def main(chosen: Sequence[str]) -> int:
     with tempfile.TemporaryDirectory() as folder:
         short = [module for module in chosen or modules() if not is_covered(module, Path(folder))]
     for module in short:
-        print(f"not covered by {tests_of(module)}: {module}")
+        print(f"not covered by {own_tests(module)}: {module}")
     return 1 if short else 0
 
 
