@@ -14,6 +14,7 @@ from bus.settings import Dialect
 from bus.wire.bodies import encode_reply, encode_request
 from bus.wire.commands import Ack, ExecuteSpeed, ReadStatus, Reply, Request, StageSpeed, StatusReply
 from bus.wire.lengths import wire_seconds
+from tests.e2e.limits import PROCEDURE_S
 from tests.e2e.site import Site, eventually, site
 
 BAUD = 9600
@@ -71,7 +72,7 @@ def _show_many(served: Site) -> None:
     rows = []
     least = _change_wire_s()
     with served.api("operator") as client:
-        units = eventually(lambda: _known_units(client), "whether each unit follows")
+        units = eventually(lambda: _known_units(client), "whether each unit follows", within=PROCEDURE_S)
         for turn in range(REPEATS):
             setpoints = {str(unit["id"]): {"raw": _near(unit) + turn} for unit in units}
             since = _last_number(served)

@@ -255,3 +255,21 @@ def test_what_an_action_names_and_what_it_reaches() -> None:
     assert units_named(ExecuteAll()) == []
     assert setpoints_of(ExecuteAll(), bus) == {16: 7}
     assert setpoints_of(ExecuteSpeed(unit=1), bus) == {}
+
+
+def test_the_unit_of_an_action_and_the_setpoint_in_a_parameter() -> None:
+    bus = bus_with(parameter(1, 8, 0))
+    assert units_named(SetSpeed(unit=2, raw=1)) == [2]
+    assert setpoints_of(WriteParameter(unit=1, number=20, raw=700), bus) == {1: 700}
+    assert setpoints_of(WriteParameter(unit=1, number=6, raw=700), bus) == {}
+
+
+def test_a_parameter_that_no_unit_has_is_refused() -> None:
+    error = objection(WriteParameter(unit=1, number=41, raw=1), circumstances(confirm=True))
+    assert (error.code, str(error)) == ("invalid", "a unit has the parameters 1 to 40")
+
+
+def test_a_unit_that_was_never_read_is_not_taken_for_running() -> None:
+    [number, *_] = [row.number for row in PARAMETERS.values() if row.not_while_running]
+    action = WriteParameter(unit=1, number=number, raw=PARAMETERS[number].minimum)
+    check(action, circumstances(bus_with(), confirm=True))

@@ -45,6 +45,7 @@ def sight(at_target: Kind, at_factory: Kind = "silent", **more: object) -> Sight
         (sight("silent", "garbled"), "address", True, "Two units answer at address {factory}"),
         (sight("garbled"), "address", True, "Two units answer at address {target}"),
         (sight("foreign"), "address", True, "no DIGIMAX IV"),
+        (sight("late"), "find", False, "Increase turnaround_ms"),
         (sight("digimax", remote=None), "remote", True, "REMOTE"),
         (sight("digimax", remote=False), "remote", True, "REMOTE"),
         (sight("digimax", remote=True), "restore", False, "Restore"),

@@ -181,3 +181,18 @@ def test_a_baud_rate_is_typed_as_people_say_it() -> None:
     assert parameter_raw(PARAMETERS[18], "9600", None) == 96
     with pytest.raises(CallerError, match="no baud rate"):
         parameter_raw(PARAMETERS[18], "9601", None)
+
+
+def test_a_speed_of_more_decimals_than_a_value_can_have_is_raw() -> None:
+    assert speed_text(5, 9) == "0.000000005"
+    assert speed_text(5, 10) == "5 raw"
+    with pytest.raises(CallerError, match="more decimals"):
+        speed_raw("5", 10)
+
+
+def test_what_is_no_number_is_not_repeated_where_the_parameter_is_secret() -> None:
+    [secret] = [parameter for parameter in PARAMETERS.values() if parameter.secret]
+    assert parameter_raw(secret, " 1234 ", None) == 1234
+    with pytest.raises(CallerError) as refused:
+        parameter_raw(secret, "hunter2", None)
+    assert "hunter2" not in str(refused.value)
