@@ -123,7 +123,7 @@ def create_app(
         app.router.routes.extend(copy(route) for route in feature.router.routes)
     problems.install(app)
     app.add_middleware(HeadAsGet)
-    app.add_middleware(Identify, identity=services.identity, rechecks=services.accounts.rechecks, demo=demo)
+    app.add_middleware(Identify, identity=services.identity, rechecks=services.rights.rechecks, demo=demo)
     app.add_middleware(BoundedRequest)
     app.add_middleware(OwnPagesOnly)
     app.add_middleware(RecordRefusals, events=services.events)

@@ -9,7 +9,6 @@ from collections.abc import Awaitable, Callable, Collection
 from app.audit.kinds import Kind
 from app.audit.log import EventLog
 from app.auth import rules, store, strength
-from app.auth.lasting import Rechecks
 from app.auth.passwords import Passwords
 from app.auth.store import Token, User
 from app.database import Database
@@ -39,8 +38,6 @@ class Accounts:
         self._clock = clock
         self.buses = buses
         self._site = site
-        self.rechecks = Rechecks()
-        """Whoever has a connection open is looked at again after each change."""
         self._subscribers: list[Changed] = []
 
     def now(self) -> float:
@@ -193,4 +190,3 @@ class Accounts:
         await self._events.record(kind=kind, what=what, who=by, origin=origin)
         for subscriber in self._subscribers:
             await subscriber(kept)
-        self.rechecks.now()

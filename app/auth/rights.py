@@ -12,10 +12,12 @@ import sqlite3
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import structlog
 
 from app.auth import store
+from app.auth.lasting import Rechecks
 from app.auth.store import Token, User
 from app.database import Database
 from app.errors import Problem, StoreError
@@ -63,12 +65,20 @@ def why_withdrawn(person: Person, standing: Standing | None) -> str:
     return "" if standing.role.includes(person.role) else ROLE_LOWERED
 
 
+class AccountChanges(Protocol):
+    """Publishes the changes that this process makes to accounts."""
+
+    def on_changed(self, subscriber: Callable[[str], Awaitable[None]]) -> None:
+        """Call ``subscriber`` after each change, with the account whose own session stays, if any."""
+
+
 class Rights:
-    """One for the app."""
+    """Holds the rights of every account. ``rechecks``: makes open connections check theirs again."""
 
     def __init__(
         self,
         database: Database,
+        accounts: AccountChanges,
         clock: Callable[[], float] = time.time,
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -78,15 +88,12 @@ class Rights:
         self._standings: Mapping[str, Standing] = {}
         self._read_at = float("-inf")
         self._withdrawn: list[Withdrawn] = []
-        self._changed: list[Callable[[], None]] = []
+        self.rechecks = Rechecks()
+        accounts.on_changed(self._on_account_change)
 
     def on_withdrawn(self, subscriber: Withdrawn) -> None:
         """Call ``subscriber`` with each account that may do less than before."""
         self._withdrawn.append(subscriber)
-
-    def on_changed(self, subscriber: Callable[[], None]) -> None:
-        """Call ``subscriber`` once any account may do something else than before."""
-        self._changed.append(subscriber)
 
     async def check(self, person: Person) -> None:
         """Raises Problem 403 ``rights_withdrawn`` when the account of a person may no longer do what it could
@@ -108,12 +115,15 @@ class Rights:
             return  # another read began later and is here already
         before, self._standings, self._read_at = self._standings, standings, began
         if before != standings:
-            for changed in self._changed:
-                changed()
+            self.rechecks.now()
         for account, standing in before.items():
             if account != kept and _is_less(standing, standings.get(account)):
                 for withdrawn in self._withdrawn:
                     await withdrawn(account)
+
+    async def _on_account_change(self, kept: str) -> None:
+        await self.refresh(kept)
+        self.rechecks.now()
 
     async def watch(self) -> None:
         """Run forever: notice what the command line changes in the store."""

@@ -64,8 +64,11 @@ class SignIn:
         self._site = site
         self._throttle = Throttle()
         self._hashing: FairQueue[str] = FairQueue(HASHED_AT_ONCE, 1, MOST_WAITING_OF_PLACE, MOST_WAITING)
-        self.on_gone: Gone | None = None
-        """Hears the name of whoever is signed in nowhere any more."""
+        self._signed_out: list[Gone] = []
+
+    def on_signed_out(self, subscriber: Gone) -> None:
+        """Call ``subscriber`` with the name of a user whose last session has ended."""
+        self._signed_out.append(subscriber)
 
     async def sign_in(
         self, name: str, secret: str, address: str, *, panel: bool = False, device: str = ""
@@ -110,8 +113,9 @@ class SignIn:
         was_last = await self._database.write(
             lambda connection: store.end_session(connection, hash_, name, now)
         )
-        if was_last and self.on_gone is not None:
-            await self.on_gone(name)
+        if was_last:
+            for subscriber in self._signed_out:
+                await subscriber(name)
 
     def lifetime_of(self, user: User) -> rules.Lifetime:
         """How long the sessions of this user last."""

@@ -22,6 +22,23 @@ class Authority(Protocol):
         """Raises Problem 403 ``rights_withdrawn``."""
 
 
+AccountSubscriber = Callable[[str], Awaitable[None]]
+
+
+class Withdrawals(Authority, Protocol):
+    """What accounts may do now, and which of them may do less than before."""
+
+    def on_withdrawn(self, subscriber: AccountSubscriber) -> None:
+        """Call ``subscriber`` with each account that may do less than before."""
+
+
+class SessionEnds(Protocol):
+    """Who is signed in."""
+
+    def on_signed_out(self, subscriber: AccountSubscriber) -> None:
+        """Call ``subscriber`` with each account whose last session has ended."""
+
+
 async def while_permitted(
     work: Coroutine[Any, Any, Result],
     why_not: Callable[[], Awaitable[str]],

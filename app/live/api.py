@@ -12,6 +12,7 @@ from app.live.fields import Voice
 from app.live.figures import BusFiguresShown, figures_json
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.shown import BusShown, LineShown, UnitShown
+from app.live.sources import Sources
 from app.live.state import LiveState
 from app.live.view import BlockReason, bus_json, line_json, unit_json
 from app.web.access import Viewer
@@ -33,14 +34,19 @@ def site_name_of(connection: HTTPConnection) -> str:
     return cast(str, connection.app.state.services.settings.site.name)
 
 
+def sources_of(connection: HTTPConnection) -> Sources:
+    """The owners of what no worker reports."""
+    return cast(Sources, connection.app.state.services.sources)
+
+
 def block_reason_of(connection: HTTPConnection) -> BlockReason:
     """Why a unit is blocked, as the pages say it too."""
-    return cast(BlockReason, connection.app.state.services.hub.block)
+    return sources_of(connection).guards.block_reason
 
 
 def memory_of(connection: HTTPConnection) -> str:
     """Why no history is kept; empty while it is."""
-    return cast(str, connection.app.state.services.history.status.message)
+    return sources_of(connection).history_fault()
 
 
 def english_of(connection: HTTPConnection) -> Voice:

@@ -33,6 +33,7 @@ from app.feed.socket import router as feed_router
 from app.feed.workers import Workers
 from app.history.status import Status
 from app.live.api import router as live_router
+from app.live.sources import Sources
 from app.live.state import LiveState
 from app.pipeline import Pipeline
 from app.settings import Site
@@ -61,6 +62,7 @@ from bus.contract import (
 )
 from bus.settings import BusSettings, UnitSettings
 from tests.app.played_rights import PlayedRights
+from tests.app.played_sources import NoGoldenSets, NoRecipes
 
 REMOTE, HEALTHY = 0b0100_0000, 0b0000_0010
 PARAMETERS = {1: 1750, 2: 20000, 3: 1, 8: 0, 22: 0, 23: 500, 28: 2, 29: 100, 30: 2000, 12: 20}
@@ -111,6 +113,12 @@ class History:
     def __init__(self) -> None:
         self.updates: list[Update] = []
         self.status = Status()
+
+    def on_clock_step(self, _subscriber: Callable[[float, float], None]) -> None:
+        """Its clock is never stepped."""
+
+    def on_damage(self, _subscriber: Callable[[str, float], None]) -> None:
+        """Nothing of it is damaged."""
 
     def append(self, bus: str, updates: Sequence[Update]) -> None:
         """As the real one."""
@@ -218,7 +226,12 @@ class Stage:
         )
         self.rights = PlayedRights()
         self.guards = Safeguards(
-            self.database, self.events, control_required=control, find=find, rights=self.rights
+            self.database,
+            self.events,
+            control_required=control,
+            find=find,
+            rights=self.rights,
+            sessions=self.rights,
         )
         self.desk = Desk(
             self.live, self.workers.channels, self.events, self.database, self.guards, self.rights
@@ -230,8 +243,13 @@ class Stage:
             safeguards=self.guards,
             workers=self.workers,
             events=self.events,
-            history=self.history,
-            hub=SimpleNamespace(block=self.guards.block_reason),
+            sources=Sources(
+                self.guards,
+                NoGoldenSets(),
+                NoRecipes(),
+                lambda _voice, _now: "",
+                lambda: self.history.status.message,
+            ),
             settings=SimpleNamespace(site=SimpleNamespace(name="Test line")),
             templates=_templates(),
         )

@@ -332,7 +332,7 @@ def gone(house: House) -> list[str]:
     async def tell(name: str) -> None:
         told.append(name)
 
-    house.sign_in.on_gone = tell
+    house.sign_in.on_signed_out(tell)
     return told
 
 
