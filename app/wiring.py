@@ -13,7 +13,7 @@ from zoneinfo import ZoneInfo
 
 import structlog
 
-from app.audit.anchoring import AT_END_S, Anchoring
+from app.audit.anchoring import AT_END_S, Anchoring, AnchorStatus
 from app.audit.configuration import change_since_last
 from app.audit.degraded import anchor_notice
 from app.audit.keys import open_keys
@@ -40,6 +40,7 @@ from app.live.onset_lookup import OnsetLookup
 from app.live.sources import Sources
 from app.live.state import LiveState
 from app.metrics.counts import Counts
+from app.metrics.measured import Measured
 from app.pipeline import Pipeline
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore
@@ -98,7 +99,7 @@ class Services:
     restores: RestoreDesk
     swaps: SwapDesk
     recipes: RecipeBook
-    counts: Counts
+    measured: Measured
     onsets: OnsetLookup
 
 
@@ -170,16 +171,21 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         restores=restores,
         swaps=SwapDesk(events, SwapStore(database), restores, time),
         recipes=recipes,
-        counts=Counts(events),
+        measured=Measured(live, hub, Counts(events), partial(_anchor_status, anchoring)),
         onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, time),
     )
 
 
+def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
+    return AnchorStatus() if anchoring is None else anchoring.status
+
+
 def _notices(history: History, anchoring: Anchoring | None, voice: Voice, now: float) -> str:
     """What of the records is not well, in the reader's language; mostly nothing."""
-    found = [sentence(history.status, voice.t, voice.formats, now)]
-    if anchoring is not None:
-        found.append(anchor_notice(anchoring.status, voice.t, voice.formats, now))
+    found = (
+        sentence(history.status, voice.t, voice.formats, now),
+        anchor_notice(_anchor_status(anchoring), voice.t, voice.formats, now),
+    )
     return " ".join(filter(None, found))
 
 

@@ -11,7 +11,6 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -36,10 +35,11 @@ from app.live.api import router as live_router
 from app.live.sources import Sources
 from app.live.state import LiveState
 from app.pipeline import Pipeline
-from app.settings import Site
+from app.settings import Settings, Site
 from app.web.access import Person, Role, Via
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
+from app.web.services import Registry
 from app.web.templating import Templates
 from bus.contract import (
     CONTRACT_VERSION,
@@ -237,21 +237,19 @@ class Stage:
             self.live, self.workers.channels, self.events, self.database, self.guards, self.rights
         )
         self.app = FastAPI()
-        self.app.state.services = SimpleNamespace(
-            live=self.live,
-            desk=self.desk,
-            safeguards=self.guards,
-            workers=self.workers,
-            events=self.events,
-            sources=Sources(
-                self.guards,
-                NoGoldenSets(),
-                NoRecipes(),
-                lambda _voice, _now: "",
-                lambda: self.history.status.message,
-            ),
-            settings=SimpleNamespace(site=SimpleNamespace(name="Test line")),
-            templates=_templates(),
+        sources = Sources(
+            self.guards,
+            NoGoldenSets(),
+            NoRecipes(),
+            lambda _voice, _now: "",
+            lambda: self.history.status.message,
+        )
+        configuration = Settings(site=Site(name="Test line"), bus=(settings,))
+        self.app.state.registry = Registry(
+            (
+                *(configuration, _templates(), sources),
+                *(self.live, self.desk, self.guards, self.workers, self.events),
+            )
         )
         for router in (
             *(live_router, commands_router, safeguards_router),
