@@ -11,14 +11,14 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.live.bus_live import DECIMALS
-from app.live.fields import MAX_DISPLAY, unit_key
+from app.live.fields import unit_key
 from app.live.hub import Hub
 from app.live.state import BusLive, UnitLive
 from app.live.totals import strip_of
 from app.web.access import Viewer
 from app.web.services import service_of
 from app.web.templating import render, templates_of
+from bus.catalogue.numbers import DECIMALS, MAX_DISPLAY
 from bus.settings import UnitLabels
 
 router = APIRouter(include_in_schema=False)
