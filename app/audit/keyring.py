@@ -14,7 +14,7 @@ KEY_BYTES = 32
 BEGINNING = "0" * 64
 """The hash before the first entry of a log."""
 
-Purpose = Literal["entry", "head", "anchor", "command"]
+Purpose = Literal["entry", "head", "anchor", "command", "decoy"]
 """What a seal is for. It is part of what is sealed, so no seal passes for one of another purpose."""
 
 

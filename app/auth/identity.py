@@ -59,7 +59,7 @@ class Identity:
             user.panel,
             user.home,
             user.created_at,
-            credential=credential_of_user(user, session.secret_hash),
+            credential=credential_of_user(user),
         )
 
     async def by_token(self, bearer: str) -> Person | None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Form
+from starlette.background import BackgroundTask
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from app.auth import rules
 from app.auth.access import COOKIE
 from app.auth.accounts import Accounts
-from app.auth.signin import SignIn
+from app.auth.signin import SignIn, WrongSecretError
 from app.errors import Problem
 from app.web.access import Viewer, person_of, public
 from app.web.services import service
@@ -124,7 +125,10 @@ async def _sign_in(
     try:
         signed_in = await sign_in.sign_in(name, secret, address_of(request), panel=panel, device=device)
     except Problem as problem:
-        return await _login_form(request, sign_in, next, panel, problem=problem, name=name)
+        form = await _login_form(request, sign_in, next, panel, problem=problem, name=name)
+        if isinstance(problem, WrongSecretError):
+            form.background = BackgroundTask(sign_in.note_refusal, name, address_of(request))
+        return form
     home = signed_in.user.home if next == "/" else next
     response = RedirectResponse(_own(home), 303)
     whole_s = sign_in.lifetime_of(signed_in.user).whole_s

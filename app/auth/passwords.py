@@ -10,8 +10,6 @@ from argon2.exceptions import InvalidHashError, VerificationError
 
 _hasher = PasswordHasher(time_cost=5, memory_cost=7 * 1024, parallelism=1)
 """Of OWASP's equally strong choices the one with the least memory: a flood of sign-ins takes it twice."""
-_NOBODY = "$argon2id$v=19$m=7168,t=5,p=1$Sgqjl3axBcmfpBSJPI8fSA$j+rR8SiCfOxxpYIZCglRTn5oT1JNGs9cz5ZCnFoqW38"
-"""Verified against for a name that does not exist, so that the time taken does not tell."""
 
 
 class Passwords:
@@ -24,8 +22,8 @@ class Passwords:
         """The hash to store."""
         return await asyncio.get_running_loop().run_in_executor(self._pool, hash_now, secret)
 
-    async def verify(self, stored: str | None, secret: str) -> bool:
-        """Whether it is the secret; for None (no such user) as slow, and False."""
+    async def verify(self, stored: str, secret: str) -> bool:
+        """Whether ``stored`` is a hash of the secret."""
         return await asyncio.get_running_loop().run_in_executor(self._pool, _verify, stored, secret)
 
     def close(self) -> None:
@@ -38,9 +36,13 @@ def hash_now(secret: str) -> str:
     return _hasher.hash(secret)
 
 
-def _verify(stored: str | None, secret: str) -> bool:
+def is_outdated(stored: str) -> bool:
+    """Whether a hash has other parameters than a new one. Raises InvalidHashError for what is no hash."""
+    return _hasher.check_needs_rehash(stored)
+
+
+def _verify(stored: str, secret: str) -> bool:
     try:
-        matches = _hasher.verify(stored or _NOBODY, secret)
+        return _hasher.verify(stored, secret)
     except (VerificationError, InvalidHashError):
         return False
-    return matches and stored is not None

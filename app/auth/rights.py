@@ -7,7 +7,6 @@ after that, and its account may be disabled meanwhile, also by the command line 
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import sqlite3
 import time
 from collections.abc import Awaitable, Callable, Mapping
@@ -45,9 +44,9 @@ class Standing:
     credential: str
 
 
-def credential_of_user(user: User, secret_hash: str) -> str:
+def credential_of_user(user: User) -> str:
     """Another text once the user was added again, or has another password."""
-    return hashlib.sha256(f"{user.created_at}\0{secret_hash}".encode()).hexdigest()
+    return f"{user.created_at} {user.secret_serial}"
 
 
 def credential_of_token(token: Token) -> str:
@@ -144,8 +143,8 @@ class Rights:
     def _read(self, connection: sqlite3.Connection) -> dict[str, Standing]:
         now = self._clock()
         return {
-            user.name: Standing(user.role, credential_of_user(user, secret_hash))
-            for user, secret_hash in store.users_with_secrets(connection)
+            user.name: Standing(user.role, credential_of_user(user))
+            for user in store.users(connection)
             if not user.disabled
         } | {
             account_of(token.name, token=True): Standing(token.role, credential_of_token(token))

@@ -12,7 +12,7 @@ from math import ceil
 from app.audit.kinds import Kind
 from app.audit.log import EventLog
 from app.auth import rules, store, strength
-from app.auth.passwords import Passwords
+from app.auth.passwords import Passwords, is_outdated
 from app.auth.rules import Lifetimes
 from app.auth.store import User
 from app.auth.throttle import Attempt, Throttle
@@ -32,6 +32,10 @@ HASHED_AT_ONCE = 2
 MOST_WAITING_OF_PLACE = 5
 MOST_WAITING = 200
 """Two seconds' worth; half of them at most from places that never signed in."""
+
+
+class WrongSecretError(Problem):
+    """401: there is no such user, or the secret is another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,13 +79,12 @@ class SignIn:
     ) -> SignedIn:
         """Begin a session. ``device``: the cookie of a browser that has signed in before.
 
-        Raises Problem 401 for a wrong secret, 429 with the time to wait after too many, 403 for a panel that
-        has more rights than a panel may have.
+        Raises WrongSecretError, after which the caller owes `note_refusal`; Problem 429 with the time to wait
+        after too many, 403 for a panel that has more rights than a panel may have.
         """
         user = await self._checked(name, secret, address, device, panel)
         if user is None:
-            await self._note_refusal(name, address)
-            raise Problem(401, "unauthorized", _WRONG[panel])
+            raise WrongSecretError(401, "unauthorized", _WRONG[panel])
         if user.panel and not Role.OPERATOR.includes(user.role):
             raise Problem(
                 403,
@@ -150,11 +153,28 @@ class SignIn:
             raise _too_soon(ceil(wait_s))
 
     async def _verified(self, name: str, secret: str, panel: bool) -> User | None:
-        found = await self._database.read(lambda connection: store.user(connection, name))
-        user, stored = found if found else (None, None)
-        if not await self._passwords.verify(stored, secret[: strength.LONGEST_PASSWORD + 1]):
+        user, stored = await self._user_or_decoy(name)
+        secret = secret[: strength.LONGEST_PASSWORD + 1]
+        if not await self._passwords.verify(stored, secret):
             return None
-        return user if user and user.panel is panel and not user.disabled else None
+        if user is None or user.panel is not panel or user.disabled:
+            return None
+        if is_outdated(stored):
+            hashed = await self._passwords.hash(secret)
+            await self._database.write(lambda c: store.replace_hash(c, name, stored, hashed))
+        return user
+
+    async def _user_or_decoy(self, name: str) -> tuple[User | None, str]:
+        """A user with the hash of the secret. For an unknown name the hash of another user, always the same
+        one: hashes of an earlier version take longer, and the time must not tell which names there are."""
+        number = int(self._events.keys.ring.seal("decoy", name), 16)
+
+        def find(connection: sqlite3.Connection) -> tuple[User | None, str]:
+            hashes = store.secret_hashes(connection)
+            decoy = hashes[number % len(hashes)] if hashes else ""
+            return store.user(connection, name) or (None, decoy)
+
+        return await self._database.read(find)
 
     async def _begin(self, user: User, secret: str, address: str, device: str) -> SignedIn:
         session, device, now = rules.new_secret(), device or rules.new_secret(), self._clock()
@@ -180,7 +200,9 @@ class SignIn:
             return True
         return False
 
-    async def _note_refusal(self, name: str, address: str) -> None:
+    async def note_refusal(self, name: str, address: str) -> None:
+        """Count a wrong secret in the events. It is written to the disk for some names and not for others, so
+        only once the refusal is sent: its time must not tell which names there are."""
         known = await self._database.read(lambda connection: store.user(connection, name))
         # A password typed into the field for the name must not end up in the log.
         who = name if known else "unknown name"

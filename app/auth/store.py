@@ -26,6 +26,8 @@ class User:
     seen_at: float | None
     weak_secret: bool = False
     """The password or PIN, as last used, is one that today's rules refuse."""
+    secret_serial: int = 0
+    """How many passwords or PINs the user has had before this one."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,6 @@ class Session:
     created_at: float
     used_at: float
     expires_at: float
-    secret_hash: str
-    """Of the user's password or PIN now."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,10 @@ class Token:
         return self.expires_at is None or now < self.expires_at
 
 
-_USER = "u.name, u.role, u.panel, u.home, u.language, u.disabled, u.created_at, u.seen_at, u.weak_secret"
+_USER = (
+    "u.name, u.role, u.panel, u.home, u.language, u.disabled, u.created_at, u.seen_at, u.weak_secret, "
+    "u.secret_serial"
+)
 _TOKEN = "id, name, role, created_by, created_at, used_at, bus, expires_at"
 
 
@@ -74,6 +77,7 @@ def _user(row: sqlite3.Row) -> User:
         row["created_at"],
         row["seen_at"],
         bool(row["weak_secret"]),
+        row["secret_serial"],
     )
 
 
@@ -95,10 +99,10 @@ def users(connection: sqlite3.Connection) -> list[User]:
     return [_user(row) for row in connection.execute(f"SELECT {_USER} FROM users u ORDER BY u.name")]
 
 
-def users_with_secrets(connection: sqlite3.Connection) -> list[tuple[User, str]]:
-    """All users, each with the hash of the password or PIN."""
-    rows = connection.execute(f"SELECT {_USER}, u.secret_hash FROM users u")
-    return [(_user(row), row["secret_hash"]) for row in rows]
+def secret_hashes(connection: sqlite3.Connection) -> list[str]:
+    """Of the passwords and PINs of all users, the oldest user first."""
+    query = "SELECT secret_hash FROM users ORDER BY created_at, name"
+    return [row["secret_hash"] for row in connection.execute(query)]
 
 
 def user(connection: sqlite3.Connection, name: str) -> tuple[User, str] | None:
@@ -125,8 +129,16 @@ def set_secret(connection: sqlite3.Connection, name: str, secret_hash: str, keep
     """A new password or PIN; every session of the user ends but that with the hash ``keep``. Whether there is
     such a user."""
     end_sessions_of(connection, name, keep)
-    change = "UPDATE users SET secret_hash = ?, weak_secret = 0 WHERE name = ?"
+    change = (
+        "UPDATE users SET secret_hash = ?, weak_secret = 0, secret_serial = secret_serial + 1 WHERE name = ?"
+    )
     return connection.execute(change, (secret_hash, name)).rowcount == 1
+
+
+def replace_hash(connection: sqlite3.Connection, name: str, before: str, secret_hash: str) -> None:
+    """Another hash of the same password or PIN; nothing where the user has got another one meanwhile."""
+    change = "UPDATE users SET secret_hash = ? WHERE name = ? AND secret_hash = ?"
+    connection.execute(change, (secret_hash, name, before))
 
 
 def set_disabled(connection: sqlite3.Connection, name: str, disabled: bool) -> bool:
@@ -183,13 +195,13 @@ def note_places(connection: sqlite3.Connection, name: str, places: Iterable[str]
 def session(connection: sqlite3.Connection, hash_: bytes) -> Session | None:
     """The sign-in that a cookie stands for."""
     query = (
-        f"SELECT {_USER}, u.secret_hash, s.created_at AS begun_at, s.used_at, s.expires_at "
+        f"SELECT {_USER}, s.created_at AS begun_at, s.used_at, s.expires_at "
         "FROM sessions s JOIN users u USING (name) WHERE s.hash = ?"
     )
     row = connection.execute(query, (hash_,)).fetchone()
     if row is None:
         return None
-    return Session(_user(row), row["begun_at"], row["used_at"], row["expires_at"], row["secret_hash"])
+    return Session(_user(row), row["begun_at"], row["used_at"], row["expires_at"])
 
 
 def prolong_session(connection: sqlite3.Connection, hash_: bytes, now: float, ends: float) -> None:

@@ -7,6 +7,7 @@ neighboring keys, and single characters. What has too few pieces is easy to gues
 from __future__ import annotations
 
 import re
+import unicodedata
 from pathlib import Path
 
 from bus.errors import CallerError
@@ -26,6 +27,8 @@ _WORDS = frozenset(
     for line in Path(__file__).with_name("common_words.txt").read_text(encoding="utf-8").splitlines()
     if not line.startswith("#")
 )
+_ADORNMENTS = ("Mn", "Cf")
+"""Unicode's categories of combining marks and of signs without a width."""
 _YEAR = re.compile(r"(?:19|20)\d\d")
 _LONGEST_WORD = max(map(len, _WORDS))
 _SHORTEST_WORD = min(map(len, _WORDS))
@@ -65,7 +68,7 @@ def check_pin(pin: str) -> None:
 
 def is_easy_password(password: str) -> bool:
     """Whether it is among what is tried first."""
-    text = password.casefold()
+    text = _without_separator(_bare(password))
     block = _block_of(text)
     return (
         len(set(text)) < FEWEST_SIGNS
@@ -79,7 +82,7 @@ def is_easy_pin(pin: str) -> bool:
     """Whether it is among what is tried first."""
     return (
         len(set(pin)) <= 2
-        or len(_block_of(pin)) <= LEAST_RUN
+        or len(_block_of(pin)) < len(pin)
         or _pieces(pin, _PAD, words=False) < FEWEST_PIECES_OF_PIN
     )
 
@@ -91,7 +94,20 @@ def _contains(password: str, name: str) -> bool:
 
 
 def _plain(text: str) -> str:
-    return "".join(sign for sign in text.casefold() if sign.isalnum())
+    return "".join(sign for sign in _bare(text) if sign.isalnum())
+
+
+def _bare(text: str) -> str:
+    """In small letters, without accents, full widths and what cannot be seen, which make nothing harder to
+    guess."""
+    signs = unicodedata.normalize("NFKD", text.casefold())
+    return "".join(sign for sign in signs if unicodedata.category(sign) not in _ADORNMENTS)[:LONGEST_PASSWORD]
+
+
+def _without_separator(text: str) -> str:
+    """What is left of ``s-p-e-l-l-e-d``."""
+    between = set(text[1::2])
+    return text[::2] if len(between) == 1 and not between.pop().isalnum() else text
 
 
 def _block_of(text: str) -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import stat
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -43,8 +45,7 @@ def backup(
 ) -> None:
     """Read all parameters from the units and write them to a file (#21 is masked)."""
     with ending(), dashboard(url, bearer_token(token, token_file)) as there:
-        if not out.parent.is_dir():
-            raise CallerError(f"there is no folder {out.parent} for {out.name}; nothing was read")
+        _check_place(out)
         wanted = [unit] if unit is not None else list(there.units(bus))
         read, missing = _read(there, bus, wanted)
         if read:
@@ -52,6 +53,15 @@ def backup(
         _tell(out, read, missing, as_json)
         if missing:
             raise typer.Exit(1)
+
+
+def _check_place(out: Path) -> None:
+    """Raises CallerError where no file can be put, or something else than a file would be replaced: for root
+    /dev/null too."""
+    if not out.parent.is_dir():
+        raise CallerError(f"there is no folder {out.parent} for {out.name}; nothing was read")
+    if os.path.lexists(out) and not stat.S_ISREG(out.lstat().st_mode):
+        raise CallerError(f"{out} is not a regular file; name another file; nothing was read")
 
 
 def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows], dict[int, str]]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
@@ -161,13 +162,19 @@ class Desk:
         self._object(person, bus, action, live, confirm)
 
     async def _check(self, wish: Wish, live: BusLive, confirm: bool) -> None:
-        try:
+        async with self._rejection_recorded(wish, live):
             wish.deadline.refuse_passed()
             await self._rights.check(wish.person)
             # Before anything is read for it: who may not write here learns that, not what the unit says.
             self._use_control(wish.person, wish.bus, wish.action)
             await self.read_ranges(wish.person, wish.bus, wish.action, wish.deadline)
             self._object(wish.person, wish.bus, wish.action, live, confirm)
+
+    @asynccontextmanager
+    async def _rejection_recorded(self, wish: Wish, live: BusLive) -> AsyncIterator[None]:
+        """A write that a Problem ends before anything is sent is an event with its reason."""
+        try:
+            yield
         except Problem as problem:
             if is_write(wish.action):
                 await self._record.reject(wish, live, problem)
@@ -244,8 +251,9 @@ class Desk:
         if is_write(wish.action):
             parameters = isinstance(wish.action, WriteParameter | ChangeBaud)
             units = units_written(wish.action, live)
-            for subscriber in self._write_subscribers:
-                await subscriber(wish.person, wish.bus, units, parameters=parameters)
+            async with self._rejection_recorded(wish, live):
+                for subscriber in self._write_subscribers:
+                    await subscriber(wish.person, wish.bus, units, parameters=parameters)
         intent = await self._record.intend(wish, live)
         result = without_secret(wish.action, await self._send(wish, live))
         await self._record.conclude(intent, wish, result)

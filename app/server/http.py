@@ -5,42 +5,28 @@ from __future__ import annotations
 import asyncio
 from typing import Any, cast
 
-import uvicorn
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
-from uvicorn.server import ServerState
 
-from app.server.connections import EXTENSION, Connection, Connections
-from app.server.pace import Awaited, Backlog, Pace
+from app.server.connections import EXTENSION, Connection
+from app.server.counted_protocol import CountedProtocol
+from app.server.pace import Awaited, Pace
 from app.server.refusal import MALFORMED, TOO_LONG, TOO_MANY, TOO_SLOW, Refusal
 
 MOST_HEAD_BYTES = 32 * 1024
 MOST_HEADERS = 100
 MOST_PIPELINED = 8
 """Requests that wait for the response to one before them."""
-CLOSING_S = 5.0
-"""What a client gets to read the end of a connection."""
 
 
 class BeyondBoundsError(Exception):
     """Ends the parsing of a request."""
 
 
-class HttpProtocol(HttpToolsProtocol):
+class HttpProtocol(CountedProtocol, HttpToolsProtocol):
     """One connection. The server calls :meth:`check` once a second."""
 
-    def __init__(
-        self,
-        config: uvicorn.Config,
-        server_state: ServerState,
-        app_state: dict[str, Any],
-        _loop: asyncio.AbstractEventLoop | None = None,
-        *,
-        open_connections: Connections,
-    ) -> None:
-        super().__init__(config, server_state, app_state, _loop)
-        self._open_connections = open_connections
-        self._backlog = Backlog()
-        self._closing_since: float | None = None
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
         self._refusal = MALFORMED
         self._is_ending = False
         self._head_bytes = 0
@@ -53,23 +39,15 @@ class HttpProtocol(HttpToolsProtocol):
         self.connection = Connection(address, self._give_way, self._is_clients_turn)
         self._open_connections.open(self.connection)
 
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Nothing is awaited any more."""
-        self._open_connections.close(self.connection)
-        super().connection_lost(exc)
-
     def check(self, now: float) -> None:
         """End the connection of a client that takes too long to send or to read. ``now``: the loop's time."""
-        waiting = self.transport.get_write_buffer_size()
-        if self.transport.is_closing() or self._closing_since is not None:
-            self._closing_since = self._closing_since or now
-            if now - self._closing_since > CLOSING_S:
-                self.transport.abort()
+        if self._is_at_its_end(now):
             return
         if self._is_servers_turn():
             self._pace.since = now
         is_written = self.flow.write_paused or self.cycle is None or self.cycle.response_complete
-        if self._backlog.is_stuck(waiting if is_written else 0, now):
+        waiting = self.transport.get_write_buffer_size() if is_written else 0
+        if self._backlog.is_stuck(waiting, now):
             self.transport.abort()
         elif self._pace.is_overdue(now):
             self._refuse(TOO_SLOW)
@@ -84,11 +62,6 @@ class HttpProtocol(HttpToolsProtocol):
             self._pace.received += len(data)
             if self._pace.received > MOST_HEAD_BYTES:
                 self._refuse(TOO_LONG)
-
-    def resume_writing(self) -> None:
-        """The client has read what waited."""
-        self._backlog = Backlog()
-        super().resume_writing()
 
     def send_400_response(self, msg: str) -> None:  # noqa: ARG002
         """Of uvicorn, for what cannot be parsed."""
@@ -162,9 +135,6 @@ class HttpProtocol(HttpToolsProtocol):
 
     def _is_clients_turn(self) -> bool:
         return self._pace.awaited is not Awaited.NOTHING or self.flow.write_paused
-
-    def _identify(self, account: str) -> None:
-        self._open_connections.identify(self.connection, account)
 
     def _count_head(self, size: int) -> None:
         self._head_bytes += size

@@ -5,18 +5,15 @@ from __future__ import annotations
 import asyncio
 from typing import Any, cast
 
-import uvicorn
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
-from uvicorn.server import ServerState
 from websockets.frames import CloseCode, Frame
 from websockets.http11 import Request
 from websockets.protocol import State
 
 from app.server.connections import EXTENSION as CONNECTION
-from app.server.connections import Connection, Connections
+from app.server.connections import Connection
+from app.server.counted_protocol import CountedProtocol
 from app.server.frames import EXTENSION, OUTLET
-from app.server.http import CLOSING_S
-from app.server.pace import Backlog
 from bus.bucket import Bucket
 
 FEED_PATH = "/feed"
@@ -31,52 +28,28 @@ MOST_UNREAD_BYTES = 64 * 1024
 """Of responses to pings."""
 
 
-class WebSocketProtocol(WebSocketsSansIOProtocol):
+class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
     """Handshake, control frames, close and every ``send`` are uvicorn's; only whole frames that are ready
     may pass it by. It writes what it has in the same turn too, so the two cannot mix within a message."""
 
-    def __init__(
-        self,
-        config: uvicorn.Config,
-        server_state: ServerState,
-        app_state: dict[str, Any],
-        _loop: asyncio.AbstractEventLoop | None = None,
-        *,
-        connection: Connection,
-        open_connections: Connections,
-    ) -> None:
-        super().__init__(config, server_state, app_state, _loop)
-        self._connection = connection
-        self._open_connections = open_connections
-        self._backlog = Backlog()
-        self._closing_since: float | None = None
+    def __init__(self, *args: Any, connection: Connection, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.connection = connection
         self._bucket: Bucket | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """A client that does not read is waited for after one message, not after 64 KiB of them."""
         super().connection_made(transport)
         self.transport.set_write_buffer_limits(high=0)
-        self._connection.drop = self.transport.abort
-        self._connection.is_waiting = lambda: False
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Nothing is awaited any more."""
-        self._open_connections.close(self._connection)
-        super().connection_lost(exc)
+        self.connection.drop = self.transport.abort
+        self.connection.is_waiting = lambda: False
 
     def check(self, now: float) -> None:
         """End the connection of a client that does not read. ``now``: the loop's time."""
-        if self.transport.is_closing():
-            self._closing_since = self._closing_since or now
-            if now - self._closing_since > CLOSING_S:
-                self.transport.abort()
-        elif self._backlog.is_stuck(self.transport.get_write_buffer_size(), now):
+        if self._is_at_its_end(now):
+            return
+        if self._backlog.is_stuck(self.transport.get_write_buffer_size(), now):
             self.transport.abort()
-
-    def resume_writing(self) -> None:
-        """The client has read what waited."""
-        self._backlog = Backlog()
-        super().resume_writing()
 
     def data_received(self, data: bytes) -> None:
         """Not more at once than the loop can do without."""
@@ -131,9 +104,6 @@ class WebSocketProtocol(WebSocketsSansIOProtocol):
             return False
         transport.write(frame)
         return True
-
-    def _identify(self, account: str) -> None:
-        self._open_connections.identify(self._connection, account)
 
     def _is_allowed(self) -> bool:
         if self.close_sent or self.transport.is_closing():

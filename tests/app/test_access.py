@@ -9,16 +9,27 @@ from pathlib import Path
 import httpx
 import pytest
 from fastapi import APIRouter, FastAPI
+from starlette.requests import HTTPConnection
 from starlette.testclient import TestClient, WebSocketDenialResponse
+from starlette.types import Message, Receive, Scope, Send
 
 from app.auth import rules
 from app.auth.access import COOKIE, PUBLIC_PATHS
 from app.main import create_app
-from app.web.access import Role
+from app.server.connections import EXTENSION
+from app.web.access import Person, Requires, Role
 from app.web.routes import demands, refuse_undeclared
 from tests.app.whole_app import EVERY_ROLE, HOST, PASSWORD, House, settings_in, whole_app
 
 FILLED = {"bus": "dry-end", "unit": "1", "number": "1", "name": "nobody", "version": "x"}
+HAS = {
+    Role.VIEWER: {Role.VIEWER},
+    Role.OPERATOR: {Role.VIEWER, Role.OPERATOR},
+    Role.ENGINEER: {Role.VIEWER, Role.OPERATOR, Role.ENGINEER},
+    Role.ADMIN: {Role.VIEWER, Role.OPERATOR, Role.ENGINEER, Role.ADMIN},
+    Role.WORKER: {Role.WORKER},
+}
+"""Whose rights each role has. A worker has nothing but the feed, which nobody else has."""
 SIGNING_IN = {"/login", "/login/panel"}
 """They refuse an empty form by 401."""
 
@@ -45,7 +56,7 @@ def sockets(app: FastAPI) -> list[tuple[str, set[Role | None]]]:
 
 
 def may(role: Role, roles: set[Role | None]) -> bool:
-    return all(wanted is None or role.includes(wanted) for wanted in roles)
+    return roles <= {None, *HAS[role]}
 
 
 def is_refusal_for_role(answer: httpx.Response) -> bool:
@@ -108,6 +119,59 @@ def test_each_websocket(tmp_path: Path, role: Role | None) -> None:
             ):
                 pass
             assert refused.value.status_code == (403 if role else 401), path
+
+
+async def test_the_server_learns_whose_a_connection_is(house: House) -> None:
+    """Connections of accounts, the workers' among them, are counted apart from those of strangers."""
+    seen: list[str] = []
+
+    async def offering(scope: Scope, receive: Receive, send: Send) -> None:
+        await house.app({**scope, "extensions": {EXTENSION: seen.append}}, receive, send)
+
+    page = await house.signed_in(Role.ENGINEER, "ann")
+    transport = httpx.ASGITransport(offering)
+    async with httpx.AsyncClient(transport=transport, base_url=f"http://{HOST}") as client:
+        await client.get("/login")
+        assert seen == []
+        await client.get(
+            "/api/v1/line", headers={"authorization": f"Bearer {await house.token(Role.VIEWER)}"}
+        )
+        client.cookies = page.cookies
+        await client.get("/")
+    assert seen == ["key-viewer (token)", "ann"]
+    coming = [{"type": "websocket.disconnect", "code": 1000}, {"type": "websocket.connect"}]
+
+    async def receive() -> Message:
+        return coming.pop()
+
+    async def send(message: Message) -> None:
+        assert message["type"] != "websocket.http.response.start"
+
+    bearer = f"Bearer {await house.token(Role.WORKER)}"
+    headers = [(b"host", HOST.encode()), (b"authorization", bearer.encode())]
+    scope = {"type": "websocket", "path": "/feed", "query_string": b"", "headers": headers, "scheme": "ws"}
+    await offering(scope, receive, send)
+    assert seen[2:] == ["key-worker (token)"]
+
+
+async def test_an_app_guards_no_routes_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The features' routes are of the process, and a process may have several apps."""
+    checked: list[Role] = []
+    check = Requires.__call__
+
+    async def counting(self: Requires, connection: HTTPConnection) -> Person:
+        checked.append(self.role)
+        return await check(self, connection)
+
+    monkeypatch.setattr(Requires, "__call__", counting)
+    async with whole_app(tmp_path / "one") as one:
+        viewer = await one.program(Role.VIEWER)
+        await viewer.get("/api/v1/line")
+        once = len(checked)
+        async with whole_app(tmp_path / "other"):
+            await viewer.get("/api/v1/line")
+    assert once > 0
+    assert len(checked) == 2 * once
 
 
 async def test_an_unknown_path_tells_nobody_anything(house: House) -> None:

@@ -248,6 +248,22 @@ async def test_the_server_anchors_its_last_entry_when_it_ends(tmp_path: Path) ->
     assert (what, last) == ("server ended", anchors.newest)
 
 
+async def test_a_running_server_anchors_its_head_every_minute(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert module.EVERY_S == 60.0
+    monkeypatch.setattr(module, "EVERY_S", 0.01)
+    path = tmp_path / "anchor"
+    settings = settings_in(tmp_path).model_copy(update={"audit": Audit(anchor=path)})
+    services = create_app(settings).state.services
+    async with running(services), asyncio.timeout(20):
+        for _ in range(2):
+            number = await services.events.record(kind="estop", what="e-stop")
+            ring = services.events.keys.ring
+            while not path.exists() or read_anchor_file(path, ring).newest < number:  # noqa: ASYNC110
+                await asyncio.sleep(0.01)
+
+
 async def test_what_is_not_well_is_on_the_page_and_in_the_metrics(tmp_path: Path) -> None:
     settings = settings_in(tmp_path).model_copy(update={"audit": Audit(anchor=tmp_path)})
     app = create_app(settings)

@@ -25,6 +25,7 @@ from tests.app.whole_app import whole_app
 
 WORDS = ["speed", "Speed set", "unit 3", "ramp_up 50%", "Ärger", "a!b", 'say "so"', "", "x", "ab", "no\0text"]
 words = st.sampled_from(WORDS)
+PATIENCE_S = 10.0
 
 
 @contextmanager
@@ -148,10 +149,13 @@ async def test_costly_reads_leave_the_others_alone(tmp_path: Path) -> None:
     with database(tmp_path) as opened:
         log, gate = EventLog(opened), threading.Event()
         held = [asyncio.create_task(opened.read_costly(lambda _: gate.wait())) for _ in range(50)]
-        await log.record(kind="server", what="written meanwhile")
-        assert await opened.read(store.open_intents) == []
-        gate.set()
-        await asyncio.gather(*held)
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                await log.record(kind="server", what="written meanwhile")
+                assert await opened.read(store.open_intents) == []
+        finally:
+            gate.set()
+            await asyncio.gather(*held)
 
 
 def test_a_costly_read_is_ended_between_two_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import ssl
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
@@ -180,6 +182,20 @@ def test_each_command_takes_its_token_from_a_file_or_the_environment(
         assert server.tokens[-1] == "Bearer of-environment"
         run(cli, [*call, "--token", "of-option"])
         assert server.tokens[-1] == "Bearer of-option"
+
+
+@pytest.mark.parametrize(
+    "make", [os.mkfifo, os.mkdir, partial(os.symlink, "/dev/null"), partial(os.symlink, "nowhere")]
+)
+def test_a_backup_replaces_no_device_folder_or_link(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    """As root, ``--out /dev/null`` made a file of it."""
+    out = tmp_path / "out"
+    make(out)
+    before = out.lstat()
+    with serving() as server:
+        done = backup(server.url, "--token", "t", "--out", str(out))
+    assert (done.exit_code, "is not a regular file" in done.stderr, server.tokens) == (2, True, [])
+    assert (out.lstat().st_mode, out.lstat().st_ino) == (before.st_mode, before.st_ino)
 
 
 def row(number: int, name: str, **more: Any) -> dict[str, Any]:

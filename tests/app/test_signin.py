@@ -6,15 +6,17 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+from argon2 import PasswordHasher, extract_parameters
 
 from app.audit.log import EventLog
 from app.audit.store import Filter
-from app.auth import rules
+from app.auth import rules, store
 from app.auth.accounts import Accounts
 from app.auth.identity import Identity
 from app.auth.passwords import Passwords
+from app.auth.rights import Rights
 from app.auth.rules import Lifetimes
-from app.auth.signin import SignedIn, SignIn
+from app.auth.signin import SignedIn, SignIn, WrongSecretError
 from app.auth.throttle import FIRST_WAIT_S, FREE, OF_NAME, OF_NAME_EVERY_S
 from app.database import Database
 from app.errors import Problem
@@ -55,6 +57,8 @@ class House:
     ) -> int:
         with pytest.raises(Problem) as caught:
             await self.sign_in.sign_in(name, password, address, device=device)
+        if isinstance(caught.value, WrongSecretError):
+            await self.sign_in.note_refusal(name, address)
         return caught.value.status
 
     async def log_of(self, kind: str) -> list[tuple[str, str]]:
@@ -182,6 +186,60 @@ async def test_a_secret_that_todays_rules_refuse_works_and_is_noted(house: House
     assert not (await house.accounts.users())[0].weak_secret
     await house.enter()
     assert not (await house.accounts.users())[0].weak_secret
+
+
+EARLIER = PasswordHasher(time_cost=1, memory_cost=64, parallelism=1)
+"""As an earlier version hashed, with other parameters than today's."""
+
+
+async def stored_hash(house: House, name: str = "ann") -> str:
+    found = await house.database.read(lambda c: store.user(c, name))
+    assert found is not None
+    return found[1]
+
+
+async def hashed_by_an_earlier_version(house: House) -> str:
+    """The password is the same, its hash another."""
+    hashed = EARLIER.hash(PASSWORD)
+    await house.database.write(lambda c: c.execute("UPDATE users SET secret_hash = ?", (hashed,)))
+    return hashed
+
+
+async def test_a_hash_of_an_earlier_version_is_replaced_at_the_next_sign_in(house: House) -> None:
+    """A wrong guess took longer for it than for an unknown name, for as long as the password was kept."""
+    await house.add()
+    before = await hashed_by_an_earlier_version(house)
+    assert await house.refused() == 401
+    assert await stored_hash(house) == before
+    await house.enter()
+    after = await stored_hash(house)
+    assert extract_parameters(after) == extract_parameters(await house.passwords.hash("new"))
+    await house.enter()
+    assert await stored_hash(house) == after, "once is enough"
+
+
+async def test_a_replaced_hash_withdraws_no_rights(house: House) -> None:
+    """Somebody signs in at another desk while a restore of theirs is under way."""
+    await house.add()
+    cookie = await house.enter()
+    await hashed_by_an_earlier_version(house)
+    person, rights = await house.identity.by_cookie(cookie), Rights(house.database, house.accounts)
+    assert person is not None
+    await house.enter()
+    await rights.check(person)
+    assert await house.identity.by_cookie(cookie) == person
+    await house.accounts.set_password("ann", "another good one", by="t", origin="t")
+    with pytest.raises(Problem, match="the password was changed"):
+        await Rights(house.database, house.accounts).check(person)
+
+
+async def test_a_password_that_was_changed_meanwhile_is_not_put_back(house: House) -> None:
+    await house.add()
+    before = await hashed_by_an_earlier_version(house)
+    await house.accounts.set_password("ann", "another good one", by="t", origin="t")
+    changed = await stored_hash(house)
+    await house.database.write(lambda c: store.replace_hash(c, "ann", before, "late"))
+    assert await stored_hash(house) == changed
 
 
 async def test_a_session_that_is_not_used_ends(house: House) -> None:

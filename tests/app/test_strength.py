@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from app.auth.strength import check_password, check_pin, is_easy_password, is_easy_pin
 from bus.errors import CallerError
 
+FULL_WIDTH = "".join(chr(ord(sign) + 0xFEE0) for sign in "password1234")
 GOOD = (
     *(
         "correct horse battery staple",
@@ -41,6 +42,7 @@ EASY = (
         "trustno1trustno1",
         "lineside-test-2026",
     ),
+    *("P a s s w o r d", "p-a-s-s-w-o-r-d", "pässwörter12", "pass\u200bword\u20601234", FULL_WIDTH),
 )
 
 
@@ -66,6 +68,8 @@ def test_the_length(length: int) -> None:
     [
         ("annabel", "xk-AnnaBel-7-qr", "user name"),
         ("j.doe", "my-J-Doe-is-fine", "user name"),
+        ("annabel", "xk-Ännabel-7-qr", "user name"),
+        ("jürgen", "xk-Jurgen-7-qrt", "user name"),
         ("ann", "an annex of the mill", ""),
         ("eve", "we go to mill #7 at six", "name of the site"),
     ],
@@ -98,6 +102,8 @@ def test_what_is_no_pin(pin: str) -> None:
         "123321",
         "111222",
         "020202",
+        "20262026",
+        "1984719847",
     ],
 )
 def test_easy_pins(pin: str) -> None:

@@ -81,6 +81,17 @@ class Plant:
                 connection.execute("UPDATE events_head SET key = ?, seal = ''", (key,))
             connection.commit()
 
+    def copy_store(self, path: Path) -> None:
+        """The store as it is now."""
+        with closing(sqlite3.connect(self.store)) as connection:
+            connection.execute("VACUUM INTO ?", (str(path),))
+
+    def put_back(self, path: Path) -> None:
+        """Put a copy in the place of the store."""
+        for companion in ("-wal", "-shm"):
+            self.store.with_name(self.store.name + companion).unlink(missing_ok=True)
+        shutil.copy(path, self.store)
+
     def verify(self, *options: str) -> tuple[int, str]:
         """The exit code of ``audit verify``, and all that it says."""
         done = CliRunner().invoke(cli, ["audit", "verify", "--config", str(self.config), *options])
@@ -151,16 +162,25 @@ def test_the_newest_entries_are_cut_off_and_the_server_goes_on(plant: Plant) -> 
 
 def test_an_earlier_copy_of_the_store_is_put_in_its_place(plant: Plant, tmp_path: Path) -> None:
     """Whole in itself: only the anchor tells."""
-    earlier = tmp_path / "earlier.db"
-    with closing(sqlite3.connect(plant.store)) as connection:
-        connection.execute("VACUUM INTO ?", (str(earlier),))
+    plant.copy_store(tmp_path / "earlier.db")
     plant.work()
-    for companion in ("-wal", "-shm"):
-        plant.store.with_name(plant.store.name + companion).unlink(missing_ok=True)
-    shutil.copy(earlier, plant.store)
+    plant.put_back(tmp_path / "earlier.db")
     assert "but the anchor names entry 18" in plant.broken_at()
     plant.work(12)
     assert "is not the one that the anchor names" in plant.broken_at()
+
+
+def test_so_are_earlier_copies_of_the_store_and_of_its_anchor(plant: Plant, tmp_path: Path) -> None:
+    """Only a copy of the anchor that is out of reach tells."""
+    plant.copy_store(tmp_path / "earlier.db")
+    earlier = plant.anchor.read_bytes()
+    plant.work()
+    copy = tmp_path / "copy.anchor"
+    shutil.copy(plant.anchor, copy)
+    plant.put_back(tmp_path / "earlier.db")
+    plant.anchor.write_bytes(earlier)
+    assert plant.verify()[0] == 0
+    assert "but the anchor names entry 18" in plant.broken_at("--anchor", str(copy))
 
 
 def test_the_store_is_removed_and_begun_anew(plant: Plant) -> None:

@@ -11,7 +11,7 @@ import httpx
 import pytest
 from starlette.types import Message, Scope
 
-from app.sets.document import MOST_DOTTED, DocumentError, read_document
+from app.sets.document import MOST_KEY_STEPS, DocumentError, read_document
 from app.web.access import Role
 from app.web.bounds import (
     LONGEST_CONTENT_TYPE,
@@ -176,23 +176,34 @@ async def test_no_number_of_an_address_makes_the_server_fail(house: House, numbe
 
 
 @pytest.mark.parametrize(
-    "line", ["a." * 3000 + "a = 1\n", '"a".' * 3000 + "a = 1\n", "[" + "a." * 3000 + "b]\n"]
+    "text",
+    [
+        "a." * 3000 + "a = 1\n",
+        '"a".' * 3000 + "a = 1\n",
+        "[" + "a." * 3000 + "b]\n",
+        " \t[" + "a." * 1000 + 'b]\nc = """\n[\n"""\n' + "".join(f"k{n} = 1\n" for n in range(3000)),
+        "[" + "a." * 500 + "b]\n" + "".join(f"k{n}.a.b.c = 1\n" for n in range(1500)),
+    ],
+    ids=["key", "quoted key", "table", "keys of a deep table", "dotted keys of a deep table"],
 )
-def test_a_key_of_many_parts_costs_no_more_than_its_length(line: str) -> None:
+def test_keys_of_many_parts_cost_no_more_than_their_length(text: str) -> None:
     begun = time.thread_time()
     with pytest.raises(DocumentError, match="too many dotted parts"):
-        read_document(line)
+        read_document(text)
     assert time.thread_time() - begun < CPU_S
 
 
 def test_a_comment_may_have_as_many_dots_as_it_likes() -> None:
-    assert MOST_DOTTED > 1000**2
+    assert MOST_KEY_STEPS > 1000**2
     with pytest.raises(DocumentError, match="lacks format"):
         read_document('comment = "' + "." * 1000 + '"')
 
 
-async def test_a_document_is_read_beside_the_loop(house: House) -> None:
+@pytest.mark.parametrize(
+    "body",
+    [{"document": "".join(f"k{n} = 1\n" for n in range(20_000))}, {"document": [{"a": 1}] * 150_000}],
+    ids=["document", "JSON"],
+)
+async def test_what_is_large_is_read_beside_the_loop(house: House, body: object) -> None:
     engineer = await house.program(Role.ENGINEER)
-    document = "".join(f"k{n} = 1\n" for n in range(20_000))
-    content = json.dumps({"document": document}).encode()
-    assert await cpu_s(engineer, 422, RESTORES, content, **JSON) < 0.1
+    assert await cpu_s(engineer, 422, RESTORES, json.dumps(body).encode(), **JSON) < 0.1

@@ -20,7 +20,9 @@ from structlog.testing import capture_logs
 
 from app.audit.store import Filter
 from app.feed.holders import Credential
-from app.feed.workers import WorkerLeft
+from app.feed.ingest import Ingest
+from app.feed.rates import HELLOS_AT_ONCE, update_bucket
+from app.feed.workers import TOO_OFTEN, WorkerLeft
 from app.live.browser import Browser
 from app.web.access import Role
 from bus.contract import (
@@ -260,6 +262,40 @@ def test_a_flood_of_events_is_summed_up(runner: asyncio.Runner, scene: Scene) ->
         assert summary["message"].startswith("the last of 29")
 
     runner.run(attack())
+
+
+def test_a_token_says_hello_only_so_often(runner: asyncio.Runner, scene: Scene) -> None:
+    async def attack() -> None:
+        workers, credential = scene.house.services.workers, Credential("busy", BUS, "192.0.2.66")
+        sockets = [HostileSocket([b"no hello"]) for _ in range(int(HELLOS_AT_ONCE) + 5)]
+        for socket in sockets:
+            await workers.serve(socket, credential)
+        assert [socket.reason for socket in sockets].count(TOO_OFTEN) == 5
+        other = HostileSocket([b"no hello"])
+        await workers.serve(other, Credential("other", BUS, "192.0.2.66"))
+        assert other.reason not in (None, TOO_OFTEN)
+
+    runner.run(attack())
+
+
+def test_what_is_over_the_rate_is_not_read_yet(
+    runner: asyncio.Runner, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pauses: list[float] = []
+
+    async def hold_back(_: Ingest, seconds: float) -> None:
+        pauses.append(seconds)
+
+    async def attack() -> None:
+        readings: list[Update] = [reading(1)] * MOST_UPDATES
+        batches = [encode(Batch(seq, time.time(), readings)) for seq in range(1, 41)]
+        await scene.attack(encode(snapshot()), *batches)
+
+    monkeypatch.setattr(Ingest, "_hold_back", hold_back)
+    monkeypatch.setattr(scene.house.services.workers, "_update_buckets", {BUS: update_bucket()})
+    runner.run(attack())
+    # 20,000 updates, of which a quarter of an hour's backlog may come at once.
+    assert sum(pause > 0 for pause in pauses) > 10
 
 
 def test_memory_does_not_grow_with_what_a_worker_sends(runner: asyncio.Runner, scene: Scene) -> None:

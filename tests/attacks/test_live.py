@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from starlette.testclient import TestClient, WebSocketDenialResponse
+from starlette.testclient import TestClient, WebSocketDenialResponse, WebSocketTestSession
+from starlette.websockets import WebSocketDisconnect
 
 from app.live import socket
 from app.live.admission import MOST_OF_ACCOUNT, Admission
@@ -72,6 +73,43 @@ def test_a_page_that_asks_without_end_is_answered_at_its_pace(
         while snapshots < asked - socket.MOST_SNAPSHOTS_AT_ONCE and len(pauses) < asked:
             snapshots += json.loads(page.receive_text())["is"] == "snapshot"
     assert pauses.count(1 / socket.SNAPSHOTS_A_SECOND) >= asked - socket.MOST_SNAPSHOTS_AT_ONCE - 1
+    assert pauses.count(1 / socket.MESSAGES_A_SECOND) >= asked - socket.MOST_MESSAGES_AT_ONCE - 1
+
+
+MALFORMED: list[dict[str, Any]] = [
+    {"units": ["dry-end/1"] * 513},
+    {"units": ["x" * 49]},
+    {"units": [[[["dry-end/1"]]]]},
+    {"trace": "x" * 41},
+    {"want": "everything"},
+    {"want": "snapshot", "more": 1},
+]
+
+
+def read_two_snapshots(page: WebSocketTestSession) -> None:
+    """The one that every page gets, and the one that it has asked for."""
+    seen: list[str] = []
+    while seen.count("snapshot") < 2:
+        seen.append(json.loads(page.receive_text())["is"])
+
+
+def test_a_message_that_no_page_sends_ends_its_socket(client: TestClient) -> None:
+    for message in MALFORMED:
+        with client.websocket_connect("/live", headers=ORIGIN) as page:
+            page.send_json(message)
+            page.send_json({"want": "snapshot"})
+            with pytest.raises(WebSocketDisconnect):
+                read_two_snapshots(page)
+
+
+def test_the_frames_of_a_bus_are_for_engineers(client: TestClient) -> None:
+    """Who sees every frame sees every value, #21 too."""
+    with client.websocket_connect("/live", headers=ORIGIN) as page:
+        page.send_json({"units": ["dry-end/1"], "trace": "dry-end"})
+        page.send_json({"want": "snapshot", "units": ["dry-end/1"], "trace": "dry-end"})
+        read_two_snapshots(page)
+        (browser,) = hub_of(client)._browsers()
+        assert (browser.units, browser.trace) == (frozenset({("dry-end", 1)}), "")
 
 
 def test_one_page_too_many_is_refused_and_the_others_stay(

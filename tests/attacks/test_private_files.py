@@ -11,9 +11,12 @@ from pathlib import Path
 
 import pytest
 
+from app import cli
+from app.cli import tether
 from app.database import Database, StoreError
 from app.database.private import make_file, make_private, write_file
 from app.errors import StoreError as Refusal
+from bus import __main__ as worker
 
 LINESIDE = Path(sys.executable).with_name("lineside")
 CONFIG = """\
@@ -153,3 +156,23 @@ def test_a_store_is_private_whatever_the_umask(tmp_path: Path) -> None:
     assert loose(tmp_path / "deep") == []
     assert (tmp_path / "deep").stat().st_mode & 0o777 == 0o700
     database.close()
+
+
+@pytest.mark.parametrize("process", ["command", "worker"])
+def test_a_process_begins_by_taking_the_rights_of_others(
+    process: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also from what a library writes, of which nothing else here knows."""
+    monkeypatch.setattr(cli, "cli", lambda **_: None)
+    monkeypatch.setattr(tether, "tie_to_parent", lambda: None)
+    monkeypatch.setenv("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    monkeypatch.delenv(worker.TOKEN_VARIABLE, raising=False)
+    before = os.umask(0)
+    try:
+        if process == "command":
+            cli.main()
+        else:
+            assert worker.main(["--config", "none", "--bus", "none", "--app", "none"]) == worker.WRONG_USE
+    finally:
+        mask = os.umask(before)
+    assert mask == 0o077

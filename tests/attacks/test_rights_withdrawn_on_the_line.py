@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from app.audit.entry import Event
 from app.web.access import Role
 from app.wiring import SERVER
 from tests.app.played_line import BUS, PlayedLine, played_line
 from tests.app.stage import until
 from tests.app.whole_app import House, whole_app
 from tests.attacks.withdrawals import (
+    ENGINEER,
     Withdraw,
     demoted,
     disabled,
@@ -117,9 +119,12 @@ async def test_a_token_that_another_process_revokes_loses_control_of_the_line(tm
         await played_line(house.services)
         assert (await client.post(f"/api/v1/buses/{BUS}/control")).status_code == 200
         assert house.services.safeguards.holder(BUS) == "key-engineer (token)"
+        released: list[Event] = []
+        house.services.events.subscribe(released.append)
         in_another_process(tmp_path, "DELETE FROM tokens WHERE name = 'key-engineer'")
-        await until(lambda: house.services.safeguards.holder(BUS) == "", "control released")
-        [event, *_] = await house.events("control")
+        await until(lambda: released, "control released, on disk")
+        assert house.services.safeguards.holder(BUS) == ""
+        [event] = released
         assert (event["what"], event["old"]) == ("control given back", "key-engineer (token)")
 
 
@@ -133,3 +138,26 @@ async def test_a_change_of_the_baud_rate_is_given_up(house: House, line: PlayedL
     await until(lambda: line.cancelled, "the command given up")
     assert line.cancelled == [line.held[0].id]
     asked.cancel()
+
+
+async def test_a_write_that_ends_while_the_set_before_it_is_stored_is_an_event(
+    house: House, line: PlayedLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was answered 403, and no event named the command."""
+    client = await house.signed_in(Role.ENGINEER)
+    await client.get(f"/api/v1/buses/{BUS}/units/1/parameters?refresh=true")
+    store = house.services.sets.store
+    has_set_since = store.has_set_since
+
+    async def withdrawn_meanwhile(bus: str, unit: int, since: float) -> bool:
+        await disabled(house, tmp_path)
+        return await has_set_since(bus, unit, since)
+
+    monkeypatch.setattr(store, "has_set_since", withdrawn_meanwhile)
+    answer = await client.put(f"/api/v1/buses/{BUS}/units/1/parameters/6", json={"raw": 20})
+    assert (answer.status_code, answer.json()["code"]) == (403, "rights_withdrawn")
+    assert line.written == []
+    [event] = await house.events("command")
+    assert (event["who"], event["unit"], event["new_raw"]) == (ENGINEER, 1, 20)
+    assert event["outcome"] == "rights_withdrawn"
+    assert event["message"].startswith("rights withdrawn: the user was removed or disabled")

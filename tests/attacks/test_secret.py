@@ -28,7 +28,7 @@ IDS = re.compile(r'name="(id|raw|reviewed_at)" value="([^"]*)"')
 def lived(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Site, list[str]]]:
     """A site whose unit has had every password, in every way; what the server has answered meanwhile."""
     folder = tmp_path_factory.mktemp("secret")
-    with site(folder, 1, line_options=("--no-script", "--speedup", "10")) as made:
+    with site(folder, 1, line_options=("--no-script", "--speedup", "3")) as made:
         said: list[str] = []
         with made.api("engineer") as api, _signed_in(made) as page:
             for client in (api, page):

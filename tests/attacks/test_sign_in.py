@@ -6,15 +6,16 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 from starlette.testclient import TestClient, WebSocketTestSession
-from starlette.types import Message
+from starlette.types import Message, Receive, Scope, Send
 from starlette.websockets import WebSocketDisconnect
 
 from app.audit.log import CHUNK, EventLog
-from app.auth import lasting
+from app.auth import lasting, passwords
 from app.auth.accounts import Accounts
 from app.auth.lasting import NO_LONGER_SIGNED_IN
 from app.auth.passwords import Passwords
@@ -84,6 +85,71 @@ async def test_a_flood_of_refusals_is_a_few_events_with_a_count(house: House) ->
     events = await house.events("login_refused")
     assert len(events) < 30
     assert events[0]["who"] == "unknown name"
+
+
+async def test_the_time_of_a_refusal_does_not_tell_which_names_there_are(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An unknown name was checked with today's parameters of Argon2, a user of an earlier version with that
+    one's; and the first refusal of a known name was on disk before it was answered."""
+    verified: list[str] = []
+    monkeypatch.setattr(passwords, "_hasher", _Hasher(verified))
+    for number in range(4):
+        await house.add(f"user{number}", Role.VIEWER)
+    names = [f"nobody{number}" for number in range(20)]
+    for name in names * 2:
+        assert await sign_in(at(house, f"198.51.100.{len(verified)}"), name) == 401
+    first, again = verified[:20], verified[20:]
+    assert first == again, "a name takes as long each time"
+    assert set(first) <= {f"hash {number} of {PASSWORD}" for number in range(1, 5)}
+    assert len(set(first)) > 1, "as users do, so do unknown names"
+
+
+class _Hasher:
+    """Takes every secret for the right one, and notes which hash it is compared with."""
+
+    def __init__(self, verified: list[str]) -> None:
+        self._verified = verified
+        self._count = 0
+
+    def hash(self, secret: str) -> str:
+        self._count += 1
+        return f"hash {self._count} of {secret}"
+
+    def verify(self, stored: str, _: str) -> bool:
+        self._verified.append(stored)
+        return True
+
+    def check_needs_rehash(self, _: str) -> bool:
+        return False
+
+
+async def test_a_refusal_is_answered_before_it_is_written_down(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is waited for by known names only: unknown ones are counted together."""
+    await house.add("ann", Role.OPERATOR)
+    order: list[str] = []
+    record = house.services.events.record
+
+    async def recording(**said: Any) -> int:
+        order.append(said["what"])
+        return await record(**said)
+
+    monkeypatch.setattr(house.services.events.repeated, "_record", recording)
+
+    async def watched(scope: Scope, receive: Receive, send: Send) -> None:
+        async def sending(message: Message) -> None:
+            if message["type"] == "http.response.body":
+                order.append("answered")
+            await send(message)
+
+        await house.app(scope, receive, sending)
+
+    transport = httpx.ASGITransport(watched, client=("192.0.2.7", 4711))
+    async with httpx.AsyncClient(transport=transport, base_url="http://plant.example") as client:
+        assert await sign_in(client, password="wrong") == 401
+    assert order == ["answered", "sign-in refused"]
 
 
 async def test_the_account_page_is_no_way_around(house: House) -> None:

@@ -15,7 +15,8 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 from uvicorn.server import ServerState
 
-from app.server.connections import Connections
+from app.server.connections import EXTENSION, Connections
+from app.server.counted_protocol import CLOSING_S
 from app.server.http import HttpProtocol
 from app.server.pace import STALL_S
 from app.server.websocket import (
@@ -48,6 +49,7 @@ class Site:
     """A server with an app that reads a socket when it is told to, and writes to it."""
 
     port: int = 0
+    connections: Connections = field(default_factory=Connections)
     protocols: list[WebSocketProtocol] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
     reads: asyncio.Event = field(default_factory=asyncio.Event)
@@ -56,6 +58,8 @@ class Site:
     closed: int = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["path"] == FEED_PATH:
+            scope["extensions"][EXTENSION]("worker")
         socket = WebSocket(scope, receive, send)
         await socket.accept()
         self.accepted.set()
@@ -79,7 +83,7 @@ class Site:
 
 @pytest.fixture
 async def site() -> AsyncIterator[Site]:
-    site, state, connections = Site(), ServerState(), Connections()
+    site, state = Site(), ServerState()
     site.reads.set()
 
     class Known(WebSocketProtocol):
@@ -92,7 +96,7 @@ async def site() -> AsyncIterator[Site]:
     )
     loop = asyncio.get_running_loop()
     server = await loop.create_server(
-        lambda: HttpProtocol(config, state, {}, open_connections=connections), "127.0.0.1", 0
+        lambda: HttpProtocol(config, state, {}, open_connections=site.connections), "127.0.0.1", 0
     )
     site.port = server.sockets[0].getsockname()[1]
     yield site
@@ -102,7 +106,7 @@ async def site() -> AsyncIterator[Site]:
             await writer.wait_closed()
     server.close()
     await until_gone(state)
-    assert connections._known == connections._strangers == {}
+    assert site.connections._known == site.connections._strangers == {}
 
 
 async def until_gone(state: ServerState) -> None:
@@ -175,6 +179,42 @@ async def test_a_client_that_reads_nothing_is_dropped(site: Site) -> None:
     assert not site.protocol.transport.is_closing()
     site.protocol.check(now + STALL_S + 1)
     assert site.protocol.transport.is_closing()
+
+
+async def test_a_client_that_has_read_everything_has_its_time_again(site: Site) -> None:
+    reader = await site.connect()
+    await site.accepted.wait()
+    now = site.protocol.loop.time()
+    site.protocol.transport.write(b"x" * 10_000_000)
+    site.protocol.check(now)
+    await asyncio.wait_for(reader.readexactly(10_000_000), PATIENCE_S)
+    site.protocol.transport.write(b"x" * 20_000_000)
+    site.protocol.check(now + STALL_S + 1)
+    assert not site.protocol.transport.is_closing()
+
+
+async def test_who_does_not_read_the_end_of_a_connection_is_not_waited_for(site: Site) -> None:
+    await site.connect()
+    await site.accepted.wait()
+    now = site.protocol.loop.time()
+    site.protocol.transport.write(b"x" * 10_000_000)
+    site.protocol.transport.close()
+    for later in (0, CLOSING_S):
+        site.protocol.check(now + later)
+        await asyncio.sleep(0)
+        assert site.connections._strangers
+    site.protocol.check(now + CLOSING_S + 1)
+    async with asyncio.timeout(PATIENCE_S):
+        while site.connections._strangers:  # noqa: ASYNC110
+            await asyncio.sleep(0.001)
+
+
+async def test_a_worker_is_not_counted_as_a_stranger(site: Site) -> None:
+    await site.connect()
+    assert site.connections._known == {}
+    await site.connect(FEED_PATH)
+    assert list(site.connections._known) == ["worker"]
+    assert [len(group) for group in site.connections._strangers.values()] == [1]
 
 
 async def test_a_worker_may_say_much_at_once(site: Site) -> None:

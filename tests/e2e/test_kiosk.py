@@ -32,9 +32,7 @@ Object.defineProperty(navigator, "wakeLock", {value: {request: async kind => {
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Two units, and a server that a test may kill."""
-    with one_site(
-        tmp_path_factory.mktemp("kiosk"), 2, line_options=("--no-script", "--speedup", "10")
-    ) as made:
+    with one_site(tmp_path_factory.mktemp("kiosk"), 2, line_options=("--no-script",)) as made:
         yield made
 
 

@@ -22,9 +22,9 @@ HALL = {"width": 1920, "height": 1080}
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    """Three units at rest, at a tenfold baud rate: a reading of all parameters is over in a moment."""
+    """Three units at rest, at three times the baud rate, so that a reading of all parameters is soon over."""
     folder = tmp_path_factory.mktemp("sets")
-    with one_site(folder, 3, line_options=("--no-script", "--speedup", "10")) as made:
+    with one_site(folder, 3, line_options=("--no-script", "--speedup", "3")) as made:
         yield made
 
 
@@ -237,7 +237,7 @@ def kept_of(served: Site, unit: int, origin: str) -> list[dict[str, Any]]:
 def test_sets_that_nobody_asked_for_with_a_unit_that_is_silent_when_they_are_due(
     line_server: Callable[..., Site], browser_page: OpensPages
 ) -> None:
-    site = line_server(3, line_options=("--no-script", "--speedup", "10"))
+    site = line_server(3, line_options=("--no-script", "--speedup", "3"))
     with site.api("engineer") as client:
         client.get("/buses/line/units/1/parameters", params={"refresh": "true"})
         mark = len(asked(site, 0x85, 1))

@@ -52,7 +52,7 @@ Axe = Callable[[Page], list[str]]
 @pytest.fixture(scope="module")
 def site(line_server: Callable[..., Site]) -> Site:
     """Four units: the second in e-stop, the third in LOCAL and the fourth blocked."""
-    made = line_server(4, line_options=("--no-script", "--speedup", "10"))
+    made = line_server(4, line_options=("--no-script",))
     made.line.remote.do("input", unit=2, input="estop", on=True)
     made.line.remote.do("mode", unit=3, to="local")
     with made.api("operator") as client:

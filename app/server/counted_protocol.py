@@ -1,0 +1,47 @@
+"""What connections of HTTP and of WebSockets have in common: they are counted, and watched to their end."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from app.server.connections import Connection, Connections
+from app.server.pace import Backlog
+
+CLOSING_S = 5.0
+"""What a client gets to read the end of a connection."""
+
+
+class CountedProtocol(asyncio.Protocol):
+    """To be inherited before a protocol of uvicorn; ``connection`` is set before anything is received."""
+
+    transport: asyncio.Transport
+    connection: Connection
+
+    def __init__(self, *args: Any, open_connections: Connections, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._open_connections = open_connections
+        self._backlog = Backlog()
+        self._closing_since: float | None = None
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Nothing is awaited any more."""
+        self._open_connections.close(self.connection)
+        super().connection_lost(exc)
+
+    def resume_writing(self) -> None:
+        """The client has read what waited."""
+        self._backlog = Backlog()
+        super().resume_writing()
+
+    def _is_at_its_end(self, now: float) -> bool:
+        """Whether the connection is being closed, which is cut short where it takes too long."""
+        if not self.transport.is_closing() and self._closing_since is None:
+            return False
+        self._closing_since = self._closing_since or now
+        if now - self._closing_since > CLOSING_S:
+            self.transport.abort()
+        return True
+
+    def _identify(self, account: str) -> None:
+        self._open_connections.identify(self.connection, account)

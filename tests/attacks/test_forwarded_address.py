@@ -1,0 +1,56 @@
+"""A program on the server's own computer pretends to be a proxy: no address it makes up reaches the log."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from ipaddress import ip_network
+from pathlib import Path
+
+import httpx
+import pytest
+
+from app.audit.store import Filter
+from app.cli.server import Server
+from app.server.addresses import Network
+from app.web.access import Role
+from tests.app.whole_app import PASSWORD, settings_in
+
+MADE_UP = {
+    "X-Forwarded-For": "198.51.100.9",
+    "X-Forwarded-Proto": "https",
+    "X-Real-IP": "198.51.100.9",
+    "Forwarded": "for=198.51.100.9;proto=https",
+}
+
+
+@pytest.mark.parametrize(
+    ("trusted", "origin", "is_https"),
+    [((), "127.0.0.1", False), ((ip_network("127.0.0.1"),), "198.51.100.9", True)],
+)
+async def test_only_a_proxy_that_is_named_is_believed(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    trusted: tuple[Network, ...],
+    origin: str,
+    is_https: bool,
+) -> None:
+    """The HTTP server itself believed this computer, and whatever its environment named."""
+    monkeypatch.setenv("FORWARDED_ALLOW_IPS", "*")
+    settings, serving = settings_in(tmp_path), asyncio.Event()
+    proxied = settings.server.model_copy(update={"trusted_proxies": trusted})
+    settings = settings.model_copy(update={"server": proxied})
+    server = Server(settings, demo=False, worker_tokens={}, serving=serving.set)
+    services = server.config.app.state.services  # type: ignore[union-attr]
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        task = asyncio.create_task(server.serve([listening]))
+        await asyncio.wait_for(serving.wait(), 30)
+        await services.accounts.add_user("ann", Role.OPERATOR, PASSWORD, by="test", origin="test")
+        url = f"http://127.0.0.1:{listening.getsockname()[1]}"
+        async with httpx.AsyncClient(base_url=url, headers=MADE_UP, trust_env=False) as client:
+            answer = await client.post("/login", data={"name": "ann", "password": PASSWORD})
+        [event], _ = await services.events.page(Filter(kind="login"), 10)
+        server.end()
+        await task
+    assert (answer.status_code, event["origin"]) == (303, origin)
+    assert ("Secure" in answer.headers["set-cookie"]) is is_https
