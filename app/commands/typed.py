@@ -15,7 +15,7 @@ from app.web.deadline import Deadline
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
 from bus.catalogue.parameter import Scale
 from bus.catalogue.parameters import PARAMETERS
-from bus.catalogue.values import parameter_raw, ratio_raw, speed_raw
+from bus.catalogue.values import is_follower, parameter_raw, ratio_raw, speed_raw
 
 _NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, FOLLOWER_MODE)}
 
@@ -35,7 +35,7 @@ class Typed:
         if quantity.raw is not None:
             return quantity.raw
         known = await self._known((DECIMALS, FOLLOWER_MODE))
-        if known[FOLLOWER_MODE] in (1, 2):
+        if is_follower(known[FOLLOWER_MODE]):
             return ratio_raw(quantity.typed)
         return speed_raw(quantity.typed, self._decimals(known))
 
@@ -45,7 +45,7 @@ class Typed:
             return quantity.raw
         parameter = PARAMETERS[number]
         known = await self._known(_NEEDS.get(parameter.scale, ()))
-        follower = known.get(FOLLOWER_MODE) in (1, 2) or number == RATIO_SETPOINT
+        follower = is_follower(known.get(FOLLOWER_MODE)) or number == RATIO_SETPOINT
         return parameter_raw(parameter, quantity.typed, known.get(DECIMALS), follower=follower)
 
     async def _known(self, numbers: tuple[int, ...]) -> dict[int, int | None]:

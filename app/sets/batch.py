@@ -18,7 +18,7 @@ from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.parameter import check_writable_value
 from bus.catalogue.parameters import PARAMETERS, Parameter
 from bus.catalogue.status import StatusBits
-from bus.catalogue.values import parameter_raw
+from bus.catalogue.values import is_follower, parameter_raw
 from bus.contract import ReadParameters, WriteParameter
 from bus.errors import CallerError
 
@@ -125,7 +125,7 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
             parameter,
             typed,
             unit.parameter_raw(DECIMALS),
-            follower=unit.parameter_raw(FOLLOWER_MODE) in (1, 2),
+            follower=is_follower(unit.parameter_raw(FOLLOWER_MODE)),
         )
         check_writable_value(parameter, wanted)
     except CallerError as error:
