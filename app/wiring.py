@@ -1,4 +1,4 @@
-"""What the app is made of, put together: every service once, begun and ended in order."""
+"""Makes every service once, starts them, and ends them in order."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ RECORDED_WITHIN_S = 1.0
 
 @dataclass(frozen=True)
 class Services:
-    """Everything that routes reach, each by a small function of its own feature."""
+    """Every service, once. A route finds one by its type."""
 
     settings: Settings
     assets: Assets
@@ -91,7 +91,6 @@ class Services:
     hub: Hub
     safeguards: Safeguards
     desk: Desk
-    parameter_reader: ParameterReader
     sets: SetKeeper
     set_schedule: SetSchedule
     first_writes: FirstWrites
@@ -104,7 +103,7 @@ class Services:
 
 
 def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -> Services:
-    """Open the stores and connect everything. Raises StoreError in words."""
+    """Open the stores and make every service, each after those that it needs. Raises StoreError."""
     make_private(settings.server.data)
     database = Database(settings.server.store)
     keys = open_keys(settings.key_files, database.path, database.read_now(head_of))
@@ -163,7 +162,6 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         hub=hub,
         safeguards=safeguards,
         desk=desk,
-        parameter_reader=reader,
         sets=sets,
         set_schedule=SetSchedule(live, sets, events, local_time),
         first_writes=FirstWrites(live, desk, sets, local_time),
@@ -204,7 +202,7 @@ async def running(services: Services) -> AsyncIterator[None]:
         partial(services.set_schedule.follow, SERVER),
         partial(services.sets.learn_marked, SERVER),
     )
-    tasks = [asyncio.create_task(_for_ever(work)) for work in works]
+    tasks = [asyncio.create_task(_restarted(work)) for work in works]
     language = services.settings.site.language
     tasks.append(asyncio.create_task(services.events.index()))
     tasks.append(asyncio.create_task(warm(services.history, services.templates, services.assets, language)))
@@ -258,8 +256,8 @@ async def _end(services: Services) -> None:
     await asyncio.to_thread(services.database.close)
 
 
-async def _for_ever(work: Callable[[], Awaitable[None]]) -> None:
-    """A failure of what goes on by itself is logged, and it goes on."""
+async def _restarted(work: Callable[[], Awaitable[None]]) -> None:
+    """Run ``work``; a failure is logged, and it starts again."""
     while True:
         try:
             await work()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable, Collection
+from collections.abc import Callable, Collection
 
 from app.audit.kinds import Kind
 from app.audit.log import EventLog
@@ -12,10 +12,8 @@ from app.auth import rules, store, strength
 from app.auth.passwords import Passwords
 from app.auth.store import Token, User
 from app.database import Database
-from app.web.access import Role, account_of, name_of
+from app.web.access import AccountSubscriber, Role, account_of, name_of
 from bus.errors import CallerError
-
-Changed = Callable[[str], Awaitable[None]]
 
 
 class Accounts:
@@ -38,13 +36,13 @@ class Accounts:
         self._clock = clock
         self.buses = buses
         self._site = site
-        self._subscribers: list[Changed] = []
+        self._subscribers: list[AccountSubscriber] = []
 
     def now(self) -> float:
         """Unix time as this service has it, by which tokens expire."""
         return self._clock()
 
-    def on_changed(self, subscriber: Changed) -> None:
+    def on_changed(self, subscriber: AccountSubscriber) -> None:
         """Call ``subscriber`` after each change. It gets the account of a user who chose another password and
         stays signed in, else an empty text."""
         self._subscribers.append(subscriber)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -20,7 +20,7 @@ from app.auth.lasting import Rechecks
 from app.auth.store import Token, User
 from app.database import Database
 from app.errors import Problem, StoreError
-from app.web.access import Person, Role, account_of
+from app.web.access import AccountSubscriber, Person, Role, account_of
 
 WATCH_EVERY_S = 0.5
 FRESH_S = 1.0
@@ -30,8 +30,6 @@ USER_ENDED = "rights withdrawn: the user was removed or disabled; nothing more w
 TOKEN_ENDED = "rights withdrawn: the token was revoked or has expired; nothing more was sent"
 PASSWORD_CHANGED = "rights withdrawn: the password was changed; nothing more was sent"
 ROLE_LOWERED = "rights withdrawn: the role was lowered; nothing more was sent"
-
-Withdrawn = Callable[[str], Awaitable[None]]
 
 _log = structlog.get_logger()
 
@@ -67,7 +65,7 @@ def why_withdrawn(person: Person, standing: Standing | None) -> str:
 class AccountChanges(Protocol):
     """Publishes the changes that this process makes to accounts."""
 
-    def on_changed(self, subscriber: Callable[[str], Awaitable[None]]) -> None:
+    def on_changed(self, subscriber: AccountSubscriber) -> None:
         """Call ``subscriber`` after each change, with the account whose own session stays, if any."""
 
 
@@ -86,11 +84,11 @@ class Rights:
         self._monotonic = monotonic
         self._standings: Mapping[str, Standing] = {}
         self._read_at = float("-inf")
-        self._withdrawn: list[Withdrawn] = []
+        self._withdrawn: list[AccountSubscriber] = []
         self.rechecks = Rechecks()
         accounts.on_changed(self._on_account_change)
 
-    def on_withdrawn(self, subscriber: Withdrawn) -> None:
+    def on_withdrawn(self, subscriber: AccountSubscriber) -> None:
         """Call ``subscriber`` with each account that may do less than before."""
         self._withdrawn.append(subscriber)
 

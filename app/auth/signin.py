@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil
@@ -20,10 +20,8 @@ from app.database import Database
 from app.errors import Problem, StoreError
 from app.server.addresses import source_of
 from app.server.fair_queue import FairQueue, TooManyWaitingError
-from app.web.access import Person, Role
+from app.web.access import AccountSubscriber, Person, Role
 from bus.errors import CallerError
-
-Gone = Callable[[str], Awaitable[None]]
 
 _WRONG = {False: "the name or the password is not right", True: "the name or the PIN is not right"}
 """What a person is told, and what somebody at a panel."""
@@ -68,9 +66,9 @@ class SignIn:
         self._site = site
         self._throttle = Throttle()
         self._hashing: FairQueue[str] = FairQueue(HASHED_AT_ONCE, 1, MOST_WAITING_OF_PLACE, MOST_WAITING)
-        self._signed_out: list[Gone] = []
+        self._signed_out: list[AccountSubscriber] = []
 
-    def on_signed_out(self, subscriber: Gone) -> None:
+    def on_signed_out(self, subscriber: AccountSubscriber) -> None:
         """Call ``subscriber`` with the name of a user whose last session has ended."""
         self._signed_out.append(subscriber)
 

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from app.web.access import Person
+from app.web.access import AccountSubscriber, Person
 from bus.contract import Result
 
 RECHECK_S = 0.25
@@ -20,9 +20,6 @@ class Authority(Protocol):
 
     async def check(self, person: Person) -> None:
         """Raises Problem 403 ``rights_withdrawn``."""
-
-
-AccountSubscriber = Callable[[str], Awaitable[None]]
 
 
 class Withdrawals(Authority, Protocol):

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from app.commands.authority import AccountSubscriber
 from app.errors import Problem
-from app.web.access import Person
+from app.web.access import AccountSubscriber, Person
 
 
 class PlayedRights:
