@@ -22,8 +22,8 @@ from app.commands.wish import timeout_s_for
 from app.commands.words import shown_setpoint
 from app.errors import Problem
 from app.live.state import BusLive, follower
-from app.live.view import DECIMALS
 from app.web.access import Operator, Person, Viewer
+from bus.catalogue.numbers import DECIMALS
 from bus.contract import SetLine
 from bus.errors import CallerError
 

@@ -11,6 +11,7 @@ from app.commands.objection import Circumstances, ObjectionError
 from app.commands.setpoint_range import KIND_OF_PARAMETER, SetpointKind, kind_of
 from app.commands.setpoints import check_setpoint
 from app.live.state import BusLive, UnitLive
+from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW
 from bus.catalogue.parameter import IllegalValue, Parameter, check_writable_value, danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS, status_bits
@@ -30,8 +31,6 @@ from bus.contract import (
 )
 from bus.errors import CallerError
 from bus.settings import BAUDS
-
-LOW_ANALOG_OUT, HIGH_ANALOG_OUT = 29, 30
 
 
 def check(action: Action, now: Circumstances) -> None:
@@ -133,7 +132,7 @@ def _check_output(action: WriteOutput) -> None:
 
 def _check_analog_output(action: WriteAnalogOutput, now: Circumstances) -> None:
     live = now.bus.units[action.unit]
-    low, high = live.parameter_raw(LOW_ANALOG_OUT), live.parameter_raw(HIGH_ANALOG_OUT)
+    low, high = live.parameter_raw(ANALOG_OUT_LOW), live.parameter_raw(ANALOG_OUT_HIGH)
     lowest = 0 if low is None else low
     highest = HIGHEST_SETPOINT if high is None else max(lowest, high)
     if lowest <= action.raw <= highest:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from app.commands.rules import setpoints_of
 from app.commands.setpoints import commanded_setpoint
 from app.live.state import BusLive, UnitLive, follower
-from app.live.view import DECIMALS, setpoint_text
+from app.live.view import setpoint_text
+from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.parameter import Parameter
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS, output_is_on

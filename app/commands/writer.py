@@ -7,18 +7,17 @@ poll more.
 
 from __future__ import annotations
 
-from typing import Annotated, cast
+from typing import Annotated
 
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
 from app.commands.desk import Desk
 from app.web.access import Person, Requires, Role
+from app.web.services import service, service_of
 
-
-def desk_of(connection: HTTPConnection) -> Desk:
-    """The way to the wire."""
-    return cast(Desk, connection.app.state.services.desk)
+AskDesk = Annotated[Desk, service(Desk)]
+"""The way to the wire."""
 
 
 class _Writes(Requires):
@@ -31,7 +30,7 @@ class _Writes(Requires):
     async def __call__(self, connection: HTTPConnection) -> Person:
         person = self.permitted(connection)
         if "bus" in connection.path_params:
-            await desk_of(connection).reserve(connection.path_params["bus"])
+            await service_of(connection, Desk).reserve(connection.path_params["bus"])
         return person
 
 

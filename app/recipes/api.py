@@ -44,7 +44,7 @@ class LoadRecipe(Strict):
     confirm: bool = False
 
 
-Book = Annotated[RecipeBook, service("recipes")]
+Book = Annotated[RecipeBook, service(RecipeBook)]
 
 
 @router.get("/recipes")

@@ -10,6 +10,7 @@ from bus.catalogue.parameters import PARAMETERS, Parameter
 from bus.catalogue.values import (
     analog_input_value,
     analog_output_volts,
+    is_follower,
     parameter_raw,
     parameter_text,
     parameter_unit,
@@ -94,6 +95,11 @@ def test_more_decimals_than_shown_are_refused_zeros_too(text: str) -> None:
 @given(raws)
 def test_ratios_round_trip(raw: int) -> None:
     assert ratio_raw(ratio_text(raw)) == raw
+
+
+@pytest.mark.parametrize(("mode", "follows"), [(0, False), (1, True), (2, True), (3, False), (None, False)])
+def test_which_modes_make_a_follower(mode: int | None, follows: bool) -> None:
+    assert is_follower(mode) is follows
 
 
 def test_a_ratio_has_four_decimals() -> None:
