@@ -32,7 +32,7 @@ class FormSource:
         return None if self.file is None else await uploaded_rows(unit, self.file)
 
 
-def form_source(source: Annotated[str, Form()] = "", file: UploadFile | None = None) -> FormSource:
+async def form_source(source: Annotated[str, Form()] = "", file: UploadFile | None = None) -> FormSource:
     """Reads the form. A browser sends a file field that was left empty without a name."""
     return FormSource(source, file if file is not None and file.filename else None)
 

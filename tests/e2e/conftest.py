@@ -16,7 +16,7 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
 from tests.e2e import site as sites
-from tests.e2e.site import PASSWORD, PATIENCE_S, Site
+from tests.e2e.site import CALM, PASSWORD, PATIENCE_S, Site
 
 CHROMIUM = "/usr/bin/chromium-headless-shell"
 FLAGS = [
@@ -48,7 +48,7 @@ class OpensPages(Protocol):
 
 @pytest.fixture(scope="module")
 def line_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Site]]:
-    """Starts sites: ``line_server(units=4, line_options=("--no-script",), toml="…")``."""
+    """Starts sites: ``line_server(units=4, line_options=CALM, toml="…")``."""
     with ExitStack() as stack:
         yield lambda units=8, **options: stack.enter_context(
             sites.site(tmp_path_factory.mktemp("site"), units, **options)
@@ -58,7 +58,7 @@ def line_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[.
 @pytest.fixture(scope="module")
 def site(line_server: Callable[..., Site]) -> Site:
     """Eight units that nobody but the test works on."""
-    return line_server(8, line_options=("--no-script",))
+    return line_server(8, line_options=CALM)
 
 
 @pytest.fixture(scope="module")

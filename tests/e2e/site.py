@@ -38,6 +38,9 @@ from bus.simulator.demo import demo_line
 LINESIDE = Path(sys.executable).with_name("lineside")
 ROLES = ("viewer", "operator", "engineer", "admin")
 PASSWORD = "correct horse battery staple"
+CALM = ("--no-script", "--turnaround-ms", "40")
+"""Units at rest that answer no faster than a page needs: several lines at full rate leave a small machine
+little time for its browsers."""
 PATIENCE_S = 120.0
 """How long anything may take that is waited for: on a slow machine that does five other things besides."""
 

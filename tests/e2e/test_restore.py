@@ -5,19 +5,19 @@ from __future__ import annotations
 import html
 import json
 import re
-import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from click.testing import Result
 from playwright.sync_api import Locator, Page, expect
 from typer.testing import CliRunner
 
 from app.cli import cli
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import LINESIDE, PATIENCE_S, Site, eventually
+from tests.e2e.site import CALM, PATIENCE_S, Site, eventually
 from tests.e2e.site import site as one_site
 
 OFFICE = {"width": 1280, "height": 900}
@@ -31,7 +31,7 @@ NUMBERS = (5, 6, 7, 9, 10, 11, 12, 15, 22, 23, 25, 39)
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Two units at rest, and a set of the second."""
     folder = tmp_path_factory.mktemp("restore")
-    with one_site(folder, 2, line_options=("--no-script", "--speedup", "3"), turnaround_ms=1000) as made:
+    with one_site(folder, 2, line_options=(*CALM, "--speedup", "3"), turnaround_ms=1000) as made:
         with made.api("engineer") as client:
             taken = client.post("/buses/line/sets", json={"units": [2], "name": "as it was"})
             assert taken.status_code == 201, taken.text
@@ -92,8 +92,8 @@ def cut_the_drop(site: Site, page: Page) -> None:
 @pytest.mark.parametrize(
     ("trouble", "cause"),
     [
-        (cancel, "left off by engineer after"),
-        (pull_the_cable, "It ended early"),
+        pytest.param(cancel, "left off by engineer after", marks=pytest.mark.soak),
+        pytest.param(pull_the_cable, "It ended early", marks=pytest.mark.soak),
         (cut_the_drop, r"#\d+: |its time was over"),
     ],
     ids=lambda given: getattr(given, "__name__", ""),
@@ -276,44 +276,39 @@ def test_fifty_megabytes_and_a_unit_that_is_not_there(site: Site, tmp_path: Path
 def test_the_commands_in_a_cron_job_tell_all_by_their_exit_codes(site: Site, tmp_path: Path) -> None:
     """Without a terminal nobody can be asked: nothing is written unless --yes was given."""
     file = tmp_path / "unit2.toml"
+    runner = CliRunner()
 
-    def lineside(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [LINESIDE, *arguments],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE_S,
-        )
+    def lineside(*arguments: str) -> Result:
+        return runner.invoke(cli, arguments)
 
     done = lineside("backup", *to(site, 2), "--out", str(file), "--json")
-    assert (done.returncode, json.loads(done.stdout)["units"]) == (0, [2]), done.stderr
+    assert (done.exit_code, json.loads(done.stdout)["units"]) == (0, [2]), done.stderr
     done = lineside("diff", *to(site, 2), str(file), "--json")
-    assert (done.returncode, json.loads(done.stdout)) == (0, [])
+    assert (done.exit_code, json.loads(done.stdout)) == (0, [])
     parameter(site, 6, raw=parameter(site, 6) + 1)
     done = lineside("diff", *to(site, 2), str(file), "--json")
-    assert (done.returncode, [row["number"] for row in json.loads(done.stdout)]) == (1, [6])
+    assert (done.exit_code, [row["number"] for row in json.loads(done.stdout)]) == (1, [6])
     mark = len(writes(site))
     done = lineside("restore", *to(site, 2), str(file), "--json")
-    assert (done.returncode, "nothing was written" in done.stderr) == (1, True)
+    assert (done.exit_code, "nothing was written" in done.stderr) == (1, True)
     assert len(writes(site)) == mark
     site.line.remote.do("mode", unit=2, to="local")
     eventually(lambda: site.unit(2)["mode"] == "LOCAL", "LOCAL is seen")
     done = lineside("restore", *to(site, 2), str(file), "--json", "--yes")
-    assert done.returncode == 1
+    assert done.exit_code == 1
     assert {row["number"]: row["outcome"] for row in json.loads(done.stdout)}[6] == "left_out"
     site.line.remote.do("mode", unit=2, to="remote")
     eventually(lambda: site.unit(2)["mode"] == "REMOTE", "REMOTE is seen")
     done = lineside("restore", *to(site, 2), str(file), "--json", "--yes")
-    assert (done.returncode, [row["outcome"] for row in json.loads(done.stdout)]) == (0, ["verified"])
+    assert (done.exit_code, [row["outcome"] for row in json.loads(done.stdout)]) == (0, ["verified"])
     assert len(writes(site)) == mark + 1
     parameter(site, 20, raw=parameter(site, 20) - 10)
     for chosen, outcome in (((), "left_out"), (("--include", "20"), "verified")):
         done = lineside("restore", *to(site, 2), str(file), "--json", "--yes", *chosen)
         told = [(row["number"], row["outcome"]) for row in json.loads(done.stdout)]
-        assert (done.returncode, told) == (0, [(20, outcome)]), done.stderr
+        assert (done.exit_code, told) == (0, [(20, outcome)]), done.stderr
     assert len(writes(site)) == mark + 2
-    assert lineside("restore", *to(site, 2)).returncode == 2
+    assert lineside("restore", *to(site, 2)).exit_code == 2
 
 
 def writes(site: Site) -> list[dict[str, Any]]:

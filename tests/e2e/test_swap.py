@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import Site, eventually
+from tests.e2e.site import CALM, Site, eventually
 from tests.e2e.site import site as one_site
 
 OFFICE = {"width": 1280, "height": 900}
@@ -28,7 +28,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Three units at rest; the third is about to die, and a set of it is stored."""
     folder = tmp_path_factory.mktemp("swap")
     # Each question to an address where two answer is waited for to its end.
-    with one_site(folder, 3, line_options=("--no-script", "--speedup", "3"), turnaround_ms=250) as made:
+    with one_site(folder, 3, line_options=(*CALM, "--speedup", "3"), turnaround_ms=250) as made:
         new_section(made, GOOD | {20: SETPOINT})
         with made.api("engineer") as client:
             taken = client.post("/buses/line/sets", json={"units": [3], "name": "the good one"})
@@ -126,6 +126,7 @@ def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensP
         assert part in end["message"], end["message"]
 
 
+@pytest.mark.soak
 def test_a_spare_with_the_older_list_at_the_address_already(site: Site, browser_page: OpensPages) -> None:
     new_section(site, {}, last_parameter=20)
     page = browser_page("engineer", viewport=OFFICE)
@@ -142,6 +143,7 @@ def test_a_spare_with_the_older_list_at_the_address_already(site: Site, browser_
     assert "#38: this unit does not have it" in events(site, "swap")[0]["message"]
 
 
+@pytest.mark.soak
 def test_two_units_at_the_address_of_the_section(site: Site, browser_page: OpensPages) -> None:
     new_section(site, GOOD)
     page = browser_page("engineer", viewport=OFFICE)

@@ -393,6 +393,7 @@ def test_the_export_of_the_page_is_what_it_shows(site: Site, browser_page: Opens
     assert len(rows) > 50
 
 
+@pytest.mark.soak
 def test_a_killed_server_loses_a_second_at_most_and_no_event(own_site: Site) -> None:
     for kill in range(1, 4):
         began = time.time()
