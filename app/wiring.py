@@ -40,7 +40,7 @@ from app.live.onset_lookup import OnsetLookup
 from app.live.sources import Sources
 from app.live.state import LiveState
 from app.metrics.counts import Counts
-from app.metrics.measured import Measured
+from app.metrics.measured import MetricSources
 from app.pipeline import Pipeline
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore
@@ -98,7 +98,7 @@ class Services:
     restores: RestoreDesk
     swaps: SwapDesk
     recipes: RecipeBook
-    measured: Measured
+    measured: MetricSources
     onsets: OnsetLookup
 
 
@@ -169,7 +169,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         restores=restores,
         swaps=SwapDesk(events, SwapStore(database), restores, time),
         recipes=recipes,
-        measured=Measured(live, hub, Counts(events), partial(_anchor_status, anchoring)),
+        measured=MetricSources(live, hub, Counts(events), partial(_anchor_status, anchoring)),
         onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, time),
     )
 

@@ -33,13 +33,13 @@ def english_of(connection: HTTPConnection) -> Voice:
 
 English = Annotated[Voice, looked_up(english_of)]
 Live = Annotated[LiveState, service(LiveState)]
-Shown = Annotated[Sources, service(Sources)]
+LineSources = Annotated[Sources, service(Sources)]
 Configured = Annotated[Settings, service(Settings)]
 
 
 @router.get("/line", response_model=LineShown)
 async def get_line(
-    _: Viewer, live: Live, settings: Configured, sources: Shown, english: English
+    _: Viewer, live: Live, settings: Configured, sources: LineSources, english: English
 ) -> dict[str, Any]:
     """Every bus and every unit, now. ``history``: empty, or why no readings are kept."""
     block, fault = sources.guards.block_reason, sources.history_fault()
@@ -47,14 +47,14 @@ async def get_line(
 
 
 @router.get("/buses/{bus}", response_model=BusShown)
-async def get_bus(_: Viewer, live: Live, sources: Shown, english: English, bus: str) -> dict[str, Any]:
+async def get_bus(_: Viewer, live: Live, sources: LineSources, english: English, bus: str) -> dict[str, Any]:
     """One bus with its units."""
     return bus_json(bus_or_404(live, bus), time.time(), sources.guards.block_reason, english)
 
 
 @router.get("/buses/{bus}/units/{unit:int}", response_model=UnitShown)
 async def get_unit(
-    _: Viewer, live: Live, sources: Shown, english: English, bus: str, unit: int
+    _: Viewer, live: Live, sources: LineSources, english: English, bus: str, unit: int
 ) -> dict[str, Any]:
     """One unit, with the age of what it said."""
     found = unit_or_404(live, bus, unit)

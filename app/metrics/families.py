@@ -9,7 +9,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from app.live.bus_live import BusLive
-from app.metrics.measured import Measured
+from app.metrics.measured import MetricSources
 from bus.contract import UnitFigures
 
 CONTENT_TYPE = CONTENT_TYPE_LATEST
@@ -25,7 +25,7 @@ _COUNTED = {
 class _Line(Collector):
     """One reading of everything."""
 
-    def __init__(self, measured: Measured) -> None:
+    def __init__(self, measured: MetricSources) -> None:
         self._measured = measured
 
     def collect(self) -> Iterator[Metric]:
@@ -74,7 +74,7 @@ def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
     yield from (is_open, scan, use)
 
 
-def text(measured: Measured) -> bytes:
+def text(measured: MetricSources) -> bytes:
     """All of it, as Prometheus reads it."""
     registry = CollectorRegistry()
     registry.register(_Line(measured))

@@ -12,7 +12,7 @@ from app.metrics.counts import Counts
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class MetricSources:
     """``anchor``: how well the audit log is anchored now."""
 
     live: LiveState
