@@ -1,6 +1,7 @@
-# make demo [PORT=8100] | test | soak | setup | bench | check | screenshots | lock | clean
+# make demo [PORT=8100] | test | soak | flaky [N=20] | coverage | setup | bench | check | screenshots | lock | clean
 PYTHON ?= python3
 PORT ?= 8000
+N ?= 20
 VENV := .venv
 BIN := $(VENV)/bin
 VENDOR := static/vendor/made-from.sha256
@@ -9,7 +10,7 @@ NODE_TOOLS := node_modules/.package-lock.json
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
 	--custom-compile-command "make lock" --extra rfc2217
 
-.PHONY: demo free-port test soak setup bench check screenshots lock clean development
+.PHONY: demo free-port test soak flaky coverage setup bench check screenshots lock clean development
 .DEFAULT_GOAL := demo
 
 demo: free-port setup
@@ -24,11 +25,20 @@ setup: $(VENV)/.lineside
 
 # Twice as many at a time as the machine has cores: half its time a test of a whole site waits.
 test: check
+	node --test tests/js/*.test.js
 	$(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder
 
 # What takes long, alone on the machine: it measures.
 soak: development
 	$(BIN)/pytest -m soak -s
+
+# The browser tests N times: how often each failed.
+flaky: development
+	$(BIN)/python -m tests.flaky $(N)
+
+# Every line and branch of the pure modules, each by its own tests.
+coverage: development
+	$(BIN)/python -m tests.covered
 
 bench: development
 	$(BIN)/python -m benchmarks
@@ -42,7 +52,7 @@ check: development
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/djlint templates --lint --quiet
-	node_modules/.bin/biome lint static/js static/css
+	node_modules/.bin/biome lint static/js static/css tests/js
 
 development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM)
 

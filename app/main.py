@@ -57,6 +57,7 @@ from app.web.head import HeadAsGet
 from app.web.hosts import AllowedHosts
 from app.web.routes import guard, refuse_undeclared
 from app.web.security import OwnPagesOnly
+from app.web.services import Registry
 from app.wiring import Services, build, running
 
 FEATURES = (
@@ -116,14 +117,14 @@ def create_app(
         lifespan=_lifespan,
         openapi_url=None,
     )
-    app.state.services = services
+    app.state.services, app.state.registry = services, Registry(vars(services).values())
     for feature in FEATURES:
         # Not by include_router: that builds every route again, which is a third of a second of the start.
         # Copies: an app guards its own routes, and a process may have several apps.
         app.router.routes.extend(copy(route) for route in feature.router.routes)
     problems.install(app)
     app.add_middleware(HeadAsGet)
-    app.add_middleware(Identify, identity=services.identity, rechecks=services.accounts.rechecks, demo=demo)
+    app.add_middleware(Identify, identity=services.identity, rechecks=services.rights.rechecks, demo=demo)
     app.add_middleware(BoundedRequest)
     app.add_middleware(OwnPagesOnly)
     app.add_middleware(RecordRefusals, events=services.events)

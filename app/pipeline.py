@@ -10,6 +10,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Protocol
 
 import structlog
@@ -39,6 +40,12 @@ class Keeper(Protocol):
     def append(self, bus: str, updates: Sequence[Update]) -> None:
         """Take in what a worker reported."""
 
+    def on_clock_step(self, subscriber: Callable[[float, float], None]) -> None:
+        """Call ``subscriber`` when the app's own clock was stepped: by how many seconds, and when."""
+
+    def on_damage(self, subscriber: Callable[[str, float], None]) -> None:
+        """Call ``subscriber`` when something stored cannot be read: what, and when that was found."""
+
 
 class Pipeline:
     """One for the app. Everything here is called on the event loop, without waiting."""
@@ -57,6 +64,8 @@ class Pipeline:
         self._events = events
         self._changes = {name: Changes(bus.settings) for name, bus in live.buses.items()}
         self._to_record: asyncio.Queue[tuple[str | None, Change]] = asyncio.Queue()
+        history.on_clock_step(partial(self.clock_stepped, None))
+        history.on_damage(self.history_damaged)
 
     def snapshot(self, bus: str, snapshot: Snapshot, software: str) -> None:
         """A worker's whole state: it is now. History had its readings, or gets them as backlog; the

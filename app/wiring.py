@@ -1,4 +1,4 @@
-"""What the app is made of, put together: every service once, begun and ended in order."""
+"""Makes every service once, starts them, and ends them in order."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from zoneinfo import ZoneInfo
 
 import structlog
 
-from app.audit.anchoring import AT_END_S, Anchoring
+from app.audit.anchoring import AT_END_S, Anchoring, AnchorStatus
 from app.audit.configuration import change_since_last
 from app.audit.degraded import anchor_notice
 from app.audit.keys import open_keys
@@ -37,8 +37,10 @@ from app.history.warming import warm
 from app.live.fields import Voice
 from app.live.hub import Hub
 from app.live.onset_lookup import OnsetLookup
+from app.live.sources import Sources
 from app.live.state import LiveState
 from app.metrics.counts import Counts
+from app.metrics.measured import MetricSources
 from app.pipeline import Pipeline
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore
@@ -66,27 +68,9 @@ RECORDED_WITHIN_S = 1.0
 """What the end waits for the last changes of the line to be written down."""
 
 
-class HistoryNews:
-    """Carries what the history's own thread notices over to the event loop."""
-
-    def __init__(self) -> None:
-        self.pipeline: Pipeline | None = None
-        self.loop: asyncio.AbstractEventLoop | None = None
-
-    def clock_stepped(self, step_s: float, at: float) -> None:
-        """Called on any thread."""
-        if self.loop is not None and self.pipeline is not None:
-            self.loop.call_soon_threadsafe(self.pipeline.clock_stepped, None, step_s, at)
-
-    def damaged(self, what: str) -> None:
-        """Called on any thread."""
-        if self.loop is not None and self.pipeline is not None:
-            self.loop.call_soon_threadsafe(self.pipeline.history_damaged, what, time())
-
-
 @dataclass(frozen=True)
 class Services:
-    """Everything that routes reach, each by a small function of its own feature."""
+    """Every service, once. A route finds one by its type."""
 
     settings: Settings
     assets: Assets
@@ -100,14 +84,13 @@ class Services:
     sign_in: SignIn
     identity: Identity
     live: LiveState
+    sources: Sources
     history: History
-    history_news: HistoryNews
     pipeline: Pipeline
     workers: Workers
     hub: Hub
     safeguards: Safeguards
     desk: Desk
-    parameter_reader: ParameterReader
     sets: SetKeeper
     set_schedule: SetSchedule
     first_writes: FirstWrites
@@ -115,94 +98,92 @@ class Services:
     restores: RestoreDesk
     swaps: SwapDesk
     recipes: RecipeBook
-    counts: Counts
+    measured: MetricSources
     onsets: OnsetLookup
 
 
 def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -> Services:
-    """Open the stores and connect everything. Raises StoreError in words."""
+    """Open the stores and make every service, each after those that it needs. Raises StoreError."""
     make_private(settings.server.data)
     database = Database(settings.server.store)
     keys = open_keys(settings.key_files, database.path, database.read_now(head_of))
     events, passwords = EventLog(database, keys=keys), Passwords()
+    anchoring = None if settings.audit.anchor is None else Anchoring(events, settings.audit.anchor)
     assets = Assets(static_dir())
     compiled = settings.server.data / "compiled"
     templates = Templates(templates_dir(), assets, settings.site, demo=demo, kept_in=compiled)
-    live = LiveState(settings.bus, time())
-    news = HistoryNews()
-    history = History(settings, on_clock_step=news.clock_stepped, on_damage=news.damaged)
-    pipeline = Pipeline(live, history, events)
-    buses = [bus.name for bus in settings.bus]
-    workers = Workers(buses, pipeline)
-    accounts = Accounts(database, passwords, events, buses=buses, site=settings.site.name)
+    buses, site = [bus.name for bus in settings.bus], settings.site
+    accounts = Accounts(database, passwords, events, buses=buses, site=site.name)
+    rights = Rights(database, accounts)
     lifetimes = Lifetimes.of(settings.server.sessions)
-    sign_in = SignIn(database, passwords, events, lifetimes, site=settings.site.name)
-    control = settings.site.control
-    rights = Rights(database)
-    safeguards = Safeguards(database, events, control_required=control, find=accounts.find, rights=rights)
+    sign_in = SignIn(database, passwords, events, lifetimes, site=site.name)
+    live, history = LiveState(settings.bus, time()), History(settings)
+    pipeline = Pipeline(live, history, events)
+    workers = Workers(buses, pipeline)
+    safeguards = Safeguards(
+        database,
+        events,
+        control_required=site.control,
+        find=accounts.find,
+        rights=rights,
+        sessions=sign_in,
+    )
     desk = Desk(live, workers.channels, events, database, safeguards, rights)
     reader = ParameterReader(live, desk)
-    local_time = partial(datetime.now, ZoneInfo(settings.site.zone))
-    hub = Hub(live, templates, time)
     sets = SetKeeper(live, reader, SetStore(database), events, rights)
-    services = Services(
+    restores = RestoreDesk(reader, desk, events, RestoreStore(database))
+    recipes = RecipeBook(live, desk, RecipeStore(database), events)
+    local_time = partial(datetime.now, ZoneInfo(site.zone))
+    sources = Sources(
+        guards=safeguards,
+        drift=sets.drifts,
+        recipes=recipes,
+        notices=partial(_notices, history, anchoring),
+        history_fault=lambda: history.status.message,
+    )
+    hub = Hub(live, sources, templates, workers.watch, time)
+    return Services(
         settings=settings,
         assets=assets,
         templates=templates,
         database=database,
         events=events,
-        anchoring=None if settings.audit.anchor is None else Anchoring(events, settings.audit.anchor),
+        anchoring=anchoring,
         passwords=passwords,
         accounts=accounts,
         rights=rights,
         sign_in=sign_in,
         identity=Identity(database, sign_in, worker_tokens),
         live=live,
+        sources=sources,
         history=history,
-        history_news=news,
         pipeline=pipeline,
         workers=workers,
         hub=hub,
         safeguards=safeguards,
         desk=desk,
-        parameter_reader=reader,
         sets=sets,
         set_schedule=SetSchedule(live, sets, events, local_time),
-        first_writes=FirstWrites(live, sets, local_time),
+        first_writes=FirstWrites(live, desk, sets, local_time),
         takings=Takings(sets),
-        restores=RestoreDesk(reader, desk, events, RestoreStore(database)),
-        swaps=SwapDesk(events, SwapStore(database), time),
-        recipes=RecipeBook(live, desk, RecipeStore(database), events),
-        counts=Counts(events),
+        restores=restores,
+        swaps=SwapDesk(events, SwapStore(database), restores, time),
+        recipes=recipes,
+        measured=MetricSources(live, hub, Counts(events), partial(_anchor_status, anchoring)),
         onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, time),
     )
-    _connect(services)
-    return services
 
 
-def _connect(services: Services) -> None:
-    """Who hears or asks whom, beyond what each was made with."""
-    hub, safeguards = services.hub, services.safeguards
-    services.history_news.pipeline = services.pipeline
-    services.desk.before_write = services.first_writes.before
-    services.restores.on_end = services.swaps.ended
-    services.accounts.on_changed(services.rights.refresh)
-    services.rights.on_withdrawn(safeguards.release_all_of)
-    services.rights.on_changed(services.accounts.rechecks.now)
-    services.sign_in.on_gone = safeguards.release_all_of
-    services.sets.drifts.on_change = hub.refresh_unit
-    safeguards.on_block(hub.refresh_unit)
-    hub.block, hub.holder = safeguards.block_reason, safeguards.holder
-    hub.drift, hub.recipe = services.sets.drifts.told, services.recipes.loaded_words
-    hub.watch = services.workers.watch
-    hub.memory = partial(_notices, services)
+def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
+    return AnchorStatus() if anchoring is None else anchoring.status
 
 
-def _notices(services: Services, voice: Voice, now: float) -> str:
+def _notices(history: History, anchoring: Anchoring | None, voice: Voice, now: float) -> str:
     """What of the records is not well, in the reader's language; mostly nothing."""
-    found = [sentence(services.history.status, voice.t, voice.formats, now)]
-    if services.anchoring is not None:
-        found.append(anchor_notice(services.anchoring.status, voice.t, voice.formats, now))
+    found = (
+        sentence(history.status, voice.t, voice.formats, now),
+        anchor_notice(_anchor_status(anchoring), voice.t, voice.formats, now),
+    )
     return " ".join(filter(None, found))
 
 
@@ -221,7 +202,7 @@ async def running(services: Services) -> AsyncIterator[None]:
         partial(services.set_schedule.follow, SERVER),
         partial(services.sets.learn_marked, SERVER),
     )
-    tasks = [asyncio.create_task(_for_ever(work)) for work in works]
+    tasks = [asyncio.create_task(_restarted(work)) for work in works]
     language = services.settings.site.language
     tasks.append(asyncio.create_task(services.events.index()))
     tasks.append(asyncio.create_task(warm(services.history, services.templates, services.assets, language)))
@@ -238,7 +219,6 @@ async def running(services: Services) -> AsyncIterator[None]:
 
 
 async def _begin(services: Services) -> None:
-    services.history_news.loop = asyncio.get_running_loop()
     services.history.start()
     await services.events.close_open_intents()
     steps = ", ".join(f"{step.number:04d} {step.name}" for step in services.database.migrated)
@@ -256,7 +236,7 @@ async def _begin(services: Services) -> None:
     await services.safeguards.load()
     await services.sets.drifts.load()
     await services.restores.load()
-    await services.swaps.load(services.restores.find)
+    await services.swaps.load()
     await services.recipes.load_marks()
 
 
@@ -276,8 +256,8 @@ async def _end(services: Services) -> None:
     await asyncio.to_thread(services.database.close)
 
 
-async def _for_ever(work: Callable[[], Awaitable[None]]) -> None:
-    """A failure of what goes on by itself is logged, and it goes on."""
+async def _restarted(work: Callable[[], Awaitable[None]]) -> None:
+    """Run ``work``; a failure is logged, and it starts again."""
     while True:
         try:
             await work()

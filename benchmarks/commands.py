@@ -13,6 +13,7 @@ from benchmarks.tables import median, milliseconds, quantile, show
 from bus.settings import Dialect, wire_seconds
 from bus.wire.bodies import encode_reply, encode_request
 from bus.wire.commands import Ack, ExecuteSpeed, ReadStatus, Reply, Request, StageSpeed, StatusReply
+from tests.e2e.limits import PROCEDURE_S
 from tests.e2e.site import Site, eventually, site
 
 BAUD = 9600
@@ -70,7 +71,7 @@ def _show_many(served: Site) -> None:
     rows = []
     least = _change_wire_s()
     with served.api("operator") as client:
-        units = eventually(lambda: _known_units(client), "whether each unit follows")
+        units = eventually(lambda: _known_units(client), "whether each unit follows", within=PROCEDURE_S)
         for turn in range(REPEATS):
             setpoints = {str(unit["id"]): {"raw": _near(unit) + turn} for unit in units}
             since = _last_number(served)

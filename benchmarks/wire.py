@@ -27,6 +27,7 @@ from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
 from bus.simulator.record import Entry, Happened
 from bus.simulator.serve import LineServer
+from tests.e2e.limits import START_S
 from tests.e2e.site import end, eventually
 
 UNITS = 8
@@ -62,7 +63,7 @@ def _onlookers(folder: Path) -> Iterator[None]:
     ]
     number = tomllib.loads(config.read_text(encoding="utf-8"))["server"]["port"]
     url = f"http://127.0.0.1:{number}"
-    eventually(lambda: _serves(url), f"an answer from {url}")
+    eventually(lambda: _serves(url), f"an answer from {url}", within=START_S)
     with onlookers(url, token, ONLOOKERS, trace="line"):
         yield
 

@@ -18,6 +18,7 @@ from typing import Any
 import httpx
 from playwright.sync_api import Page
 
+from tests.e2e.limits import PROCEDURE_S
 from tests.e2e.site import Site, eventually
 
 DECELERATION, WINDOW, MAX_DISPLAY, DECIMALS, SETPOINT = 7, 12, 2, 3, 20
@@ -225,7 +226,7 @@ def abnormal(site: Site) -> None:
     with site.api("operator") as client:
         client.post("/buses/line/units/7/block", json={"reason": "belt off, do not run"}).raise_for_status()
     eventually(lambda: site.unit(4)["link"] == "offline", "a lost unit")
-    eventually(lambda: site.unit(6)["actual_raw"] < 200, "a unit off speed")
+    eventually(lambda: site.unit(6)["actual_raw"] < 200, "a unit off speed", within=PROCEDURE_S)
 
 
 def back_to_well(site: Site) -> None:
@@ -247,7 +248,7 @@ def one_unit_off_speed(site: Site) -> None:
     with site.api("operator") as client:
         client.post("/buses/line/units/7/speed", json={"value": "60.0"}).raise_for_status()
     do("input", unit=5, input="run", on=False)
-    eventually(lambda: site.unit(5)["actual_raw"] < 150, "a section that creeps away")
+    eventually(lambda: site.unit(5)["actual_raw"] < 150, "a section that creeps away", within=PROCEDURE_S)
 
 
 def long_names(site: Site) -> None:
@@ -332,6 +333,7 @@ def _settled(site: Site) -> None:
                 unit["at_speed"] for bus in client.get("/line").json()["buses"] for unit in bus["units"]
             ),
             "the whole line at speed",
+            within=PROCEDURE_S,
         )
 
 

@@ -54,6 +54,13 @@ def test_every_command_is_in_the_readme() -> None:
     assert [name for name in commands if f"lineside {name}" not in readme] == []
 
 
+def test_every_link_to_a_file_leads_to_one() -> None:
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+    links = [(page, link) for page in pages for link in re.findall(r"\]\(([^)#\s:]+)[)#]", text_of(page))]
+    assert len(links) > 20
+    assert [f"{page.name}: {link}" for page, link in links if not (page.parent / link).exists()] == []
+
+
 def documented_calls() -> Iterator[tuple[str, list[str]]]:
     """Each ``lineside`` command line of the documentation: the file, and its words."""
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):

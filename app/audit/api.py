@@ -8,12 +8,11 @@ import io
 import json
 import re
 from collections.abc import AsyncIterator
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 import msgspec
 from fastapi import APIRouter, Depends, Query
 from pydantic import AwareDatetime, BaseModel, Field
-from starlette.requests import HTTPConnection
 from starlette.responses import Response, StreamingResponse
 
 from app.audit.entry import is_moment
@@ -22,7 +21,7 @@ from app.audit.log import Event, EventLog
 from app.audit.store import Filter
 from app.web.access import Admin, Viewer
 from app.web.api_route import ApiRoute
-from app.web.services import looked_up
+from app.web.services import service
 from app.web.shape import iso
 from app.web.turns import DOWNLOAD, SEARCH
 
@@ -77,12 +76,7 @@ class EventPage(BaseModel):
     next: int | None
 
 
-def events_of(connection: HTTPConnection) -> EventLog:
-    """The app's event log."""
-    return cast(EventLog, connection.app.state.services.events)
-
-
-Events = Annotated[EventLog, looked_up(events_of)]
+Events = Annotated[EventLog, service(EventLog)]
 Number = Annotated[int | None, Query(ge=1, le=2**62)]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime, time, timedelta
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 from urllib.parse import urlencode
 from zoneinfo import ZoneInfo
 
@@ -16,6 +16,7 @@ from app.audit.api import Events
 from app.audit.store import Filter
 from app.settings import Settings
 from app.web.access import Viewer
+from app.web.services import service_of
 from app.web.templating import render, templates_of
 from app.web.turns import SEARCH
 
@@ -68,7 +69,7 @@ async def events_page(
 
 def _names(request: Request) -> dict[tuple[str, int], str]:
     """What the configuration calls the units, by bus and address."""
-    settings = cast(Settings, request.app.state.services.settings)
+    settings = service_of(request, Settings)
     return {(bus.name, unit.id): unit.name for bus in settings.bus for unit in bus.unit}
 
 

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable, Collection
+from collections.abc import Callable, Collection
 
 from app.audit.kinds import Kind
 from app.audit.log import EventLog
 from app.auth import rules, store, strength
-from app.auth.lasting import Rechecks
 from app.auth.passwords import Passwords
 from app.auth.store import Token, User
 from app.database import Database
-from app.web.access import Role, account_of, name_of
+from app.web.access import AccountSubscriber, Role, account_of, name_of
 from bus.errors import CallerError
-
-Changed = Callable[[str], Awaitable[None]]
 
 
 class Accounts:
@@ -39,15 +36,13 @@ class Accounts:
         self._clock = clock
         self.buses = buses
         self._site = site
-        self.rechecks = Rechecks()
-        """Whoever has a connection open is looked at again after each change."""
-        self._subscribers: list[Changed] = []
+        self._subscribers: list[AccountSubscriber] = []
 
     def now(self) -> float:
         """Unix time as this service has it, by which tokens expire."""
         return self._clock()
 
-    def on_changed(self, subscriber: Changed) -> None:
+    def on_changed(self, subscriber: AccountSubscriber) -> None:
         """Call ``subscriber`` after each change. It gets the account of a user who chose another password and
         stays signed in, else an empty text."""
         self._subscribers.append(subscriber)
@@ -193,4 +188,3 @@ class Accounts:
         await self._events.record(kind=kind, what=what, who=by, origin=origin)
         for subscriber in self._subscribers:
             await subscriber(kept)
-        self.rechecks.now()

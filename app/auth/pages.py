@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Form
 from starlette.background import BackgroundTask
@@ -15,25 +15,15 @@ from app.auth.accounts import Accounts
 from app.auth.signin import SignIn, WrongSecretError
 from app.errors import Problem
 from app.web.access import Viewer, person_of, public
-from app.web.services import looked_up
+from app.web.services import service
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
 
 router = APIRouter(include_in_schema=False)
 
 
-def sign_in_of(connection: HTTPConnection) -> SignIn:
-    """The app's sign-in."""
-    return cast(SignIn, connection.app.state.services.sign_in)
-
-
-def accounts_of(connection: HTTPConnection) -> Accounts:
-    """The app's users and tokens."""
-    return cast(Accounts, connection.app.state.services.accounts)
-
-
-SigningIn = Annotated[SignIn, looked_up(sign_in_of)]
-Keeping = Annotated[Accounts, looked_up(accounts_of)]
+SigningIn = Annotated[SignIn, service(SignIn)]
+Keeping = Annotated[Accounts, service(Accounts)]
 Text = Annotated[str, Form()]
 DEVICE_COOKIE = "lineside_device"
 """Tells a browser in which somebody has signed in before from those of strangers; it signs nobody in."""

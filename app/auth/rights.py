@@ -9,16 +9,18 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import structlog
 
 from app.auth import store
+from app.auth.lasting import Rechecks
 from app.auth.store import Token, User
 from app.database import Database
 from app.errors import Problem, StoreError
-from app.web.access import Person, Role, account_of
+from app.web.access import AccountSubscriber, Person, Role, account_of
 
 WATCH_EVERY_S = 0.5
 FRESH_S = 1.0
@@ -28,8 +30,6 @@ USER_ENDED = "rights withdrawn: the user was removed or disabled; nothing more w
 TOKEN_ENDED = "rights withdrawn: the token was revoked or has expired; nothing more was sent"
 PASSWORD_CHANGED = "rights withdrawn: the password was changed; nothing more was sent"
 ROLE_LOWERED = "rights withdrawn: the role was lowered; nothing more was sent"
-
-Withdrawn = Callable[[str], Awaitable[None]]
 
 _log = structlog.get_logger()
 
@@ -62,12 +62,20 @@ def why_withdrawn(person: Person, standing: Standing | None) -> str:
     return "" if standing.role.includes(person.role) else ROLE_LOWERED
 
 
+class AccountChanges(Protocol):
+    """Publishes the changes that this process makes to accounts."""
+
+    def on_changed(self, subscriber: AccountSubscriber) -> None:
+        """Call ``subscriber`` after each change, with the account whose own session stays, if any."""
+
+
 class Rights:
-    """One for the app."""
+    """Holds the rights of every account. ``rechecks``: makes open connections check theirs again."""
 
     def __init__(
         self,
         database: Database,
+        accounts: AccountChanges,
         clock: Callable[[], float] = time.time,
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -76,16 +84,13 @@ class Rights:
         self._monotonic = monotonic
         self._standings: Mapping[str, Standing] = {}
         self._read_at = float("-inf")
-        self._withdrawn: list[Withdrawn] = []
-        self._changed: list[Callable[[], None]] = []
+        self._withdrawn: list[AccountSubscriber] = []
+        self.rechecks = Rechecks()
+        accounts.on_changed(self._on_account_change)
 
-    def on_withdrawn(self, subscriber: Withdrawn) -> None:
+    def on_withdrawn(self, subscriber: AccountSubscriber) -> None:
         """Call ``subscriber`` with each account that may do less than before."""
         self._withdrawn.append(subscriber)
-
-    def on_changed(self, subscriber: Callable[[], None]) -> None:
-        """Call ``subscriber`` once any account may do something else than before."""
-        self._changed.append(subscriber)
 
     async def check(self, person: Person) -> None:
         """Raises Problem 403 ``rights_withdrawn`` when the account of a person may no longer do what it could
@@ -107,12 +112,15 @@ class Rights:
             return  # another read began later and is here already
         before, self._standings, self._read_at = self._standings, standings, began
         if before != standings:
-            for changed in self._changed:
-                changed()
+            self.rechecks.now()
         for account, standing in before.items():
             if account != kept and _is_less(standing, standings.get(account)):
                 for withdrawn in self._withdrawn:
                     await withdrawn(account)
+
+    async def _on_account_change(self, kept: str) -> None:
+        await self.refresh(kept)
+        self.rechecks.now()
 
     async def watch(self) -> None:
         """Run forever: notice what the command line changes in the store."""

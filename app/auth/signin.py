@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil
@@ -20,10 +20,8 @@ from app.database import Database
 from app.errors import Problem, StoreError
 from app.server.addresses import source_of
 from app.server.fair_queue import FairQueue, TooManyWaitingError
-from app.web.access import Person, Role
+from app.web.access import AccountSubscriber, Person, Role
 from bus.errors import CallerError
-
-Gone = Callable[[str], Awaitable[None]]
 
 _WRONG = {False: "the name or the password is not right", True: "the name or the PIN is not right"}
 """What a person is told, and what somebody at a panel."""
@@ -68,8 +66,11 @@ class SignIn:
         self._site = site
         self._throttle = Throttle()
         self._hashing: FairQueue[str] = FairQueue(HASHED_AT_ONCE, 1, MOST_WAITING_OF_PLACE, MOST_WAITING)
-        self.on_gone: Gone | None = None
-        """Hears the name of whoever is signed in nowhere any more."""
+        self._signed_out: list[AccountSubscriber] = []
+
+    def on_signed_out(self, subscriber: AccountSubscriber) -> None:
+        """Call ``subscriber`` with the name of a user whose last session has ended."""
+        self._signed_out.append(subscriber)
 
     async def sign_in(
         self, name: str, secret: str, address: str, *, panel: bool = False, device: str = ""
@@ -113,8 +114,9 @@ class SignIn:
         was_last = await self._database.write(
             lambda connection: store.end_session(connection, hash_, name, now)
         )
-        if was_last and self.on_gone is not None:
-            await self.on_gone(name)
+        if was_last:
+            for subscriber in self._signed_out:
+                await subscriber(name)
 
     def lifetime_of(self, user: User) -> rules.Lifetime:
         """How long the sessions of this user last."""

@@ -9,12 +9,12 @@ from typing import Annotated, get_args
 import typer
 from pydantic import ValidationError
 
+from bus.catalogue import numbers
 from bus.settings import BAUDS, Baud, Dialect
 from bus.simulator.control import Control
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import Faults
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import Prm
 from bus.simulator.ports import Port, PtyPort, TcpPort
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import Traits
@@ -80,7 +80,7 @@ def simulate(
     traits = Traits(dialect, last_parameter, turnaround_s=turnaround_ms / 1000)
     plant = demo_line(units, seed=seed, traits=traits, script=script).plant
     for unit in plant.units:
-        unit.memory[Prm.BAUD] = baud // 100
+        unit.memory[numbers.BAUD_RATE] = baud // 100
         unit.power_up()
     line = SimulatedLine(plant, Faults(seed), baud, speedup)
     with LineServer(line, _open(tcp, link, baud)) as server:

@@ -37,7 +37,7 @@ from app.commands.desk import Desk
 from app.commands.shown import FateShown
 from app.commands.timeouts import timeout_s_for
 from app.commands.typed import Typed
-from app.commands.writer import desk_of, permitted, permitted_writer
+from app.commands.writer import AskDesk, permitted, permitted_writer
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
@@ -49,7 +49,6 @@ from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
 from app.web.deadline import Deadline, Instant
 from app.web.schema_problem import problems
-from app.web.services import looked_up
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS
 from bus.contract import (
@@ -116,7 +115,7 @@ class Asking:
 async def asking(
     request: Request,
     live: Live,
-    desk: Annotated[Desk, looked_up(desk_of)],
+    desk: AskDesk,
     bus: str,
     timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
     key: Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)] = None,

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from app.web.access import Person
+from app.web.access import AccountSubscriber, Person
 from bus.contract import Result
 
 RECHECK_S = 0.25
@@ -20,6 +20,20 @@ class Authority(Protocol):
 
     async def check(self, person: Person) -> None:
         """Raises Problem 403 ``rights_withdrawn``."""
+
+
+class Withdrawals(Authority, Protocol):
+    """What accounts may do now, and which of them may do less than before."""
+
+    def on_withdrawn(self, subscriber: AccountSubscriber) -> None:
+        """Call ``subscriber`` with each account that may do less than before."""
+
+
+class SessionEnds(Protocol):
+    """Who is signed in."""
+
+    def on_signed_out(self, subscriber: AccountSubscriber) -> None:
+        """Call ``subscriber`` with each account whose last session has ended."""
 
 
 async def while_permitted(

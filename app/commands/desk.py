@@ -43,8 +43,8 @@ ACTED = ("verified", "acknowledged", "unverified")
 """Outcomes after which a unit has acted, or may have."""
 
 
-class BeforeWrite(Protocol):
-    """Told who is about to write to which units of a bus, and whether it is parameters."""
+class WriteSubscriber(Protocol):
+    """Called before each write: by whom, to which units of a bus, and whether it writes parameters."""
 
     async def __call__(self, person: Person, bus: str, units: Sequence[int], *, parameters: bool) -> None: ...
 
@@ -81,8 +81,11 @@ class Desk:
         self._kept: OrderedDict[tuple[str, str], _Kept] = OrderedDict()
         """By sender and key."""
         self._under_way: set[asyncio.Task[Result]] = set()
-        self.before_write: BeforeWrite | None = None
-        """Who wants to keep what a unit was, before it is written to."""
+        self._write_subscribers: list[WriteSubscriber] = []
+
+    def on_write(self, subscriber: WriteSubscriber) -> None:
+        """Call and await ``subscriber`` before each write; where it raises, nothing is sent."""
+        self._write_subscribers.append(subscriber)
 
     async def ask(
         self,
@@ -249,10 +252,11 @@ class Desk:
         kind = kind_of_command(wish.action)
         if not kind.is_event(wish.action):
             return await self._send(wish, live)
-        if self.before_write is not None and wish.action.writes:
+        if wish.action.writes:
             units, parameters = kind.units_written(wish.action, live), kind.writes_parameters
             async with self._rejection_recorded(wish, live):
-                await self.before_write(wish.person, wish.bus, units, parameters=parameters)
+                for subscriber in self._write_subscribers:
+                    await subscriber(wish.person, wish.bus, units, parameters=parameters)
         intent = await self._record.intend(wish, live)
         result = without_secret(wish.action, await self._send(wish, live))
         await self._record.conclude(intent, wish, result)

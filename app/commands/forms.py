@@ -11,22 +11,22 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.catalogue import kind_of_command
+from app.commands.desk import Desk
 from app.commands.fate import Fate, fate_of, fate_of_problem
 from app.commands.risks import Remark
 from app.commands.safeguards import Safeguards
-from app.commands.safeguards_api import safeguards_of
 from app.commands.timeouts import timeout_s_for
 from app.commands.words import shown_setpoint
-from app.commands.writer import desk_of
 from app.errors import Problem
 from app.live.fields import Voice
+from app.live.hub import Hub
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.pages import UnitOnLine, unit_on_line
-from app.live.socket import hub_of
-from app.live.state import BusLive, UnitLive
+from app.live.state import BusLive, LiveState, UnitLive
 from app.web.access import Person
 from app.web.arrival import made_at, refuse_late
 from app.web.deadline import Deadline
+from app.web.services import service_of
 from app.web.templating import render, templates_of
 from bus.contract import Action, Result, UnitOutcome
 
@@ -42,9 +42,9 @@ class Desktop:
         templates = templates_of(request)
         language = templates.language_of(request)
         self.voice = Voice(language, templates.formats(language.tag))
-        self.live = hub_of(request).live
-        self.desk = desk_of(request)
-        self.guards: Safeguards = safeguards_of(request)
+        self.live = service_of(request, LiveState)
+        self.desk = service_of(request, Desk)
+        self.guards = service_of(request, Safeguards)
         self.made_at = made_at(request)
 
     def bus(self, name: str) -> BusLive:
@@ -61,11 +61,11 @@ class Desktop:
 
     def fields(self) -> dict[str, str]:
         """All texts of the screen as they are now."""
-        return hub_of(self.request).screen(self.voice.language.tag).flat()
+        return service_of(self.request, Hub).screen(self.voice.language.tag).flat()
 
     def people(self) -> dict[str, str]:
         """Whoever has a page open now, by name, with the role."""
-        return hub_of(self.request).people()
+        return service_of(self.request, Hub).people()
 
     def render(self, template: str, /, *, status: int = 200, **context: Any) -> Response:
         """A page or fragment."""

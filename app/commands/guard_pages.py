@@ -11,8 +11,8 @@ from app.commands.forms import Desks
 from app.commands.limits import HIGHEST_SETPOINT, Limits
 from app.errors import Problem
 from app.live.state import UnitLive, follower
-from app.live.view import DECIMALS
 from app.web.access import Engineer, Operator
+from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import RATIO_DECIMALS, speed_raw, speed_text
 from bus.errors import CallerError
 from bus.text import OneLine

@@ -24,8 +24,8 @@ from app.commands.words import shown_setpoint
 from app.commands.writer import permitted
 from app.errors import Problem
 from app.live.state import BusLive, follower
-from app.live.view import DECIMALS
 from app.web.access import Person, Viewer
+from bus.catalogue.numbers import DECIMALS
 from bus.contract import SetLine
 from bus.errors import CallerError
 

@@ -16,6 +16,7 @@ from app.commands.writer import permitted, permitted_writer
 from app.errors import Problem
 from app.live.state import UnitLive
 from app.web.access import Person
+from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW
 from bus.catalogue.status import output_is_on
 from bus.catalogue.values import analog_output_volts
 from bus.contract import WriteAnalogOutput, WriteOutput
@@ -23,7 +24,6 @@ from bus.errors import CallerError
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 Number = Annotated[int, Path(ge=1, le=6)]
-LOW, HIGH = 29, 30
 ON, OFF = "on", "off"
 
 
@@ -131,7 +131,7 @@ def _whole_number(text: str) -> int:
 
 
 def _volts(desk: Desktop, live: UnitLive, raw: int) -> str:
-    low, high = live.parameter_raw(LOW), live.parameter_raw(HIGH)
+    low, high = live.parameter_raw(ANALOG_OUT_LOW), live.parameter_raw(ANALOG_OUT_HIGH)
     if low is None or high is None or low == high:
         return ""
     return desk.voice.formats.number(analog_output_volts(raw, low, high), 3)

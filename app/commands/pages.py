@@ -14,6 +14,7 @@ from app.commands.setpoint_range import setpoint_range
 from app.commands.words import shown_setpoint
 from app.live.state import UnitLive, follower
 from app.web.access import Viewer
+from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE
 
 router = APIRouter(include_in_schema=False)
 
@@ -44,9 +45,9 @@ def _faceplate(desk: Desktop, bus: str, live: UnitLive) -> dict[str, Any]:
         "limits": limits,
         "limit_texts": {name: shown_setpoint(getattr(limits, name), live) for name in _LIMIT_NAMES},
         "block": desk.guards.blocks.of(bus, unit),
-        "analog_low": live.parameter_raw(29),
-        "analog_high": live.parameter_raw(30),
-        "analog_by_link": live.parameter_raw(28) == 2,
+        "analog_low": live.parameter_raw(ANALOG_OUT_LOW),
+        "analog_high": live.parameter_raw(ANALOG_OUT_HIGH),
+        "analog_by_link": live.parameter_raw(ANALOG_OUT_SOURCE) == 2,
     }
 
 

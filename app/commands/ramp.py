@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from app.commands.setpoint_range import COMMAND_RATIO
 from app.commands.setpoints import commanded_setpoint
-from app.live.ramp_time import ACCELERATION, DECELERATION, MAX_DISPLAY, ramp_parameter, ramp_seconds
+from app.live.ramp_time import ramp_parameter, ramp_seconds
 from app.live.state import BusLive, UnitLive, follower
+from bus.catalogue.numbers import ACCELERATION, DECELERATION, MAX_DISPLAY, RATIO_SETPOINT
 
 COARSE_STEPS, FINE_STEPS = 100, 1000
 """A nudge is about a hundredth or a thousandth of the full span."""
@@ -36,7 +36,7 @@ def ramp_of(unit: UnitLive, old: int | None, new: int) -> Ramp | None:
 def present_setpoint(bus: BusLive, unit: UnitLive) -> int | None:
     """The commanded setpoint; of a follower that shows its speed, the command ratio as last read."""
     known = commanded_setpoint(unit, bus)
-    return unit.parameter_raw(COMMAND_RATIO) if known is None and follower(unit) else known
+    return unit.parameter_raw(RATIO_SETPOINT) if known is None and follower(unit) else known
 
 
 def ramp_parameters_missing(unit: UnitLive) -> list[int]:

@@ -14,8 +14,8 @@ from app.commands.ramp import Ramp
 from app.commands.setpoint_range import KIND_OF_PARAMETER, is_above_display
 from app.live.age import unit_link_now
 from app.live.conditions import bits_of
-from app.live.ramp_time import ACCELERATION, DECELERATION
 from app.live.state import BusLive, UnitLive
+from bus.catalogue.numbers import ACCELERATION, DECELERATION
 from bus.catalogue.status import StatusBits
 from bus.contract import UnitLinkState
 

@@ -7,19 +7,16 @@ from collections.abc import Awaitable, Callable
 
 from app.audit.kinds import Kind
 from app.audit.log import EventLog
-from app.commands.authority import Authority
+from app.commands.authority import SessionEnds, Withdrawals
 from app.commands.blocks import Block, BlockStore
 from app.commands.control import Control, ControlledError, Holding
 from app.commands.limits import Limits, LimitsStore
 from app.database import Database
 from app.errors import Problem
+from app.live.sources import UnitSubscriber
 from app.web.access import Person, Role, name_of
 
 SIGNED_OUT = "signed out, or has other rights"
-Changed = Callable[[str, int], None]
-"""Told of the bus and the unit that was blocked or freed."""
-
-
 Find = Callable[[str], Awaitable[tuple[str, Role] | None]]
 """The account that somebody names, and what it may do; None when there is none."""
 
@@ -34,24 +31,27 @@ class Safeguards:
         *,
         control_required: bool,
         find: Find,
-        rights: Authority,
+        rights: Withdrawals,
+        sessions: SessionEnds,
         now: Callable[[], float] = time.time,
     ) -> None:
         self.limits = LimitsStore(database)
         self.blocks = BlockStore(database)
         self.control = Control(required=control_required)
-        self._block_subscribers: list[Changed] = []
+        self._block_subscribers: list[UnitSubscriber] = []
         self._find = find
         self._rights = rights
         self._events = events
         self._now = now
+        rights.on_withdrawn(self.release_all_of)
+        sessions.on_signed_out(self.release_all_of)
 
     async def load(self) -> None:
         """Read what is stored."""
         await self.limits.load()
         await self.blocks.load()
 
-    def on_block(self, subscriber: Changed) -> None:
+    def on_block(self, subscriber: UnitSubscriber) -> None:
         """Call ``subscriber`` when a unit was blocked or freed."""
         self._block_subscribers.append(subscriber)
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, cast
+from typing import Annotated
 
 from fastapi import APIRouter
 from pydantic import ConfigDict, Field, model_validator
-from starlette.requests import HTTPConnection
 
 from app.commands.control import LAPSES_AFTER_S, Holding
 from app.commands.limits import HIGHEST_SETPOINT, Limits
@@ -16,7 +15,7 @@ from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.web.access import Engineer, Operator, Viewer, name_of
 from app.web.api_route import ApiRoute
-from app.web.services import looked_up
+from app.web.services import service
 from app.web.shape import Strict, iso
 from bus.text import OneLine
 
@@ -56,12 +55,7 @@ class HandOverBody(Strict):
     to: Annotated[str, Field(min_length=1, max_length=60)]
 
 
-def safeguards_of(connection: HTTPConnection) -> Safeguards:
-    """Limits, blocks and control of every line."""
-    return cast(Safeguards, connection.app.state.services.safeguards)
-
-
-Guards = Annotated[Safeguards, looked_up(safeguards_of)]
+Guards = Annotated[Safeguards, service(Safeguards)]
 
 
 @router.get("/units/{unit:int}/limits")

@@ -14,15 +14,21 @@ from dataclasses import dataclass
 from typing import Literal
 
 from app.commands.limits import HIGHEST_SETPOINT, Limits
-from app.live.state import MODE, UnitLive, follower
+from app.live.state import UnitLive, follower
+from bus.catalogue.numbers import (
+    FOLLOWER_MODE,
+    MAX_DISPLAY,
+    MAX_RATIO,
+    MIN_RATIO,
+    RATIO_SETPOINT,
+    SPEED_SETPOINT,
+)
 from bus.catalogue.parameters import PARAMETERS
-
-MAX_DISPLAY, SPEED_SETPOINT, MAX_RATIO, COMMAND_RATIO, MIN_RATIO = 2, 20, 31, 37, 38
 
 SetpointKind = Literal["speed", "ratio"]
 Basis = Literal["protocol", "display", "ratio", "limits"]
 """What sets it: 82h, #2, #38 and #31, or an engineer."""
-KIND_OF_PARAMETER: dict[int, SetpointKind] = {SPEED_SETPOINT: "speed", COMMAND_RATIO: "ratio"}
+KIND_OF_PARAMETER: dict[int, SetpointKind] = {SPEED_SETPOINT: "speed", RATIO_SETPOINT: "ratio"}
 """The parameters in which a unit keeps its setpoint."""
 _DECIDING: dict[SetpointKind, tuple[int, ...]] = {
     "speed": (MAX_DISPLAY,),
@@ -75,7 +81,7 @@ def unread_for_range(
     if raw == 0 and kind == "speed":
         return ()
     replaced = kind == kind_of(unit) == "speed" and limits.highest is not None
-    deciding = (MODE,) if replaced else (MODE, *_DECIDING[kind])
+    deciding = (FOLLOWER_MODE,) if replaced else (FOLLOWER_MODE, *_DECIDING[kind])
     return tuple(number for number in deciding if number not in unit.parameters)
 
 

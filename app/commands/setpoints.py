@@ -10,7 +10,7 @@ from app.commands.limits import Limits
 from app.commands.objection import Circumstances, ObjectionError
 from app.commands.setpoint_range import Basis, SetpointKind, kind_of, setpoint_range
 from app.live.state import BusLive, UnitLive, follower
-from app.live.view import DECIMALS
+from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_text, speed_text
 
 _OUTSIDE: dict[Basis, str] = {

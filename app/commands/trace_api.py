@@ -19,11 +19,10 @@ from app.commands.catalogue import READ_TRACE
 from app.commands.desk import Desk
 from app.commands.shown import TraceShown
 from app.commands.trace_file import trace_line
-from app.commands.writer import desk_of, permitted
+from app.commands.writer import AskDesk, permitted
 from app.errors import Problem
 from app.web.access import Person
 from app.web.api_route import ApiRoute
-from app.web.services import looked_up
 from bus.contract import Frame, ReadTrace
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["trace"], route_class=ApiRoute)
@@ -42,7 +41,7 @@ TRACE: dict[int | str, dict[str, Any]] = {
 @router.get("/trace", responses=TRACE)
 async def get_trace(
     person: Annotated[Person, permitted(READ_TRACE)],
-    desk: Annotated[Desk, looked_up(desk_of)],
+    desk: AskDesk,
     bus: str,
     seconds: Annotated[float | None, Query(gt=0, le=HOUR_S)] = None,
     limit: Annotated[int, Query(ge=1, le=PIECE)] = 200,

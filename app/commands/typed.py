@@ -8,17 +8,16 @@ from __future__ import annotations
 from app.commands.bodies import Quantity
 from app.commands.desk import Desk
 from app.commands.prior_read import read_first
-from app.commands.setpoint_range import COMMAND_RATIO
 from app.errors import Problem
-from app.live.state import MODE, UnitLive
-from app.live.view import DECIMALS
+from app.live.state import UnitLive
 from app.web.access import Person
 from app.web.deadline import Deadline
+from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
 from bus.catalogue.parameter import Scale
 from bus.catalogue.parameters import PARAMETERS
-from bus.catalogue.values import parameter_raw, ratio_raw, speed_raw
+from bus.catalogue.values import is_follower, parameter_raw, ratio_raw, speed_raw
 
-_NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, MODE)}
+_NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, FOLLOWER_MODE)}
 
 
 class Typed:
@@ -35,8 +34,8 @@ class Typed:
         """A speed in display units, or a follower's ratio."""
         if quantity.raw is not None:
             return quantity.raw
-        known = await self._known((DECIMALS, MODE))
-        if known[MODE] in (1, 2):
+        known = await self._known((DECIMALS, FOLLOWER_MODE))
+        if is_follower(known[FOLLOWER_MODE]):
             return ratio_raw(quantity.typed)
         return speed_raw(quantity.typed, self._decimals(known))
 
@@ -46,7 +45,7 @@ class Typed:
             return quantity.raw
         parameter = PARAMETERS[number]
         known = await self._known(_NEEDS.get(parameter.scale, ()))
-        follower = known.get(MODE) in (1, 2) or number == COMMAND_RATIO
+        follower = is_follower(known.get(FOLLOWER_MODE)) or number == RATIO_SETPOINT
         return parameter_raw(parameter, quantity.typed, known.get(DECIMALS), follower=follower)
 
     async def _known(self, numbers: tuple[int, ...]) -> dict[int, int | None]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from app.live.state import UnitLive, follower
-from app.live.view import DECIMALS, setpoint_text
+from app.live.view import setpoint_text
+from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.parameter import Parameter
 from bus.catalogue.values import parameter_text
 

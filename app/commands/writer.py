@@ -7,7 +7,7 @@ poll more.
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Annotated, Any
 
 from fastapi import Depends
 from starlette.requests import HTTPConnection
@@ -15,11 +15,10 @@ from starlette.requests import HTTPConnection
 from app.commands.catalogue import CommandKind
 from app.commands.desk import Desk
 from app.web.access import Person, Requires
+from app.web.services import service, service_of
 
-
-def desk_of(connection: HTTPConnection) -> Desk:
-    """The way to the wire."""
-    return cast(Desk, connection.app.state.services.desk)
+AskDesk = Annotated[Desk, service(Desk)]
+"""The way to the wire."""
 
 
 class _Writes(Requires):
@@ -32,7 +31,7 @@ class _Writes(Requires):
     async def __call__(self, connection: HTTPConnection) -> Person:
         person = self.permitted(connection)
         if "bus" in connection.path_params:
-            await desk_of(connection).reserve(connection.path_params["bus"])
+            await service_of(connection, Desk).reserve(connection.path_params["bus"])
         return person
 
 

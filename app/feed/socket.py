@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
-from typing import cast
 
 from fastapi import APIRouter, WebSocket
-from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from app.errors import Problem
 from app.feed.holders import Credential
 from app.feed.workers import WorkerLeft, Workers
 from app.web.access import Worker
+from app.web.services import service_of
 from bus.contract import AppMessage, MalformedMessageError, encode
 
 router = APIRouter()
@@ -63,11 +62,6 @@ class WorkerSocket:
                 await self._websocket.close(POLICY_VIOLATION, short)
 
 
-def workers_of(connection: HTTPConnection) -> Workers:
-    """Every worker's connection."""
-    return cast(Workers, connection.app.state.services.workers)
-
-
 @router.websocket("/feed")
 async def feed(websocket: WebSocket, worker: Worker) -> None:
     """Serve one worker from its hello to its end. Raises Problem 403 for a token without a bus."""
@@ -81,4 +75,4 @@ async def feed(websocket: WebSocket, worker: Worker) -> None:
     await websocket.accept()
     address = websocket.client.host if websocket.client else ""
     credential = Credential(worker.name, worker.bus, address, own=worker.via == "worker")
-    await workers_of(websocket).serve(WorkerSocket(websocket), credential)
+    await service_of(websocket, Workers).serve(WorkerSocket(websocket), credential)

@@ -13,8 +13,7 @@ from fastapi import APIRouter, Query, Response
 from starlette.requests import Request
 from starlette.responses import StreamingResponse
 
-from app.audit.api import events_of
-from app.audit.log import EventLog
+from app.audit.api import Events
 from app.errors import Problem
 from app.history import display, export
 from app.history.export import Format, Resolution
@@ -34,7 +33,6 @@ from app.history.spans import (
 )
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
-from app.web.services import looked_up
 from app.web.templating import templates_of
 from app.web.turns import DOWNLOAD, SEARCH
 
@@ -42,7 +40,6 @@ router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRo
 SPARK_POINTS = 120
 MOST_SPARKS = 255
 Times = Annotated[Literal["iso", "epoch"], Query(alias="format")]
-Events = Annotated[EventLog, looked_up(events_of)]
 
 
 def iso(at: int) -> str:

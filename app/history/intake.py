@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from app.history import store
 from app.history.runs import Run, micros, run_of
-from app.history.scaling import PARAMETERS, ParameterStep
+from app.history.scaling import DECIDING, ParameterStep
 from app.history.tail import Tail
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update
 
@@ -89,7 +89,7 @@ class Intake:
             taken.lost += [(unit, at) for unit in units]
 
     def _write_parameter(self, connection: store.Connection, bus: str, update: ParameterValue) -> None:
-        if update.number not in PARAMETERS or update.raw is None:
+        if update.number not in DECIDING or update.raw is None:
             return
         key = self.key(connection, bus, update.unit)
         if key not in self._parameters:

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from app.history.values import Value
+from bus.catalogue.numbers import ANALOG_IN_HIGH, ANALOG_IN_LOW, DECIMALS, FOLLOWER_MODE
+from bus.catalogue.values import RATIO_DECIMALS
 
-DECIMALS, MODE, ANALOG_LOW, ANALOG_HIGH = 3, 8, 22, 23
-PARAMETERS = (DECIMALS, MODE, ANALOG_LOW, ANALOG_HIGH)
-RATIO_DECIMALS = 4
+DECIDING = (DECIMALS, FOLLOWER_MODE, ANALOG_IN_LOW, ANALOG_IN_HIGH)
 _MASTER = 0
 _MOST_DECIMALS = 4
 _ANALOG_FULL = 255
@@ -93,12 +93,12 @@ def scaling(value: Value, steps: Sequence[ParameterStep], *, ratio: bool, estop_
 
 def _scale(value: Value, known: dict[int, int], ratio: bool) -> Scale:
     if value.kind == "analog":
-        low, high = known.get(ANALOG_LOW), known.get(ANALOG_HIGH)
+        low, high = known.get(ANALOG_IN_LOW), known.get(ANALOG_IN_HIGH)
         if low is None or high is None:
             return Scale()
         return Scale(low, high - low, _ANALOG_FULL)
     decimals = known.get(DECIMALS)
-    if ratio and known.get(MODE, _MASTER) != _MASTER:
+    if ratio and known.get(FOLLOWER_MODE, _MASTER) != _MASTER:
         decimals = RATIO_DECIMALS
     if decimals is None or decimals > _MOST_DECIMALS:
         return Scale()

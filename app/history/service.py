@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
@@ -13,12 +14,11 @@ from app.history import store
 from app.history.damage import Block
 from app.history.inspection import damaged_blocks, pages_are_whole
 from app.history.query import Answer, Question, answer
-from app.history.repair import FoundDamage
 from app.history.runs import SECOND
 from app.history.status import Status
 from app.history.tail import Tail
 from app.history.upkeep import Keep
-from app.history.writer import ClockStepped, Writer
+from app.history.writer import Writer
 from app.settings import Settings
 from bus.contract import Update
 
@@ -29,27 +29,46 @@ T = TypeVar("T")
 log = structlog.get_logger()
 
 
-def _nobody(*_: object) -> None:
-    """Nobody wants to hear of clock steps or of damage."""
+ClockStepSubscriber = Callable[[float, float], None]
+"""Called with the seconds by which the clock was stepped, and the Unix time."""
+DamageSubscriber = Callable[[str, float], None]
+"""Called with what was damaged, in words, and the Unix time."""
 
 
 class History:
-    """One for the app. Opening never fails: a store that cannot be used is said by :attr:`status`."""
+    """Stores readings and answers from them. Opening never fails: :attr:`status` says when a store cannot be
+    used. Subscribers are called on the event loop that called :meth:`start`."""
 
-    def __init__(
-        self,
-        settings: Settings,
-        on_clock_step: ClockStepped = _nobody,
-        on_damage: FoundDamage = _nobody,
-    ) -> None:
+    def __init__(self, settings: Settings) -> None:
         self.path = settings.server.data / FILE
         self.buses = {bus.name: bus for bus in settings.bus}
         self.time_zone = settings.site.zone
         keep = Keep(settings.history.raw_days, settings.history.years)
-        self._writer = Writer(self.path, keep, on_clock_step, on_damage)
+        self._clock_step_subscribers: list[ClockStepSubscriber] = []
+        self._damage_subscribers: list[DamageSubscriber] = []
+        self._writer = Writer(self.path, keep, self._publish_clock_step, self._publish_damage)
+
+    def on_clock_step(self, subscriber: ClockStepSubscriber) -> None:
+        """Call ``subscriber`` when the clock of this machine was stepped."""
+        self._clock_step_subscribers.append(subscriber)
+
+    def on_damage(self, subscriber: DamageSubscriber) -> None:
+        """Call ``subscriber`` when something stored cannot be read."""
+        self._damage_subscribers.append(subscriber)
+
+    def _publish_clock_step(self, step_s: float, at: float) -> None:
+        """Called on the writer's thread."""
+        for subscriber in self._clock_step_subscribers:
+            self._loop.call_soon_threadsafe(subscriber, step_s, at)
+
+    def _publish_damage(self, what: str) -> None:
+        """Called on the writer's thread."""
+        for subscriber in self._damage_subscribers:
+            self._loop.call_soon_threadsafe(subscriber, what, time.time())
 
     def start(self) -> None:
         """Open the store and begin to write."""
+        self._loop = asyncio.get_running_loop()
         self._writer.start()
 
     def close(self) -> None:

@@ -6,10 +6,9 @@ import re
 import time
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Annotated, cast
+from typing import Annotated
 
 from fastapi import Depends, Query
-from starlette.requests import HTTPConnection
 
 from app.errors import Problem
 from app.history.query import Question
@@ -18,7 +17,7 @@ from app.history.service import History
 from app.history.values import VALUES
 from app.web.absent import unknown_bus, unknown_unit
 from app.web.numbers import whole_number
-from app.web.services import looked_up
+from app.web.services import service
 from bus.settings import BusSettings
 
 MOST_POINTS = 20_000
@@ -38,12 +37,7 @@ class Span:
     end: int
 
 
-def history_of(connection: HTTPConnection) -> History:
-    """The app's history."""
-    return cast(History, connection.app.state.services.history)
-
-
-HistoryOf = Annotated[History, looked_up(history_of)]
+HistoryOf = Annotated[History, service(History)]
 
 
 def moment(text: str, name: str) -> int:

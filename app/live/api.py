@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 from fastapi import APIRouter
 from starlette.requests import HTTPConnection
@@ -12,35 +12,17 @@ from app.live.fields import Voice
 from app.live.figures import BusFiguresShown, figures_json
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.shown import BusShown, LineShown, UnitShown
+from app.live.sources import Sources
 from app.live.state import LiveState
-from app.live.view import BlockReason, bus_json, line_json, unit_json
+from app.live.view import bus_json, line_json, unit_json
+from app.settings import Settings
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
 from app.web.languages import DEFAULT
-from app.web.services import looked_up
+from app.web.services import looked_up, service
 from app.web.templating import templates_of
 
 router = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
-
-
-def live_of(connection: HTTPConnection) -> LiveState:
-    """The present state of every bus."""
-    return cast(LiveState, connection.app.state.services.live)
-
-
-def site_name_of(connection: HTTPConnection) -> str:
-    """The plant as people call it."""
-    return cast(str, connection.app.state.services.settings.site.name)
-
-
-def block_reason_of(connection: HTTPConnection) -> BlockReason:
-    """Why a unit is blocked, as the pages say it too."""
-    return cast(BlockReason, connection.app.state.services.hub.block)
-
-
-def memory_of(connection: HTTPConnection) -> str:
-    """Why no history is kept; empty while it is."""
-    return cast(str, connection.app.state.services.history.status.message)
 
 
 def english_of(connection: HTTPConnection) -> Voice:
@@ -50,33 +32,33 @@ def english_of(connection: HTTPConnection) -> Voice:
 
 
 English = Annotated[Voice, looked_up(english_of)]
-Memory = Annotated[str, looked_up(memory_of)]
-Blocked = Annotated[BlockReason, looked_up(block_reason_of)]
-Live = Annotated[LiveState, looked_up(live_of)]
-SiteName = Annotated[str, looked_up(site_name_of)]
+Live = Annotated[LiveState, service(LiveState)]
+LineSources = Annotated[Sources, service(Sources)]
+Configured = Annotated[Settings, service(Settings)]
 
 
 @router.get("/line", response_model=LineShown)
 async def get_line(
-    _: Viewer, live: Live, site: SiteName, block: Blocked, memory: Memory, english: English
+    _: Viewer, live: Live, settings: Configured, sources: LineSources, english: English
 ) -> dict[str, Any]:
     """Every bus and every unit, now. ``history``: empty, or why no readings are kept."""
-    return line_json(site, live, time.time(), block, memory, english)
+    block, fault = sources.guards.block_reason, sources.history_fault()
+    return line_json(settings.site.name, live, time.time(), block, fault, english)
 
 
 @router.get("/buses/{bus}", response_model=BusShown)
-async def get_bus(_: Viewer, live: Live, block: Blocked, english: English, bus: str) -> dict[str, Any]:
+async def get_bus(_: Viewer, live: Live, sources: LineSources, english: English, bus: str) -> dict[str, Any]:
     """One bus with its units."""
-    return bus_json(bus_or_404(live, bus), time.time(), block, english)
+    return bus_json(bus_or_404(live, bus), time.time(), sources.guards.block_reason, english)
 
 
 @router.get("/buses/{bus}/units/{unit:int}", response_model=UnitShown)
 async def get_unit(
-    _: Viewer, live: Live, block: Blocked, english: English, bus: str, unit: int
+    _: Viewer, live: Live, sources: LineSources, english: English, bus: str, unit: int
 ) -> dict[str, Any]:
     """One unit, with the age of what it said."""
     found = unit_or_404(live, bus, unit)
-    return unit_json(live.buses[bus], found, time.time(), block, english)
+    return unit_json(live.buses[bus], found, time.time(), sources.guards.block_reason, english)
 
 
 @router.get("/buses/{bus}/figures")

@@ -8,12 +8,10 @@ from app.live.age import offline_after_s, scan_s_of
 from app.live.conditions import bits_of, conditions_of
 from app.live.motion import Motion
 from app.live.onset import Onset, Onsets
-from bus.catalogue.values import MOST_DECIMALS
+from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
+from bus.catalogue.values import MOST_DECIMALS, RATIO_DECIMALS, is_follower
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink
 from bus.settings import BusSettings, UnitSettings
-
-DECIMALS, MODE = 3, 8
-RATIO_DECIMALS = 4
 
 
 @dataclass(slots=True)
@@ -78,8 +76,8 @@ class BusLive:
 
 def follower(unit: UnitLive) -> bool | None:
     """Whether #8 makes the unit follow a master by a ratio; None while it was not read."""
-    mode = unit.parameter_raw(MODE)
-    return None if mode is None else mode in (1, 2)
+    mode = unit.parameter_raw(FOLLOWER_MODE)
+    return None if mode is None else is_follower(mode)
 
 
 def reads_ratio(bus: BusLive, unit: UnitLive) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import TYPE_CHECKING, Literal
 
+from bus.catalogue.numbers import CONTROL_MODE
 from bus.catalogue.status import StatusBits, status_bits
 from bus.contract import Reading
 
@@ -13,7 +14,8 @@ if TYPE_CHECKING:
     from app.live.state import BusLive, UnitLive
 
 Condition = Literal["estop_active", "run_off", "not_in_remote", "not_at_speed", "turning"]
-CONTROL_MODE, KEYLOCK = 19, 2
+KEYLOCK = 2
+"""#19 of a unit whose keypad is locked (manual, 4.0)."""
 
 
 STATUS_CONDITIONS: dict[Condition, Callable[[StatusBits], bool]] = {

@@ -11,17 +11,24 @@ import re
 from dataclasses import dataclass
 
 from app.live.age import figures_now, offline_after_s, scan_s_of, stale_after_s
-from app.live.bus_live import DECIMALS, RATIO_DECIMALS, BusLive, UnitLive, follower, speed_decimals
+from app.live.bus_live import BusLive, UnitLive, follower, speed_decimals
 from app.live.conditions import bits_of, mode_of
 from app.live.motion import State
 from app.web.formats import UNKNOWN, Formats
 from app.web.languages import Language
+from bus.catalogue.numbers import (
+    ANALOG_IN_HIGH,
+    ANALOG_IN_LOW,
+    AT_SPEED_WINDOW,
+    DECIMALS,
+    MAX_DISPLAY,
+    RATIO_SETPOINT,
+)
 from bus.catalogue.status import StatusBits
-from bus.catalogue.values import analog_input_value
+from bus.catalogue.values import RATIO_DECIMALS, analog_input_value
 from bus.contract import Reading, UnitFigures, UnitLinkState
 from bus.errors import unit_error_name
 
-MAX_DISPLAY, WINDOW, ANALOG_LOW, ANALOG_HIGH, RATIO = 2, 12, 22, 23, 37
 DEVIATION_WINDOWS = 3
 """Half the width of a deviation bar in at-speed windows, so that the band is its middle third."""
 
@@ -183,7 +190,7 @@ def _ratio(bus: BusLive, unit: UnitLive, voice: Voice) -> str:
     if not follower(unit):
         return ""
     if bus.settings.follower_speed == "speed":
-        raw = unit.parameter_raw(RATIO)
+        raw = unit.parameter_raw(RATIO_SETPOINT)
     else:
         raw = unit.reading.commanded if unit.reading is not None else None
     return "" if raw is None else voice.formats.fixed(raw, RATIO_DECIMALS)
@@ -196,7 +203,7 @@ def _signed(raw: int, decimals: int | None, voice: Voice) -> str:
 
 
 def _analog(unit: UnitLive, atd: int, voice: Voice) -> str:
-    low, high = unit.parameter_raw(ANALOG_LOW), unit.parameter_raw(ANALOG_HIGH)
+    low, high = unit.parameter_raw(ANALOG_IN_LOW), unit.parameter_raw(ANALOG_IN_HIGH)
     if low is None or high is None:
         return UNKNOWN
     span = abs(high - low)
@@ -205,7 +212,7 @@ def _analog(unit: UnitLive, atd: int, voice: Voice) -> str:
 
 
 def _positions(unit: UnitLive, reading: Reading) -> Fields:
-    span, window = unit.parameter_raw(MAX_DISPLAY), unit.parameter_raw(WINDOW)
+    span, window = unit.parameter_raw(MAX_DISPLAY), unit.parameter_raw(AT_SPEED_WINDOW)
     deviation = _deviation(reading, window or (span or 0) // 100)
     if not span:
         return {"fill": "", "mark": "", "band": "", "off": deviation}

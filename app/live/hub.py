@@ -15,7 +15,8 @@ from app.live.browser import Browser
 from app.live.command_ids import key_of
 from app.live.fields import Voice, health_fields, unit_key
 from app.live.readers import Readers
-from app.live.screen import WHOLE_LINE, Block, Drift, Drifted, Groups, Recipe, Screen
+from app.live.screen import WHOLE_LINE, Groups, Screen
+from app.live.sources import Sources
 from app.live.state import LiveState
 from app.live.totals import holders
 from app.live.trace_frames import frame_fields
@@ -44,11 +45,20 @@ Watcher = Callable[[str, list[int], bool], None]
 
 
 class Hub:
-    """Every open page. ``clock`` gives seconds since the epoch, as the live state's times are."""
+    """Broadcasts changes to every open page. ``clock`` returns Unix time in seconds."""
 
-    def __init__(self, live: LiveState, templates: Templates, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        live: LiveState,
+        sources: Sources,
+        templates: Templates,
+        watch: Watcher,
+        clock: Callable[[], float],
+    ) -> None:
         self.live = live
+        self._sources = sources
         self._templates = templates
+        self._watch = watch
         self._clock = clock
         self._readers: dict[str, Readers] = {}
         """Of every language that was asked for once; most have nobody now."""
@@ -57,15 +67,9 @@ class Hub:
         self._pages = Watched({name: bus.units for name, bus in live.buses.items()})
         self._tellings = Bucket(WATCH_TOLD_A_SECOND, MOST_TOLD_AT_ONCE)
         self._watched_is_due = False
-        self.block: Block = _unblocked
-        self.drift: Drift = _undrifted
-        self.recipe: Recipe = _unloaded
-        self.watch: Watcher = _unwatched
-        self.holder: Callable[[str], str] = _unheld
-        """Who holds control of a bus; empty where nobody does."""
-        self.memory: Callable[[Voice, float], str] = _unforgetting
-        """Why no history is kept, in words; empty while it is."""
         live.subscribe(self._on_updates)
+        sources.guards.on_block(self.refresh_unit)
+        sources.drift.on_change(self.refresh_unit)
 
     @property
     def connected(self) -> int:
@@ -84,17 +88,12 @@ class Hub:
             readers = self._readers[language] = Readers(self._new_screen(language), self._clock)
         screen, now = readers.screen, self._clock()
         readers.tell(screen.refresh(now))
-        readers.tell(screen.put(WHOLE_LINE, {"memory": self.memory(screen.voice, now)}))
+        readers.tell(screen.put(WHOLE_LINE, {"memory": self._sources.notices(screen.voice, now)}))
         return screen
 
     def _new_screen(self, language: str) -> Screen:
-        return Screen(
-            self.live,
-            Voice(self._templates.languages[language], self._templates.formats(language)),
-            lambda bus, unit: self.block(bus, unit),
-            lambda bus, unit, voice, now: self.drift(bus, unit, voice, now),
-            lambda bus: self.recipe(bus),
-        )
+        voice = Voice(self._templates.languages[language], self._templates.formats(language))
+        return Screen(self.live, voice, self._sources)
 
     def join(self, browser: Browser) -> None:
         """A page opened: the whole snapshot first, then diffs."""
@@ -145,15 +144,14 @@ class Hub:
         for readers in self._read():
             screen = readers.screen
             groups = screen.settle(now)
-            held_by = {bus: self.holder(bus) for bus in self.live.buses}
-            said = {"holder": holders(held_by, screen.voice), "memory": self.memory(screen.voice, now)}
-            for held in (screen.put(WHOLE_LINE, said), *self._held(screen)):
+            held_by = {bus: self._sources.guards.holder(bus) for bus in self.live.buses}
+            notices = self._sources.notices(screen.voice, now)
+            totals = {"holder": holders(held_by, screen.voice), "memory": notices}
+            held_fields = [screen.put(bus, {"held_by": holder}) for bus, holder in held_by.items()]
+            for held in (screen.put(WHOLE_LINE, totals), *held_fields):
                 for group, fields in held.items():
                     groups.setdefault(group, {}).update(fields)
             readers.tell(groups, always=True)
-
-    def _held(self, screen: Screen) -> list[Groups]:
-        return [screen.put(bus, {"held_by": self.holder(bus)}) for bus in self.live.buses]
 
     # --- what the workers report -------------------------------------------------------------------
 
@@ -237,28 +235,4 @@ class Hub:
             wish = (units, self._pages.is_traced(bus))
             if self._watched.get(bus, ([], False)) != wish:
                 self._watched[bus] = wish
-                self.watch(bus, *wish)
-
-
-def _unblocked(_bus: str, _unit: int) -> str:
-    return ""
-
-
-def _undrifted(_bus: str, _unit: int, _voice: Voice, _now: float) -> Drifted:
-    return Drifted()
-
-
-def _unloaded(_bus: str) -> None:
-    return None
-
-
-def _unheld(_bus: str) -> str:
-    return ""
-
-
-def _unforgetting(_voice: Voice, _now: float) -> str:
-    return ""
-
-
-def _unwatched(_bus: str, _units: list[int], _trace: bool) -> None:
-    return None
+                self._watch(bus, *wish)

@@ -13,6 +13,7 @@ from starlette.responses import JSONResponse, RedirectResponse, Response
 
 from app.web.access import public
 from app.web.assets import Assets
+from app.web.services import service_of
 from app.web.templating import render, templates_of
 
 router = APIRouter(dependencies=[Depends(public)], include_in_schema=False)
@@ -25,11 +26,6 @@ KEPT = (
 OFFLINE = "/offline"
 
 
-def _assets(request: Request) -> Assets:
-    assets: Assets = request.app.state.services.assets
-    return assets
-
-
 def _is_unreal(request: Request) -> bool:
     shown = templates_of(request).environment("en").globals
     return bool(shown["demo"]) or bool(getattr(shown["site"], "simulated", False))
@@ -38,7 +34,7 @@ def _is_unreal(request: Request) -> bool:
 @router.get("/manifest.webmanifest")
 async def manifest(request: Request) -> Response:
     """The app's name, colours and icons; another name and icon where no drive is connected."""
-    assets, unreal = _assets(request), _is_unreal(request)
+    assets, unreal = service_of(request, Assets), _is_unreal(request)
     site = templates_of(request).environment("en").globals["site"]
     name = getattr(site, "name", "Lineside")
     icon = "icons/lineside-unreal" if unreal else "icons/lineside"
@@ -64,7 +60,7 @@ async def manifest(request: Request) -> Response:
 @router.get("/sw.js")
 async def service_worker(request: Request) -> Response:
     """The service worker, for the whole site; it changes with the assets."""
-    assets = _assets(request)
+    assets = service_of(request, Assets)
     kept = json.dumps([assets.url(name) for name in KEPT])
     head = f"const OFFLINE = {json.dumps(OFFLINE)};\nconst KEPT = {kept};\n"
     body = head.encode() + assets.get("js/sw.js").body
@@ -81,4 +77,4 @@ async def offline(request: Request) -> Response:
 async def favicon(request: Request) -> Response:
     """For browsers that ask without reading the page."""
     icon = "icons/lineside-unreal.svg" if _is_unreal(request) else "icons/lineside.svg"
-    return RedirectResponse(_assets(request).url(icon))
+    return RedirectResponse(service_of(request, Assets).url(icon))

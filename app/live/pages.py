@@ -11,13 +11,14 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.live.bus_live import DECIMALS
-from app.live.fields import MAX_DISPLAY, unit_key
-from app.live.socket import hub_of
+from app.live.fields import unit_key
+from app.live.hub import Hub
 from app.live.state import BusLive, UnitLive
 from app.live.totals import strip_of
 from app.web.access import Viewer
+from app.web.services import service_of
 from app.web.templating import render, templates_of
+from bus.catalogue.numbers import DECIMALS, MAX_DISPLAY
 from bus.settings import UnitLabels
 
 router = APIRouter(include_in_schema=False)
@@ -73,7 +74,7 @@ class BusOnLine:
 @router.get("/")
 async def line(request: Request, _: Viewer, view: Choice | None = None) -> Response:
     """Every unit in floor order, what is abnormal first."""
-    hub = hub_of(request)
+    hub = service_of(request, Hub)
     screen = hub.screen(templates_of(request).language_of(request).tag)
     chosen = view or _remembered(request)
     buses = [_bus_on_line(name, bus) for name, bus in hub.live.buses.items()]

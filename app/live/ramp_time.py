@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from app.live.bus_live import UnitLive, follower
-
-MAX_DISPLAY, ACCELERATION, DECELERATION = 2, 6, 7
+from bus.catalogue.numbers import ACCELERATION, DECELERATION, MAX_DISPLAY
 
 
 def ramp_parameter(old: int | None, new: int) -> int:

@@ -7,14 +7,14 @@ fields that are different now.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from app.live.abnormal import UnitView, shown_cause
 from app.live.age import unit_link_now
 from app.live.cause_text import cause_line, check_text, sentence
 from app.live.fields import Fields, Voice, bus_fields, unit_fields, unit_key
+from app.live.sources import Sources
 from app.live.state import BusLive, LiveState, UnitLive
 from app.live.totals import Entry, entries_of, line_fields
 
@@ -23,23 +23,8 @@ WHOLE_LINE = "whole_line"
 """The group of the totals: a name that no bus can have (a slug holds no underscore)."""
 _DECIDES = {"link", "state", "level", "cause"}
 """A change of these in a unit may change the strip and the totals of the line."""
-Block = Callable[[str, int], str]
-"""The reason why a unit is blocked, by bus and address; empty where it is not."""
-Drift = Callable[[str, int, Voice, float], "Drifted"]
-"""How a unit departs from its golden set, by bus and address, for a moment."""
-Recipe = Callable[[str], tuple[str, list[str]] | None]
-"""The recipe that a bus was loaded with, and the names of the units that have departed from it since."""
-
 MOST_DEPARTED = 3
 """Named one by one; more are a number, and the page of recipes has them all."""
-
-
-class Drifted(NamedTuple):
-    """In which parameters a unit departs from its golden set and who did that: ``words`` for the line, and a
-    ``key`` that is another whenever the list on the unit's page is. Both empty where nothing is golden."""
-
-    words: str = ""
-    key: str = ""
 
 
 @dataclass(slots=True)
@@ -48,9 +33,7 @@ class Screen:
 
     live: LiveState
     voice: Voice
-    block: Block
-    drift: Drift
-    recipe: Recipe
+    sources: Sources
     shown: Groups = field(default_factory=dict)
     entries: list[Entry] = field(default_factory=list)
     _views: dict[str, UnitView] = field(default_factory=dict)
@@ -111,8 +94,8 @@ class Screen:
 
     def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: float) -> Fields:
         number = unit.settings.id
-        blocked = self.block(bus_name, number)
-        drifted = self.drift(bus_name, number, self.voice, now)
+        blocked = self.sources.guards.block_reason(bus_name, number)
+        drifted = self.sources.drift.summary(bus_name, number, self.voice, now)
         cause = shown_cause(bus, unit, now, blocked=blocked, drifted=drifted.words)
         view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
         self._views[unit_key(bus_name, number)] = view
@@ -128,7 +111,7 @@ class Screen:
         }
 
     def _recipe(self, bus_name: str) -> str:
-        loaded = self.recipe(bus_name)
+        loaded = self.sources.recipes.loaded_words(bus_name)
         if loaded is None:
             return ""
         name, departed = loaded

@@ -12,7 +12,6 @@ from typing import Annotated, Literal
 
 import msgspec
 from fastapi import APIRouter, WebSocket
-from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocketDisconnect
 
 from app.errors import Problem
@@ -21,6 +20,7 @@ from app.live.hub import Hub
 from app.server.addresses import source_of
 from app.server.frames import outlet_of
 from app.web.access import Person, Role, Viewer
+from app.web.services import service_of
 from app.web.templating import templates_of
 from bus.bucket import Bucket
 
@@ -47,16 +47,10 @@ class Said(msgspec.Struct, forbid_unknown_fields=True):
 _decoder = msgspec.json.Decoder(Said)
 
 
-def hub_of(connection: HTTPConnection) -> Hub:
-    """The app's hub."""
-    hub: Hub = connection.app.state.services.hub
-    return hub
-
-
 @router.websocket("/live")
 async def live(websocket: WebSocket, person: Viewer, language: str = "") -> None:
     """One page from its opening to its end. ``language``: the page's own, so that both are the same."""
-    hub, address = hub_of(websocket), source_of(websocket.client.host if websocket.client else "")
+    hub, address = service_of(websocket, Hub), source_of(websocket.client.host if websocket.client else "")
     if not hub.admission.enter(person.account, address, time.monotonic()):
         raise Problem(429, "too_many", "too many pages are open; close some").with_headers(Retry_After="10")
     try:

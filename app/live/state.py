@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterable, Sequence
 
 import structlog
 
-from app.live.bus_live import MODE, BusLive, UnitLive, follower, never_seen
+from app.live.bus_live import BusLive, UnitLive, follower, never_seen
 from app.live.onset import Onset
 from app.live.snapshot import updates_of
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, Snapshot, Staged, UnitLink, Update
 from bus.settings import BusSettings
 
-__all__ = ["MODE", "NO_WORKER", "BusLive", "LiveState", "Subscriber", "UnitLive", "follower"]
+__all__ = ["NO_WORKER", "BusLive", "LiveState", "Subscriber", "UnitLive", "follower"]
 
 log = structlog.get_logger()
 

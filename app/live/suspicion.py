@@ -8,7 +8,7 @@ address decoder looks like the right one. Two things speak: the address that who
 from __future__ import annotations
 
 from app.live.state import BusLive, UnitLive
-from bus.catalogue.parameters import OWN_ADDRESS
+from bus.catalogue.numbers import OWN_ADDRESS
 
 
 def suspicion(bus: BusLive, unit: UnitLive) -> str:

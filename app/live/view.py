@@ -18,6 +18,14 @@ from app.live.fields import Voice
 from app.live.state import BusLive, LiveState, UnitLive, follower
 from app.live.suspicion import suspicion
 from app.web.shape import iso
+from bus.catalogue.numbers import (
+    ANALOG_IN_HIGH,
+    ANALOG_IN_LOW,
+    AT_SPEED_WINDOW,
+    DECIMALS,
+    MAX_DISPLAY,
+    MAX_RPM,
+)
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import (
     analog_input_value,
@@ -33,7 +41,6 @@ Json = dict[str, Any]
 BlockReason = Callable[[str, int], str]
 """Why a unit of a bus is blocked; empty when it is not."""
 
-MAX_RPM, MAX_DISPLAY, DECIMALS, WINDOW, ANALOG_LOW, ANALOG_HIGH = 1, 2, 3, 12, 22, 23
 _NEVER_READ = dict.fromkeys(
     (
         *(
@@ -82,7 +89,7 @@ def bus_json(bus: BusLive, now: float, block: BlockReason, english: Voice) -> Js
 
 def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason, english: Voice) -> Json:
     """One unit with the age of what it said, by the server's clock."""
-    window = unit.parameter_raw(WINDOW)
+    window = unit.parameter_raw(AT_SPEED_WINDOW)
     shown: Json = {
         "id": unit.settings.id,
         "name": unit.settings.name,
@@ -191,5 +198,5 @@ def _rpm(unit: UnitLive, raw: int) -> float | None:
 
 
 def _analog(unit: UnitLive, atd: int) -> float | None:
-    low, high = unit.parameter_raw(ANALOG_LOW), unit.parameter_raw(ANALOG_HIGH)
+    low, high = unit.parameter_raw(ANALOG_IN_LOW), unit.parameter_raw(ANALOG_IN_HIGH)
     return None if low is None or high is None else round(analog_input_value(atd, low, high), 6)

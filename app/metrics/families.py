@@ -8,10 +8,8 @@ from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_l
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from app.audit.anchoring import AnchorStatus
-from app.live.hub import Hub
-from app.live.state import BusLive, LiveState
-from app.metrics.counts import Counts
+from app.live.bus_live import BusLive
+from app.metrics.measured import MetricSources
 from bus.contract import UnitFigures
 
 CONTENT_TYPE = CONTENT_TYPE_LATEST
@@ -27,22 +25,21 @@ _COUNTED = {
 class _Line(Collector):
     """One reading of everything."""
 
-    def __init__(self, live: LiveState, hub: Hub, counts: Counts, anchor: AnchorStatus) -> None:
-        self._live = live
-        self._anchor = anchor
-        self._hub = hub
-        self._counts = counts
+    def __init__(self, measured: MetricSources) -> None:
+        self._measured = measured
 
     def collect(self) -> Iterator[Metric]:
         """The families of metrics."""
-        yield from _of_units(self._live.buses.items())
-        yield from _of_buses(self._live.buses.items())
-        yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=self._hub.connected)
+        measured = self._measured
+        yield from _of_units(measured.live.buses.items())
+        yield from _of_buses(measured.live.buses.items())
+        yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=measured.hub.connected)
         commands = CounterMetricFamily("lineside_commands", "Commands by their fate", labels=["outcome"])
-        for outcome, count in self._counts.commands.items():
+        for outcome, count in measured.counts.commands.items():
             commands.add_metric([outcome], count)
         yield commands
-        degraded = 1 if self._anchor.altered or self._anchor.unwritten else 0
+        anchor = measured.anchor()
+        degraded = 1 if anchor.altered or anchor.unwritten else 0
         words = "1 while the audit log is not anchored, or was altered after it was"
         yield GaugeMetricFamily("lineside_audit_degraded", words, value=degraded)
 
@@ -77,8 +74,8 @@ def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
     yield from (is_open, scan, use)
 
 
-def text(live: LiveState, hub: Hub, counts: Counts, anchor: AnchorStatus) -> bytes:
+def text(measured: MetricSources) -> bytes:
     """All of it, as Prometheus reads it."""
     registry = CollectorRegistry()
-    registry.register(_Line(live, hub, counts, anchor))
+    registry.register(_Line(measured))
     return generate_latest(registry)

@@ -45,7 +45,7 @@ class LoadRecipe(Strict):
     confirm: bool = False
 
 
-Book = Annotated[RecipeBook, service("recipes")]
+Book = Annotated[RecipeBook, service(RecipeBook)]
 
 
 @router.get("/recipes")

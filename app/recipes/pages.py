@@ -22,12 +22,12 @@ from app.recipes.api import Book, recipe_or_404
 from app.recipes.rules import Setpoint, present_raw, setpoint_kind, setpoint_text
 from app.web.access import Engineer, Person, Viewer
 from app.web.templating import render
+from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError
 from bus.text import Lines, OneLine
 
 router = APIRouter(include_in_schema=False)
-_DECIMALS = 3
 
 
 @router.get("/recipes")
@@ -152,7 +152,7 @@ def _present(bus: BusLive) -> dict[int, str]:
 
 def _raw(bus: BusLive, number: int, text: str) -> int:
     unit = bus.units[number]
-    kind, decimals = setpoint_kind(unit), unit.parameter_raw(_DECIMALS)
+    kind, decimals = setpoint_kind(unit), unit.parameter_raw(DECIMALS)
     if kind is None or decimals is None:
         raise Problem(
             422, "invalid", f"{unit.settings.name} has not told its decimals (#3) and mode (#8) yet"

@@ -10,12 +10,12 @@ from app.commands.measure import measure_of_setpoint
 from app.commands.ramp import ramp_of
 from app.commands.risks import Facts, Remark, facts_of, obstacle_of, risks_of
 from app.live.state import BusLive, UnitLive
+from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
 from bus.catalogue.values import ratio_text, speed_text
 from bus.contract.durations import change_s
 
 Kind = Literal["speed", "ratio"]
 
-_DECIMALS, _MODE, _RATIO = 3, 8, 37
 NOT_CONFIGURED = "not in the configuration"
 
 
@@ -99,7 +99,7 @@ class Departure:
 
 def setpoint_kind(unit: UnitLive) -> Kind | None:
     """What a setpoint of this unit is: by #8, None while that has not been read."""
-    mode = unit.parameter_raw(_MODE)
+    mode = unit.parameter_raw(FOLLOWER_MODE)
     if mode is None:
         return None
     return "speed" if mode == 0 else "ratio"
@@ -109,7 +109,7 @@ def setpoint_text(unit: UnitLive, setpoint: Setpoint) -> str:
     """The setpoint as the unit would show it; the bare integer while its decimals are not known."""
     if setpoint.kind == "ratio":
         return ratio_text(setpoint.raw)
-    decimals = unit.parameter_raw(_DECIMALS)
+    decimals = unit.parameter_raw(DECIMALS)
     return str(setpoint.raw) if decimals is None else speed_text(setpoint.raw, decimals)
 
 
@@ -191,7 +191,7 @@ def _present_text(unit: UnitLive, kind: Kind) -> str:
 def present_raw(unit: UnitLive, kind: Kind) -> int | None:
     """What the unit is commanded now: CS of its last answer, or #37 for a ratio."""
     if kind == "ratio":
-        return unit.parameter_raw(_RATIO)
+        return unit.parameter_raw(RATIO_SETPOINT)
     return unit.reading.commanded if unit.reading is not None else None
 
 
@@ -211,7 +211,7 @@ def _told_since(unit: UnitLive, kind: Kind, moment: float) -> bool:
     """#37 is read in the slow circle: what it said before the recipe was loaded says nothing about it."""
     if kind == "speed":
         return unit.reading is not None
-    read = unit.parameters.get(_RATIO)
+    read = unit.parameters.get(RATIO_SETPOINT)
     return read is not None and read.at > moment
 
 

@@ -63,8 +63,8 @@ class Schedule(Strict):
     minute_of_day: Annotated[int, Field(ge=0, le=1439)] | None
 
 
-Keeper = Annotated[SetKeeper, service("sets")]
-Schedules = Annotated[SetSchedule, service("set_schedule")]
+Keeper = Annotated[SetKeeper, service(SetKeeper)]
+Schedules = Annotated[SetSchedule, service(SetSchedule)]
 
 
 @router.get("/sets")

@@ -14,14 +14,14 @@ from app.sets.compare import with_unit
 from app.sets.effects import warning_of
 from app.sets.reading import known_rows, status_of
 from app.web.access import Person
+from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.parameter import check_writable_value
 from bus.catalogue.parameters import PARAMETERS, Parameter
 from bus.catalogue.status import StatusBits
-from bus.catalogue.values import parameter_raw
+from bus.catalogue.values import is_follower, parameter_raw
 from bus.contract import ReadParameters, WriteParameter
 from bus.errors import CallerError
 
-_DECIMALS, _MODE = 3, 8
 _OF_THE_PERSON = frozenset({"rights_withdrawn", "controlled"})
 """Refusals that hold for every other unit too."""
 _LEARN_WITHIN_S = 10.0
@@ -124,8 +124,8 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
         wanted = parameter_raw(
             parameter,
             typed,
-            unit.parameter_raw(_DECIMALS),
-            follower=unit.parameter_raw(_MODE) in (1, 2),
+            unit.parameter_raw(DECIMALS),
+            follower=is_follower(unit.parameter_raw(FOLLOWER_MODE)),
         )
         check_writable_value(parameter, wanted)
     except CallerError as error:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 from fastapi import APIRouter, Request, Response
 from starlette.datastructures import FormData
 
-from app.commands.desk import Desk
+from app.commands.writer import AskDesk
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404
@@ -15,13 +13,10 @@ from app.sets.batch import learn, refuse_moved, rows_of_batch, write_batch
 from app.sets.effects import EFFECT_TEXTS, OPERATING_VALUES
 from app.web.access import Engineer
 from app.web.numbers import whole_number
-from app.web.services import service
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS, Parameter
 
 router = APIRouter(include_in_schema=False)
-
-AskDesk = Annotated[Desk, service("desk")]
 
 
 @router.get("/batch/{bus}")

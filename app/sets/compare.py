@@ -7,12 +7,12 @@ from typing import Literal
 
 from app.sets.effects import OPERATING_VALUES
 from app.sets.model import Row, UnitRows
+from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.parameters import PARAMETERS, Parameter
-from bus.catalogue.values import parameter_text, parameter_unit
+from bus.catalogue.values import is_follower, parameter_text, parameter_unit
 
 Kind = Literal["equal", "differs", "unavailable", "unknown"]
 
-_DECIMALS, _MODE = 3, 8
 _MEANINGS: dict[int, str] = {
     1: "full scale is {new} instead of {old}",
     2: "shows {new} at full scale instead of {old}",
@@ -118,6 +118,6 @@ def with_unit(parameter: Parameter, raw: int, rows: UnitRows) -> str:
     """``50`` of #6 → ``5.0 s``, by the decimals (#3) and the mode (#8) that ``rows`` hold."""
     if raw in parameter.choices:
         return parameter.choices[raw]
-    follower = rows.raw(_MODE) in (1, 2)
-    text = parameter_text(parameter, raw, rows.raw(_DECIMALS), follower=follower)
+    follower = is_follower(rows.raw(FOLLOWER_MODE))
+    text = parameter_text(parameter, raw, rows.raw(DECIMALS), follower=follower)
     return f"{text} {parameter_unit(parameter)}".strip()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from app.audit.log import Event, EventLog
 from app.live.fields import Voice
-from app.live.screen import Drifted
+from app.live.sources import Drifted, UnitSubscriber
 from app.live.state import LiveState
 from app.sets.background import Background
 from app.sets.changers import who_changed
@@ -46,7 +46,7 @@ class Departure:
 
 
 class Drifts:
-    """One for the app. ``on_change`` is told of a unit whose departures are other than they were."""
+    """Compares every unit that has a golden set with it as its parameters are read."""
 
     def __init__(self, state: LiveState, store: SetStore, events: EventLog) -> None:
         self._state = state
@@ -55,8 +55,12 @@ class Drifts:
         self._golden: dict[Key, UnitRows] = {}
         self._found: dict[Key, dict[int, Departure]] = {}
         self._background = Background()
-        self.on_change: Callable[[str, int], None] | None = None
+        self._subscribers: list[UnitSubscriber] = []
         state.subscribe(self._see)
+
+    def on_change(self, subscriber: UnitSubscriber) -> None:
+        """Call ``subscriber`` when the departures of a unit have changed."""
+        self._subscribers.append(subscriber)
 
     async def load(self) -> None:
         """Read which sets are golden; once at start, and after a mark has moved."""
@@ -91,7 +95,7 @@ class Drifts:
         known = self._state.buses[bus].units[unit].parameters
         return sum(number not in known for number in PARAMETERS)
 
-    def told(self, bus: str, unit: int, voice: Voice, now: float) -> Drifted:
+    def summary(self, bus: str, unit: int, voice: Voice, now: float) -> Drifted:
         """The same for the line, and what the list of them on the unit's page depends on."""
         if (bus, unit) not in self._golden:
             return Drifted()
@@ -128,8 +132,9 @@ class Drifts:
             present = self._found.get((bus, unit), {})
             if one.row.number in present and one.same(present[one.row.number]):
                 present[one.row.number] = Departure(one.row, change, traced=True)
-        if self.on_change is not None and self.of(bus, unit) != before:
-            self.on_change(bus, unit)
+        if self.of(bus, unit) != before:
+            for subscriber in self._subscribers:
+                subscriber(bus, unit)
 
 
 def _known_before(departure: Departure, before: dict[int, Departure]) -> Departure:

@@ -5,30 +5,34 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Literal
 
-from app.live.ramp_time import ACCELERATION, DECELERATION
+from bus.catalogue import numbers
 
 Effect = Literal[
     "setpoint", "speed_scale", "ramp", "contact", "ratio_limit", "meaning", "analog_output", "unknown"
 ]
 
-OPERATING_VALUES = frozenset({20, 37})
+OPERATING_VALUES = frozenset({numbers.SPEED_SETPOINT, numbers.RATIO_SETPOINT})
 """The setpoints. Operators change them every shift: they are no drift, and a restore writes one only when a
 person has chosen it by itself."""
 
 _PARAMETERS: Mapping[Effect, Collection[int]] = {
     "setpoint": OPERATING_VALUES,
     # The motor speed is the setpoint * #1 / #2, by the pulses of #5, and #4 in a follower (protocol.md, 3).
-    "speed_scale": (1, 2, 4, 5),
-    "ramp": (ACCELERATION, DECELERATION),
-    "contact": (9, 10, 11, 13),
-    "ratio_limit": (31, 38),
-    "meaning": (3, 8),
-    "analog_output": (28, 29, 30),
+    "speed_scale": (numbers.MAX_RPM, numbers.MAX_DISPLAY, numbers.BASE_RATIO, numbers.ENCODER_PPR),
+    "ramp": (numbers.ACCELERATION, numbers.DECELERATION),
+    "contact": (numbers.PRESET_SPEED, numbers.JUMP_UP, numbers.JUMP_DOWN, numbers.JUMP_MODE),
+    "ratio_limit": (numbers.MAX_RATIO, numbers.MIN_RATIO),
+    "meaning": (numbers.DECIMALS, numbers.FOLLOWER_MODE),
+    "analog_output": (numbers.ANALOG_OUT_SOURCE, numbers.ANALOG_OUT_LOW, numbers.ANALOG_OUT_HIGH),
     # The manual names these and does not explain them (4.0); inputs and trim may act on the speed.
-    "unknown": (14, 26, 32, 33, 34, 35, 36),
+    "unknown": (
+        *(numbers.FREEZE_MODE, numbers.ANALOG_IN_TRIM, numbers.INSTALLED_OPTION),
+        *(numbers.PRESET_INPUT_MODE, numbers.REVERSE_INPUT_MODE),
+        *(numbers.UP_INPUT_MODE, numbers.DOWN_INPUT_MODE),
+    ),
 }
 EFFECTS: Mapping[int, Effect] = {
-    number: effect for effect, numbers in _PARAMETERS.items() for number in numbers
+    number: effect for effect, affecting in _PARAMETERS.items() for number in affecting
 }
 """By number the effect on a running unit; a parameter that is not listed changes nothing at the machine."""
 

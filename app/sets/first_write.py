@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from datetime import date, datetime
+from typing import Protocol
 
 import structlog
 
+from app.commands.desk import WriteSubscriber
 from app.errors import Problem, StoreError
 from app.live.state import LiveState
 from app.sets.background import Background
@@ -20,15 +22,26 @@ from bus.catalogue.parameters import PARAMETERS
 _log = structlog.get_logger(__name__)
 
 
-class FirstWrites:
-    """One for the app. ``clock`` gives the local time with its zone: a day begins at its midnight."""
+class Writes(Protocol):
+    """Announces each write before it is sent."""
 
-    def __init__(self, state: LiveState, keeper: SetKeeper, clock: Callable[[], datetime]) -> None:
+    def on_write(self, subscriber: WriteSubscriber) -> None:
+        """Call and await ``subscriber`` before each write."""
+
+
+class FirstWrites:
+    """Stores a set before the first write of a day. ``clock`` returns the local time with its zone: a day
+    begins at its midnight."""
+
+    def __init__(
+        self, state: LiveState, writes: Writes, keeper: SetKeeper, clock: Callable[[], datetime]
+    ) -> None:
         self._state = state
         self._keeper = keeper
         self._clock = clock
         self._kept: dict[tuple[str, int], date] = {}
         self._background = Background()
+        writes.on_write(self.before)
 
     async def settled(self) -> None:
         """Until all is stored."""

@@ -11,17 +11,29 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 
+from bus.catalogue import numbers
+
 INVERSE_FOLLOWER = 2
 """#8 of a unit that slows down as its ratio goes up (manual, 4.0)."""
-_ALLOW_SETUP_DURING_RUN = 16
-_MEANING = (3, 8)
-_MAXIMA, _MINIMA = frozenset({2, 31}), frozenset({38})
-_FASTER_UPWARD, _SLOWER_UPWARD = frozenset({1, 4, 5, 9, 10, 20, 37}), frozenset({11})
+_MEANING = (numbers.DECIMALS, numbers.FOLLOWER_MODE)
+_MAXIMA, _MINIMA = frozenset({numbers.MAX_DISPLAY, numbers.MAX_RATIO}), frozenset({numbers.MIN_RATIO})
+_FASTER_UPWARD = frozenset(
+    {
+        numbers.MAX_RPM,
+        numbers.BASE_RATIO,
+        numbers.ENCODER_PPR,
+        numbers.PRESET_SPEED,
+        numbers.JUMP_UP,
+        numbers.SPEED_SETPOINT,
+        numbers.RATIO_SETPOINT,
+    }
+)
+_SLOWER_UPWARD = frozenset({numbers.JUMP_DOWN})
 """The motor speed is the setpoint * #1 / #2 by the pulses of #5; in a follower that of the master * #4 * #37.
 #2 is among the bounds. #9 to #11 take the place of the setpoint, or move it, while their inputs are on."""
-_ENDS_TALK = (21, 27, 18, 19)
+_ENDS_TALK = (numbers.PASSWORD, numbers.PROTOCOL, numbers.BAUD_RATE, numbers.CONTROL_MODE)
 """What may end the conversation comes when everything else is done."""
-_BOUNDS = ((22, 23), (29, 30))
+_BOUNDS = ((numbers.ANALOG_IN_LOW, numbers.ANALOG_IN_HIGH), (numbers.ANALOG_OUT_LOW, numbers.ANALOG_OUT_HIGH))
 """(low, high) pairs whose ends bound each other and nothing else."""
 
 
@@ -70,14 +82,14 @@ def _rank(write: Write, mode: int | None) -> tuple[_Step, int]:
 
 def _step(write: Write, mode: int | None) -> _Step:
     number = write.number
-    if number == _ALLOW_SETUP_DURING_RUN:
+    if number == numbers.SETUP_DURING_RUN:
         return _Step.ALLOW_SETUP if write.wanted else _Step.FORBID_SETUP
     if number in _MAXIMA:
         return _Step.WIDEN if write.up else _Step.NARROW
     if number in _MINIMA:
         return _Step.NARROW if write.up else _Step.WIDEN
     if number in _FASTER_UPWARD | _SLOWER_UPWARD:
-        inverse = number in _SLOWER_UPWARD or (number == 37 and mode == INVERSE_FOLLOWER)
+        inverse = number in _SLOWER_UPWARD or (number == numbers.RATIO_SETPOINT and mode == INVERSE_FOLLOWER)
         return _Step.FASTER if write.up != inverse else _Step.SLOWER
     return _Step.OTHERS
 

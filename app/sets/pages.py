@@ -25,7 +25,7 @@ from bus.text import Lines, OneLine
 router = APIRouter(include_in_schema=False)
 
 
-Readings = Annotated[Takings, service("takings")]
+Readings = Annotated[Takings, service(Takings)]
 
 MOST_LISTED = 100
 """Sets on one page of the list; each day of a line with a schedule adds some."""

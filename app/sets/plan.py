@@ -10,10 +10,12 @@ from app.sets.effects import EFFECT_TEXTS, OPERATING_VALUES
 from app.sets.model import UnitRows
 from app.sets.order import Write, in_order
 from app.sets.selection import EVERYTHING_HARMLESS, Selection
+from bus.catalogue.numbers import CONTROL_MODE, FOLLOWER_MODE
 from bus.catalogue.parameters import PARAMETERS, check_writable_value, danger_of_writing
 from bus.errors import CallerError
 
-_MODE, _CONTROL, _REMOTE = 8, 19, 1
+_REMOTE = 1
+"""#19 of a unit that takes writes (manual, 4.0)."""
 NOT_IN_REMOTE = (
     "the unit is not in REMOTE and refuses every write; set #19 to 1 at its keypad, then plan again"
 )
@@ -76,7 +78,7 @@ def plan_restore(
     writes: list[Write] = []
     left_out: list[LeftOut] = []
     equal = 0
-    refuses = remote is False or (remote is None and present.raw(_CONTROL) not in (None, _REMOTE))
+    refuses = remote is False or (remote is None and present.raw(CONTROL_MODE) not in (None, _REMOTE))
     for number in PARAMETERS:
         new, old = wanted.raw(number), present.raw(number)
         if new is not None and new == old:
@@ -90,7 +92,7 @@ def plan_restore(
             left_out.append(why)
         elif new is not None and old is not None:
             writes.append(Write(number, old, new))
-    return RestorePlan(in_order(writes, mode=present.raw(_MODE)), tuple(left_out), equal)
+    return RestorePlan(in_order(writes, mode=present.raw(FOLLOWER_MODE)), tuple(left_out), equal)
 
 
 def refuse_unwritable(plan: RestorePlan, selection: Selection) -> None:
@@ -119,7 +121,7 @@ def _why_not(number: int, wanted: UnitRows, present: UnitRows, *, running: bool)
         return LeftOut(number, "not_in_unit", "this unit does not have it")
     if there is None or there.raw is None:
         return LeftOut(number, "not_read", "it could not be read from the unit")
-    if number == _MODE and running:
+    if number == FOLLOWER_MODE and running:
         return LeftOut(number, "running", "no change while Run is on")
     try:
         check_writable_value(parameter, asked.raw)

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from app.sets.effects import warning_of
 from app.sets.model import UnitRows
 from app.sets.order import Write
+from bus.catalogue.numbers import FOLLOWER_MODE
 from bus.catalogue.parameters import PARAMETERS
 
-_MODE = 8
 RUNS = "the unit runs: the marked rows change what the machine does at once"
 MAY_RUN = "it is not known whether the unit runs: the marked rows may change what the machine does at once"
 
@@ -36,7 +36,7 @@ def _origin(wanted: UnitRows, present: UnitRows) -> list[str]:
 
 def _kind(wanted: UnitRows, present: UnitRows) -> list[str]:
     found: list[str] = []
-    kinds = [rows.raw(_MODE) for rows in (wanted, present)]
+    kinds = [rows.raw(FOLLOWER_MODE) for rows in (wanted, present)]
     if None not in kinds and (kinds[0] == 0) != (kinds[1] == 0):
         found.append(
             "the set is of a master, this unit follows by ratio (#8): another type of section"

@@ -26,6 +26,8 @@ from app.sets.restore_store import RestoreStore
 from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from app.web.access import Person
 
+EndSubscriber = Callable[[Restore], Awaitable[None]]
+
 _log = structlog.get_logger(__name__)
 
 _KEEP_FINISHED = 50
@@ -42,8 +44,11 @@ class RestoreDesk:
         self._store = store
         self._restores: dict[str, Restore] = {}
         self._background = Background()
-        self.on_end: Callable[[Restore], Awaitable[None]] | None = None
-        """Who wants to know that a restore is over."""
+        self._end_subscribers: list[EndSubscriber] = []
+
+    def on_end(self, subscriber: EndSubscriber) -> None:
+        """Call ``subscriber`` with each restore that has ended."""
+        self._end_subscribers.append(subscriber)
 
     async def find(self, restore_id: str) -> Restore | None:
         """A restore planned since the server started, or begun at any time."""
@@ -140,8 +145,8 @@ class RestoreDesk:
         try:
             await self._store.end(restore)
             await self._record(restore)
-            if self.on_end is not None:
-                await self.on_end(restore)
+            for subscriber in self._end_subscribers:
+                await subscriber(restore)
         except StoreError as error:
             restore.cause = f"{restore.cause}; {error}" if restore.cause else str(error)
 

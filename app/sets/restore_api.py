@@ -24,7 +24,7 @@ from app.web.shape import Numbers, Strict
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
 
-Restores = Annotated[RestoreDesk, service("restores")]
+Restores = Annotated[RestoreDesk, service(RestoreDesk)]
 Included = Annotated[
     Numbers, Field(description="rows that are left out unless named: the setpoints #20 and #37")
 ]

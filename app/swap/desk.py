@@ -5,33 +5,48 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 from app.audit.log import EventLog
 from app.errors import Problem
 from app.sets.model import ParameterSet
+from app.sets.restore import EndSubscriber
 from app.sets.restore_record import Restore
 from app.swap.record import Source, Swap
 from app.swap.rules import Advice, Sight
-from app.swap.store import FindRestore, SwapStore
+from app.swap.store import SwapStore
 from app.web.access import Person
 
 LOOK_WAIT_S = 2.0
 """How long a page waits for a look before it is told what the last one showed."""
 
 
-class SwapDesk:
-    """One for the app. A swap that nobody ends goes on until the next of its unit."""
+class RestoreLookup(Protocol):
+    """The restores that swaps lead to."""
 
-    def __init__(self, events: EventLog, store: SwapStore, clock: Callable[[], float]) -> None:
+    async def find(self, restore_id: str) -> Restore | None:
+        """A restore by its id; None where there is none."""
+
+    def on_end(self, subscriber: EndSubscriber) -> None:
+        """Call ``subscriber`` with each restore that has ended."""
+
+
+class SwapDesk:
+    """Keeps the swap of each unit, until it is ended or another of the unit begins."""
+
+    def __init__(
+        self, events: EventLog, store: SwapStore, restores: RestoreLookup, clock: Callable[[], float]
+    ) -> None:
         self._events = events
         self._store = store
         self._clock = clock
         self._swaps: dict[tuple[str, int], Swap] = {}
+        self._restores = restores
+        restores.on_end(self.ended)
 
-    async def load(self, find_restore: FindRestore) -> None:
+    async def load(self) -> None:
         """Once at start, after the restores: what was under way when the server ended."""
-        for swap in await self._store.load(find_restore):
+        for swap in await self._store.load(self._restores.find):
             self._swaps[swap.bus, swap.unit] = swap
 
     def of(self, bus: str, unit: int) -> Swap | None:

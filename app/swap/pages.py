@@ -8,6 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Request, Response
 
 from app.commands.desk import Desk
+from app.commands.writer import AskDesk
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import unit_or_404
@@ -30,8 +31,7 @@ from app.web.templating import render
 router = APIRouter(include_in_schema=False)
 
 
-AskDesk = Annotated[Desk, service("desk")]
-Swaps = Annotated[SwapDesk, service("swaps")]
+Swaps = Annotated[SwapDesk, service(SwapDesk)]
 
 
 @router.get("/swap/{bus}/{unit}")

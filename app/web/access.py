@@ -6,7 +6,7 @@ not start otherwise (`app.web.routes`). The person is put into the ASGI scope by
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Literal
@@ -19,6 +19,8 @@ from app.web.arrival import refuse_late
 from bus.errors import CallerError
 
 Via = Literal["session", "token", "worker", "demo"]
+AccountSubscriber = Callable[[str], Awaitable[None]]
+"""Called with an account of which something changed."""
 
 
 class Role(StrEnum):

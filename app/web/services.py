@@ -1,12 +1,33 @@
-"""How a route reaches one of the app's services, by the name that it has among them."""
+"""How a route reaches one of the app's services: by its type."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any, TypeVar
 
 from fastapi import Depends
 from starlette.requests import HTTPConnection
+
+S = TypeVar("S")
+
+
+class Registry:
+    """The services of an app, one of each type."""
+
+    def __init__(self, services: Iterable[object]) -> None:
+        self._services = {type(each): each for each in services}
+
+    def __getitem__(self, kind: type[S]) -> S:
+        found = self._services[kind]
+        assert isinstance(found, kind)
+        return found
+
+
+def service_of(connection: HTTPConnection, kind: type[S]) -> S:
+    """The service of this type."""
+    registry: Registry = connection.app.state.registry
+    return registry[kind]
 
 
 def looked_up(find: Callable[[HTTPConnection], Any]) -> Any:
@@ -19,6 +40,6 @@ def looked_up(find: Callable[[HTTPConnection], Any]) -> Any:
     return Depends(look_up)
 
 
-def service(name: str) -> Any:
-    """A dependency of FastAPI: ``Keeper = Annotated[SetKeeper, service("sets")]``."""
-    return looked_up(lambda connection: getattr(connection.app.state.services, name))
+def service(kind: type[Any]) -> Any:
+    """A dependency of FastAPI: ``Keeper = Annotated[SetKeeper, service(SetKeeper)]``."""
+    return looked_up(partial(service_of, kind=kind))

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from time import time
-from typing import Any, cast
+from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from starlette.requests import HTTPConnection
@@ -18,6 +18,7 @@ from app.web.assets import Assets
 from app.web.compiled import Compiled
 from app.web.formats import Formats
 from app.web.languages import Language, Languages
+from app.web.services import service_of
 
 
 class Templates:
@@ -92,7 +93,7 @@ class Templates:
 
 def templates_of(connection: HTTPConnection) -> Templates:
     """The app's templates."""
-    return cast(Templates, connection.app.state.services.templates)
+    return service_of(connection, Templates)
 
 
 def render(

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from bus.catalogue import numbers
 from bus.catalogue.parameter import (
     IllegalValue,
     Parameter,
@@ -22,7 +23,6 @@ from bus.catalogue.parameter import (
 __all__ = [
     "NEEDED_TO_JUDGE",
     "NEEDED_TO_SHOW",
-    "OWN_ADDRESS",
     "PARAMETERS",
     "IllegalValue",
     "Parameter",
@@ -32,7 +32,7 @@ __all__ = [
     "nearest_legal",
 ]
 
-SPEED, MODE, RATIO, RAMPS = "Speed and display", "Mode", "Ratio", "Ramps"
+SPEED, MODES, RATIO, RAMPS = "Speed and display", "Mode", "Ratio", "Ramps"
 STEPS, INPUTS = "Presets and jumps", "Inputs"
 ANALOG_IN, ANALOG_OUT = "Analog input", "Analog output"
 LINK, OPERATOR = "Link", "Operator"
@@ -59,7 +59,7 @@ _ROWS = (
     Parameter(7, "Deceleration Ramp Rate", "UINT", 0, 9999, "A", RAMPS,
               "Time to decelerate over the full span of speed.",
               scale=Scale.TENTHS),
-    Parameter(8, "Master/Slave/Inverse Mode", "UCHR", 0, 2, "B", MODE,
+    Parameter(8, "Master/Slave/Inverse Mode", "UCHR", 0, 2, "B", MODES,
               "Whether the unit keeps a speed of its own or follows another unit by a ratio.",
               choices={0: "Master", 1: "Follower", 2: "Inverse follower"}, not_while_running=True),
     Parameter(9, "Preset Speed", "ULNG", 0, 99999, "C", STEPS,
@@ -76,7 +76,7 @@ _ROWS = (
               scale=Scale.SPEED),
     Parameter(13, "MOP/Jump Mode", "UCHR", 0, 1, "U", STEPS,
               "Up and Down as a motor potentiometer or as jumps; which number is which is not known."),
-    Parameter(14, "Freeze/Float Mode", "UCHR", 0, 1, "U", MODE,
+    Parameter(14, "Freeze/Float Mode", "UCHR", 0, 1, "U", MODES,
               "Not explained in the manual."),
     Parameter(15, "Display Sample Rate", "UCHR", 1, 255, "U", SPEED,
               "How often the unit's own display is renewed; the unit of time is not known."),
@@ -142,18 +142,18 @@ _ROWS = (
               scale=Scale.RATIO),
     Parameter(39, "Debounce Value", "UCHR", 0, 255, "U", INPUTS,
               "How long an input must hold to be believed; the unit of time is not known."),
-    Parameter(40, "At Speed Source", "UCHR", 0, 1, "U", MODE,
+    Parameter(40, "At Speed Source", "UCHR", 0, 1, "U", MODES,
               "Not explained in the manual."),
 )
 # fmt: on
 
 PARAMETERS: Mapping[int, Parameter] = MappingProxyType({row.number: row for row in _ROWS})
 """Every parameter by its number, 1 to 40."""
-NEEDED_TO_SHOW = (1, 2, 3, 8, 12, 22, 23, 28, 29, 30)
+NEEDED_TO_SHOW = (
+    *(numbers.MAX_RPM, numbers.MAX_DISPLAY, numbers.DECIMALS, numbers.FOLLOWER_MODE, numbers.AT_SPEED_WINDOW),
+    *(numbers.ANALOG_IN_LOW, numbers.ANALOG_IN_HIGH),
+    *(numbers.ANALOG_OUT_SOURCE, numbers.ANALOG_OUT_LOW, numbers.ANALOG_OUT_HIGH),
+)
 """Without these a reading cannot be shown right."""
-NEEDED_TO_JUDGE = (31, 38)
+NEEDED_TO_JUDGE = (numbers.MAX_RATIO, numbers.MIN_RATIO)
 """Without these a ratio cannot be judged before it is sent: they are a follower's limits."""
-OWN_ADDRESS = 17
-"""Every unit has it and only its panel changes it (manual, 4.0), so its value is known beforehand. Read at
-another address, another unit answers there; the address in an answer is no proof, for it is the one that was
-asked."""

@@ -11,11 +11,18 @@ from bus.catalogue.parameter import Parameter, Scale
 from bus.errors import CallerError
 
 RATIO_DECIMALS = 4
+_FOLLOWER_MODES = (1, 2)
+"""#8 of a follower and of an inverse follower (manual, 4.0)."""
 MOST_DECIMALS = 9
 HIGHEST_ATD = 255
 _FULL_VOLTS = 10
 _NUMBER = re.compile(r"([0-9]{1,9})(?:[.,]([0-9]{1,9}))?")
 _SCALE_UNITS = {Scale.TENTHS: "s", Scale.BAUD: "baud"}
+
+
+def is_follower(mode: int | None) -> bool:
+    """Whether #8 makes a unit follow a master by a ratio; False also where it is not known."""
+    return mode in _FOLLOWER_MODES
 
 
 def speed_text(raw: int, decimals: int) -> str:

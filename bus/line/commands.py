@@ -37,49 +37,49 @@ class LineCommand(Generic[A]):
     claim: Callable[[A], Claim] = lambda _: Claim.WRITE
 
 
-def _set_speed(poller: Poller, action: SetSpeed, wish: Wish) -> Procedure:
+def _set_speed(poller: Poller, action: SetSpeed, command: Wish) -> Procedure:
     record = poller.roster[action.unit]
     if action.execute:
-        return writes.set_and_execute(record, action.raw, wish)
+        return writes.set_and_execute(record, action.raw, command)
     return writes.stage(record, action.raw)
 
 
-def _execute_speed(poller: Poller, action: ExecuteSpeed, wish: Wish) -> Procedure:
-    return writes.execute(poller.roster[action.unit], wish)
+def _execute_speed(poller: Poller, action: ExecuteSpeed, command: Wish) -> Procedure:
+    return writes.execute(poller.roster[action.unit], command)
 
 
-def _execute_all(poller: Poller, _: ExecuteAll, wish: Wish) -> Procedure:
-    return staging.execute_all(poller.roster, wish)
+def _execute_all(poller: Poller, _: ExecuteAll, command: Wish) -> Procedure:
+    return staging.execute_all(poller.roster, command)
 
 
-def _set_line(poller: Poller, action: SetLine, wish: Wish) -> Procedure:
-    return staging.set_line(poller.roster, action.setpoints, wish)
+def _set_line(poller: Poller, action: SetLine, command: Wish) -> Procedure:
+    return staging.set_line(poller.roster, action.setpoints, command)
 
 
-def _write_output(_: Poller, action: WriteOutput, _wish: Wish) -> Procedure:
+def _write_output(_: Poller, action: WriteOutput, _command: Wish) -> Procedure:
     return writes.write_output(action.unit, action.number, action.on)
 
 
-def _write_analog_output(_: Poller, action: WriteAnalogOutput, _wish: Wish) -> Procedure:
+def _write_analog_output(_: Poller, action: WriteAnalogOutput, _command: Wish) -> Procedure:
     return writes.write_analog_output(action.unit, action.raw)
 
 
-def _write_parameter(_: Poller, action: WriteParameter, _wish: Wish) -> Procedure:
+def _write_parameter(_: Poller, action: WriteParameter, _command: Wish) -> Procedure:
     return writes.write_parameter(action.unit, action.number, action.raw)
 
 
-def _read_parameters(poller: Poller, action: ReadParameters, wish: Wish) -> Procedure:
-    return reads.read_parameters(poller.roster[action.unit], action.numbers, wish)
+def _read_parameters(poller: Poller, action: ReadParameters, command: Wish) -> Procedure:
+    return reads.read_parameters(poller.roster[action.unit], action.numbers, command)
 
 
-def _change_baud(poller: Poller, action: ChangeBaud, wish: Wish) -> Procedure:
+def _change_baud(poller: Poller, action: ChangeBaud, command: Wish) -> Procedure:
     own_rate = "://" not in poller.bus.port
-    return rebaud.change_baud(poller.roster, poller.baud, action.baud, wish, own_rate=own_rate)
+    return rebaud.change_baud(poller.roster, poller.baud, action.baud, command, own_rate=own_rate)
 
 
-def _scan_bus(poller: Poller, action: ScanBus, wish: Wish) -> Procedure:
+def _scan_bus(poller: Poller, action: ScanBus, command: Wish) -> Procedure:
     pace = survey.Pace(poller.baud, poller.bus.turnaround_s)
-    return survey.survey(poller.roster, action.first, action.last, pace, wish)
+    return survey.survey(poller.roster, action.first, action.last, pace, command)
 
 
 COMMANDS: dict[type[Action], LineCommand[Any]] = {
@@ -102,7 +102,7 @@ def errand_of(poller: Poller, command_id: str, action: Action, deadline: float) 
     row = COMMANDS.get(type(action))
     if row is None:
         return None
-    wish = Wish(
+    command = Wish(
         poller.bus.dialect,
         time_left_s=deadline - poller.clock.now(),
         exchange_s=stage_s(poller.baud),
@@ -112,8 +112,8 @@ def errand_of(poller: Poller, command_id: str, action: Action, deadline: float) 
         row.claim(action),
         _units_claimed(action),
         deadline,
-        wish,
-        lambda: row.procedure(poller, action, wish),
+        command,
+        lambda: row.procedure(poller, action, command),
         lambda step: poller.note(command_id, step),
     )
 

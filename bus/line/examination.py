@@ -13,7 +13,8 @@ from collections.abc import Generator
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
-from bus.catalogue.parameters import OWN_ADDRESS, PARAMETERS
+from bus.catalogue.numbers import OWN_ADDRESS
+from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import status_bits
 from bus.line.found import STRANGE, TWO_UNITS, TWO_UNITS_OR_ELSE, Checksum10h, Found, remarks_on
 from bus.settings import Dialect

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from bus.catalogue.parameters import OWN_ADDRESS
+from bus.catalogue.numbers import OWN_ADDRESS
 from bus.contract import BusFigures, UnitFigures
 from bus.line.diagnosis import UnitTrouble, answers_for_all, diagnose
 from bus.line.roster import Roster, UnitRecord

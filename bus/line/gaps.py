@@ -6,8 +6,8 @@ import heapq
 from collections import deque
 from collections.abc import Collection, Sequence
 
-FIRST_OF_ALL = 3
-"""Without #3 (decimals) no speed can be shown right."""
+from bus.catalogue.numbers import DECIMALS
+
 DECIMALS_EVERY = 4
 """So many reads of the circle bring one #3, and a first reading of all the others still ends soon."""
 
@@ -15,7 +15,8 @@ DECIMALS_EVERY = 4
 class Gaps:
     """Two queues of 85h reads: those needed to show a unit right, and a slow circle of all others.
 
-    The needed ones go number by number over all units, so that all units are shown right together.
+    The needed ones go number by number over all units, so that all units are shown right together; #3 goes
+    first, as without decimals no speed can be shown right.
     The circle never ends: what was read goes to its end, which finds what was changed at a panel. Every
     fourth read of it is #3 of the next unit, as decimals changed at a panel make every shown speed wrong.
     """
@@ -45,7 +46,7 @@ class Gaps:
             if (unit, number) not in self._urgent:
                 self._urgent.add((unit, number))
                 self._arrivals += 1
-                rank = (number != FIRST_OF_ALL, number, self._arrivals, unit)
+                rank = (number != DECIMALS, number, self._arrivals, unit)
                 heapq.heappush(self._needed, rank)
 
     def forget(self, unit: int) -> None:
@@ -100,5 +101,5 @@ class Gaps:
     def _circulate(self, unit: int, number: int) -> None:
         if (unit, number) not in self._waiting:
             self._waiting.add((unit, number))
-            queue = self._decimals if number == FIRST_OF_ALL else self._circle
+            queue = self._decimals if number == DECIMALS else self._circle
             queue.append((unit, number))

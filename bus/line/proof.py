@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass
 
+from bus.catalogue.numbers import FOLLOWER_MODE, RATIO_SETPOINT, SPEED_SETPOINT
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, output_is_on, status_bits
 from bus.line.roster import UnitRecord
@@ -22,9 +23,6 @@ from bus.wire.commands import ParameterReply, ReadParameter, ReadStatus, StatusR
 LOOKS_AGAIN = 2
 """How often a read-back that differs is read again."""
 LOOK_AGAIN_AFTER_S = 0.1
-FOLLOWING = 8
-SPEED_SETPOINT = 20
-RATIO_SETPOINT = 37
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +60,9 @@ def read_parameter(unit: int, number: int) -> Generator[Step, Answer | None, tup
 
 def follows(record: UnitRecord, bits: StatusBits) -> Generator[Step, Answer | None, bool]:
     """Whether the unit is a follower: by #8, read now where it is not known or the status bit disagrees."""
-    mode = record.raw(FOLLOWING)
+    mode = record.raw(FOLLOWER_MODE)
     if mode is None or bool(mode) != bits.follower:
-        mode, _ = yield from read_parameter(record.unit, FOLLOWING)
+        mode, _ = yield from read_parameter(record.unit, FOLLOWER_MODE)
     return bits.follower if mode is None else mode != 0
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 
+from bus.catalogue.numbers import BAUD_RATE
 from bus.contract import Outcome, Result, UnitOutcome
 from bus.errors import unit_error_name
 from bus.line.proof import ask, read_parameter
@@ -19,7 +20,6 @@ from bus.line.steps import Answer, Ask, Expect, Fate, Procedure, Retune, Step, T
 from bus.settings import BAUDS
 from bus.wire.commands import ReadStatus, WriteParameter
 
-BAUD_RATE = 18
 HUNDREDS = 100
 LOOKS = 2
 NOT_OURS = "the baud rate of a network port is set in its device server, so it cannot be followed from here"

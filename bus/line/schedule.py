@@ -20,7 +20,8 @@ from enum import StrEnum
 
 import msgspec
 
-from bus.catalogue.parameters import NEEDED_TO_JUDGE, NEEDED_TO_SHOW, OWN_ADDRESS, PARAMETERS
+from bus.catalogue.numbers import OWN_ADDRESS
+from bus.catalogue.parameters import NEEDED_TO_JUDGE, NEEDED_TO_SHOW, PARAMETERS
 from bus.line.gaps import Gaps
 from bus.line.round import Round
 from bus.line.share import Share

@@ -15,8 +15,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bus.catalogue import numbers
 from bus.errors import UnitErrorCode
-from bus.simulator.memory import Mode, Prm, width_by_type
+from bus.simulator.memory import Mode, width_by_type
 from bus.simulator.unit import Unit
 from bus.wire.bodies import IllegalRequest, encode_reply, parse_request
 from bus.wire.commands import (
@@ -133,20 +134,20 @@ def _set(unit: Unit, raw: int) -> Refusal:
 def _write_parameter(unit: Unit, number: int, raw: int) -> Refusal:
     if not unit.memory.has(number):
         return UnitErrorCode.ILLEGAL_PARAMETER_NUMBER
-    if number == Prm.ADDRESS or _locked_by_run(unit, number) or not unit.memory.takes(number, raw):
+    if number == numbers.OWN_ADDRESS or _locked_by_run(unit, number) or not unit.memory.takes(number, raw):
         return UnitErrorCode.ILLEGAL_PARAMETER_VALUE
     unit.memory[number] = raw
-    if number == Prm.FOLLOWING:
+    if number == numbers.FOLLOWER_MODE:
         unit.entered = unit.setpoint
-    if number == Prm.BAUD and unit.traits.baud_changes == "at once":
+    if number == numbers.BAUD_RATE and unit.traits.baud_changes == "at once":
         unit.baud = raw * 100
     return None
 
 
 def _locked_by_run(unit: Unit, number: int) -> bool:
-    if not unit.inputs.run or number in (Prm.SETPOINT, Prm.RATIO):
+    if not unit.inputs.run or number in (numbers.SPEED_SETPOINT, numbers.RATIO_SETPOINT):
         return False
-    return number == Prm.FOLLOWING or not unit.memory[Prm.SETUP_DURING_RUN]
+    return number == numbers.FOLLOWER_MODE or not unit.memory[numbers.SETUP_DURING_RUN]
 
 
 def _write_output(unit: Unit, output: int, on: bool) -> Refusal:
@@ -157,9 +158,9 @@ def _write_output(unit: Unit, output: int, on: bool) -> Refusal:
 
 
 def _write_analog(unit: Unit, raw: int) -> Refusal:
-    if unit.memory[Prm.ANALOG_SOURCE] != 2:
+    if unit.memory[numbers.ANALOG_OUT_SOURCE] != 2:
         return UnitErrorCode.ANALOG_OUTPUT_NOT_COMMANDED_BY_LINK
-    if not unit.memory[Prm.ANALOG_LOW] <= raw <= unit.memory[Prm.ANALOG_HIGH]:
+    if not unit.memory[numbers.ANALOG_OUT_LOW] <= raw <= unit.memory[numbers.ANALOG_OUT_HIGH]:
         return UnitErrorCode.ILLEGAL_ANALOG_VALUE
     unit.analog_output = raw
     return None

@@ -14,9 +14,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from bus.catalogue import numbers
 from bus.simulator.faults import WHOLE_LINE, Kind
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import FACTORY, Memory, Mode, Prm
+from bus.simulator.memory import FACTORY, Memory, Mode
 from bus.simulator.record import Entry, Happened
 from bus.simulator.section import Section
 from bus.simulator.serve import LineServer
@@ -90,7 +91,7 @@ def _unit(line: SimulatedLine, wish: Wish) -> Unit:
 
 
 def _mode(line: SimulatedLine, wish: Wish) -> None:
-    _unit(line, wish).memory[Prm.MODE] = Mode[wish["to"].upper()]
+    _unit(line, wish).memory[numbers.CONTROL_MODE] = Mode[wish["to"].upper()]
 
 
 def _input(line: SimulatedLine, wish: Wish) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from bus.catalogue import numbers
 from bus.settings import UnitLabels, UnitSettings
-from bus.simulator.memory import Memory, Prm
+from bus.simulator.memory import Memory
 from bus.simulator.plant import Plant, Script
 from bus.simulator.section import Section
 from bus.simulator.unit import ORDINARY, Traits, Unit
@@ -81,16 +82,16 @@ def _section(address: int, units: int, seed: int, traits: Traits) -> Section:
     machine = _machine(address)
     draw = machine.draw + 0.001 * ((address - 1) // len(_MACHINES)) / max(units / 64, 1)
     changed: dict[int, int] = {
-        Prm.MAX_RPM: 1750,
-        Prm.MAX_DISPLAY: 2000,
-        Prm.DECIMALS: 1,
-        Prm.ACCELERATION: machine.ramp_s * 10,
-        Prm.DECELERATION: machine.ramp_s * 10,
-        Prm.FOLLOWING: int(_follows(address)),
-        Prm.PRESET: 300,
-        Prm.ADDRESS: address,
-        Prm.SETPOINT: round(LINE_SPEED * draw),
-        Prm.RATIO: round(10000 * draw),
+        numbers.MAX_RPM: 1750,
+        numbers.MAX_DISPLAY: 2000,
+        numbers.DECIMALS: 1,
+        numbers.ACCELERATION: machine.ramp_s * 10,
+        numbers.DECELERATION: machine.ramp_s * 10,
+        numbers.FOLLOWER_MODE: int(_follows(address)),
+        numbers.PRESET_SPEED: 300,
+        numbers.OWN_ADDRESS: address,
+        numbers.SPEED_SETPOINT: round(LINE_SPEED * draw),
+        numbers.RATIO_SETPOINT: round(10000 * draw),
         22: 0,
         23: 500,
     }

@@ -5,35 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum
 
+from bus.catalogue import numbers
 from bus.catalogue.parameters import PARAMETERS
-
-
-class Prm(IntEnum):
-    """The parameters that the simulation itself looks at, by their numbers."""
-
-    MAX_RPM = 1
-    MAX_DISPLAY = 2
-    DECIMALS = 3
-    BASE_RATIO = 4
-    ACCELERATION = 6
-    DECELERATION = 7
-    FOLLOWING = 8
-    PRESET = 9
-    JUMP_UP = 10
-    JUMP_DOWN = 11
-    WINDOW = 12
-    JUMP_MODE = 13
-    SETUP_DURING_RUN = 16
-    ADDRESS = 17
-    BAUD = 18
-    MODE = 19
-    SETPOINT = 20
-    ANALOG_SOURCE = 28
-    ANALOG_LOW = 29
-    ANALOG_HIGH = 30
-    MAX_RATIO = 31
-    RATIO = 37
-    MIN_RATIO = 38
 
 
 class Mode(IntEnum):
@@ -45,32 +18,32 @@ class Mode(IntEnum):
 
 
 FACTORY: Mapping[int, int] = {
-    **dict.fromkeys(range(1, 41), 0),
-    1: 1750,
-    2: 2000,
-    3: 1,
-    4: 10000,
-    5: 60,
-    6: 100,
-    7: 100,
-    9: 200,
-    10: 5,
-    11: 5,
-    12: 10,
-    13: 1,
-    15: 10,
-    16: 1,
-    17: 1,
-    18: 96,
-    19: Mode.REMOTE,
-    23: 255,
-    25: 10,
-    28: 2,
-    30: 2000,
-    31: 20000,
-    37: 10000,
-    38: 5000,
-    39: 20,
+    **dict.fromkeys(PARAMETERS, 0),
+    numbers.MAX_RPM: 1750,
+    numbers.MAX_DISPLAY: 2000,
+    numbers.DECIMALS: 1,
+    numbers.BASE_RATIO: 10000,
+    numbers.ENCODER_PPR: 60,
+    numbers.ACCELERATION: 100,
+    numbers.DECELERATION: 100,
+    numbers.PRESET_SPEED: 200,
+    numbers.JUMP_UP: 5,
+    numbers.JUMP_DOWN: 5,
+    numbers.AT_SPEED_WINDOW: 10,
+    numbers.JUMP_MODE: 1,
+    numbers.DISPLAY_RATE: 10,
+    numbers.SETUP_DURING_RUN: 1,
+    numbers.OWN_ADDRESS: 1,
+    numbers.BAUD_RATE: 96,
+    numbers.CONTROL_MODE: Mode.REMOTE,
+    numbers.ANALOG_IN_HIGH: 255,
+    numbers.ANALOG_IN_RATE: 10,
+    numbers.ANALOG_OUT_SOURCE: 2,
+    numbers.ANALOG_OUT_HIGH: 2000,
+    numbers.MAX_RATIO: 20000,
+    numbers.RATIO_SETPOINT: 10000,
+    numbers.MIN_RATIO: 5000,
+    numbers.DEBOUNCE: 20,
 }
 """A unit out of its box: address 1 at 9600 baud; in REMOTE, so that a host can be tried on it."""
 
@@ -98,12 +71,12 @@ class Memory(dict[int, int]):
         parameter = PARAMETERS[number]
         if not parameter.minimum <= raw <= parameter.maximum:
             return False
-        if number == Prm.BAUD:
+        if number == numbers.BAUD_RATE:
             return raw in LEGAL_BAUD_NUMBERS
-        if number == Prm.SETPOINT:
-            return raw <= self[Prm.MAX_DISPLAY]
-        if number == Prm.RATIO:
-            return self[Prm.MIN_RATIO] <= raw <= self[Prm.MAX_RATIO]
+        if number == numbers.SPEED_SETPOINT:
+            return raw <= self[numbers.MAX_DISPLAY]
+        if number == numbers.RATIO_SETPOINT:
+            return self[numbers.MIN_RATIO] <= raw <= self[numbers.MAX_RATIO]
         return True
 
 

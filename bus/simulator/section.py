@@ -11,7 +11,7 @@ import math
 import random
 from dataclasses import dataclass, field
 
-from bus.simulator.memory import Prm
+from bus.catalogue import numbers
 from bus.simulator.unit import Unit
 from bus.wire.commands import LARGEST_VALUE
 
@@ -58,7 +58,7 @@ class Section:
     @property
     def rpm(self) -> float:
         """Motor speed, signed."""
-        return self.speed * self.unit.memory[Prm.MAX_RPM]
+        return self.speed * self.unit.memory[numbers.MAX_RPM]
 
     def step(self, dt: float, master_rpm: float, upstream: Section | None) -> None:
         """``dt`` seconds pass, with the master at ``master_rpm`` and the web coming from ``upstream``."""
@@ -75,24 +75,24 @@ class Section:
         direction = -1.0 if unit.inputs.reverse else 1.0
         if unit.follows:
             return direction * min(self._following(master_rpm), 1.0)
-        return direction * min(unit.commanded / max(unit.memory[Prm.MAX_DISPLAY], 1), 1.0)
+        return direction * min(unit.commanded / max(unit.memory[numbers.MAX_DISPLAY], 1), 1.0)
 
     def _following(self, master_rpm: float) -> float:
         memory = self.unit.memory
         ratio = self.unit.commanded / RATIO_ONE
-        if memory[Prm.FOLLOWING] == INVERSE_FOLLOWER:
+        if memory[numbers.FOLLOWER_MODE] == INVERSE_FOLLOWER:
             ratio = 1 / ratio if ratio else 0.0
-        base = memory[Prm.BASE_RATIO] / RATIO_ONE
-        return abs(master_rpm) * base * ratio / max(memory[Prm.MAX_RPM], 1)
+        base = memory[numbers.BASE_RATIO] / RATIO_ONE
+        return abs(master_rpm) * base * ratio / max(memory[numbers.MAX_RPM], 1)
 
     def _work_potentiometer(self, dt: float) -> None:
         """#13 = 0 is taken for MOP: held up or down, the contact moves the setpoint itself by the ramps."""
         unit, memory = self.unit, self.unit.memory
-        if memory[Prm.JUMP_MODE] != 0 or unit.follows or unit.inputs.up == unit.inputs.down:
+        if memory[numbers.JUMP_MODE] != 0 or unit.follows or unit.inputs.up == unit.inputs.down:
             self._potentiometer = 0.0
             return
-        number, sign = (Prm.ACCELERATION, 1) if unit.inputs.up else (Prm.DECELERATION, -1)
-        self._potentiometer += sign * memory[Prm.MAX_DISPLAY] * dt * 10 / max(memory[number], 1)
+        number, sign = (numbers.ACCELERATION, 1) if unit.inputs.up else (numbers.DECELERATION, -1)
+        self._potentiometer += sign * memory[numbers.MAX_DISPLAY] * dt * 10 / max(memory[number], 1)
         whole = int(self._potentiometer)
         self._potentiometer -= whole
         unit.setpoint = min(max(unit.setpoint + whole, 0), unit.highest)
@@ -102,7 +102,7 @@ class Section:
             self.reference = self.speed
             return
         faster = abs(wanted) > abs(self.reference) and wanted * self.reference >= 0
-        tenths = self.unit.memory[Prm.ACCELERATION if faster else Prm.DECELERATION]
+        tenths = self.unit.memory[numbers.ACCELERATION if faster else numbers.DECELERATION]
         most = dt * 10 / tenths if tenths else math.inf
         self.reference += min(max(wanted - self.reference, -most), most)
 
@@ -127,7 +127,7 @@ class Section:
 
     def _show(self, master_rpm: float) -> None:
         unit, measured = self.unit, self.unit.measured
-        full = unit.memory[Prm.MAX_DISPLAY]
+        full = unit.memory[numbers.MAX_DISPLAY]
         unrest = self._unrest if self.speed else 0.0
         measured.actual = min(round(abs(self.speed + unrest) * full), LARGEST_VALUE)
         measured.analog = min(max(round(self._tension + self._random.gauss(0, 0.6)), 0), 255)

@@ -9,8 +9,9 @@ import random
 from dataclasses import dataclass, field
 from typing import Literal
 
+from bus.catalogue import numbers
 from bus.settings import Dialect
-from bus.simulator.memory import Memory, Mode, Prm
+from bus.simulator.memory import Memory, Mode
 from bus.wire.commands import StatusReply
 
 AS_THE_MANUAL_READS = Dialect()
@@ -72,54 +73,57 @@ class Unit:
 
     def power_up(self) -> None:
         """Off and on again: parameters stay, the staged speed and the outputs do not, #18 takes effect."""
-        self.baud = self.memory[Prm.BAUD] * 100
+        self.baud = self.memory[numbers.BAUD_RATE] * 100
         self.outputs = [False] * 6
-        self.analog_output = self.memory[Prm.ANALOG_LOW]
+        self.analog_output = self.memory[numbers.ANALOG_OUT_LOW]
         self.entered = self.setpoint
 
     @property
     def address(self) -> int:
         """#17."""
-        return self.memory[Prm.ADDRESS]
+        return self.memory[numbers.OWN_ADDRESS]
 
     @property
     def mode(self) -> Mode:
         """#19."""
-        return Mode(self.memory[Prm.MODE])
+        return Mode(self.memory[numbers.CONTROL_MODE])
 
     @property
     def follows(self) -> bool:
         """Whether #8 makes it a slave or an inverse slave."""
-        return self.memory[Prm.FOLLOWING] != 0
+        return self.memory[numbers.FOLLOWER_MODE] != 0
 
     @property
     def setpoint(self) -> int:
         """The executed speed, or ratio in a follower."""
-        return self.memory[Prm.RATIO if self.follows else Prm.SETPOINT]
+        return self.memory[numbers.RATIO_SETPOINT if self.follows else numbers.SPEED_SETPOINT]
 
     @setpoint.setter
     def setpoint(self, raw: int) -> None:
-        self.memory[Prm.RATIO if self.follows else Prm.SETPOINT] = raw
+        self.memory[numbers.RATIO_SETPOINT if self.follows else numbers.SPEED_SETPOINT] = raw
 
     @property
     def commanded(self) -> int:
         """The speed (ratio in a follower) now asked of the drive: preset before jump before setpoint."""
         if self.inputs.preset:
-            return self.memory[Prm.PRESET]
-        if self.memory[Prm.JUMP_MODE] == 1:
-            jump = self.memory[Prm.JUMP_UP] * self.inputs.up - self.memory[Prm.JUMP_DOWN] * self.inputs.down
+            return self.memory[numbers.PRESET_SPEED]
+        if self.memory[numbers.JUMP_MODE] == 1:
+            jump = (
+                self.memory[numbers.JUMP_UP] * self.inputs.up
+                - self.memory[numbers.JUMP_DOWN] * self.inputs.down
+            )
             return min(max(self.setpoint + jump, 0), self.highest)
         return self.setpoint
 
     @property
     def highest(self) -> int:
         """The highest value that 82h and 84h take: #2, or #31 in a follower."""
-        return self.memory[Prm.MAX_RATIO if self.follows else Prm.MAX_DISPLAY]
+        return self.memory[numbers.MAX_RATIO if self.follows else numbers.MAX_DISPLAY]
 
     @property
     def lowest(self) -> int:
         """The lowest value that 82h and 84h take: 0, or #38 in a follower."""
-        return self.memory[Prm.MIN_RATIO] if self.follows else 0
+        return self.memory[numbers.MIN_RATIO] if self.follows else 0
 
     @property
     def running(self) -> bool:
@@ -130,7 +134,7 @@ class Unit:
     def at_speed(self) -> bool:
         """Within #12 of what is asked, while running."""
         asked = self.measured.following if self.follows else self.commanded
-        return self.running and abs(self.measured.actual - asked) <= self.memory[Prm.WINDOW]
+        return self.running and abs(self.measured.actual - asked) <= self.memory[numbers.AT_SPEED_WINDOW]
 
     def turnaround(self) -> float:
         """Seconds until the next answer begins; drawn from this unit's own seeded randomness."""

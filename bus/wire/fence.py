@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from bus.catalogue.parameters import OWN_ADDRESS
+from bus.catalogue.numbers import OWN_ADDRESS
 from bus.errors import UnitErrorCode
 from bus.settings import Dialect
 from bus.wire.commands import ReadParameter, ReadStatus, Request, is_write

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from app.commands import rules
+from app.commands.desk import WriteSubscriber
 from app.commands.limits import NO_LIMITS
 from app.commands.objection import Circumstances, ObjectionError
 from app.database import Database
@@ -55,7 +56,12 @@ class PlayedDesk:
     hangs_after: int | None = None
     hanging: asyncio.Event = field(default_factory=asyncio.Event)
     written: list[tuple[int, int, int]] = field(default_factory=list)
+    write_subscribers: list[WriteSubscriber] = field(default_factory=list)
     asked: list[Action] = field(default_factory=list)
+
+    def on_write(self, subscriber: WriteSubscriber) -> None:
+        """As the real one; a test calls it itself."""
+        self.write_subscribers.append(subscriber)
 
     async def ask(self, person: Person, bus: str, action: Action, **_: Any) -> Result:
         assert person.name

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.errors import Problem
-from app.web.access import Person
+from app.web.access import AccountSubscriber, Person
 
 
 class PlayedRights:
@@ -17,3 +17,9 @@ class PlayedRights:
         reason = self.withdrawn.get(person.name)
         if reason is not None:
             raise Problem(403, "rights_withdrawn", reason, outcome="rights_withdrawn")
+
+    def on_withdrawn(self, _subscriber: AccountSubscriber) -> None:
+        """Nobody is told what a test withdraws."""
+
+    def on_signed_out(self, _subscriber: AccountSubscriber) -> None:
+        """Everyone stays signed in."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from app.live.fields import Voice
-from app.live.screen import Drifted, Screen
+from app.live.screen import Screen
 from app.live.state import LiveState
 from app.web.formats import Formats
 from app.web.languages import Languages
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink
 from bus.settings import BusSettings, UnitLabels, UnitSettings
+from tests.app.played_sources import played_sources
 
 AT_SPEED, REMOTE, RUN, HEALTHY = 0x80, 0x40, 0x01, 0x02
 PARAMETERS = {2: 2000, 3: 1, 6: 100, 7: 200, 8: 0, 12: 10, 22: 0, 23: 510}
@@ -50,12 +51,6 @@ def reading(
 
 def screen(live: LiveState, tag: str = "en", blocks: dict[int, str] | None = None) -> Screen:
     """What is shown, brought up to date at the time 100."""
-    made = Screen(
-        live,
-        voice(tag),
-        lambda _bus, unit: (blocks or {}).get(unit, ""),
-        lambda _bus, _unit, _voice, _now: Drifted(),
-        lambda _bus: None,
-    )
+    made = Screen(live, voice(tag), played_sources(blocks))
     made.refresh(100.0)
     return made

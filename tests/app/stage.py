@@ -11,7 +11,6 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -33,12 +32,14 @@ from app.feed.socket import router as feed_router
 from app.feed.workers import Workers
 from app.history.status import Status
 from app.live.api import router as live_router
+from app.live.sources import Sources
 from app.live.state import LiveState
 from app.pipeline import Pipeline
-from app.settings import Site
+from app.settings import Settings, Site
 from app.web.access import Person, Role, Via
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
+from app.web.services import Registry
 from app.web.templating import Templates
 from bus.contract import (
     CONTRACT_VERSION,
@@ -61,6 +62,7 @@ from bus.contract import (
 )
 from bus.settings import BusSettings, UnitSettings
 from tests.app.played_rights import PlayedRights
+from tests.app.played_sources import NoGoldenSets, NoRecipes
 
 REMOTE, HEALTHY = 0b0100_0000, 0b0000_0010
 PARAMETERS = {1: 1750, 2: 20000, 3: 1, 8: 0, 22: 0, 23: 500, 28: 2, 29: 100, 30: 2000, 12: 20}
@@ -111,6 +113,12 @@ class History:
     def __init__(self) -> None:
         self.updates: list[Update] = []
         self.status = Status()
+
+    def on_clock_step(self, _subscriber: Callable[[float, float], None]) -> None:
+        """Its clock is never stepped."""
+
+    def on_damage(self, _subscriber: Callable[[str, float], None]) -> None:
+        """Nothing of it is damaged."""
 
     def append(self, bus: str, updates: Sequence[Update]) -> None:
         """As the real one."""
@@ -218,22 +226,30 @@ class Stage:
         )
         self.rights = PlayedRights()
         self.guards = Safeguards(
-            self.database, self.events, control_required=control, find=find, rights=self.rights
+            self.database,
+            self.events,
+            control_required=control,
+            find=find,
+            rights=self.rights,
+            sessions=self.rights,
         )
         self.desk = Desk(
             self.live, self.workers.channels, self.events, self.database, self.guards, self.rights
         )
         self.app = FastAPI()
-        self.app.state.services = SimpleNamespace(
-            live=self.live,
-            desk=self.desk,
-            safeguards=self.guards,
-            workers=self.workers,
-            events=self.events,
-            history=self.history,
-            hub=SimpleNamespace(block=self.guards.block_reason),
-            settings=SimpleNamespace(site=SimpleNamespace(name="Test line")),
-            templates=_templates(),
+        sources = Sources(
+            self.guards,
+            NoGoldenSets(),
+            NoRecipes(),
+            lambda _voice, _now: "",
+            lambda: self.history.status.message,
+        )
+        configuration = Settings(site=Site(name="Test line"), bus=(settings,))
+        self.app.state.registry = Registry(
+            (
+                *(configuration, _templates(), sources),
+                *(self.live, self.desk, self.guards, self.workers, self.events),
+            )
         )
         for router in (
             *(live_router, commands_router, safeguards_router),

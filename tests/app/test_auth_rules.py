@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.auth import rules
+from app.settings import Sessions
 from app.web.access import Role
 from bus.errors import CallerError
 
@@ -57,3 +58,65 @@ def test_secrets_are_long_and_never_the_same() -> None:
 def test_what_each_role_includes(role: Role, includes: str) -> None:
     assert {str(other) for other in Role if role.includes(other)} == set(includes.split())
     assert role.includes("viewer") is ("viewer" in includes)
+
+
+def test_lifetimes_are_in_seconds() -> None:
+    lifetimes = rules.Lifetimes.of(
+        Sessions(idle_hours=2, total_days=3, panel_idle_days=4, panel_total_days=5)
+    )
+    assert lifetimes.person == rules.Lifetime(7_200, 259_200)
+    assert lifetimes.panel == rules.Lifetime(345_600, 432_000)
+
+
+@pytest.mark.parametrize("role", Role)
+def test_a_panel_is_operator_at_most(role: Role) -> None:
+    if role in (Role.VIEWER, Role.OPERATOR):
+        rules.check_panel_role(role)
+    else:
+        with pytest.raises(CallerError, match=f"operator at most; {role}"):
+            rules.check_panel_role(role)
+
+
+@pytest.mark.parametrize(
+    ("role", "bus", "refusal"),
+    [
+        (Role.WORKER, "dry", ""),
+        (Role.ADMIN, "", ""),
+        (Role.ADMIN, "dry", "a token of role admin is not for one bus"),
+        (Role.WORKER, "", "name it: dry, wet"),
+        (Role.WORKER, "west", "there is no bus 'west'; there are: dry, wet"),
+    ],
+)
+def test_a_workers_token_is_for_one_bus_and_no_other_is(role: Role, bus: str, refusal: str) -> None:
+    if not refusal:
+        rules.check_token_bus(role, bus, ["dry", "wet"])
+        return
+    with pytest.raises(CallerError, match=refusal):
+        rules.check_token_bus(role, bus, ["dry", "wet"])
+
+
+def test_a_site_without_a_bus_says_so() -> None:
+    with pytest.raises(CallerError, match="there are: none"):
+        rules.check_token_bus(Role.WORKER, "dry", [])
+
+
+@pytest.mark.parametrize(("days", "expiry"), [(None, None), (1, 86_500.0), (3650, 315_360_100.0)])
+def test_a_token_expires_after_its_days(days: int | None, expiry: float | None) -> None:
+    assert rules.token_expiry(100.0, days) == expiry
+
+
+@pytest.mark.parametrize("days", [0, -1, 3651])
+def test_a_token_lasts_from_one_day_to_ten_years(days: int) -> None:
+    with pytest.raises(CallerError, match=f"1 to 3650 days; {days} is outside"):
+        rules.token_expiry(100.0, days)
+
+
+def test_a_home_page_is_ours() -> None:
+    rules.check_home("/units/dry-end/1")
+    with pytest.raises(CallerError, match="a path on this server"):
+        rules.check_home("//evil")
+
+
+def test_the_hash_of_a_secret_is_sha_256() -> None:
+    expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert rules.secret_hash("abc").hex() == expected

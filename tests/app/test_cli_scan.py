@@ -15,13 +15,14 @@ from typer.testing import CliRunner, Result
 
 from app.cli import scan
 from app.cli.scan import announcement, bauds_to_try
+from bus.catalogue import numbers
 from bus.errors import WireError
 from bus.line.found import Found
 from bus.line.prober import Prober
 from bus.settings import Dialect
 from bus.simulator.faults import Faults, Kind
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import Memory, Prm
+from bus.simulator.memory import Memory
 from bus.simulator.plant import Plant
 from bus.simulator.ports import PtyPort
 from bus.simulator.section import Section
@@ -37,7 +38,7 @@ scan.register(cli)
 
 
 def unit(address: int, baud: int = 9600, **traits: Any) -> Unit:
-    return Unit(Memory({Prm.ADDRESS: address, Prm.BAUD: baud // 100}), Traits(**traits))
+    return Unit(Memory({numbers.OWN_ADDRESS: address, numbers.BAUD_RATE: baud // 100}), Traits(**traits))
 
 
 @contextmanager

@@ -160,7 +160,7 @@ async def test_what_changes_after_the_check_is_seen_before_the_command_is_sent(
         reasons.append(await trouble(stage))
 
     worker.play = answering("verified")
-    stage.desk.before_write = keep
+    stage.desk.on_write(keep)
     result = await stage.desk.ask(ANNA, "dry-end", WriteParameter(unit=2, number=6, raw=50))
     assert (result.outcome, result.message) == ("not_sent", reasons[0])
     assert worker.commands == []
@@ -188,7 +188,7 @@ async def test_what_is_wanted_before_a_write_comes_first(stage: Stage, worker: P
         return [fate(command, "verified")]
 
     worker.play = play
-    stage.desk.before_write = keep
+    stage.desk.on_write(keep)
     await stage.desk.ask(ANNA, "dry-end", WriteParameter(unit=1, number=6, raw=50))
     await stage.desk.ask(ANNA, "dry-end", WISH)
     await stage.desk.ask(ANNA, "dry-end", ReadParameters(unit=1, numbers=[6]))

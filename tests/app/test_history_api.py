@@ -10,7 +10,6 @@ import time
 from collections.abc import AsyncIterator
 from datetime import UTC, datetime
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -27,6 +26,7 @@ from app.settings import Server, Settings, Site
 from app.web.access import Person, Role
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
+from app.web.services import Registry
 from app.web.templating import Templates
 from bus.contract import UnitLink
 from tests.app.history_line import BUS, NOON, parameter, polls, until
@@ -62,7 +62,7 @@ async def client(history: History, tmp_path: Path) -> AsyncIterator[httpx.AsyncC
     await events.record(kind="login", what="signed in", who="anna")
     app = FastAPI()
     templates = Templates(templates_dir(), Assets(static_dir()), Site())
-    app.state.services = SimpleNamespace(history=history, events=events, templates=templates)
+    app.state.registry = Registry((history, events, templates))
     app.include_router(router)
     app.add_middleware(AsViewer)
     install(app)
@@ -260,7 +260,7 @@ async def test_a_store_that_fails_is_said_and_the_rest_goes_on(tmp_path: Path) -
     history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)))
     history.start()
     app = FastAPI()
-    app.state.services = SimpleNamespace(history=history)
+    app.state.registry = Registry((history,))
     app.include_router(router)
     app.add_middleware(AsViewer)
     install(app)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import random
 import sqlite3
 from collections.abc import Iterator
@@ -22,6 +23,7 @@ from app.history.values import VALUES
 from app.history.writer import Writer
 from app.settings import Server, Settings
 from tests.app.history_line import BUS, NOON, Shelf, opened, polls, until
+from tests.app.stage import until as arrived
 
 START = micros(NOON)
 NOISE = [chance.randrange(99_999) for chance in [random.Random(3)] for _ in range(9_000)]
@@ -118,12 +120,13 @@ async def test_the_daily_look_finds_it_and_it_is_said_once(
 ) -> None:
     monkeypatch.setattr(writing, "LOOK_EVERY_S", 0.0)
     words: list[str] = []
-    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)), on_damage=words.append)
+    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)))
     history.start()
     history.append(BUS.name, polls(NOON, NOON + 180))
     history.close()
     spoil(tmp_path / FILE, "raw", START)
-    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)), on_damage=words.append)
+    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)))
+    history.on_damage(lambda what, _at: words.append(what))
     history.start()
     try:
         await history.inspect()
@@ -133,6 +136,7 @@ async def test_the_daily_look_finds_it_and_it_is_said_once(
         until(lambda: history.status.state == "ok")
     finally:
         history.close()
+    await asyncio.sleep(0)
     assert len(words) == 1
     assert "it is missing: every reading of dry-end/1 from 2026-11-21T12:00+00:00" in words[0]
 
@@ -144,12 +148,13 @@ async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: P
     writer = opened(tmp_path, on_damage=words.append)
     writer.take((BUS.name, polls(NOON, NOON + 900, NOISE.__getitem__)))
     writer.close()
-    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)), on_damage=words.append)
+    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)))
+    history.on_damage(lambda what, _at: words.append(what))
     history.start()
     try:
         overwrite_pages(tmp_path / FILE, random.Random(seed))
         await history.inspect()
-        until(lambda: bool(words))
+        await arrived(lambda: bool(words), "the damage")
         history.append(BUS.name, polls(NOON + 1200, NOON + 1260))
         until(lambda: history.status.state == "ok" and history.status.waiting == 0)
         question = Question(BUS, 1, VALUES["actual"], micros(NOON + 1200), micros(NOON + 1260), 1000)

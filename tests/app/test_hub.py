@@ -14,6 +14,7 @@ from app.settings import Site
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from bus.contract import BusFigures, Clause, Frame, Frames, Progress, UnitFigures
+from tests.app.played_sources import played_sources
 from tests.app.screens import line, reading
 
 
@@ -22,11 +23,15 @@ class World:
     live: LiveState = field(default_factory=line)
     now: float = 100.0
     watched: list[tuple[str, list[int], bool]] = field(default_factory=list)
+    controls: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         templates = Templates(templates_dir(), Assets(static_dir()), Site())
-        self.hub = Hub(self.live, templates, lambda: self.now)
-        self.hub.watch = lambda bus, units, trace: self.watched.append((bus, units, trace))
+        sources = played_sources(controls=self.controls)
+        self.hub = Hub(self.live, sources, templates, self.watch, lambda: self.now)
+
+    def watch(self, bus: str, units: list[int], trace: bool) -> None:
+        self.watched.append((bus, units, trace))
 
     def join(self, name: str = "anna", language: str = "en") -> Browser:
         browser = Browser(name, "operator", language)
@@ -182,7 +187,7 @@ async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
 
 
 async def test_who_holds_control_is_on_every_page(world: World) -> None:
-    world.hub.holder = lambda _bus: "anna"
+    world.controls["dry"] = "anna"
     browser = world.join()
     await told(browser)
     world.hub.tick()

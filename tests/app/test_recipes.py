@@ -8,11 +8,13 @@ import pytest
 
 from app.database import Database
 from app.errors import Problem
+from app.live.state import LiveState
 from app.recipes.book import RecipeBook
+from app.recipes.rules import Recipe, Setpoint, Step, dry_run, setpoints_now
 from app.recipes.store import RecipeStore
 from app.web.deadline import instant_now
-from bus.contract import ParameterValue, SetLine
-from tests.app.played_desk import ANNA, Noted, PlayedDesk, a_bus, answering
+from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
+from tests.app.played_desk import ANNA, HEALTHY, REMOTE, Noted, PlayedDesk, a_bus, answering, fresh
 
 
 class Scene:
@@ -164,3 +166,44 @@ async def test_a_ratio_read_before_the_recipe_was_loaded_is_no_departure(scene: 
 
 
 FOLLOWER = {8: 1, 37: 10000}
+
+
+def a_recipe(*setpoints: Setpoint) -> Recipe:
+    return Recipe("dry-end", "Kraft 80", "", "anna", 0.0, setpoints)
+
+
+def steps_of(live: LiveState, *setpoints: Setpoint) -> tuple[Step, ...]:
+    return dry_run(a_recipe(*setpoints), live.buses["dry-end"], lambda _unit, _raw: "", instant_now()).steps
+
+
+def test_a_unit_that_is_not_configured_is_named_by_its_address() -> None:
+    [known, unknown] = steps_of(a_bus(), Setpoint(1, 1200, "speed"), Setpoint(9, 1200, "speed"))
+    assert (known.is_configured, unknown.is_configured) == (True, False)
+    assert (unknown.name, unknown.obstacle) == ("unit 9", "not in the configuration")
+
+
+def test_what_a_unit_has_now_is_unknown_until_it_was_read() -> None:
+    [step] = steps_of(a_bus(), Setpoint(1, 1200, "speed"))
+    assert (step.old, step.sentence) == ("unknown", "becomes 1200; what it has now is not known")
+
+
+def test_a_unit_whose_mode_was_not_read_cannot_be_loaded() -> None:
+    live = a_bus()
+    live.apply("dry-end", [BusLink(at=1.0, link="open"), UnitLink(unit=1, at=1.0, link="online")])
+    live.apply("dry-end", [Reading(1, fresh(), 1000, 1000, 0, REMOTE, HEALTHY)])
+    [step] = steps_of(live, Setpoint(1, 1200, "speed"))
+    assert step.obstacle == "whether it follows by ratio (#8) has not been read yet"
+
+
+def test_a_recipe_begins_from_the_setpoints_that_are_known() -> None:
+    live = a_bus()
+    assert setpoints_now(live.buses["dry-end"].units.values()) == ()
+    answering(live, commanded=1000)
+    follower = [
+        ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in ((8, 1), (37, 9900))
+    ]
+    live.apply("dry-end", follower)
+    assert setpoints_now(live.buses["dry-end"].units.values()) == (
+        Setpoint(1, 1000, "speed"),
+        Setpoint(2, 9900, "ratio"),
+    )

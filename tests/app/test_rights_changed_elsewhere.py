@@ -30,15 +30,13 @@ class House:
             Accounts(each, self.passwords, EventLog(each), lambda: self.now, buses=("dry-end",))
             for each in self.stores
         )
-        self.rights = Rights(self.stores[0], lambda: self.now)
+        self.rights = Rights(self.stores[0], self.here, lambda: self.now)
         self.told: list[str] = []
 
         async def hear(account: str) -> None:
             self.told.append(account)
 
         self.rights.on_withdrawn(hear)
-        self.rights.on_changed(self.here.rechecks.now)
-        self.here.on_changed(self.rights.refresh)
 
     def close(self) -> None:
         self.passwords.close()
@@ -71,7 +69,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
     ],
 )
 async def test_what_another_process_does_is_told(house: House, change: str, account: str) -> None:
-    there, looked = house.elsewhere, house.here.rechecks.count
+    there, looked = house.elsewhere, house.rights.rechecks.count
     match change:
         case "revoke":
             await there.revoke_token("plc", **BY)
@@ -90,7 +88,7 @@ async def test_what_another_process_does_is_told(house: House, change: str, acco
     assert house.told == []
     await house.rights.refresh()
     assert house.told == [account]
-    assert house.here.rechecks.count > looked, "open connections look again"
+    assert house.rights.rechecks.count > looked, "open connections look again"
     await house.rights.refresh()
     assert house.told == [account]
 

@@ -244,3 +244,14 @@ def test_the_mode_is_not_changed_while_running() -> None:
 def test_a_baud_that_no_unit_speaks_is_refused_with_the_nearest() -> None:
     assert objection(ChangeBaud(baud=5000), circumstances()).nearest == 4800
     assert objection(ChangeBaud(baud=4800), circumstances()).code == "dangerous"
+
+
+def test_a_parameter_that_no_unit_has_is_refused() -> None:
+    error = objection(WriteParameter(unit=1, number=41, raw=1), circumstances(confirm=True))
+    assert (error.code, str(error)) == ("invalid", "a unit has the parameters 1 to 40")
+
+
+def test_a_unit_that_was_never_read_is_not_taken_for_running() -> None:
+    [number, *_] = [row.number for row in PARAMETERS.values() if row.not_while_running]
+    action = WriteParameter(unit=1, number=number, raw=PARAMETERS[number].minimum)
+    check(action, circumstances(bus_with(), confirm=True))

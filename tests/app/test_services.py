@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterator
 from inspect import isasyncgenfunction, iscoroutinefunction
 from pathlib import Path
 
+import pytest
 from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute, APIWebSocketRoute
 
+import app
+from app import wiring
 from app.web.access import Requires
+from app.web.services import Registry
 from tests.app.whole_app import whole_app
 
 
@@ -32,3 +37,26 @@ def calls_of(dependant: Dependant) -> Iterator[object]:
     yield dependant.call
     for needed in dependant.dependencies:
         yield from calls_of(needed)
+
+
+def test_a_service_is_found_by_its_type() -> None:
+    registry = Registry(("text", 1))
+    assert (registry[str], registry[int]) == ("text", 1)
+    with pytest.raises(KeyError):
+        registry[float]
+
+
+def test_nothing_is_patched_into_a_service_after_it_was_made() -> None:
+    tree = ast.parse(Path(wiring.__file__).read_text())
+    stored = [
+        ast.unparse(node)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
+    ]
+    assert stored == []
+
+
+def test_rest_asks_the_owner_of_the_state_and_never_the_hub() -> None:
+    modules = list(Path(app.__file__).parent.rglob("*api.py"))
+    assert len(modules) > 8
+    assert [path.name for path in modules if "app.live.hub" in path.read_text()] == []

@@ -9,7 +9,7 @@ import pytest
 
 from app.audit.log import EventLog
 from app.database import Database
-from app.live.screen import Drifted
+from app.live.sources import Drifted
 from app.sets.drift import Drifts
 from app.sets.model import ParameterSet, Row, UnitRows
 from app.sets.store import SetStore
@@ -31,7 +31,7 @@ class Scene:
         self.store = SetStore(self.database)
         self.drifts = Drifts(self.live, self.store, self.events)
         self.told: list[tuple[str, int]] = []
-        self.drifts.on_change = lambda bus, unit: self.told.append((bus, unit))
+        self.drifts.on_change(lambda bus, unit: self.told.append((bus, unit)))
 
     async def golden(self) -> None:
         rows = {number: Row(number, 0, read_at=GOLDEN_READ) for number in PARAMETERS}
@@ -49,11 +49,11 @@ class Scene:
         await self.events.record(kind="command", what=what, outcome=outcome, **said)
 
     def key(self) -> str:
-        return self.drifts.told("dry-end", 1, voice(), NOW).key
+        return self.drifts.summary("dry-end", 1, voice(), NOW).key
 
     async def says(self, tag: str = "en") -> str:
         await self.drifts.traced("dry-end", 1)
-        return self.drifts.told("dry-end", 1, voice(tag), NOW).words
+        return self.drifts.summary("dry-end", 1, voice(tag), NOW).words
 
 
 @pytest.fixture
@@ -144,4 +144,4 @@ async def test_the_list_on_the_units_page_has_another_key_when_it_says_something
     scene.reads(12, 5)
     await scene.says()
     assert scene.key() == keys[-1]
-    assert scene.drifts.told("dry-end", 2, voice(), NOW) == Drifted()
+    assert scene.drifts.summary("dry-end", 2, voice(), NOW) == Drifted()

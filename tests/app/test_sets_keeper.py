@@ -17,7 +17,7 @@ NOON = datetime(2026, 11, 20, 12, 0, tzinfo=UTC)
 
 class Scene(SetScene):
     def line_says(self, unit: int) -> str:
-        return self.keeper.drifts.told("dry-end", unit, voice(), NOON.timestamp()).words
+        return self.keeper.drifts.summary("dry-end", unit, voice(), NOON.timestamp()).words
 
 
 @pytest.fixture

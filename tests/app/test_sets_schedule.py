@@ -27,7 +27,7 @@ class Scene(SetScene):
         super().__init__(folder)
         self.now = NOON
         self.schedule = SetSchedule(self.live, self.keeper, self.events, lambda: self.now)  # type: ignore[arg-type]
-        self.first = FirstWrites(self.live, self.keeper, lambda: self.now)
+        self.first = FirstWrites(self.live, self.desk, self.keeper, lambda: self.now)
 
     def link(self, unit: int, state: UnitLinkState) -> None:
         self.live.apply("dry-end", [UnitLink(unit=unit, at=1.0, link=state)])

@@ -223,14 +223,14 @@ async def test_a_replaced_hash_withdraws_no_rights(house: House) -> None:
     await house.add()
     cookie = await house.enter()
     await hashed_by_an_earlier_version(house)
-    person, rights = await house.identity.by_cookie(cookie), Rights(house.database)
+    person, rights = await house.identity.by_cookie(cookie), Rights(house.database, house.accounts)
     assert person is not None
     await house.enter()
     await rights.check(person)
     assert await house.identity.by_cookie(cookie) == person
     await house.accounts.set_password("ann", "another good one", by="t", origin="t")
     with pytest.raises(Problem, match="the password was changed"):
-        await Rights(house.database).check(person)
+        await Rights(house.database, house.accounts).check(person)
 
 
 async def test_a_password_that_was_changed_meanwhile_is_not_put_back(house: House) -> None:
@@ -390,7 +390,7 @@ def gone(house: House) -> list[str]:
     async def tell(name: str) -> None:
         told.append(name)
 
-    house.sign_in.on_gone = tell
+    house.sign_in.on_signed_out(tell)
     return told
 
 

@@ -17,6 +17,7 @@ from app.sets.model import ParameterSet, UnitRows
 from app.sets.offers import offers
 from app.sets.order import Write
 from app.sets.plan import LeftOut, RestorePlan
+from app.sets.restore import EndSubscriber
 from app.sets.restore_record import Restore, RowResult, State
 from app.sets.store import SetStore, SetSummary
 from app.swap.desk import SwapDesk, step_text
@@ -45,6 +46,7 @@ def sight(at_target: Kind, at_factory: Kind = "silent", **more: object) -> Sight
         (sight("silent", "garbled"), "address", True, "Two units answer at address {factory}"),
         (sight("garbled"), "address", True, "Two units answer at address {target}"),
         (sight("foreign"), "address", True, "no DIGIMAX IV"),
+        (sight("late"), "find", False, "Increase turnaround_ms"),
         (sight("digimax", remote=None), "remote", True, "REMOTE"),
         (sight("digimax", remote=False), "remote", True, "REMOTE"),
         (sight("digimax", remote=True), "restore", False, "Restore"),
@@ -76,11 +78,19 @@ class Scene:
         self.events = Noted()
         self.database = Database(folder / "store.db")
         self.store = SwapStore(self.database)
+        self.restores: dict[str, Restore] = {}
         self.desk = self.another()
 
     def another(self) -> SwapDesk:
         """The desk of a server that was started again."""
-        return SwapDesk(self.events, self.store, lambda: 100.0)  # type: ignore[arg-type]
+        return SwapDesk(self.events, self.store, self, lambda: 100.0)  # type: ignore[arg-type]
+
+    async def find(self, restore_id: str) -> Restore | None:
+        """As the desk of restores."""
+        return self.restores.get(restore_id)
+
+    def on_end(self, _subscriber: EndSubscriber) -> None:
+        """The test says itself when a restore has ended."""
 
     async def begin(self, unit: int = 2) -> Swap:
         kept = await SetStore(self.database).save(
@@ -138,11 +148,9 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     await scene.desk.look(swap, lambda: shown(sight("digimax", remote=True)))
     await scene.desk.ended(restore)
 
-    async def find(restore_id: str) -> Restore | None:
-        return restore if restore_id == restore.id else None
-
+    scene.restores[restore.id] = restore
     again = scene.another()
-    await again.load(find)
+    await again.load()
     known = again.of_or_404("dry-end", 2)
     assert (known.who, known.began_at, known.source) == ("anna", 100.0, Source(1, 2))
     assert (known.is_new, known.seen, known.equal, known.proven) == (True, swap.seen, False, False)
@@ -150,7 +158,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
         await again.begin(ANNA, "dry-end", 2, None)
     await again.give_up(ANNA, known)
     later = scene.another()
-    await later.load(find)
+    await later.load()
     assert later.of("dry-end", 2) is None
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import httpx
 import pytest
 
+from tests.e2e.limits import PROCEDURE_S
 from tests.e2e.site import PASSWORD, Site, eventually, site
 
 BY_API, BY_PAGE, BY_BATCH, BY_FILE, REFUSED = 73_195, 58_273, 64_938, 81_467, 739_418
@@ -101,7 +102,11 @@ def _by_restore(api: httpx.Client, kept: int) -> None:
 
 def _carry_out(api: httpx.Client, restore: str) -> None:
     assert api.post(f"/restores/{restore}/start").status_code == 202
-    eventually(lambda: api.get(f"/restores/{restore}").json()["state"] == "equal", "the unit restored")
+    eventually(
+        lambda: api.get(f"/restores/{restore}").json()["state"] == "equal",
+        "the unit restored",
+        within=PROCEDURE_S,
+    )
 
 
 def _by_swap(api: httpx.Client, page: httpx.Client, kept: int) -> None:

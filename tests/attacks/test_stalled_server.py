@@ -21,6 +21,7 @@ from typing import Any
 
 import pytest
 
+from tests.e2e.limits import START_S
 from tests.e2e.site import LINESIDE, end, eventually, free_port, people
 from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import Unit
@@ -191,7 +192,7 @@ def test_what_waited_for_the_start_is_not_sent_and_what_follows_at_once_is_not_l
     with (tmp_path / "serve.log").open("ab") as log:
         server = subprocess.Popen([LINESIDE, "serve", "--config", config], stdout=log, stderr=log)
     try:
-        early = eventually(lambda: _connected(connect, port), "the port open")
+        early = eventually(lambda: _connected(connect, port), "the port open", within=START_S)
         early.set_speed(301)
         with standing_still(server.pid):
             pass

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from bus.settings import Dialect
 from bus.wire.bodies import encode_reply, encode_request
-from bus.wire.commands import Ack, Nak, ParameterReply, ReadParameter, ReadStatus, WriteParameter
+from bus.wire.commands import Ack, Nak, ParameterReply, ReadParameter, ReadStatus, StatusReply, WriteParameter
 from bus.wire.describe import Described, Rubbish, describe_bytes, is_secret
 
 PLAIN = Dialect()
@@ -134,3 +134,9 @@ def test_anything_can_be_described(data: bytes) -> None:
     described = describe_bytes(data)
     assert sum(len(item.wire) for item in described) <= len(data)
     json.dumps([item.as_json() for item in described if isinstance(item, Described)])
+
+
+def test_a_status_is_the_same_with_its_request_before_it() -> None:
+    status = encode_reply(StatusReply(1, 500, 490, 7, 0x40, 0x03), PLAIN)
+    asked = encode_request(ReadStatus(1), PLAIN)
+    assert describe_bytes(asked + status)[1] == only(status)

@@ -29,7 +29,7 @@ from bus.wire.commands import (
 )
 from bus.wire.exchange import Answered, Exchange
 from bus.wire.fence import LONG_RUN, MOST_OUTSTANDING, Doubt, Doubts, fence_for, fence_needed, possible_shapes
-from bus.wire.framing import ACK
+from bus.wire.framing import ACK, NAK
 
 PLAIN = Dialect()
 POLL, READ, WRITE = ReadStatus(1), ReadParameter(1, 3), WriteParameter(1, 3, 4)
@@ -220,3 +220,28 @@ def test_no_late_or_doubled_answer_is_ever_taken_for_another(
             doubts.after(exchange.doubt)
             if request == wish and exchange.reply is not None:
                 break
+
+
+class TestASecret:
+    """The password (#21) may still come in a late response, and then nothing of it is kept or shown."""
+
+    PASSWORD = ReadParameter(1, 21)
+
+    @pytest.mark.parametrize(("request_", "secret"), [(PASSWORD, True), (READ, False)])
+    def test_while_a_response_is_outstanding(self, request_: Request, secret: bool) -> None:
+        doubts = Doubts(PLAIN)
+        doubts.after(doubts.about(1).sent(request_))
+        assert doubts.may_hold_secret(1) is secret
+        assert not doubts.may_hold_secret(2)
+
+    def test_while_a_second_copy_may_come(self) -> None:
+        came = Doubt(1, PLAIN).sent(self.PASSWORD).heard(bytes((1, ACK, 4, 210)))
+        assert came.outstanding == ()
+        assert came.may_hold_secret
+        assert not came.moved_on().may_hold_secret
+
+
+def test_a_frame_that_is_no_response_ends_nothing() -> None:
+    waiting = Doubt(1, PLAIN).sent(READ)
+    for body in (b"\x01", bytes((1, 0x81)), bytes((1, NAK)), bytes((1, NAK, 1, 2))):
+        assert waiting.heard(body) == waiting

@@ -17,6 +17,7 @@ from contextlib import suppress
 import pytest
 import structlog
 
+from bus.catalogue import numbers
 from bus.contract import (
     Action,
     Result,
@@ -31,7 +32,7 @@ from bus.settings import BusSettings, Dialect
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import Faults, Kind
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import Mode, Prm
+from bus.simulator.memory import Mode
 from bus.simulator.ports import PtyPort
 from bus.simulator.record import Happened, Record
 from bus.simulator.serve import LineServer
@@ -210,7 +211,7 @@ async def work_at_the_panels(line: VirtualLine) -> None:
     while True:
         await asyncio.sleep(dice.uniform(0.05, 0.5))
         unit = dice.choice(line.plant.units)
-        unit.memory[Prm.MODE] = dice.choice((Mode.LOCAL, Mode.REMOTE, Mode.REMOTE, Mode.KEYLOCK))
+        unit.memory[numbers.CONTROL_MODE] = dice.choice((Mode.LOCAL, Mode.REMOTE, Mode.REMOTE, Mode.KEYLOCK))
         if dice.random() < 0.1:
             unit.power_up()
 
@@ -232,7 +233,7 @@ def test_a_refusal_speaks_for_its_own_try_only() -> None:
     async def scene(line: VirtualLine) -> Result:
         def take_to_local() -> None:
             if line.acted(1):
-                line.plant.unit(1).memory[Prm.MODE] = Mode.LOCAL
+                line.plant.unit(1).memory[numbers.CONTROL_MODE] = Mode.LOCAL
                 line.faults.clear()
             else:
                 line.loop.call_later(0.001, take_to_local)

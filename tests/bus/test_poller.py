@@ -7,6 +7,7 @@ import dataclasses
 
 import pytest
 
+from bus.catalogue import numbers
 from bus.catalogue.parameters import NEEDED_TO_SHOW
 from bus.contract import (
     Action,
@@ -30,7 +31,6 @@ from bus.line.other_rate import LOOK_ELSEWHERE_S
 from bus.line.port import OpenPort, Receiver
 from bus.line.turns import RESERVED_S
 from bus.simulator.faults import Kind
-from bus.simulator.memory import Prm
 from bus.simulator.record import Happened
 from tests.bus.judge import made_up
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
@@ -530,7 +530,7 @@ def test_a_unit_that_does_not_come_along_brings_all_the_others_back(odd: str) ->
         _decide(line, [True, True, odd != "stays", True])
         await settled(line)
         if odd == "refuses":
-            line.plant.unit(3).memory[Prm.MODE] = 0
+            line.plant.unit(3).memory[numbers.CONTROL_MODE] = 0
         if odd == "dead":
             line.faults.set(Kind.DEAD, 1.0, 3)
         command = line.command(ChangeBaud(4800), timeout_s=10)
@@ -567,7 +567,7 @@ def test_a_nak_on_the_retry_does_not_speak_for_the_try_before() -> None:
             2: "unverified",
             3: "verified",
         }
-        assert [unit.memory[Prm.BAUD] for unit in line.plant.units] == [96, 48, 96]
+        assert [unit.memory[numbers.BAUD_RATE] for unit in line.plant.units] == [96, 48, 96]
 
     run(scene, 3)
 
@@ -576,12 +576,12 @@ def test_a_nak_on_the_retry_of_a_unit_that_is_soon_back_leaves_nothing_behind() 
     async def scene(line: VirtualLine) -> None:
         command = await _its_ack_lost_and_then_local(line, 2)
         await line.until(lambda: line.worker.poller.baud == 4800)
-        line.plant.unit(2).memory[Prm.MODE] = 1
+        line.plant.unit(2).memory[numbers.CONTROL_MODE] = 1
         await line.until(lambda: line.fate_of(command))
         fate = _fate(line, command)
         assert fate.outcome == "refused"
         assert "every unit is back at 9600 baud" in fate.message
-        assert [unit.memory[Prm.BAUD] for unit in line.plant.units] == [96] * 3
+        assert [unit.memory[numbers.BAUD_RATE] for unit in line.plant.units] == [96] * 3
 
     run(scene, 3)
 
@@ -608,7 +608,7 @@ async def _its_ack_lost_and_then_local(line: VirtualLine, unit: int) -> str:
     line.faults.set(Kind.LOST, 1.0, unit)
     command = line.command(ChangeBaud(4800), timeout_s=10)
     await line.until(lambda: line.acted(unit))
-    line.plant.unit(unit).memory[Prm.MODE] = 0
+    line.plant.unit(unit).memory[numbers.CONTROL_MODE] = 0
     line.faults.clear()
     return command
 

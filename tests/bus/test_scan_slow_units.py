@@ -6,6 +6,7 @@ import asyncio
 
 import pytest
 
+from bus.catalogue import numbers
 from bus.contract import Result, ScanBus
 from bus.line.found import LATE, Found
 from bus.line.scan_port import ScanPort
@@ -13,7 +14,7 @@ from bus.line.scanner import BaudScan, scan_addresses
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import Faults
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import Memory, Prm
+from bus.simulator.memory import Memory
 from bus.simulator.section import Section
 from bus.simulator.unit import Traits, Unit
 from tests.bus.virtual_line import VirtualClock, VirtualLine, VirtualPort, run, run_virtually
@@ -52,7 +53,7 @@ async def scan(
     plant = demo_line(units, seed=1, traits=Traits(turnaround_s=turnaround_s), script=False).plant
     plant.sections += [Section(unit) for unit in extra]
     for unit in plant.units:
-        unit.memory[Prm.BAUD] = baud // 100
+        unit.memory[numbers.BAUD_RATE] = baud // 100
         unit.power_up()
     line = ScanPort(baud, VirtualClock(loop))
     port = AdapterPort(SimulatedLine(plant, Faults(1), baud), line, loop, baud)
@@ -83,7 +84,9 @@ def test_slow_units_are_not_taken_for_two_at_one_address(
 @pytest.mark.parametrize("turnaround_s", [0.001, 0.048, 0.100])
 @pytest.mark.parametrize("baud", [1200, 9600])
 def test_two_units_at_one_address_are_still_recognized(turnaround_s: float, baud: int) -> None:
-    twin = Unit(Memory({Prm.ADDRESS: 2, Prm.BAUD: baud // 100}), Traits(turnaround_s=turnaround_s))
+    twin = Unit(
+        Memory({numbers.OWN_ADDRESS: 2, numbers.BAUD_RATE: baud // 100}), Traits(turnaround_s=turnaround_s)
+    )
     result = run_virtually(scan(turnaround_s, baud, 0.0, twin))
     assert kinds(result.found) == {1: "digimax", 2: "garbled", 3: "digimax", 4: "digimax"}
 

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bus.catalogue import numbers
 from bus.settings import Dialect
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import Faults, Kind
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import Mode, Prm
+from bus.simulator.memory import Mode
 from bus.simulator.pacer import WAKE_S, ReplyLine, RequestLine, byte_seconds
 from bus.simulator.record import Happened, Record
 from bus.simulator.unit import ORDINARY, Traits
@@ -210,7 +211,7 @@ def test_a_bad_checksum_is_met_with_silence() -> None:
 
 def test_two_units_at_one_address_garble_each_other() -> None:
     there = host(traits=Traits(turnaround_s=0.005))
-    there.line.plant.units[1].memory[Prm.ADDRESS] = 1
+    there.line.plant.units[1].memory[numbers.OWN_ADDRESS] = 1
     for unit in there.line.plant.units:
         unit.setpoint = 100 * unit.address + unit.measured.actual
     assert there.ask(ReadStatus(1)) == []
@@ -293,7 +294,7 @@ def test_a_pulled_cable_takes_with_it_what_was_under_way() -> None:
 
 def test_the_record_tells_what_was_asked_done_said_and_sent() -> None:
     there = host()
-    there.line.plant.unit(2).memory[Prm.MODE] = Mode.LOCAL
+    there.line.plant.unit(2).memory[numbers.CONTROL_MODE] = Mode.LOCAL
     there.ask(SetAndExecuteSpeed(1, 500), SetAndExecuteSpeed(2, 500), ReadStatus(9))
     entries = [(entry.what, entry.unit) for entry in there.line.record.since()]
     assert entries[0] == (Happened.CAME, 0)
@@ -303,8 +304,8 @@ def test_the_record_tells_what_was_asked_done_said_and_sent() -> None:
     assert [entry for entry in entries if entry[0] is Happened.ACTED] == [(Happened.ACTED, 1)]
     said = {entry.unit: entry.data for entry in there.line.record.since(0, Happened.SAID)}
     assert said == {1: bytes((1, 6)), 2: bytes((2, 0x15, 0x80))}
-    numbers = [entry.number for entry in there.line.record.since()]
-    assert numbers == list(range(1, there.line.record.count + 1))
+    counted = [entry.number for entry in there.line.record.since()]
+    assert counted == list(range(1, there.line.record.count + 1))
     assert list(there.line.record.since(there.line.record.count)) == []
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from bus.catalogue import numbers
 from bus.settings import BusSettings
 from bus.simulator.answering import encode, respond
 from bus.simulator.demo import DemoLine, demo_line
-from bus.simulator.memory import Prm
 from bus.simulator.plant import STEP_S, Habit, Plant, Script
 from bus.simulator.section import Section
 from bus.simulator.unit import Unit
@@ -48,7 +48,7 @@ def test_the_default_demo_is_eight_named_sections_that_run_in_metres_a_minute() 
         "Rewind",
     ]
     for unit in line.plant.units:
-        assert (unit.memory[Prm.DECIMALS], unit.follows) == (1, False)
+        assert (unit.memory[numbers.DECIMALS], unit.follows) == (1, False)
         assert unit.measured.actual == pytest.approx(1200, abs=10)
         assert unit.at_speed
 
@@ -108,7 +108,7 @@ def test_a_contact_that_is_off_by_habit_comes_back_on() -> None:
 
 def test_followers_follow_the_first_unit_that_is_a_master() -> None:
     master, follower = Unit(), Unit()
-    follower.memory[Prm.ADDRESS], follower.memory[Prm.FOLLOWING] = 2, 1
+    follower.memory[numbers.OWN_ADDRESS], follower.memory[numbers.FOLLOWER_MODE] = 2, 1
     master.setpoint, follower.setpoint = 1000, 5000
     plant = Plant([Section(follower), Section(master, seed=2)])
     for _ in range(600):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bus.simulator.memory import Memory, Prm
+from bus.catalogue import numbers
+from bus.simulator.memory import Memory
 from bus.simulator.section import Section
 from bus.simulator.unit import Unit
 
@@ -14,7 +15,7 @@ FULL = 2000
 
 def section(seed: int = 1, **values: int) -> Section:
     """A section with #1 1750 rpm, #2 2000 and ramps of 10 s for the full span, but for ``values``."""
-    named = {int(Prm[name]): raw for name, raw in values.items()}
+    named = {getattr(numbers, name): raw for name, raw in values.items()}
     return Section(Unit(Memory(named)), seed)
 
 
@@ -26,23 +27,23 @@ def run(machine: Section, seconds: float, master_rpm: float = 0.0, upstream: Sec
 
 @pytest.mark.parametrize(("seconds", "share"), [(2.5, 0.25), (5, 0.5), (20, 1.0)])
 def test_it_accelerates_by_the_time_for_the_full_span(seconds: float, share: float) -> None:
-    machine = section(SETPOINT=FULL, ACCELERATION=100)
+    machine = section(SPEED_SETPOINT=FULL, ACCELERATION=100)
     assert run(machine, seconds) == pytest.approx(FULL * share, abs=40)
 
 
 def test_it_slows_down_by_its_own_ramp() -> None:
-    machine = section(SETPOINT=FULL, ACCELERATION=10, DECELERATION=200)
+    machine = section(SPEED_SETPOINT=FULL, ACCELERATION=10, DECELERATION=200)
     run(machine, 5)
     machine.unit.setpoint = 0
     assert run(machine, 10) == pytest.approx(FULL / 2, abs=40)
 
 
 def test_a_ramp_of_nought_is_no_ramp() -> None:
-    assert run(section(SETPOINT=1000, ACCELERATION=0), 1.5) == pytest.approx(1000, abs=5)
+    assert run(section(SPEED_SETPOINT=1000, ACCELERATION=0), 1.5) == pytest.approx(1000, abs=5)
 
 
 def test_at_speed_is_the_window_around_what_is_asked() -> None:
-    machine = section(SETPOINT=1000, WINDOW=10)
+    machine = section(SPEED_SETPOINT=1000, AT_SPEED_WINDOW=10)
     seen = set()
     for _ in range(300):
         machine.step(DT, 0.0, None)
@@ -53,7 +54,7 @@ def test_at_speed_is_the_window_around_what_is_asked() -> None:
 
 
 def test_a_drive_that_does_not_run_coasts_and_runs_up_again_from_where_it_is() -> None:
-    machine = section(SETPOINT=FULL, ACCELERATION=100)
+    machine = section(SPEED_SETPOINT=FULL, ACCELERATION=100)
     run(machine, 20)
     machine.unit.inputs.run = False
     coasting = run(machine, 2)
@@ -66,7 +67,7 @@ def test_a_drive_that_does_not_run_coasts_and_runs_up_again_from_where_it_is() -
 
 
 def test_an_emergency_stop_is_much_faster_than_coasting() -> None:
-    machine = section(SETPOINT=FULL)
+    machine = section(SPEED_SETPOINT=FULL)
     run(machine, 20)
     machine.unit.inputs.estop = True
     assert run(machine, 1) < FULL * 0.05
@@ -76,7 +77,7 @@ def test_an_emergency_stop_is_much_faster_than_coasting() -> None:
 
 @pytest.mark.parametrize(("ratio", "base"), [(10000, 10000), (5000, 10000), (10500, 10000), (10000, 5000)])
 def test_a_follower_holds_its_ratio_to_the_master(ratio: int, base: int) -> None:
-    machine = section(FOLLOWING=1, RATIO=ratio, BASE_RATIO=base)
+    machine = section(FOLLOWER_MODE=1, RATIO_SETPOINT=ratio, BASE_RATIO=base)
     actual = run(machine, 30, master_rpm=875)
     expected = FULL / 2 * ratio / 10000 * base / 10000
     assert actual == pytest.approx(expected, abs=5)
@@ -86,24 +87,26 @@ def test_a_follower_holds_its_ratio_to_the_master(ratio: int, base: int) -> None
 
 
 def test_an_inverse_follower_divides_by_its_ratio() -> None:
-    assert run(section(FOLLOWING=2, RATIO=20000), 30, master_rpm=875) == pytest.approx(500, abs=5)
+    assert run(section(FOLLOWER_MODE=2, RATIO_SETPOINT=20000), 30, master_rpm=875) == pytest.approx(
+        500, abs=5
+    )
 
 
 def test_a_follower_rests_while_its_master_does() -> None:
-    machine = section(FOLLOWING=1)
+    machine = section(FOLLOWER_MODE=1)
     assert run(machine, 5, master_rpm=0) == 0
     assert machine.unit.measured.ratio == 0
 
 
 def test_reverse_turns_the_motor_the_other_way_and_shows_the_same_speed() -> None:
-    machine = section(SETPOINT=1000)
+    machine = section(SPEED_SETPOINT=1000)
     machine.unit.inputs.reverse = True
     assert run(machine, 20) == pytest.approx(1000, abs=5)
     assert machine.rpm < 0
 
 
 def test_the_motor_potentiometer_moves_the_setpoint_by_the_ramp() -> None:
-    machine = section(SETPOINT=500, JUMP_MODE=0, ACCELERATION=100)
+    machine = section(SPEED_SETPOINT=500, JUMP_MODE=0, ACCELERATION=100)
     machine.unit.inputs.up = True
     run(machine, 1)
     machine.unit.inputs.up = False
@@ -113,7 +116,7 @@ def test_the_motor_potentiometer_moves_the_setpoint_by_the_ramp() -> None:
 
 
 def test_the_web_tightens_where_a_section_runs_ahead_of_the_one_before() -> None:
-    before, ahead, behind = (section(SETPOINT=speed) for speed in (1000, 1010, 990))
+    before, ahead, behind = (section(SPEED_SETPOINT=speed) for speed in (1000, 1010, 990))
     for machine in (before, ahead, behind):
         machine.settle()
     for _ in range(100):
@@ -127,7 +130,7 @@ def test_the_web_tightens_where_a_section_runs_ahead_of_the_one_before() -> None
 
 def test_the_same_seed_gives_the_same_speeds_and_another_seed_others() -> None:
     def course(seed: int) -> list[int]:
-        machine = section(seed, SETPOINT=1000)
+        machine = section(seed, SPEED_SETPOINT=1000)
         return [run(machine, DT) for _ in range(400)]
 
     assert course(1) == course(1)
@@ -135,7 +138,7 @@ def test_the_same_seed_gives_the_same_speeds_and_another_seed_others() -> None:
 
 
 def test_everything_shown_fits_its_bytes() -> None:
-    machine = section(SETPOINT=99999, MAX_DISPLAY=99999, ACCELERATION=0)
+    machine = section(SPEED_SETPOINT=99999, MAX_DISPLAY=99999, ACCELERATION=0)
     for estop in (False, True):
         machine.unit.inputs.estop = estop
         for _ in range(200):
@@ -145,5 +148,5 @@ def test_everything_shown_fits_its_bytes() -> None:
 
 
 def test_odd_parameters_do_not_break_the_machine() -> None:
-    machine = section(FOLLOWING=2, RATIO=0, MAX_RPM=0, MAX_DISPLAY=0)
+    machine = section(FOLLOWER_MODE=2, RATIO_SETPOINT=0, MAX_RPM=0, MAX_DISPLAY=0)
     assert run(machine, 1, master_rpm=100) == 0

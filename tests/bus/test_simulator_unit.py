@@ -6,11 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bus.catalogue import numbers
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import UnitErrorCode as Code
 from bus.settings import Dialect
 from bus.simulator.answering import encode, respond
-from bus.simulator.memory import Memory, Mode, Prm
+from bus.simulator.memory import Memory, Mode
 from bus.simulator.unit import Inputs, Traits, Unit
 from bus.wire.bodies import encode_request, parse_reply
 from bus.wire.commands import (
@@ -80,7 +81,7 @@ def status(unit: Unit) -> StatusReply:
 @given(request=writes)
 def test_writes_need_remote(mode: Mode, request: Request) -> None:
     unit = Unit()
-    unit.memory[Prm.MODE] = mode
+    unit.memory[numbers.CONTROL_MODE] = mode
     before = state(unit)
     assert ask(unit, request) == Nak(1, Code.NOT_REMOTE)
     assert state(unit) == before
@@ -89,7 +90,7 @@ def test_writes_need_remote(mode: Mode, request: Request) -> None:
 @given(request=reads, mode=st.sampled_from(Mode))
 def test_reads_are_answered_in_every_mode_and_change_nothing(request: Request, mode: Mode) -> None:
     unit = Unit()
-    unit.memory[Prm.MODE] = mode
+    unit.memory[numbers.CONTROL_MODE] = mode
     before = state(unit)
     assert not isinstance(ask(unit, request), Nak) or request == ReadParameter(1, max(41, request.number))
     assert state(unit) == before
@@ -137,7 +138,7 @@ def test_the_broadcast_is_carried_out_and_not_answered() -> None:
 def test_a_local_unit_ignores_the_broadcast() -> None:
     unit = Unit()
     ask(unit, StageSpeed(1, 528))
-    unit.memory[Prm.MODE] = Mode.LOCAL
+    unit.memory[numbers.CONTROL_MODE] = Mode.LOCAL
     turn = respond(unit, bytes.fromhex("00 83"))
     assert (turn.reply, turn.acted, unit.commanded) == (None, False, 0)
 
@@ -169,10 +170,10 @@ def test_a_speed_ends_at_the_maximum_display_value(command: type[StageSpeed | Se
 @pytest.mark.parametrize(("raw", "taken"), [(4999, False), (5000, True), (20000, True), (20001, False)])
 def test_a_follower_takes_a_ratio_between_its_limits(raw: int, taken: bool) -> None:
     unit = Unit()
-    unit.memory[Prm.FOLLOWING] = 1
+    unit.memory[numbers.FOLLOWER_MODE] = 1
     expected = Ack(1) if taken else Nak(1, Code.ILLEGAL_SPEED)
     assert ask(unit, SetAndExecuteSpeed(1, raw)) == expected
-    assert (unit.memory[Prm.RATIO] == raw) == taken
+    assert (unit.memory[numbers.RATIO_SETPOINT] == raw) == taken
 
 
 @pytest.mark.parametrize(
@@ -203,7 +204,7 @@ def test_the_mode_of_following_waits_for_the_drive_to_be_off() -> None:
 
 def test_setup_during_run_can_be_locked_while_the_speed_stays_free() -> None:
     unit = Unit()
-    unit.memory[Prm.SETUP_DURING_RUN] = 0
+    unit.memory[numbers.SETUP_DURING_RUN] = 0
     assert ask(unit, WriteParameter(1, 6, 50)) == Nak(1, Code.ILLEGAL_PARAMETER_VALUE)
     assert ask(unit, WriteParameter(1, 20, 50)) == Ack(1)
     assert ask(stopped(unit), WriteParameter(1, 6, 50)) == Ack(1)
@@ -251,14 +252,14 @@ def test_a_new_baud_counts_at_once_or_after_power_up(when: str, at_once: bool) -
 @pytest.mark.parametrize("source", [0, 1, 3])
 def test_the_analog_output_needs_the_link_as_its_source(source: int) -> None:
     unit = Unit()
-    unit.memory[Prm.ANALOG_SOURCE] = source
+    unit.memory[numbers.ANALOG_OUT_SOURCE] = source
     assert ask(unit, WriteAnalogOutput(1, 100)) == Nak(1, Code.ANALOG_OUTPUT_NOT_COMMANDED_BY_LINK)
 
 
 @pytest.mark.parametrize(("raw", "taken"), [(99, False), (100, True), (2000, True), (2001, False)])
 def test_the_analog_output_has_limits(raw: int, taken: bool) -> None:
     unit = Unit()
-    unit.memory[Prm.ANALOG_LOW] = 100
+    unit.memory[numbers.ANALOG_OUT_LOW] = 100
     assert ask(unit, WriteAnalogOutput(1, raw)) == (Ack(1) if taken else Nak(1, Code.ILLEGAL_ANALOG_VALUE))
 
 
@@ -281,7 +282,7 @@ def test_what_is_no_command_is_said_to_be_none(body: str, refusal: Code) -> None
 
 def test_a_local_unit_names_the_mode_before_the_value() -> None:
     unit = Unit()
-    unit.memory[Prm.MODE] = Mode.LOCAL
+    unit.memory[numbers.CONTROL_MODE] = Mode.LOCAL
     assert respond(unit, bytes.fromhex("01 87 01 02")).reply == Nak(1, Code.NOT_REMOTE)
     assert respond(unit, bytes.fromhex("01 80")).reply == Nak(1, Code.ILLEGAL_COMMAND)
 
@@ -311,7 +312,7 @@ def test_the_status_bits_are_where_the_manual_puts_them(
 
 def test_the_remote_bit_is_off_in_keylock() -> None:
     unit = Unit()
-    unit.memory[Prm.MODE] = Mode.KEYLOCK
+    unit.memory[numbers.CONTROL_MODE] = Mode.KEYLOCK
     assert not status(unit).outputs & 0x40
 
 

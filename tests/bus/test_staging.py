@@ -6,9 +6,10 @@ import asyncio
 
 import pytest
 
+from bus.catalogue import numbers
 from bus.contract import ExecuteAll, Progress, Result, SetLine, SetSpeed, Staged
 from bus.simulator.faults import Kind
-from bus.simulator.memory import Mode, Prm
+from bus.simulator.memory import Mode
 from bus.simulator.record import Happened
 from tests.bus.virtual_line import VirtualLine, run
 
@@ -71,7 +72,7 @@ def test_one_that_cannot_stops_it_before_the_broadcast(fault: str) -> None:
         before = setpoints(line)
         change = dict(ALL)
         if fault == "local":
-            line.plant.unit(3).memory[Prm.MODE] = Mode.LOCAL
+            line.plant.unit(3).memory[numbers.CONTROL_MODE] = Mode.LOCAL
         elif fault == "dead":
             line.faults.set(Kind.DEAD, 1.0, 3)
         else:
@@ -83,7 +84,7 @@ def test_one_that_cannot_stops_it_before_the_broadcast(fault: str) -> None:
         assert not heard(line, 0x83)
         assert setpoints(line) == before
         line.faults.clear()
-        line.plant.unit(3).memory[Prm.MODE] = Mode.REMOTE
+        line.plant.unit(3).memory[numbers.CONTROL_MODE] = Mode.REMOTE
         fate = await line.ask(ExecuteAll())
         assert setpoints(line) == before, "a stray execute surprises nobody"
         assert line.worker.poller.roster[1].staged is None
@@ -107,7 +108,7 @@ def test_staged_values_are_put_back_and_told() -> None:
 
 def test_a_unit_known_to_be_local_is_asked_first_so_that_nothing_is_staged_in_vain() -> None:
     async def scene(line: VirtualLine) -> None:
-        line.plant.unit(4).memory[Prm.MODE] = Mode.LOCAL
+        line.plant.unit(4).memory[numbers.CONTROL_MODE] = Mode.LOCAL
         await settled(line)
         fate = await line.ask(SetLine(ALL))
         assert fate.outcome == "refused"
@@ -329,7 +330,7 @@ def test_thirty_two_units_cost_hardly_more_than_their_frames() -> None:
 
     def configure(line: VirtualLine) -> None:
         for unit in line.plant.units:
-            unit.memory[Prm.FOLLOWING] = 0
+            unit.memory[numbers.FOLLOWER_MODE] = 0
 
     async def with_masters(line: VirtualLine) -> None:
         configure(line)

@@ -49,3 +49,10 @@ def test_bits_round_trip(outputs: int, inputs: int, healthy: int) -> None:
 @given(octets)
 def test_bit_7_of_the_inputs_means_nothing(inputs: int) -> None:
     assert status_bits(0, inputs) == status_bits(0, inputs ^ 0x80)
+
+
+def test_each_input_has_a_name_for_programs() -> None:
+    names = ("run", "estop", "preset", "reverse", "up", "down", "slave")
+    for place, name in enumerate(names):
+        inputs = status_bits(0, 1 << place, estop_healthy=0).inputs
+        assert [each for each, on in inputs.items() if on] == [name]

@@ -10,6 +10,7 @@ from bus.catalogue.parameters import PARAMETERS, Parameter
 from bus.catalogue.values import (
     analog_input_value,
     analog_output_volts,
+    is_follower,
     parameter_raw,
     parameter_text,
     parameter_unit,
@@ -94,6 +95,11 @@ def test_more_decimals_than_shown_are_refused_zeros_too(text: str) -> None:
 @given(raws)
 def test_ratios_round_trip(raw: int) -> None:
     assert ratio_raw(ratio_text(raw)) == raw
+
+
+@pytest.mark.parametrize(("mode", "follows"), [(0, False), (1, True), (2, True), (3, False), (None, False)])
+def test_which_modes_make_a_follower(mode: int | None, follows: bool) -> None:
+    assert is_follower(mode) is follows
 
 
 def test_a_ratio_has_four_decimals() -> None:
@@ -181,3 +187,18 @@ def test_a_baud_rate_is_typed_as_people_say_it() -> None:
     assert parameter_raw(PARAMETERS[18], "9600", None) == 96
     with pytest.raises(CallerError, match="no baud rate"):
         parameter_raw(PARAMETERS[18], "9601", None)
+
+
+def test_a_speed_of_more_decimals_than_a_value_can_have_is_raw() -> None:
+    assert speed_text(5, 9) == "0.000000005"
+    assert speed_text(5, 10) == "5 raw"
+    with pytest.raises(CallerError, match="more decimals"):
+        speed_raw("5", 10)
+
+
+def test_what_is_no_number_is_not_repeated_where_the_parameter_is_secret() -> None:
+    [secret] = [parameter for parameter in PARAMETERS.values() if parameter.secret]
+    assert parameter_raw(secret, " 1234 ", None) == 1234
+    with pytest.raises(CallerError) as refused:
+        parameter_raw(secret, "hunter2", None)
+    assert "hunter2" not in str(refused.value)

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from bus.catalogue import numbers
 from bus.contract import (
     Batch,
     BusFigures,
@@ -37,7 +38,7 @@ from bus.contract import (
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import Kind
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import Mode, Prm
+from bus.simulator.memory import Mode
 from bus.simulator.ports import Port, PtyPort, TcpPort
 from bus.simulator.record import Happened
 from bus.simulator.serve import LineServer
@@ -94,8 +95,9 @@ async def test_it_says_hello_then_everything_then_what_is_new(line: LineServer, 
         assert app.messages[0].bus == "b"
         assert app.messages[1] in app.snapshots()
         await app.until(lambda: any(isinstance(update, BusFigures) for update in app.updates()))
-        numbers = [batch.seq for batch in app.batches()]
-        assert numbers == list(range(app.snapshots()[0].seq + 1, app.snapshots()[0].seq + 1 + len(numbers)))
+        sequence = [batch.seq for batch in app.batches()]
+        first = app.snapshots()[0].seq + 1
+        assert sequence == list(range(first, first + len(sequence)))
         reading = app.readings(2)[-1]
         assert reading.commanded == line.call(lambda simulated: simulated.plant.unit(2).commanded)
 
@@ -127,7 +129,7 @@ async def test_every_action_of_the_contract_has_its_fate(line: LineServer, tmp_p
 
 
 async def test_a_refusal_is_the_units_word_and_is_asked_once(line: LineServer, tmp_path: Path) -> None:
-    line.line.plant.unit(2).memory[Prm.MODE] = Mode.LOCAL
+    line.line.plant.unit(2).memory[numbers.CONTROL_MODE] = Mode.LOCAL
     async with running(line, tmp_path) as app:
         fate = await app.ask(SetSpeed(2, 100))
         assert (fate.outcome, fate.unit_error, fate.units[0].attempts) == ("refused", 0x80, 1)

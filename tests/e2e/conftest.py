@@ -16,7 +16,8 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
 from tests.e2e import site as sites
-from tests.e2e.site import CALM, PASSWORD, PATIENCE_S, Site
+from tests.e2e.limits import PAGE_MS
+from tests.e2e.site import CALM, PASSWORD, Site
 
 CHROMIUM = "/usr/bin/chromium-headless-shell"
 FLAGS = [
@@ -29,8 +30,7 @@ FLAGS = [
     "--disable-sync",
 ]
 AXE = Path(__file__).resolve().parents[2] / "node_modules" / "axe-core" / "axe.min.js"
-PATIENCE_MS = 1000 * PATIENCE_S
-expect.set_options(timeout=PATIENCE_MS)
+expect.set_options(timeout=PAGE_MS)
 REQUEST_FAILED = ("Failed to load resource", "An unknown error occurred when fetching the script.")
 """In Chromium's words. The script is the service worker's, asked for after the page was opened: where a test
 stops the server or the network at once, it comes in vain. That it can be had is proven in test_kiosk."""
@@ -85,7 +85,7 @@ def browser_page(browser: Browser, request: pytest.FixtureRequest) -> Iterator[O
             state = signed_in(browser, served, role) if role else None
             context = {"reduced_motion": "reduce", **context}
             opened = browser.new_context(base_url=served.url, storage_state=state, **context)
-            opened.set_default_timeout(PATIENCE_MS)
+            opened.set_default_timeout(PAGE_MS)
             stack.callback(opened.close)
             page = opened.new_page()
             page.on("pageerror", lambda error: complaints.append(str(error)))

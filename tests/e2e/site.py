@@ -34,6 +34,7 @@ from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from bus.simulator.control import Remote
 from bus.simulator.demo import demo_line
+from tests.e2e.limits import CALL_S, START_S, UNIT_S
 
 LINESIDE = Path(sys.executable).with_name("lineside")
 ROLES = ("viewer", "operator", "engineer", "admin")
@@ -41,11 +42,9 @@ PASSWORD = "correct horse battery staple"
 CALM = ("--no-script", "--turnaround-ms", "40")
 """Units at rest that answer no faster than a page needs: several lines at full rate leave a small machine
 little time for its browsers."""
-PATIENCE_S = 120.0
-"""How long anything may take that is waited for: on a slow machine that does five other things besides."""
 
 
-def eventually(condition: Callable[[], Any], what: str, *, within: float = PATIENCE_S) -> Any:
+def eventually(condition: Callable[[], Any], what: str, *, within: float = UNIT_S) -> Any:
     """The first true result of ``condition``; fails with ``what`` when there is none in time."""
     end = time.monotonic() + within
     while time.monotonic() < end:
@@ -92,7 +91,7 @@ def end(process: subprocess.Popen[Any], number: int = signal.SIGTERM) -> int:
     """Send a signal and wait; what the process returned."""
     if process.poll() is None:
         process.send_signal(number)
-    status = process.wait(timeout=PATIENCE_S)
+    status = process.wait(timeout=START_S)
     for stream in (process.stdout, process.stderr, process.stdin):
         if stream is not None:
             stream.close()
@@ -168,11 +167,11 @@ class Site:
             stderr=self.log,
             env={**os.environ, **self.environment},
         )
-        eventually(self._answers, f"an answer from {self.url}")
+        eventually(self._answers, f"an answer from {self.url}", within=START_S)
 
     def wait_for_units(self) -> None:
         """Until every unit has been read, and its decimals are known: of many, one after the other."""
-        eventually(self._all_read, "a reading from every unit", within=max(PATIENCE_S, 2.0 * self.units))
+        eventually(self._all_read, "a reading from every unit", within=max(START_S, 2.0 * self.units))
 
     def stop(self, number: int = signal.SIGTERM) -> int:
         """End the server by a signal; what it returned."""
@@ -203,9 +202,7 @@ class Site:
     def api(self, role: str | None = "admin") -> httpx.Client:
         """A client of the API with a role's token (None: nobody)."""
         headers = {"Authorization": f"Bearer {self.tokens[role]}"} if role else {}
-        return httpx.Client(
-            base_url=f"{self.url}/api/v1", headers=headers, timeout=PATIENCE_S, trust_env=False
-        )
+        return httpx.Client(base_url=f"{self.url}/api/v1", headers=headers, timeout=CALL_S, trust_env=False)
 
     def unit(self, number: int = 1, bus: str = "line") -> dict[str, Any]:
         """A unit as the API shows it now."""
@@ -218,7 +215,7 @@ class Site:
         if self.server.poll() is not None:
             raise AssertionError("lineside serve ended:\n" + (self.folder / "serve.log").read_text()[-4000:])
         # Nothing heavier: it is asked fifty times a second while the server starts, and that is measured.
-        asked = HTTPConnection(self.url.rpartition("/")[2], timeout=PATIENCE_S)
+        asked = HTTPConnection(self.url.rpartition("/")[2], timeout=START_S)
         try:
             asked.request("GET", "/healthz")
             return asked.getresponse().status == 200

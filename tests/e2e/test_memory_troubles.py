@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 
+from tests.e2e.limits import PROCEDURE_S
 from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
 
@@ -103,16 +104,16 @@ def test_a_clock_that_is_set_back_and_forward_is_noticed_and_everything_goes_on(
 def set_clock(site: Site, clock: Path, step: float) -> None:
     """Step it and see everything go on by the new time."""
     before = time.time() + float(clock.read_text())
-    eventually(lambda: heard(site, before - 10, before + 60), "readings before")
+    eventually(lambda: heard(site, before - 10, before + 60), "readings before", within=PROCEDURE_S)
     steps = len(clock_events(site))
     clock.write_text(str(step))
     now = time.time() + step
-    eventually(lambda: len(clock_events(site)) > steps, "the step in the events")
+    eventually(lambda: len(clock_events(site)) > steps, "the step in the events", within=PROCEDURE_S)
     goes_on(site)
     # What the worker takes for late while it learns the new clock is refused, not sent.
-    eventually(lambda: set_speed(site, 10) == 200, "a command")
+    eventually(lambda: set_speed(site, 10) == 200, "a command", within=PROCEDURE_S)
     assert site.unit(1)["age_ms"] < 10_000
-    eventually(lambda: heard(site, now, now + 60), "readings by the new clock")
+    eventually(lambda: heard(site, now, now + 60), "readings by the new clock", within=PROCEDURE_S)
     assert heard(site, before - 10, before + 1), "what was heard before the step is still there"
     assert state(site) == "ok"
 
@@ -127,7 +128,7 @@ def test_a_disk_on_which_nothing_can_be_written_stops_commands_and_nothing_else(
     before = site.unit(1)["commanded_raw"]
     resource.prlimit(site.server.pid, resource.RLIMIT_FSIZE, NOTHING_WRITTEN)
     try:
-        eventually(lambda: state(site) == "failed", "history says that it cannot be kept")
+        eventually(lambda: state(site) == "failed", "history says that it cannot be kept", within=PROCEDURE_S)
         assert "no history is kept, everything else works" in notice(site)
         goes_on(site)
         assert set_speed(site, 20) >= 500
@@ -135,8 +136,8 @@ def test_a_disk_on_which_nothing_can_be_written_stops_commands_and_nothing_else(
         assert heard(site, time.time() - 600, time.time()), "what was kept can still be read"
     finally:
         resource.prlimit(site.server.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
-    eventually(lambda: set_speed(site, 20) == 200, "commands again")
-    eventually(lambda: state(site) == "ok", "history again")
+    eventually(lambda: set_speed(site, 20) == 200, "commands again", within=PROCEDURE_S)
+    eventually(lambda: state(site) == "ok", "history again", within=PROCEDURE_S)
     assert notice(site) == ""
     assert "whole" in site.command("audit", "verify")
 
@@ -150,13 +151,13 @@ def test_pages_that_are_overwritten_while_it_runs_are_noticed_and_said(site: Sit
         connection.execute("UPDATE raw SET data = zeroblob(length(data))")
     asked_at = time.time()
     heard(site, begun - 7200, asked_at + 60)
-    eventually(lambda: "was damaged" in notice(site), "the notice")
+    eventually(lambda: "was damaged" in notice(site), "the notice", within=PROCEDURE_S)
     said = [event["what"] for event in asked(site, "/events", kind="server")["events"]]
     assert any(
         "a block of the history is damaged, it is missing: every reading of line/" in text for text in said
     )
     goes_on(site)
-    eventually(lambda: heard(site, asked_at, time.time() + 60), "history goes on")
+    eventually(lambda: heard(site, asked_at, time.time() + 60), "history goes on", within=PROCEDURE_S)
 
 
 def blocks(store: Path) -> int:
@@ -189,7 +190,7 @@ def test_a_history_that_is_read_only_at_the_start_is_said(site: Site) -> None:
         site.stop()
     site.start()
     site.wait_for_units()
-    eventually(lambda: state(site) == "ok", "history again")
+    eventually(lambda: state(site) == "ok", "history again", within=PROCEDURE_S)
 
 
 def test_on_a_disk_that_fills_the_events_are_the_last_to_suffer(tmp_path: Path) -> None:
@@ -199,21 +200,25 @@ def test_on_a_disk_that_fills_the_events_are_the_last_to_suffer(tmp_path: Path) 
         mounted("-t", "tmpfs", "-o", "size=180m", "tmpfs", at=data),
         one_site(tmp_path, 2, line_options=("--no-script",)) as site,
     ):
-        eventually(lambda: state(site) == "scarce", "it is said that the disk is nearly full")
+        eventually(
+            lambda: state(site) == "scarce", "it is said that the disk is nearly full", within=PROCEDURE_S
+        )
         assert "nearly full" in notice(site)
         fill(data, leave=60_000_000)
-        eventually(lambda: state(site) == "paused", "history pauses")
+        eventually(lambda: state(site) == "paused", "history pauses", within=PROCEDURE_S)
         assert "the disk is full" in notice(site)
         goes_on(site)
         assert set_speed(site, 10) == 200
         fill(data, leave=0)
         goes_on(site)
-        eventually(lambda: set_speed(site, 10) >= 500, "what cannot be written down is not sent")
+        eventually(
+            lambda: set_speed(site, 10) >= 500, "what cannot be written down is not sent", within=PROCEDURE_S
+        )
         goes_on(site)
         for ballast in data.glob("ballast*"):
             ballast.unlink()
-        eventually(lambda: set_speed(site, 10) == 200, "commands again")
-        eventually(lambda: state(site) == "scarce", "history again")
+        eventually(lambda: set_speed(site, 10) == 200, "commands again", within=PROCEDURE_S)
+        eventually(lambda: state(site) == "scarce", "history again", within=PROCEDURE_S)
         assert "whole" in site.command("audit", "verify")
 
 

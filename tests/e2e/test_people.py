@@ -12,7 +12,8 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import CALM, PATIENCE_S, Site, eventually
+from tests.e2e.limits import CALL_S, PROCEDURE_S
+from tests.e2e.site import CALM, Site, eventually
 from tests.e2e.site import site as one_site
 
 PANEL = {"width": 1280, "height": 800}
@@ -35,7 +36,7 @@ def holder(site: Site) -> Iterator[httpx.Client]:
     with httpx.Client(
         base_url=site.url,
         headers={"Authorization": f"Bearer {site.tokens['admin']}"},
-        timeout=PATIENCE_S,
+        timeout=CALL_S,
         trust_env=False,
     ) as client:
         assert (
@@ -260,7 +261,7 @@ def test_a_block_holds_on_every_path(site: Site, holder: httpx.Client, staged_an
         assert "belt off since 14:20" in answer.text, (path, answer.text)
         assert heard(site) == before, path
     holder.post(f"/api/v1/restores/{planned['id']}/start")
-    ended = eventually(lambda: _ended(holder, planned["id"]), "the end of the restore")
+    ended = eventually(lambda: _ended(holder, planned["id"]), "the end of the restore", within=PROCEDURE_S)
     assert "belt off" in str(ended)
     assert heard(site) == before
     assert "left out: blocked" in press(holder, site, *more[2]).text

@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 
 from app.cli import cli
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import CALM, PATIENCE_S, Site, eventually
+from tests.e2e.limits import CALL_S, PROCEDURE_MS, PROCEDURE_S
+from tests.e2e.site import CALM, Site, eventually
 from tests.e2e.site import site as one_site
 
 OFFICE = {"width": 1280, "height": 900}
@@ -109,7 +110,7 @@ def test_stopped_half_way_it_says_what_is_done_and_again_finishes_the_rest(
     expect(page.get_by_text(re.compile(r"writing: [1-9]\d* of"))).to_be_visible()
     trouble(site, page)
     early = page.get_by_role("status").filter(has_text="It ended early")
-    expect(early).to_contain_text(re.compile(cause))
+    expect(early).to_contain_text(re.compile(cause), timeout=PROCEDURE_MS)
     told = fates(page)
     hands.do("clear")
     assert set(told) == set(wanted)
@@ -124,18 +125,24 @@ def test_stopped_half_way_it_says_what_is_done_and_again_finishes_the_rest(
     if trouble is pull_the_cable:
         hands.do("plug")
     left = page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 2"))
-    eventually(lambda: asked_again(page, left), "the unit answers again")
+    eventually(lambda: asked_again(page, left), "the unit answers again", within=PROCEDURE_S)
     assert set(fates(page)) == {number for number in wanted if parameter(site, number) != wanted[number]}
     left.click()
-    expect(page.locator("#restore").get_by_text("proven by a full read")).to_be_visible()
+    expect_proof(page)
     assert {number: parameter(site, number) for number in wanted} == wanted
+
+
+def expect_proof(page: Page) -> None:
+    """Wait for the end of a restore that wrote all rows."""
+    proven = page.locator("#restore").get_by_text("proven by a full read")
+    expect(proven).to_be_visible(timeout=PROCEDURE_MS)
 
 
 def asked_again(page: Page, left: Locator) -> bool:
     """Ask for what is left; where the unit does not answer yet, the page says so, and one goes back."""
     page.get_by_role("button", name="Review what is left").click()
     refused = page.get_by_role("heading", name="That cannot be done")
-    expect(left.or_(refused)).to_be_visible()
+    expect(left.or_(refused)).to_be_visible(timeout=PROCEDURE_MS)
     if left.count():
         return True
     page.go_back()
@@ -157,7 +164,7 @@ def test_by_keyboard_alone_to_the_proof_which_prints(
     assert as_it_should_be(page, axe) == []
     tab_to(page, f"Write {len(NUMBERS)} rows to unit 2")
     page.keyboard.press("Enter")
-    expect(page.locator("#restore").get_by_text("proven by a full read")).to_be_visible()
+    expect_proof(page)
     assert as_it_should_be(page, axe) == []
     page.emulate_media(media="print")
     proof = page.get_by_role("table", name="Proof")
@@ -191,7 +198,7 @@ def test_a_setpoint_is_left_out_until_it_is_ticked(site: Site, browser_page: Ope
     expect(tick).not_to_be_checked()
     mark = len(writes(site))
     page.get_by_role("button", name="Write 1 row to unit 2").click()
-    expect(page.locator("#restore").get_by_text("proven by a full read")).to_be_visible()
+    expect_proof(page)
     left_out = page.get_by_role("table", name="Left out").get_by_role("row", name="Speed Setpoint")
     expect(left_out).to_contain_text("Changes the machine's speed now")
     assert (parameter(site, 6), parameter(site, 20), len(writes(site))) == (ramp, speed - 100, mark + 1)
@@ -202,7 +209,7 @@ def test_a_setpoint_is_left_out_until_it_is_ticked(site: Site, browser_page: Ope
     tick.check()
     expect(button).to_have_text("Write 1 row to unit 2")
     button.click()
-    expect(page.locator("#restore").get_by_text("proven by a full read")).to_be_visible()
+    expect_proof(page)
     assert (parameter(site, 20), len(writes(site))) == (speed, mark + 2)
 
 
@@ -241,7 +248,7 @@ def test_a_bad_file_is_refused_in_words_and_nothing_is_written(site: Site, tmp_p
             f"{site.url}/units/line/2/restore",
             files={"file": (file.name, content)},
             headers={"Authorization": f"Bearer {site.tokens['engineer']}", "Accept": "text/html"},
-            timeout=PATIENCE_S,
+            timeout=CALL_S,
         )
         assert (page.status_code, says in html.unescape(page.text)) == (422, True), (name, page.text[:2000])
         told = runner.invoke(cli, ["restore", *to(site, 2), "--yes", "--json", str(file)])
@@ -253,10 +260,10 @@ def test_a_bad_file_is_refused_in_words_and_nothing_is_written(site: Site, tmp_p
     assert len(writes(site)) == mark
 
 
-def test_fifty_megabytes_and_a_unit_that_is_not_there(site: Site, tmp_path: Path) -> None:
+def test_a_file_that_is_too_long_and_a_unit_that_is_not_there(site: Site, tmp_path: Path) -> None:
     good, runner = good_file(site), CliRunner()
     huge = tmp_path / "huge.toml"
-    huge.write_bytes(good.encode() + b"#" * 50_000_000)
+    huge.write_bytes(good.encode() + b"#" * 3_000_000)
     told = runner.invoke(cli, ["restore", *to(site, 2), str(huge)])
     assert (told.exit_code, "too long for a parameter set" in told.stderr) == (2, True)
     with site.api("engineer") as client:

@@ -9,6 +9,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
+from tests.e2e.limits import UNIT_MS
 from tests.e2e.site import Site, eventually
 
 PAGES = [
@@ -109,7 +110,7 @@ def test_a_line_in_trouble_is_accessible_and_says_what_is_wrong(
     finally:
         site.line.remote.do("input", unit=2, input="estop", on=False)
         site.line.remote.do("mode", unit=3, to="remote")
-    expect(page.locator("h1")).to_have_text("All 8 units at speed")
+    expect(page.locator("h1")).to_have_text("All 8 units at speed", timeout=UNIT_MS)
     expect(page.locator("[data-strip] a")).to_have_count(0)
 
 

@@ -12,6 +12,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
+from tests.e2e.limits import PROCEDURE_MS, PROCEDURE_S
 from tests.e2e.site import CALM, Site, eventually
 from tests.e2e.site import site as one_site
 
@@ -82,7 +83,7 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
     expect(strip).to_contain_text(both)
     with site.api("engineer") as client:
         both_rows = lambda: len(client.get("/buses/line/units/3/drift").json()["rows"]) == 2  # noqa: E731
-        eventually(both_rows, "both rows were read after the restart")
+        eventually(both_rows, "both rows were read after the restart", within=PROCEDURE_S)
     page.goto("/units/line/3")
     expect(page.locator("#drift")).to_contain_text("changed by engineer-program")
     expect(page.locator("#drift")).to_contain_text("changed at the panel")
@@ -93,7 +94,9 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
             12: "engineer-program",
         }
         eventually(
-            lambda: client.get("/buses/line/units/3/drift").json()["unread"] == 0, "the whole unit was read"
+            lambda: client.get("/buses/line/units/3/drift").json()["unread"] == 0,
+            "the whole unit was read",
+            within=PROCEDURE_S,
         )
         for number, raw in ((12, 10), (7, ramp)):
             assert (
@@ -138,7 +141,7 @@ def test_a_change_of_baud_is_typed_and_every_unit_proven(site: Site, browser_pag
     expect(verb).to_be_disabled()
     page.get_by_label(re.compile("Type BAUD")).fill("BAUD")
     verb.click()
-    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    expect(page.locator("[data-review-done=good]")).to_be_visible(timeout=PROCEDURE_MS)
     with site.api("engineer") as client:
         assert client.post("/buses/line/baud", json={"baud": 2400}).json()["code"] == "dangerous"
     switch_off_and_on(site)
@@ -150,7 +153,7 @@ def test_a_change_of_baud_is_typed_and_every_unit_proven(site: Site, browser_pag
     page.get_by_role("button", name="Review the change").click()
     page.get_by_label(re.compile("Type BAUD")).fill("BAUD")
     page.get_by_role("button", name="Change 3 units to 9600 baud").click()
-    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    expect(page.locator("[data-review-done=good]")).to_be_visible(timeout=PROCEDURE_MS)
     switch_off_and_on(site)
 
 
@@ -160,7 +163,9 @@ def switch_off_and_on(served: Site) -> None:
         served.line.remote.do("power_cycle", unit=unit)
     off = datetime.now(UTC)
     eventually(
-        lambda: all(heard_since(served, unit, off) for unit in (1, 2, 3)), "every unit at the new rate"
+        lambda: all(heard_since(served, unit, off) for unit in (1, 2, 3)),
+        "every unit at the new rate",
+        within=PROCEDURE_S,
     )
 
 
@@ -186,7 +191,7 @@ def test_a_restore_is_reviewed_first_and_proven_afterwards(site: Site, browser_p
     assert len(writes(site, 0x86)) == before
     page.get_by_role("button", name=re.compile("Write 2 rows to unit 2")).click()
     said = "The unit is now what was asked, proven by a full read."
-    expect(page.locator("#restore .fate")).to_have_text(said)
+    expect(page.locator("#restore .fate")).to_have_text(said, timeout=PROCEDURE_MS)
     expect(page.locator("#verdict")).to_have_text(said)
     expect(page.get_by_role("heading", name=re.compile("^Proof"))).to_be_visible()
     assert len(writes(site, 0x86)) == before + 2
@@ -254,14 +259,16 @@ def test_sets_that_nobody_asked_for_with_a_unit_that_is_silent_when_they_are_due
         client.put("/buses/line/set-schedule", json={"minute_of_day": 0})
     site.stop()
     site.start()
-    [set_of_1] = eventually(lambda: kept_of(site, 1, "on schedule"), "the set that was due at midnight")
+    [set_of_1] = eventually(
+        lambda: kept_of(site, 1, "on schedule"), "the set that was due at midnight", within=PROCEDURE_S
+    )
     assert set_of_1["units"][0]["id"] == 1
     assert len(set_of_1["units"][0]["parameters"]) == 40
-    eventually(lambda: kept_of(site, 3, "on schedule"), "the set of unit 3")
+    eventually(lambda: kept_of(site, 3, "on schedule"), "the set of unit 3", within=PROCEDURE_S)
     assert kept_of(site, 2, "on schedule") == []
     page = browser_page("engineer", site=site, viewport=OFFICE)
     owed = page.get_by_text("Infeed nip is still owed: the unit does not answer")
-    eventually(lambda: page.goto("/sets") and owed.count(), "the silent unit is named")
+    eventually(lambda: page.goto("/sets") and owed.count(), "the silent unit is named", within=PROCEDURE_S)
 
 
 def asked(served: Site, command: int, unit: int) -> list[dict[str, Any]]:

@@ -11,6 +11,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
+from tests.e2e.limits import PROCEDURE_MS
 from tests.e2e.site import CALM, Site, eventually
 from tests.e2e.site import site as one_site
 
@@ -70,7 +71,7 @@ def leave(page: Page, unit: int) -> None:
 
 
 def says(page: Page, text: str) -> None:
-    expect(page.locator("#steps [role=status]")).to_contain_text(text)
+    expect(page.locator("#steps [role=status]")).to_contain_text(text, timeout=PROCEDURE_MS)
 
 
 def keypad(site: Site, place: int, number: int, raw: int) -> None:
@@ -112,7 +113,7 @@ def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensP
     expect(page.locator("#restore [role=status]")).to_contain_text("Nothing has been written")
     expect(page.get_by_text("accelerates in 3.3 s instead of 10.0 s")).to_be_visible()
     page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
-    expect(page.get_by_role("heading", name=re.compile("^Proof"))).to_be_visible()
+    expect(page.get_by_role("heading", name=re.compile("^Proof"))).to_be_visible(timeout=PROCEDURE_MS)
     page.get_by_role("link", name="Back to the swap").click()
     says(page, "The new unit is what the old one was, proven by a full read.")
     expect(page.get_by_role("link", name="The proof, to read or print")).to_be_visible()
@@ -139,7 +140,8 @@ def test_a_spare_with_the_older_list_at_the_address_already(site: Site, browser_
         page.get_by_role("row", name=re.compile("Minimum Ratio.*this unit does not have it"))
     ).to_be_visible()
     page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
-    expect(page.locator("#told").get_by_text("what was asked but for the rows left out")).to_be_visible()
+    proven = page.locator("#told").get_by_text("what was asked but for the rows left out")
+    expect(proven).to_be_visible(timeout=PROCEDURE_MS)
     assert "#38: this unit does not have it" in events(site, "swap")[0]["message"]
 
 
@@ -177,7 +179,8 @@ def test_a_section_without_a_set_becomes_what_its_neighbour_is_or_the_sheet(
     page.get_by_role("button", name="It is the spare").click()
     says(page, "Enter its parameters from the sheet")
     page.get_by_role("button", name="All is entered: read the unit and keep it").click()
-    expect(page.get_by_role("heading", level=1)).to_have_text("entered from the sheet")
+    heading = page.get_by_role("heading", level=1)
+    expect(heading).to_have_text("entered from the sheet", timeout=PROCEDURE_MS)
     assert events(site, "swap")[0]["what"] == "unit swapped and kept"
 
 
@@ -208,7 +211,8 @@ def test_a_server_killed_in_the_midst_of_a_restore_says_what_was_done(
     expect(left).to_be_visible()
     assert len(GOOD) - done - 1 <= int(left.inner_text().split()[1]) <= len(GOOD) - done
     left.click()
-    expect(page.locator("#restore").get_by_text("proven by a full read")).to_be_visible()
+    proven = page.locator("#restore").get_by_text("proven by a full read")
+    expect(proven).to_be_visible(timeout=PROCEDURE_MS)
     assert {number: parameter(site, number) for number in GOOD} == GOOD
     page.goto("/units/line/3/restore")
     expect(page.get_by_role("row", name=re.compile("ended early"))).to_have_count(1)

@@ -66,13 +66,12 @@ STROKES = """canvas => {
 }"""
 NOTHING = "\N{EN DASH}"
 PHONE = {"width": 360, "height": 740}
-BERLIN = '[site]\ntime_zone = "Europe/Berlin"\n'
 
 
 @pytest.fixture(scope="module")
 def own_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    """Two units in Berlin, for tests that hurt the server."""
-    with one_site(tmp_path_factory.mktemp("hurt"), 2, line_options=("--no-script",), toml=BERLIN) as made:
+    """Two units, for tests that hurt the server."""
+    with one_site(tmp_path_factory.mktemp("hurt"), 2, line_options=("--no-script",)) as made:
         yield made
 
 
@@ -133,6 +132,9 @@ def test_the_page_draws_and_follows_now(browser_page: OpensPages) -> None:
     expect(page.locator("#trends")).not_to_have_attribute("data-drawn", first or "")
     assert view_of(page)["span"] == "600"
     assert page.locator("#trend-plot canvas").count() == 1
+    page.locator("[data-preset=shift]").click()
+    expect(page.locator("[data-preset=shift]")).to_have_attribute("aria-pressed", "true")
+    assert {"from", "to"} <= set(view_of(page))
 
 
 def test_a_link_reopens_the_same_view(browser_page: OpensPages) -> None:
@@ -208,25 +210,6 @@ def test_a_value_is_taken_away_by_keyboard_and_the_cursor_said_aloud(browser_pag
     expect(page.locator("#trend-add [name=unit]")).to_be_focused()
 
 
-def test_an_axis_is_in_the_language_of_the_page_whatever_the_browser_speaks(
-    site: Site, browser_page: OpensPages
-) -> None:
-    page = browser_page("viewer", viewport=OFFICE, locale="en-GB")
-    page.request.post("/account/language", form={"language": "de"}, headers={"Origin": site.url})
-    try:
-        opened(page)
-        said = page.evaluate(
-            """async () => {
-                const trends = document.querySelector("script[type=module][src$='/trends.js']").src;
-                const { axisNumbers } = await import(trends.replace("trends.js", "trends-time.js"));
-                return axisNumbers(null, [1200, 1200.5], 0, 0, 0.5);
-            }"""
-        )
-    finally:
-        page.request.post("/account/language", form={"language": ""}, headers={"Origin": site.url})
-    assert said == ["1200,0", "1200,5"]
-
-
 def test_gaps_are_gaps_and_a_band_is_drawn_between_least_and_greatest(browser_page: OpensPages) -> None:
     """What uPlot is given is what the history answered; the colours are read from its canvas."""
     page = browser_page("viewer", viewport=OFFICE)
@@ -293,50 +276,6 @@ def test_one_finger_pulls_the_picture_and_sets_no_cursor(browser_page: OpensPage
         arg=[began, began + 600],
     )
     assert {"a", "b"}.isdisjoint(view_of(page))
-
-
-PRESETS = [
-    # now, since this morning, last shift; UTC, the clocks of Berlin change on 29 March and 25 October
-    ("2026-11-20T15:30:00", "2026-11-20T05:00:00", ("2026-11-20T05:00:00", "2026-11-20T13:00:00")),
-    ("2026-11-20T04:59:59", "2026-11-19T05:00:00", ("2026-11-19T13:00:00", "2026-11-19T21:00:00")),
-    ("2026-11-20T05:00:00", "2026-11-20T05:00:00", ("2026-11-19T21:00:00", "2026-11-20T05:00:00")),
-    ("2026-03-29T04:00:00", "2026-03-29T04:00:00", ("2026-03-28T21:00:00", "2026-03-29T04:00:00")),
-    ("2026-03-29T13:00:00", "2026-03-29T04:00:00", ("2026-03-29T04:00:00", "2026-03-29T12:00:00")),
-    ("2026-10-25T00:30:00", "2026-10-24T04:00:00", ("2026-10-24T12:00:00", "2026-10-24T20:00:00")),
-    ("2026-10-25T01:30:00", "2026-10-24T04:00:00", ("2026-10-24T12:00:00", "2026-10-24T20:00:00")),
-    ("2026-10-25T09:30:00", "2026-10-25T05:00:00", ("2026-10-24T20:00:00", "2026-10-25T05:00:00")),
-]
-
-
-def test_morning_and_last_shift_are_those_of_the_site_also_when_its_clocks_change(
-    own_site: Site, browser_page: OpensPages
-) -> None:
-    """The night of the shorter day has seven hours, that of the longer nine. The browser is elsewhere."""
-    page = browser_page("viewer", own_site, viewport=OFFICE, timezone_id="America/New_York")
-    opened(page, "?s=line/1/actual")
-    for now, morning, shift in PRESETS:
-        press(page, "morning", now, {"from": f"{morning}.000Z"})
-        press(page, "shift", now, {"from": f"{shift[0]}.000Z", "to": f"{shift[1]}.000Z"})
-
-
-PRESS = """async (button, now) => {
-  const own = document.querySelector("script[type=module][src*='/js/']").src;
-  const clock = await import(new URL("clock.js", own).href);
-  clock.forget();
-  clock.heard(Date.parse(now) / 1000);
-  button.click();
-}"""
-"""In one turn with what the server is taken to say: its next word is the real time again."""
-
-
-def press(page: Page, preset: str, now: str, span: dict[str, str]) -> None:
-    """Press a preset at this time of the server, and see the span that it chooses."""
-    page.locator(f"[data-preset={preset}]").evaluate(PRESS, f"{now}Z")
-
-    def shown() -> dict[str, str]:
-        return {name: unquote(at) for name, at in view_of(page).items() if name in ("from", "to")}
-
-    eventually(lambda: shown() == span, f"at {now} {preset} is {span}")
 
 
 def test_two_presses_set_two_cursors_and_two_fingers_zoom(browser_page: OpensPages) -> None:

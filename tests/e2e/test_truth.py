@@ -14,6 +14,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
+from tests.e2e.limits import START_MS
 from tests.e2e.site import CALM, Site, eventually
 from tests.e2e.site import site as one_site
 
@@ -85,7 +86,7 @@ def test_a_dead_worker_is_named_and_comes_back(own_site: Site, browser_page: Ope
         expect(page.locator("h1")).to_contain_text("Bus worker does not respond since")
     finally:
         os.kill(worker, signal.SIGKILL)
-    expect(page.locator("[data-live='whole_line.abnormal']")).to_have_text("0")
+    expect(page.locator("[data-live='whole_line.abnormal']")).to_have_text("0", timeout=START_MS)
 
 
 def test_a_silent_server_takes_the_controls_away_and_the_page_returns_by_itself(

@@ -13,6 +13,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
+from tests.e2e.limits import START_S
 from tests.e2e.site import CALM, Site, eventually
 from tests.e2e.site import site as one_site
 
@@ -117,7 +118,7 @@ def test_no_worker_outlives_a_killed_server(own_site: Site) -> None:
     assert own_site.server is not None
     workers = children(own_site.server.pid)
     own_site.stop(signal.SIGKILL)
-    eventually(lambda: not any(map(process_is_there, workers)), "the end of the workers")
+    eventually(lambda: not any(map(process_is_there, workers)), "the end of the workers", within=START_S)
     own_site.start()
 
 
@@ -126,7 +127,7 @@ def test_a_worker_that_dies_is_started_again(own_site: Site) -> None:
     [worker] = children(own_site.server.pid)
     os.kill(worker, signal.SIGKILL)
     server = own_site.server.pid
-    eventually(lambda: children(server) not in ([], [worker]), "another worker")
+    eventually(lambda: children(server) not in ([], [worker]), "another worker", within=START_S)
     own_site.wait_for_units()
 
 

@@ -12,7 +12,8 @@ from typing import Any
 
 import httpx
 
-from tests.e2e.site import LINESIDE, PATIENCE_S, end, eventually, free_port, people
+from tests.e2e.limits import CALL_S, START_S
+from tests.e2e.site import LINESIDE, end, eventually, free_port, people
 from tests.path.independent_unit import Cable, Unit, plugged
 
 
@@ -84,7 +85,7 @@ def dashboard(
     url = f"http://127.0.0.1:{free_port()}"
     with (
         plugged(folder / "tty", units, cable_of) as cable,
-        httpx.Client(base_url=url, timeout=PATIENCE_S, trust_env=False) as client,
+        httpx.Client(base_url=url, timeout=CALL_S, trust_env=False) as client,
     ):
         made = Dashboard(folder, url, cable, client)
         config = folder / "lineside.toml"
@@ -95,7 +96,7 @@ def dashboard(
         with (folder / "serve.log").open("ab") as log:
             server = subprocess.Popen([LINESIDE, "serve", "--config", config], stdout=log, stderr=log)
             try:
-                eventually(lambda: _serves(made), f"an answer; {folder}/serve.log says why")
+                eventually(lambda: _serves(made), f"an answer; {folder}/serve.log says why", within=START_S)
                 for unit in units:
                     if not unit.silent:
                         made.see(unit.address, "read", lambda shown: shown["analog"] is not None)

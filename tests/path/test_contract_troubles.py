@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from tests.e2e.limits import START_S
 from tests.e2e.site import eventually
 from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import Unit
@@ -87,7 +88,7 @@ def test_mode_estop_and_run_are_events(plant: Dashboard) -> None:
 def test_a_killed_worker_is_seen_and_replaced(plant: Dashboard) -> None:
     (worker,) = plant.workers()
     os.kill(worker, signal.SIGKILL)
-    eventually(lambda: plant.workers() not in ([], [worker]), "another worker")
+    eventually(lambda: plant.workers() not in ([], [worker]), "another worker", within=START_S)
     plant.see(1, "online again", lambda shown: shown["link"] == "online")
     assert speed(plant, 1, 1200).status_code == 200
     assert len([event for event in _events(plant, "kind=worker") if "started" in event["what"]]) == 2

@@ -12,6 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from tests.e2e.limits import START_S
 from tests.e2e.site import eventually
 from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import Unit
@@ -46,7 +47,7 @@ def test_a_killed_app_leaves_a_whole_line(tmp_path: Path, command: int, whole: l
         worker, server = _worker_and_server(plant)
         killer.victim.append(server)
         other.submit(_ask, plant)
-        eventually(lambda: _ended(worker), "the worker gone with its app")
+        eventually(lambda: _ended(worker), "the worker gone with its app", within=START_S)
         assert [unit.commanded for unit in units] in whole
         assert all(unit.staged in (None, unit.commanded) for unit in units), "and nothing waits to surprise"
 

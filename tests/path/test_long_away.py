@@ -19,6 +19,7 @@ from bus.contract import CONTRACT_VERSION, BusLink, Hello, Reading, Snapshot, Wa
 from bus.contract.clock_offset import ClockOffset
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
+from tests.e2e.limits import PROCEDURE_S
 from tests.e2e.site import LINESIDE, command, end, eventually, free_port, people
 
 UNITS = (1, 2, 3, 4)
@@ -84,7 +85,7 @@ def test_ten_minutes_are_delivered_at_their_own_times(tmp_path: Path) -> None:
     token = command(config, "token", "create", "far", "--role", "worker", "--bus", "far").strip()
     uplink = Uplink(url, token, outbox, line, ClockOffset(), time.time)
     with at_work(uplink), served(config):
-        eventually(lambda: outbox.connected and not len(outbox), "everything delivered")
+        eventually(lambda: outbox.connected and not len(outbox), "everything delivered", within=PROCEDURE_S)
         for unit in UNITS:
             said = _history(url, tokens["viewer"], unit, line.since)
             own = [reading for reading in kept if reading.unit == unit]

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from tests.e2e.limits import START_S
 from tests.e2e.site import end, eventually
 from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import Unit
@@ -103,7 +104,7 @@ def test_a_port_that_is_claimed_while_it_is_open_and_when_the_worker_starts(plan
         refused_meanwhile(plant)
         (worker,) = plant.workers()
         os.kill(worker, signal.SIGKILL)
-        eventually(lambda: plant.workers() not in ([], [worker]), "another worker")
+        eventually(lambda: plant.workers() not in ([], [worker]), "another worker", within=START_S)
         closed(plant, f"(process {other.pid})")
         refused_meanwhile(plant)
     nothing_is_sent_and_it_comes_back(plant)

@@ -1,0 +1,21 @@
+"""What the metrics are taken from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from app.audit.anchoring import AnchorStatus
+from app.live.hub import Hub
+from app.live.state import LiveState
+from app.metrics.counts import Counts
+
+
+@dataclass(frozen=True, slots=True)
+class MetricSources:
+    """``anchor``: how well the audit log is anchored now."""
+
+    live: LiveState
+    hub: Hub
+    counts: Counts
+    anchor: Callable[[], AnchorStatus]

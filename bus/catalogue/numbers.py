@@ -1,0 +1,47 @@
+"""The numbers of the 40 parameters by name (manual, section 4.0): the one place that names them."""
+
+from __future__ import annotations
+
+MAX_RPM = 1
+MAX_DISPLAY = 2
+DECIMALS = 3
+BASE_RATIO = 4
+ENCODER_PPR = 5
+ACCELERATION = 6
+DECELERATION = 7
+FOLLOWER_MODE = 8
+PRESET_SPEED = 9
+JUMP_UP = 10
+JUMP_DOWN = 11
+AT_SPEED_WINDOW = 12
+JUMP_MODE = 13
+FREEZE_MODE = 14
+DISPLAY_RATE = 15
+SETUP_DURING_RUN = 16
+OWN_ADDRESS = 17
+"""Every unit has it and only its panel changes it (manual, 4.0), so its value is known beforehand. Read at
+another address, another unit answers there; the address in an answer is no proof, for it is the one that was
+asked."""
+BAUD_RATE = 18
+CONTROL_MODE = 19
+SPEED_SETPOINT = 20
+PASSWORD = 21
+ANALOG_IN_LOW = 22
+ANALOG_IN_HIGH = 23
+ANALOG_IN_MODE = 24
+ANALOG_IN_RATE = 25
+ANALOG_IN_TRIM = 26
+PROTOCOL = 27
+ANALOG_OUT_SOURCE = 28
+ANALOG_OUT_LOW = 29
+ANALOG_OUT_HIGH = 30
+MAX_RATIO = 31
+PRESET_INPUT_MODE = 32
+REVERSE_INPUT_MODE = 33
+UP_INPUT_MODE = 34
+DOWN_INPUT_MODE = 35
+INSTALLED_OPTION = 36
+RATIO_SETPOINT = 37
+MIN_RATIO = 38
+DEBOUNCE = 39
+AT_SPEED_SOURCE = 40

@@ -1,0 +1,54 @@
+"""What is shown beside the live state, as a test sets it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from app.live.fields import Voice
+from app.live.sources import Drifted, Sources, UnitSubscriber
+
+
+class PlayedGuards:
+    """``blocks``: by unit, why commands to it are blocked; ``controls``: by bus, who controls it."""
+
+    def __init__(self, blocks: Mapping[int, str], controls: Mapping[str, str]) -> None:
+        self._blocks = blocks
+        self._controls = controls
+
+    def block_reason(self, _bus: str, unit: int) -> str:
+        """As the real ones."""
+        return self._blocks.get(unit, "")
+
+    def holder(self, bus: str) -> str:
+        """As the real ones."""
+        return self._controls.get(bus, "")
+
+    def on_block(self, _subscriber: UnitSubscriber) -> None:
+        """These never change."""
+
+
+class NoGoldenSets:
+    """No unit has a golden set."""
+
+    def summary(self, _bus: str, _unit: int, _voice: Voice, _now: float) -> Drifted:
+        """Nothing."""
+        return Drifted()
+
+    def on_change(self, _subscriber: UnitSubscriber) -> None:
+        """Never."""
+
+
+class NoRecipes:
+    """No recipe was loaded."""
+
+    def loaded_words(self, _bus: str) -> None:
+        """Nothing."""
+        return
+
+
+def played_sources(
+    blocks: Mapping[int, str] | None = None, controls: Mapping[str, str] | None = None
+) -> Sources:
+    """Nothing to show but what the test names."""
+    guards = PlayedGuards(blocks or {}, {} if controls is None else controls)
+    return Sources(guards, NoGoldenSets(), NoRecipes(), lambda _voice, _now: "", lambda: "")

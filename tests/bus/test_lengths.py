@@ -1,0 +1,71 @@
+"""How many bytes a response has: the lengths of the manual's command pages, in each dialect."""
+
+from __future__ import annotations
+
+import pytest
+
+from bus.settings import Dialect
+from bus.wire.commands import (
+    ExecuteSpeed,
+    ReadParameter,
+    ReadStatus,
+    Request,
+    SetAndExecuteSpeed,
+    StageSpeed,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.wire.lengths import (
+    acknowledged_lengths,
+    least_reply_bytes,
+    longest_reply_bytes,
+    usual_reply_bytes,
+    wire_seconds,
+)
+
+PLAIN, TWO_BYTES, DOUBLED = Dialect(), Dialect(parameter_reply_bytes=2), Dialect(checksum_10h="twice")
+
+
+@pytest.mark.parametrize(
+    ("request_", "lengths"),
+    [
+        (ReadStatus(1), {11}),
+        (StageSpeed(1, 5), {0}),
+        (ExecuteSpeed(1), {0}),
+        (SetAndExecuteSpeed(1, 5), {0}),
+        (ReadParameter(1, 3), {1, 2, 4}),
+        (WriteParameter(1, 3, 4), {0, 1, 2, 4}),
+        (WriteOutput(1, 1, True), {0}),
+        (WriteAnalogOutput(1, 3), {0}),
+    ],
+)
+def test_data_of_an_acknowledgement(request_: Request, lengths: set[int]) -> None:
+    assert acknowledged_lengths(request_, PLAIN) == lengths
+
+
+def test_a_dialect_may_fix_the_width_of_a_read_parameter_and_of_nothing_else() -> None:
+    assert acknowledged_lengths(ReadParameter(1, 3), TWO_BYTES) == {2}
+    assert acknowledged_lengths(WriteParameter(1, 3, 4), TWO_BYTES) == {0, 1, 2, 4}
+
+
+@pytest.mark.parametrize(
+    ("request_", "dialect", "least", "usual", "longest"),
+    [
+        # 10 02 UID ACK, data, 10 03 checksum; the longest has every byte of its body doubled.
+        (ReadStatus(1), PLAIN, 18, 18, 31),
+        (ReadParameter(1, 3), PLAIN, 8, 11, 17),
+        (ReadParameter(1, 3), TWO_BYTES, 9, 9, 13),
+        (StageSpeed(1, 5), PLAIN, 7, 8, 11),
+        (StageSpeed(1, 5), DOUBLED, 7, 8, 12),
+        (ExecuteSpeed(0), DOUBLED, 0, 0, 0),
+    ],
+)
+def test_bytes_on_the_wire(request_: Request, dialect: Dialect, least: int, usual: int, longest: int) -> None:
+    assert least_reply_bytes(request_, dialect) == least
+    assert usual_reply_bytes(request_, dialect) == usual
+    assert longest_reply_bytes(request_, dialect) == longest
+
+
+def test_a_byte_is_ten_bits() -> None:
+    assert wire_seconds(960, 9600) == 1.0

@@ -1,0 +1,29 @@
+// Values as they are known: at once, whenever they are drawn.
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { openPage } from "./page.js";
+
+openPage();
+const { fieldsOf, listen, replace, show, value } = await import("../../static/js/bind.js");
+
+test("a change adds to what is known, a snapshot replaces it", () => {
+  replace({ "line/1": { actual: "1", link: "online" } });
+  show({ "line/1": { actual: "2" } });
+  assert.deepEqual(fieldsOf("line/1"), { actual: "2", link: "online" });
+  assert.equal(value("line/1.actual"), "2");
+  replace({ "line/2": { actual: "3" } });
+  assert.equal(value("line/1.actual"), undefined);
+});
+
+test("a listener is given what is known at once and each change, until it leaves", () => {
+  replace({ people: { count: "1" } });
+  const calls = [];
+  const leave = listen("people", (fields, changed) => calls.push([{ ...fields }, { ...changed }]));
+  show({ people: { here: "anna" }, line: {} });
+  leave();
+  show({ people: { count: "2" } });
+  assert.deepEqual(calls, [
+    [{ count: "1" }, { count: "1" }],
+    [{ count: "1", here: "anna" }, { here: "anna" }],
+  ]);
+});

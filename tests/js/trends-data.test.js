@@ -1,0 +1,126 @@
+// What the history answers, as the chart and its table read it: a hole stays a hole.
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import uPlot from "uplot";
+import { openPage } from "./page.js";
+
+globalThis.uPlot = uPlot;
+openPage();
+const { exportAddress, fetchMarks, fetchSeries, joined, summary, valueAt } = await import(
+  "../../static/js/trends-data.js"
+);
+
+const answer = (t, avg, more = {}) => ({ t, avg, min: avg, max: avg, bucket_s: 1, ...more });
+const columns = (table) => table.map((column) => [...column]);
+
+test("values of different times share one axis, and only what was null is a hole", () => {
+  const table = joined([answer([1, 2, 4], [10, null, 30]), answer([1, 3], [7, 8])]);
+  assert.deepEqual(columns([table[0], table[1], table[4]]), [
+    [1, 2, 3, 4],
+    [10, null, undefined, 30],
+    [7, undefined, 8, undefined],
+  ]);
+  assert.equal(table.length, 7);
+});
+
+test("average, least and greatest are each shifted, holes are not", () => {
+  const one = { ...answer([1, 2], [5, null]), min: [4, null], max: [6, null] };
+  assert.deepEqual(columns(joined([one], (value, place) => value + 100 + place)), [
+    [1, 2],
+    [105, null],
+    [104, null],
+    [106, null],
+  ]);
+  assert.deepEqual(joined([]), [[]]);
+});
+
+test("a value holds from its time to the next one", () => {
+  const one = answer([10, 20, 30], [1, null, 3]);
+  assert.deepEqual([9, 10, 19.9, 20, 30].map((time) => valueAt(one, time)), [null, 1, 1, null, 3]);
+});
+
+test("the last value holds for two of its intervals and 15 s", () => {
+  const one = answer([10], [1], { bucket_s: 5 });
+  assert.deepEqual([valueAt(one, 35), valueAt(one, 35.1)], [1, null]);
+  assert.equal(valueAt(answer([], []), 5), null);
+});
+
+test("a summary leaves holes out and counts them", () => {
+  const one = { t: [1, 2, 3], avg: [4, null, 8], min: [2, null, 7], max: [5, null, 9] };
+  assert.deepEqual(summary(one), { least: 2, greatest: 9, average: 6, holes: 1 });
+  assert.equal(summary(answer([1, 2], [null, null])), null);
+});
+
+const RANGE = [1_700_000_000, 1_700_000_060];
+const FROM = "2023-11-14T22%3A13%3A20.000Z";
+const TO = "2023-11-14T22%3A14%3A20.000Z";
+
+/** Answers every request so, and keeps what was asked for. */
+function serve(found, ok = true, status = 200) {
+  const asked = [];
+  globalThis.fetch = async (address) => {
+    asked.push(String(address));
+    return { ok, status, json: async () => found };
+  };
+  return asked;
+}
+
+test("a series is asked for by its span, its points and its names", async () => {
+  const asked = serve([{ t: [] }]);
+  assert.deepEqual(await fetchSeries(["line/1/actual", "line/2/run"], RANGE, 500), [{ t: [] }]);
+  const names = "series=line%2F1%2Factual&series=line%2F2%2Frun";
+  assert.deepEqual(asked, [`/api/v1/history/series?from=${FROM}&to=${TO}&points=500&format=epoch&${names}`]);
+});
+
+test("without a name nothing is asked for", async () => {
+  const asked = serve([]);
+  assert.deepEqual(await fetchSeries([], RANGE, 500), []);
+  assert.deepEqual(asked, []);
+});
+
+/** The page has asked already, for these names from this time. */
+function askedEarly(names, from) {
+  const query = new URLSearchParams({ from: new Date(from * 1000).toISOString(), to: new Date(RANGE[1] * 1000).toISOString() });
+  for (const name of names) query.append("series", name);
+  const link = { href: `http://site/early?${query}`, remove: () => delete link.href };
+  document.getElementById = (id) => (id === "trend-first" && link.href ? { ...link, remove: link.remove } : null);
+  return link.href;
+}
+
+test("what the page asked for already is taken, once", async () => {
+  const early = askedEarly(["line/1/actual"], RANGE[0] + 9);
+  const asked = serve([]);
+  await fetchSeries(["line/1/actual"], RANGE, 500);
+  await fetchSeries(["line/1/actual"], RANGE, 500);
+  assert.equal(asked[0], early);
+  assert.match(asked[1], /^\/api\/v1\/history\/series/);
+});
+
+test("what the page asked for already is left where it is of another value or time", async () => {
+  const asked = serve([]);
+  askedEarly(["line/2/actual"], RANGE[0]);
+  await fetchSeries(["line/1/actual"], RANGE, 500);
+  askedEarly(["line/1/actual"], RANGE[0] - 11);
+  await fetchSeries(["line/1/actual"], RANGE, 500);
+  for (const address of asked) assert.match(address, /^\/api\/v1\/history\/series/);
+});
+
+test("a refusal is an error in the server's words, else its status", async () => {
+  serve({ detail: "too many points" }, false, 422);
+  await assert.rejects(fetchSeries(["a/1/b"], RANGE, 1), { message: "too many points" });
+  globalThis.fetch = async () => ({ ok: false, status: 502, json: () => Promise.reject(new SyntaxError()) });
+  await assert.rejects(fetchSeries(["a/1/b"], RANGE, 1), { message: "502" });
+});
+
+test("events are asked for once for each unit", async () => {
+  const asked = serve({ marks: [], more: false });
+  await fetchMarks(["line/1/actual", "line/1/run", "wet/2/actual"], RANGE);
+  assert.deepEqual(asked, [`/api/v1/history/marks?from=${FROM}&to=${TO}&unit=line%2F1&unit=wet%2F2`]);
+});
+
+test("an export is of what is shown, and never of an empty span", () => {
+  const address = exportAddress(["line/1/actual"], RANGE, "csv");
+  assert.equal(address, `/api/v1/history/export?from=${FROM}&to=${TO}&format=csv&series=line%2F1%2Factual`);
+  const moment = new URLSearchParams(exportAddress([], [RANGE[0], RANGE[0]], "csv").split("?")[1]);
+  assert.equal(Date.parse(moment.get("to")) - Date.parse(moment.get("from")), 1);
+});

@@ -1,0 +1,209 @@
+"""The two walks of docs/architecture.md, one reading and one click, are what the code does."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib
+import re
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import Any, cast
+
+import pytest
+from websockets.asyncio.client import ClientConnection
+
+from app.feed.ingest import Ingest, Received
+from app.live.browser import Browser
+from app.web.access import Role
+from bus.bucket import Bucket
+from bus.contract import AppMessage, Batch, Command, Result, SetSpeed, Update, encode
+from bus.worker.outbox import Outbox
+from bus.worker.uplink import Uplink
+from tests.app.stage import hello, reading, snapshot
+from tests.app.whole_app import House, whole_app
+from tests.bus.virtual_line import VirtualLine, run
+from tests.test_architecture import ROOT, text_of
+
+PAGE = text_of(ROOT / "docs" / "architecture.md")
+READING, CLICK = "## A reading becomes a pixel", "## A click becomes a byte"
+BUS, UNIT = "dry-end", 1
+MOST_STATIONS = 15
+
+
+def section(heading: str) -> str:
+    """The text below a heading, up to the next of its level."""
+    return PAGE.partition(f"{heading}\n")[2].partition("\n## ")[0]
+
+
+def stations(heading: str) -> list[str]:
+    """The stations of a walk, in order."""
+    return re.findall(r"^\| \d+ \| `([\w./]+)`", section(heading), re.M)
+
+
+def named(text: str) -> list[str]:
+    """Each file, and each function by the path of its module."""
+    return sorted(set(re.findall(r"`((?:app|bus|static)[./][\w./]+)`", text)))
+
+
+class Calls:
+    """The functions of app and bus in the order in which each was first called."""
+
+    def __init__(self) -> None:
+        self.names: dict[str, None] = {}
+
+    def note(self, frame: FrameType, event: str, _argument: Any) -> None:
+        module = frame.f_globals.get("__name__", "")
+        if event == "call" and module.partition(".")[0] in ("app", "bus"):
+            self.names.setdefault(f"{module}.{frame.f_code.co_qualname}")
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        sys.setprofile(self.note)
+        try:
+            yield
+        finally:
+            sys.setprofile(None)
+
+    def of(self, names: Sequence[str]) -> list[str]:
+        """Those of ``names`` that were called, in the order of their calls."""
+        return [name for name in self.names if name in names]
+
+
+class PlayedConnection:
+    """A worker's connection: what the app sends is kept, and a command gets its result."""
+
+    def __init__(self) -> None:
+        self.ingest: Ingest | None = None
+        self.command: Command | None = None
+        self.seq = 0
+
+    async def send(self, message: AppMessage) -> None:
+        if isinstance(message, Command):
+            self.command = message
+            await self.report(Result(message.id, time.time(), "verified"))
+
+    async def report(self, *updates: Update) -> None:
+        assert self.ingest is not None
+        self.seq += 1
+        await self.ingest.receive(encode(Batch(self.seq, time.time(), list(updates), live=True)))
+
+
+async def connected(house: House) -> PlayedConnection:
+    services, connection = house.services, PlayedConnection()
+    channel, bucket = services.workers.channels[BUS], Bucket(1000.0, 1000)
+    connection.ingest = Ingest(hello(), Received("w1"), channel, services.pipeline, connection, bucket)
+    await connection.ingest.receive(encode(snapshot()))
+    return connection
+
+
+class PlayedSocket:
+    """The worker's end of the WebSocket to the app."""
+
+    def __init__(self) -> None:
+        self.is_used = asyncio.Event()
+
+    async def send(self, _message: bytes) -> None:
+        self.is_used.set()
+
+
+class PlayedOutlet:
+    """The transport of a page that takes everything."""
+
+    def write(self, _frame: bytes, /) -> bool:
+        return True
+
+
+def worker_calls_of_a_reading(calls: Calls) -> None:
+    """From the bytes of a response to the batch on the socket."""
+
+    async def scene(line: VirtualLine) -> None:
+        put = partial(Outbox.put, line.worker.outbox)
+        line.worker.outbox.put = put  # type: ignore[method-assign]
+        await line.until(lambda: len(line.worker.outbox) > 2)
+        before, socket = len(line.worker.outbox), PlayedSocket()
+        worker = line.worker
+        uplink = Uplink("ws://app", "", worker.outbox, worker, worker.app_clock, time.time)
+        with calls.watched():
+            await line.until(lambda: len(worker.outbox) > before)
+            sending = asyncio.create_task(uplink._send(cast(ClientConnection, socket)))
+            await line.until(socket.is_used.is_set)
+        sending.cancel()
+
+    run(scene, 2)
+
+
+def worker_calls_of_a_click(calls: Calls) -> None:
+    """From the command of the app to the request on the wire."""
+
+    async def scene(line: VirtualLine) -> None:
+        await line.until(lambda: all(line.readings(unit) for unit in line.units))
+        with calls.watched():
+            await line.ask(SetSpeed(UNIT, 1234))
+
+    run(scene, 2)
+
+
+async def app_calls_of_a_reading(house: House, connection: PlayedConnection, calls: Calls) -> None:
+    """From the message of the worker to the transport of a page."""
+    house.services.hub.join(Browser("anna", "viewer", "en", PlayedOutlet()))
+    with calls.watched():
+        await connection.report(reading(UNIT, 1234))
+
+
+async def app_calls_of_a_click(house: House, calls: Calls) -> None:
+    """From the POST of the page to the command for the worker."""
+    client = await house.signed_in(Role.OPERATOR)
+    form = {"raw": "1500", "was": "1000", "how": "now", "id": "0" * 32, "reviewed_at": str(time.time())}
+    with calls.watched():
+        page = await client.post(f"/units/{BUS}/{UNIT}/speed", data=form)
+    assert page.status_code == 200, page.text
+
+
+@pytest.mark.parametrize("name", named(section(READING) + section(CLICK)))
+def test_what_the_walks_name_exists(name: str) -> None:
+    if name.endswith((".py", ".js")):
+        assert (ROOT / name).is_file()
+        return
+    if name.startswith("static/"):
+        path, _, function = name.rpartition(".")
+        source = text_of(ROOT / f"{path}.js")
+        assert re.search(rf"\bfunction {function}\(", source)
+        return
+    parts = name.split(".")
+    depth = max(n for n in range(len(parts)) if ROOT.joinpath(*parts[:n]).with_suffix(".py").is_file())
+    found: Any = importlib.import_module(".".join(parts[:depth]))
+    for part in parts[depth:]:
+        found = getattr(found, part)
+    assert callable(found)
+
+
+@pytest.mark.parametrize("heading", [READING, CLICK])
+def test_a_walk_has_at_most_fifteen_stations(heading: str) -> None:
+    walk = stations(heading)
+    assert len(walk) == len(set(walk)) == len(re.findall(r"^\| \d+ \|", section(heading), re.M))
+    assert 5 < len(walk) <= MOST_STATIONS
+
+
+async def test_a_reading_takes_the_walk(tmp_path: Path) -> None:
+    calls = Calls()
+    await asyncio.to_thread(worker_calls_of_a_reading, calls)
+    async with whole_app(tmp_path) as house:
+        await app_calls_of_a_reading(house, await connected(house), calls)
+    walk = [name for name in stations(READING) if not name.startswith("static/")]
+    assert calls.of(walk) == walk
+
+
+async def test_a_click_takes_the_walk(tmp_path: Path) -> None:
+    calls = Calls()
+    async with whole_app(tmp_path) as house:
+        connection = await connected(house)
+        await app_calls_of_a_click(house, calls)
+        assert connection.command is not None
+    await asyncio.to_thread(worker_calls_of_a_click, calls)
+    walk = [name for name in stations(CLICK) if not name.startswith("static/")]
+    assert calls.of(walk) == walk
