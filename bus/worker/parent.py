@@ -17,11 +17,16 @@ def tied_environment() -> dict[str, str]:
     return {**os.environ, PARENT: str(os.getpid())}
 
 
-def tie_to_parent() -> None:
-    """In the child, first of all: end by SIGTERM when the parent ends; at once when it has ended."""
-    parent = os.environ.pop(PARENT, "")
-    if not parent or sys.platform != "linux":
+def named_parent() -> int | None:
+    """The process that the environment says this one belongs to; told to no child of this one."""
+    named = os.environ.pop(PARENT, "")
+    return int(named) if named.isdecimal() else None
+
+
+def tie_to(parent: int) -> None:
+    """In the child, first of all: end by SIGTERM when ``parent`` ends; at once when it has ended."""
+    if sys.platform != "linux":
         return
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
-    if str(os.getppid()) != parent:
+    if os.getppid() != parent:
         raise SystemExit(1)

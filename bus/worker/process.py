@@ -12,7 +12,7 @@ import uvloop
 
 from bus.settings import BusSettings
 from bus.worker.log import configure_log
-from bus.worker.parent import tie_to_parent
+from bus.worker.parent import named_parent, tie_to
 from bus.worker.service import run_worker
 
 PRIORITY = -10
@@ -26,7 +26,7 @@ def run(bus: BusSettings, app_url: str, token: str, *, child: bool = False) -> i
     """
     configure_log()
     if child:
-        tie_to_parent()
+        tie_to(named_parent() or os.getppid())
     _be_prompt()
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         runner.run(_until_told(bus, app_url, token))

@@ -164,7 +164,7 @@ def test_a_process_begins_by_taking_the_rights_of_others(
 ) -> None:
     """Also from what a library writes, of which nothing else here knows."""
     monkeypatch.setattr(cli, "cli", lambda **_: None)
-    monkeypatch.setattr(parent, "tie_to_parent", lambda: None)
+    monkeypatch.delenv(parent.PARENT, raising=False)
     monkeypatch.setenv("PYDANTIC_DISABLE_PLUGINS", "__all__")
     monkeypatch.delenv(worker.TOKEN_VARIABLE, raising=False)
     before = os.umask(0)

@@ -10,7 +10,13 @@ import sys
 
 from bus.worker.parent import PARENT, tied_environment
 
-CHILD = "from bus.worker.parent import tie_to_parent; tie_to_parent(); print('tied', flush=True); input()"
+CHILD = """
+from bus.worker.parent import named_parent, tie_to
+if parent := named_parent():
+    tie_to(parent)
+print('tied', flush=True)
+input()
+"""
 PARENT_OF_CHILD = f"""
 import subprocess, sys
 from bus.worker.parent import tied_environment
