@@ -17,7 +17,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_play
 
 from tests.e2e import site as sites
 from tests.e2e.limits import PAGE_MS
-from tests.e2e.site import CALM, PASSWORD, Site
+from tests.e2e.site import AT_REST, PASSWORD, Site
 
 CHROMIUM = "/usr/bin/chromium-headless-shell"
 FLAGS = [
@@ -48,7 +48,7 @@ class OpensPages(Protocol):
 
 @pytest.fixture(scope="module")
 def line_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Site]]:
-    """Starts sites: ``line_server(units=4, line_options=CALM, toml="…")``."""
+    """Starts sites: ``line_server(units=4, line_options=AT_REST, toml="…")``."""
     with ExitStack() as stack:
         yield lambda units=8, **options: stack.enter_context(
             sites.site(tmp_path_factory.mktemp("site"), units, **options)
@@ -58,7 +58,7 @@ def line_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[.
 @pytest.fixture(scope="module")
 def site(line_server: Callable[..., Site]) -> Site:
     """Eight units that nobody but the test works on."""
-    return line_server(8, line_options=CALM)
+    return line_server(8, line_options=AT_REST)
 
 
 @pytest.fixture(scope="module")

@@ -39,9 +39,8 @@ from tests.e2e.limits import CALL_S, START_S, UNIT_S
 LINESIDE = Path(sys.executable).with_name("lineside")
 ROLES = ("viewer", "operator", "engineer", "admin")
 PASSWORD = "correct horse battery staple"
-CALM = ("--no-script", "--turnaround-ms", "40")
-"""Units at rest that answer no faster than a page needs: several lines at full rate leave a small machine
-little time for its browsers."""
+AT_REST = ("--no-script",)
+"""Units to which nothing happens but what the test does."""
 
 
 def eventually(condition: Callable[[], Any], what: str, *, within: float = UNIT_S) -> Any:

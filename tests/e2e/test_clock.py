@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import CALM, Site
+from tests.e2e.site import AT_REST, Site
 from tests.e2e.site import site as one_site
 
 SERVER, DEVICE = ZoneInfo("Asia/Kolkata"), "America/New_York"
@@ -34,7 +34,7 @@ Intl.DateTimeFormat = function (language, options) {
 def far_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """A site that names no zone, on a machine in India."""
     folder = tmp_path_factory.mktemp("far")
-    with one_site(folder, 2, line_options=CALM, environment={"TZ": "Asia/Kolkata"}) as made:
+    with one_site(folder, 2, line_options=AT_REST, environment={"TZ": "Asia/Kolkata"}) as made:
         yield made
 
 

@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect
 
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import CALM, Site, eventually
+from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
 
 PANEL: ViewportSize = {"width": 1280, "height": 800}
@@ -32,7 +32,7 @@ Object.defineProperty(navigator, "wakeLock", {value: {request: async kind => {
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Two units, and a server that a test may kill."""
-    with one_site(tmp_path_factory.mktemp("kiosk"), 2, line_options=CALM) as made:
+    with one_site(tmp_path_factory.mktemp("kiosk"), 2, line_options=AT_REST) as made:
         yield made
 
 

@@ -13,7 +13,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import CALL_S, PROCEDURE_S
-from tests.e2e.site import CALM, Site, eventually
+from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
 
 PANEL = {"width": 1280, "height": 800}
@@ -24,7 +24,7 @@ WRITES = (0x82, 0x83, 0x84, 0x86, 0x87, 0x88)
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Three units, of which one person at a time holds control."""
-    options = CALM
+    options = AT_REST
     toml = "[site]\ncontrol = true\n"
     with one_site(tmp_path_factory.mktemp("people"), 3, line_options=options, toml=toml) as made:
         yield made

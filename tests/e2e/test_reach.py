@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import CALM, Site
+from tests.e2e.site import AT_REST, Site
 
 WIDTHS = (360, 640, 768, 1000)
 PAGES = (
@@ -51,7 +51,7 @@ Axe = Callable[[Page], list[str]]
 @pytest.fixture(scope="module")
 def site(line_server: Callable[..., Site]) -> Site:
     """Eight units that were changed together."""
-    made = line_server(8, line_options=CALM)
+    made = line_server(8, line_options=AT_REST)
     setpoints: dict[str, Any] = {str(unit): {"raw": 1000 + unit} for unit in range(1, 9)}
     with made.api("operator") as client:
         client.post("/buses/line/speeds", json={"setpoints": setpoints}).raise_for_status()

@@ -13,7 +13,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import PROCEDURE_MS, PROCEDURE_S
-from tests.e2e.site import CALM, Site, eventually
+from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
 
 OFFICE = {"width": 1280, "height": 900}
@@ -25,7 +25,7 @@ HALL = {"width": 1920, "height": 1080}
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Three units at rest, at three times the baud rate, so that a reading of all parameters is soon over."""
     folder = tmp_path_factory.mktemp("sets")
-    with one_site(folder, 3, line_options=(*CALM, "--speedup", "3")) as made:
+    with one_site(folder, 3, line_options=("--no-script", "--speedup", "3")) as made:
         yield made
 
 
@@ -243,7 +243,7 @@ def kept_of(served: Site, unit: int, origin: str) -> list[dict[str, Any]]:
 def test_sets_that_nobody_asked_for_with_a_unit_that_is_silent_when_they_are_due(
     line_server: Callable[..., Site], browser_page: OpensPages
 ) -> None:
-    site = line_server(3, line_options=(*CALM, "--speedup", "3"))
+    site = line_server(3, line_options=("--no-script", "--speedup", "3"))
     with site.api("engineer") as client:
         client.get("/buses/line/units/1/parameters", params={"refresh": "true"})
         mark = len(asked(site, 0x85, 1))

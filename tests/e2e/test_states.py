@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import CALM, Site, eventually
+from tests.e2e.site import AT_REST, Site, eventually
 
 PHONE = {"width": 360, "height": 740}
 PANEL = {"width": 1280, "height": 800}
@@ -52,7 +52,7 @@ Axe = Callable[[Page], list[str]]
 @pytest.fixture(scope="module")
 def site(line_server: Callable[..., Site]) -> Site:
     """Four units: the second in e-stop, the third in LOCAL and the fourth blocked."""
-    made = line_server(4, line_options=CALM)
+    made = line_server(4, line_options=AT_REST)
     made.line.remote.do("input", unit=2, input="estop", on=True)
     made.line.remote.do("mode", unit=3, to="local")
     with made.api("operator") as client:

@@ -12,7 +12,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import PROCEDURE_MS
-from tests.e2e.site import CALM, Site, eventually
+from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
 
 OFFICE = {"width": 1280, "height": 900}
@@ -29,7 +29,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Three units at rest; the third is about to die, and a set of it is stored."""
     folder = tmp_path_factory.mktemp("swap")
     # Each question to an address where two answer is waited for to its end.
-    with one_site(folder, 3, line_options=(*CALM, "--speedup", "3"), turnaround_ms=250) as made:
+    with one_site(folder, 3, line_options=("--no-script", "--speedup", "3"), turnaround_ms=250) as made:
         new_section(made, GOOD | {20: SETPOINT})
         with made.api("engineer") as client:
             taken = client.post("/buses/line/sets", json={"units": [3], "name": "the good one"})

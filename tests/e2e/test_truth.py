@@ -15,7 +15,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import START_MS
-from tests.e2e.site import CALM, Site, eventually
+from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
 
 PANEL = {"width": 1280, "height": 800}
@@ -26,7 +26,7 @@ LIVE = "body[data-link=live]"
 @pytest.fixture(scope="module")
 def own_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Three units, for tests that hurt the server."""
-    with one_site(tmp_path_factory.mktemp("truth"), 3, line_options=CALM) as made:
+    with one_site(tmp_path_factory.mktemp("truth"), 3, line_options=AT_REST) as made:
         yield made
 
 

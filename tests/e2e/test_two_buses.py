@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import CALM, Line, Site, eventually
+from tests.e2e.site import AT_REST, Line, Site, eventually
 
 PANEL = {"width": 1280, "height": 800}
 NOT_RATIOED = 0
@@ -20,7 +20,7 @@ FOLLOWER = 1
 @pytest.fixture(scope="module")
 def site(line_server: Callable[..., Site]) -> Site:
     """Three units on ``line``, two on ``wet``; unit 3 of ``line`` follows the first."""
-    return line_server(3, line_options=CALM, more={"wet": 2})
+    return line_server(3, line_options=AT_REST, more={"wet": 2})
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.limits import START_S
-from tests.e2e.site import CALM, Site, eventually
+from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
 
 OFFICE = {"width": 1280, "height": 800}
@@ -23,7 +23,7 @@ OFFICE = {"width": 1280, "height": 800}
 @pytest.fixture(scope="module")
 def own_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Three units, for tests that hurt the server."""
-    with one_site(tmp_path_factory.mktemp("hurt"), 3, line_options=CALM) as made:
+    with one_site(tmp_path_factory.mktemp("hurt"), 3, line_options=AT_REST) as made:
         yield made
 
 
