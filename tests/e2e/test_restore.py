@@ -90,11 +90,12 @@ def cut_the_drop(site: Site, page: Page) -> None:
     site.line.remote.do("fault", kind="dead", rate=1, unit=2)
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize(
     ("trouble", "cause"),
     [
-        pytest.param(cancel, "left off by engineer after", marks=pytest.mark.soak),
-        pytest.param(pull_the_cable, "It ended early", marks=pytest.mark.soak),
+        (cancel, "left off by engineer after"),
+        (pull_the_cable, "It ended early"),
         (cut_the_drop, r"#\d+: |its time was over"),
     ],
     ids=lambda given: getattr(given, "__name__", ""),

@@ -60,6 +60,7 @@ def test_a_set_is_taken_marked_golden_and_compared_with_the_unit_now(
     expect(page.get_by_text("accelerates in 7.7 s instead of 20.0 s")).to_be_visible()
 
 
+@pytest.mark.soak
 @pytest.mark.provokes("WebSocket", "fetch")
 def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_restart_too(
     site: Site, browser_page: OpensPages

@@ -15,6 +15,7 @@ from tests.e2e.limits import PROCEDURE_MS
 from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
 
+pytestmark = pytest.mark.soak
 OFFICE = {"width": 1280, "height": 900}
 
 
@@ -127,7 +128,6 @@ def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensP
         assert part in end["message"], end["message"]
 
 
-@pytest.mark.soak
 def test_a_spare_with_the_older_list_at_the_address_already(site: Site, browser_page: OpensPages) -> None:
     new_section(site, {}, last_parameter=20)
     page = browser_page("engineer", viewport=OFFICE)
@@ -145,7 +145,6 @@ def test_a_spare_with_the_older_list_at_the_address_already(site: Site, browser_
     assert "#38: this unit does not have it" in events(site, "swap")[0]["message"]
 
 
-@pytest.mark.soak
 def test_two_units_at_the_address_of_the_section(site: Site, browser_page: OpensPages) -> None:
     new_section(site, GOOD)
     page = browser_page("engineer", viewport=OFFICE)
