@@ -10,10 +10,9 @@ from typing import Any
 import httpx
 
 from benchmarks.tables import median, milliseconds, quantile, show
-from bus.settings import Dialect
+from bus.settings import Dialect, wire_seconds
 from bus.wire.bodies import encode_reply, encode_request
 from bus.wire.commands import Ack, ExecuteSpeed, ReadStatus, Reply, Request, StageSpeed, StatusReply
-from bus.wire.lengths import wire_seconds
 from tests.e2e.limits import PROCEDURE_S
 from tests.e2e.site import Site, eventually, site
 

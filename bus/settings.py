@@ -16,6 +16,11 @@ BITS_PER_BYTE = 10
 """8 data bits, no parity, 1 stop bit and the start bit (manual, 2.0.3)."""
 
 
+def wire_seconds(byte_count: int, baud: int) -> float:
+    """How long ``byte_count`` bytes take on the wire."""
+    return byte_count * BITS_PER_BYTE / baud
+
+
 class Strict(BaseModel):
     """Immutable, and an unknown key is an error."""
 

@@ -84,9 +84,10 @@ def lineside(
 
 def main() -> None:
     """The entry point."""
-    from app.cli.tether import tie_to_parent
+    from bus.worker.parent import named_parent, tie_to
 
-    tie_to_parent()
+    if parent := named_parent():
+        tie_to(parent)
     # Everything that any command writes is for its user alone.
     os.umask(0o077)
     # Pydantic would read the metadata of everything installed for plugins of its own; we want none.

@@ -16,10 +16,10 @@ import typer
 from app.cli.child import ended
 from app.cli.ending import ending
 from app.cli.listening import listen
-from app.cli.tether import tied_environment
 from app.errors import StoreError
 from app.settings import load
 from bus.settings import UnitSettings
+from bus.worker.parent import tied_environment
 
 END_WITHIN_S = 2.0
 CHOOSE = "choose another port: lineside demo --port 8100, or make demo PORT=8100"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import structlog
 
-from app.cli.tether import tied_environment
+from bus.worker.parent import tied_environment
 
 log = structlog.get_logger()
 

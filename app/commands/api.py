@@ -21,18 +21,30 @@ from app.commands.bodies import (
     SetpointsBody,
     SpeedBody,
 )
+from app.commands.catalogue import (
+    CHANGE_BAUD,
+    EXECUTE_ALL,
+    EXECUTE_SPEED,
+    READ_PARAMETERS,
+    SET_LINE,
+    SET_SPEED,
+    WRITE_ANALOG_OUTPUT,
+    WRITE_OUTPUT,
+    WRITE_PARAMETER,
+    kind_of_command,
+)
 from app.commands.desk import Desk
 from app.commands.shown import FateShown
+from app.commands.timeouts import timeout_s_for
 from app.commands.typed import Typed
-from app.commands.wish import timeout_s_for, writes_secret
-from app.commands.writer import AskDesk, EngineeringWriter, Writer
+from app.commands.writer import AskDesk, permitted, permitted_writer
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.shown import ParameterShown
 from app.live.state import LiveState
 from app.live.view import parameter_json
-from app.web.access import Person, Viewer
+from app.web.access import Person
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
 from app.web.deadline import Deadline, Instant
@@ -53,15 +65,12 @@ from bus.contract import (
 )
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"], route_class=ApiRoute)
-READ_TIMEOUT_S = 30.0
 FIRST_READ_WITHIN_S = 5.0
 """What a plain look at the parameters waits for those that were never read; the reading itself goes on."""
 FATE: dict[int | str, dict[str, Any]] = {
     200: {"model": FateShown, "description": "verified or acknowledged"},
     **problems(404, 409, 423, 504),
 }
-GAPS_TIMEOUT_S = 600.0
-"""Forty reads in a tenth of the wire at 300 baud."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +108,7 @@ class Asking:
         result = await self.desk.ask(
             person, self.bus, action, deadline=deadline, confirm=body.confirm, id=self.key
         )
-        secret = writes_secret(action)
+        secret = kind_of_command(action).is_secret(action)
         return answer(self.request, bus_or_404(self.live, self.bus), result, unit, secret=secret)
 
 
@@ -119,7 +128,9 @@ Ask = Annotated[Asking, Depends(asking)]
 
 
 @router.post("/units/{unit:int}/speed", responses=FATE)
-async def set_speed(person: Writer, ask: Ask, unit: int, body: SpeedBody) -> Response:
+async def set_speed(
+    person: Annotated[Person, permitted_writer(SET_SPEED)], ask: Ask, unit: int, body: SpeedBody
+) -> Response:
     """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
     deadline = ask.deadline(body)
     raw = await ask.typed(person, unit, deadline).setpoint(body)
@@ -127,19 +138,25 @@ async def set_speed(person: Writer, ask: Ask, unit: int, body: SpeedBody) -> Res
 
 
 @router.post("/units/{unit:int}/execute", responses=FATE)
-async def execute(person: Writer, ask: Ask, unit: int, body: Body | None = None) -> Response:
+async def execute(
+    person: Annotated[Person, permitted_writer(EXECUTE_SPEED)], ask: Ask, unit: int, body: Body | None = None
+) -> Response:
     """83h to one unit: its staged speed becomes its commanded speed."""
     return await ask.ask(person, ExecuteSpeed(unit=unit), body or Body(), unit)
 
 
 @router.post("/execute", responses=FATE)
-async def execute_all(person: Writer, ask: Ask, body: Body | None = None) -> Response:
+async def execute_all(
+    person: Annotated[Person, permitted_writer(EXECUTE_ALL)], ask: Ask, body: Body | None = None
+) -> Response:
     """83h to all, then the proof from every unit."""
     return await ask.ask(person, ExecuteAll(), body or Body())
 
 
 @router.post("/speeds", responses=FATE)
-async def set_speeds(person: Writer, ask: Ask, body: SetpointsBody) -> Response:
+async def set_speeds(
+    person: Annotated[Person, permitted_writer(SET_LINE)], ask: Ask, body: SetpointsBody
+) -> Response:
     """Stage all, require every acknowledgement, broadcast, prove: all of them or none."""
     deadline = ask.deadline(body, len(body.setpoints))
     setpoints = {
@@ -150,7 +167,13 @@ async def set_speeds(person: Writer, ask: Ask, body: SetpointsBody) -> Response:
 
 
 @router.put("/units/{unit:int}/outputs/{number:int}", responses=FATE)
-async def write_output(person: Writer, ask: Ask, unit: int, number: int, body: OutputBody) -> Response:
+async def write_output(
+    person: Annotated[Person, permitted_writer(WRITE_OUTPUT)],
+    ask: Ask,
+    unit: int,
+    number: int,
+    body: OutputBody,
+) -> Response:
     """87h, proven by the bit in ST2."""
     unit_or_404(ask.live, ask.bus, unit)
     if number not in OUTPUT_NUMBERS:
@@ -160,21 +183,26 @@ async def write_output(person: Writer, ask: Ask, unit: int, number: int, body: O
 
 @router.put("/units/{unit:int}/analog-output", responses=FATE)
 async def write_analog_output(
-    person: EngineeringWriter, ask: Ask, unit: int, body: AnalogOutputBody
+    person: Annotated[Person, permitted_writer(WRITE_ANALOG_OUTPUT)],
+    ask: Ask,
+    unit: int,
+    body: AnalogOutputBody,
 ) -> Response:
     """88h: acknowledged at best, for there is nothing to read back."""
     return await ask.ask(person, WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
 
 
 @router.post("/baud", responses=FATE)
-async def change_baud(person: EngineeringWriter, ask: Ask, body: BaudBody) -> Response:
+async def change_baud(
+    person: Annotated[Person, permitted_writer(CHANGE_BAUD)], ask: Ask, body: BaudBody
+) -> Response:
     """#18 of every unit, the host after them, every unit proven; taken back by itself where one is lost."""
     return await ask.ask(person, ChangeBaud(baud=body.baud), body)
 
 
 @router.get("/units/{unit:int}/parameters", response_model=list[ParameterShown], responses=problems(504))
 async def get_parameters(
-    person: Viewer,
+    person: Annotated[Person, permitted(READ_PARAMETERS)],
     ask: Ask,
     unit: int,
     refresh: bool = False,
@@ -198,8 +226,7 @@ async def get_parameters(
 async def _read(person: Person, ask: Asking, unit: int, numbers: list[int], *, gaps: bool) -> None:
     """Read them from the unit. Raises Problem 503 or 504 when not all of them come."""
     action = ReadParameters(unit=unit, numbers=numbers, urgent=not gaps)
-    timeout_s = GAPS_TIMEOUT_S if gaps else READ_TIMEOUT_S
-    result = await ask.desk.ask(person, ask.bus, action, timeout_s=timeout_s)
+    result = await ask.desk.ask(person, ask.bus, action)
     if len(result.values) == len(numbers):
         return
     status = 503 if result.outcome in ("bus_closed", "not_sent") else 504
@@ -210,7 +237,11 @@ async def _read(person: Person, ask: Asking, unit: int, numbers: list[int], *, g
 
 @router.put("/units/{unit:int}/parameters/{number:int}", responses=FATE)
 async def write_parameter(
-    person: EngineeringWriter, ask: Ask, unit: int, number: int, body: ParameterBody
+    person: Annotated[Person, permitted_writer(WRITE_PARAMETER)],
+    ask: Ask,
+    unit: int,
+    number: int,
+    body: ParameterBody,
 ) -> Response:
     """86h, read back by 85h. What can cut the link off needs ``confirm``."""
     deadline = ask.deadline(body)

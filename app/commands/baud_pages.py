@@ -7,9 +7,11 @@ from typing import Annotated
 from fastapi import APIRouter, Form
 from starlette.responses import Response
 
+from app.commands.catalogue import CHANGE_BAUD
 from app.commands.forms import Desks
+from app.commands.writer import permitted
 from app.errors import Problem
-from app.web.access import Engineer
+from app.web.access import Person
 from app.web.deadline import Deadline
 from bus.contract import ChangeBaud
 from bus.settings import BAUDS
@@ -20,7 +22,7 @@ CHANGE_S = 30.0
 
 
 @router.get("")
-async def review(_: Engineer, desk: Desks, bus: str, baud: int) -> Response:
+async def review(_: Annotated[Person, permitted(CHANGE_BAUD)], desk: Desks, bus: str, baud: int) -> Response:
     """The second step; nothing has been sent."""
     live = desk.bus(bus)
     if baud not in BAUDS:
@@ -32,7 +34,7 @@ async def review(_: Engineer, desk: Desks, bus: str, baud: int) -> Response:
 
 @router.post("")
 async def change(
-    person: Engineer,
+    person: Annotated[Person, permitted(CHANGE_BAUD)],
     desk: Desks,
     bus: str,
     baud: Annotated[int, Form()],

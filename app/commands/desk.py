@@ -15,15 +15,17 @@ import msgspec
 
 from app.audit.log import EventLog
 from app.commands.authority import Authority, while_permitted
+from app.commands.catalogue import kind_of_command
 from app.commands.control import ControlledError
 from app.commands.moves import Moves
 from app.commands.objection import Circumstances, ObjectionError
 from app.commands.prior_read import UnreadError, read_ranges
 from app.commands.record import Record
-from app.commands.rules import check, is_write, setpoints_of, units_named, units_written
+from app.commands.rules import check
 from app.commands.safeguards import Safeguards
+from app.commands.setpoint_range import kind_of
 from app.commands.setpoints import commanded_setpoint
-from app.commands.wish import Wish, timeout_s_for, without_secret
+from app.commands.wish import Wish, without_secret
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.feed.channel import Channel, ProgressListener
@@ -32,7 +34,7 @@ from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state import BusLive, LiveState
 from app.web.access import Person
 from app.web.deadline import Deadline
-from bus.contract import Action, ChangeBaud, Command, Result, ScanBus, SetLine, SetSpeed, WriteParameter
+from bus.contract import Action, Command, Result
 
 REMEMBERED = 1000
 """Fates kept for whoever asks with the same id again."""
@@ -102,7 +104,7 @@ class Desk:
         sender's own: what others ask with the same one is another command.
 
         ``deadline``: of a command that a request asks for. Without one it may wait ``timeout_s`` from now on,
-        or as long as :func:`timeout_s_for` says.
+        or as long as its kind takes.
 
         Raises Problem for what is not asked of the worker at all: 404 for a unit or bus that is not
         configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``,
@@ -111,7 +113,7 @@ class Desk:
         write, so that it stops there.
         """
         live = bus_or_404(self._live, bus)
-        for unit in units_named(action):
+        for unit in action.units:
             unit_or_404(self._live, bus, unit)
         id = id or None
         kept = self._find(person, id)
@@ -122,12 +124,13 @@ class Desk:
                 _refuse_other(id, self._record.is_same(earlier, bus, action))
                 return msgspec.structs.replace(earlier.result, id=id)
         if kept is None:
-            deadline = deadline or Deadline.within(timeout_s or _timeout_s(action, live))
+            timeout_s = timeout_s or kind_of_command(action).timeout_s(action, live)
+            deadline = deadline or Deadline.within(timeout_s)
             wish = Wish(new_command_id(id), person, bus, action, deadline, origin, listener, id)
             try:
                 await self._check(wish, live, confirm)
             except UnreadError as unread:
-                return unread.result(id or wish.id, self._now(), units_named(action))
+                return unread.result(id or wish.id, self._now(), action.units)
             kept = self._start(wish, live)
         _refuse_other(id, (kept.bus, kept.action) == (bus, action))
         result = await asyncio.shield(kept.fate)
@@ -157,7 +160,7 @@ class Desk:
     def check(self, person: Person, bus: str, action: Action, *, confirm: bool = False) -> None:
         """The checks of :meth:`ask` alone, for a review. Raises the same Problems."""
         live = bus_or_404(self._live, bus)
-        for unit in units_named(action):
+        for unit in action.units:
             unit_or_404(self._live, bus, unit)
         self._object(person, bus, action, live, confirm)
 
@@ -176,7 +179,7 @@ class Desk:
         try:
             yield
         except Problem as problem:
-            if is_write(wish.action):
+            if wish.action.writes:
                 await self._record.reject(wish, live, problem)
             raise
 
@@ -189,7 +192,7 @@ class Desk:
 
     def _use_control(self, person: Person, bus: str, action: Action) -> None:
         try:
-            if is_write(action):
+            if action.writes:
                 self._guards.control.use(bus, person.account, self._now())
         except ControlledError as error:
             detail = "{reason}; nothing was sent"
@@ -246,11 +249,11 @@ class Desk:
                 self._moves.take_back(wish.bus, unit, step, at)
 
     async def _carry_out(self, wish: Wish, live: BusLive) -> Result:
-        if not is_write(wish.action) and not _is_a_search(wish.action):
+        kind = kind_of_command(wish.action)
+        if not kind.is_event(wish.action):
             return await self._send(wish, live)
-        if is_write(wish.action):
-            parameters = isinstance(wish.action, WriteParameter | ChangeBaud)
-            units = units_written(wish.action, live)
+        if wish.action.writes:
+            units, parameters = kind.units_written(wish.action, live), kind.writes_parameters
             async with self._rejection_recorded(wish, live):
                 for subscriber in self._write_subscribers:
                     await subscriber(wish.person, wish.bus, units, parameters=parameters)
@@ -286,9 +289,9 @@ class Desk:
             return problem.detail
         except StoreError:
             return ""
-        if not is_write(wish.action):
+        if not wish.action.writes:
             return ""
-        for unit in units_written(wish.action, live):
+        for unit in kind_of_command(wish.action).units_written(wish.action, live):
             block = self._guards.blocks.of(wish.bus, unit)
             if block is not None:
                 return f"unit {unit} is blocked by {block.set_by}: {block.reason}"
@@ -301,24 +304,15 @@ def _refuse_other(id: str | None, same: bool) -> None:
         raise Problem(422, "invalid", detail, params={"id": id}, id=id)
 
 
-def _timeout_s(action: Action, live: BusLive) -> float:
-    return timeout_s_for(live, len(action.setpoints) if isinstance(action, SetLine) else 0)
-
-
-def _is_a_search(action: Action) -> bool:
-    """A scan is an event; a look at one address, as a swap takes every few seconds, is not."""
-    return isinstance(action, ScanBus) and action.last > action.first
-
-
 def _steps(action: Action, live: BusLive) -> dict[int, int]:
-    if isinstance(action, SetSpeed) and not action.execute:
-        return {}
-    present = {unit: commanded_setpoint(live.units[unit], live) for unit in live.units}
-    return {
-        unit: abs(raw - before)
-        for unit, raw in setpoints_of(action, live).items()
-        if (before := present[unit]) is not None
-    }
+    """By how much it moves the setpoint of each unit, where that is known."""
+    steps = {}
+    for new in kind_of_command(action).setpoints(action, live):
+        unit = live.units[new.unit]
+        present = commanded_setpoint(unit, live)
+        if present is not None and new.kind in (None, kind_of(unit)) and not new.is_staged:
+            steps[new.unit] = abs(new.raw - present)
+    return steps
 
 
 def _problem(objection: ObjectionError) -> Problem:

@@ -10,11 +10,12 @@ from fastapi import Depends
 from starlette.requests import Request
 from starlette.responses import Response
 
+from app.commands.catalogue import kind_of_command
 from app.commands.desk import Desk
 from app.commands.fate import Fate, fate_of, fate_of_problem
 from app.commands.risks import Remark
 from app.commands.safeguards import Safeguards
-from app.commands.wish import timeout_s_for
+from app.commands.timeouts import timeout_s_for
 from app.commands.words import shown_setpoint
 from app.errors import Problem
 from app.live.fields import Voice
@@ -97,11 +98,12 @@ class Desktop:
     async def ask(
         self, person: Person, bus: str, action: Action, id: str, deadline: Deadline | None = None
     ) -> Result:
-        """The reviewed command, once; ``deadline`` where that of a command to one unit is not enough.
+        """The reviewed command, once; ``deadline`` where it is not that of its kind.
 
         Raises Problem for what is not sent.
         """
-        deadline = deadline or self.deadline(self.bus(bus))
+        timeout_s = kind_of_command(action).timeout_s(action, self.bus(bus))
+        deadline = deadline or Deadline(self.made_at, timeout_s)
         return await self.desk.ask(person, bus, action, deadline=deadline, confirm=True, id=id, origin="page")
 
     def fate(self, result: Result | UnitOutcome, unit: UnitLive | None = None) -> Fate:

@@ -10,6 +10,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
+from app.commands.catalogue import SET_LINE
 from app.commands.forms import Desks, Desktop
 from app.commands.line_change import followers_of, proven, reviewed
 from app.commands.measure import measure_of_setpoint
@@ -17,12 +18,13 @@ from app.commands.ramp import present_setpoint
 from app.commands.reviewing import change, judge, keep_their_setpoint, know_ramps
 from app.commands.risks import by_remark
 from app.commands.setpoint_range import setpoint_range
+from app.commands.timeouts import longest_change_s
 from app.commands.typed import Typed
-from app.commands.wish import timeout_s_for
 from app.commands.words import shown_setpoint
+from app.commands.writer import permitted
 from app.errors import Problem
 from app.live.state import BusLive, follower
-from app.web.access import Operator, Person, Viewer
+from app.web.access import Person, Viewer
 from bus.catalogue.numbers import DECIMALS
 from bus.contract import SetLine
 from bus.errors import CallerError
@@ -60,7 +62,9 @@ def _line_of(desk: Desktop, name: str, bus: BusLive, number: int) -> dict[str, o
 
 
 @router.post("/setpoints/review")
-async def review_setpoints(request: Request, person: Operator, desk: Desks) -> Response:
+async def review_setpoints(
+    request: Request, person: Annotated[Person, permitted(SET_LINE)], desk: Desks
+) -> Response:
     """Each new setpoint that was typed, judged: old → new, limits, ramps, in one table."""
     form = await request.form()
     bus = str(form.get("bus", ""))
@@ -83,7 +87,7 @@ async def review_setpoints(request: Request, person: Operator, desk: Desks) -> R
         left_out=by_remark(left_out),
         unchanged=unchanged,
         followers=followers_of(live),
-        longest_s=2 * timeout_s_for(live, len(changes)),
+        longest_s=longest_change_s(live, len(changes)),
     )
 
 
@@ -108,7 +112,7 @@ async def _typed_setpoints(person: Person, desk: Desktop, live: BusLive, form: F
 @router.post("/setpoints")
 async def set_setpoints(
     request: Request,
-    person: Operator,
+    person: Annotated[Person, permitted(SET_LINE)],
     desk: Desks,
     bus: Annotated[str, Form()],
     id: Annotated[str, Form(max_length=64)],
@@ -121,9 +125,7 @@ async def set_setpoints(
     try:
         desk.refuse_lapsed(reviewed_at)
         setpoints = reviewed(live, form)
-        result = await desk.ask(
-            person, bus, SetLine(setpoints=setpoints), id, desk.deadline(live, len(setpoints))
-        )
+        result = await desk.ask(person, bus, SetLine(setpoints=setpoints), id)
     except Problem as problem:
         return desk.refused(problem, title)
     return proven(desk, bus, title, setpoints, result, form)

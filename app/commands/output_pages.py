@@ -7,14 +7,15 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Path
 from starlette.responses import Response
 
+from app.commands.catalogue import WRITE_ANALOG_OUTPUT, WRITE_OUTPUT
 from app.commands.fate import Fate
 from app.commands.forms import Desks, Desktop
 from app.commands.reviewing import facts
 from app.commands.risks import obstacle_of
-from app.commands.writer import EngineeringWriter, Writer
+from app.commands.writer import permitted, permitted_writer
 from app.errors import Problem
 from app.live.state import UnitLive
-from app.web.access import Engineer, Operator
+from app.web.access import Person
 from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW
 from bus.catalogue.status import output_is_on
 from bus.catalogue.values import analog_output_volts
@@ -32,7 +33,9 @@ def output_name(live: UnitLive, number: int) -> str:
 
 
 @router.get("/outputs/{number:int}")
-async def review_output(person: Operator, desk: Desks, bus: str, unit: int, number: Number) -> Response:
+async def review_output(
+    person: Annotated[Person, permitted(WRITE_OUTPUT)], desk: Desks, bus: str, unit: int, number: Number
+) -> Response:
     """The other state of an output, to be confirmed."""
     live = desk.unit(bus, unit)
     try:
@@ -54,7 +57,7 @@ async def review_output(person: Operator, desk: Desks, bus: str, unit: int, numb
 
 @router.post("/outputs/{number:int}")
 async def set_output(
-    person: Writer,
+    person: Annotated[Person, permitted_writer(WRITE_OUTPUT)],
     desk: Desks,
     bus: str,
     unit: int,
@@ -79,7 +82,7 @@ async def set_output(
 
 @router.post("/analog-output/review")
 async def review_analog(
-    person: Engineer,
+    person: Annotated[Person, permitted(WRITE_ANALOG_OUTPUT)],
     desk: Desks,
     bus: str,
     unit: int,
@@ -103,7 +106,7 @@ async def review_analog(
 
 @router.post("/analog-output")
 async def set_analog(
-    person: EngineeringWriter,
+    person: Annotated[Person, permitted_writer(WRITE_ANALOG_OUTPUT)],
     desk: Desks,
     bus: str,
     unit: int,

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Form, Path
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
+from app.commands.catalogue import READ_PARAMETERS, WRITE_PARAMETER
 from app.commands.fate import Fate
 from app.commands.forms import Desks, Desktop
 from app.commands.measure import measure_of_value
@@ -17,11 +18,11 @@ from app.commands.risks import obstacle_of, risks_of_writing
 from app.commands.setpoint_range import parameter_bounds
 from app.commands.typed import Typed
 from app.commands.words import known_parameter_text, text_of
-from app.commands.writer import EngineeringWriter
+from app.commands.writer import permitted, permitted_writer
 from app.errors import Problem
 from app.live.state import UnitLive
 from app.live.view import parameter_json
-from app.web.access import Engineer, Person, Viewer
+from app.web.access import Person, Viewer
 from bus.catalogue.parameter import Parameter, danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ReadParameters, WriteParameter
@@ -29,7 +30,6 @@ from bus.errors import CallerError
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}/parameters", include_in_schema=False)
 Number = Annotated[int, Path(ge=1, le=40)]
-READ_TIMEOUT_S = 30.0
 CONFIRMING_WORD = "WRITE"
 
 
@@ -40,11 +40,13 @@ async def parameters(_: Viewer, desk: Desks, bus: str, unit: int) -> Response:
 
 
 @router.post("/read")
-async def read_all(person: Viewer, desk: Desks, bus: str, unit: int) -> Response:
+async def read_all(
+    person: Annotated[Person, permitted(READ_PARAMETERS)], desk: Desks, bus: str, unit: int
+) -> Response:
     """All 40 as the unit gives them now."""
     desk.unit(bus, unit)
     action = ReadParameters(unit=unit, numbers=list(PARAMETERS))
-    result = await desk.desk.ask(person, bus, action, timeout_s=READ_TIMEOUT_S, origin="page")
+    result = await desk.desk.ask(person, bus, action, origin="page")
     missing = len(PARAMETERS) - len(result.values)
     return desk.render("unit/_parameters.html", missing=missing, **_table(desk, bus, unit))
 
@@ -72,7 +74,7 @@ def _row(desk: Desktop, bus: str, live: UnitLive, number: int) -> dict[str, Any]
 
 @router.post("/{number:int}/review")
 async def review_parameter(
-    person: Engineer,
+    person: Annotated[Person, permitted(WRITE_PARAMETER)],
     desk: Desks,
     bus: str,
     unit: int,
@@ -107,7 +109,7 @@ async def review_parameter(
 
 @router.post("/{number:int}")
 async def write_parameter(
-    person: EngineeringWriter,
+    person: Annotated[Person, permitted_writer(WRITE_PARAMETER)],
     desk: Desks,
     bus: str,
     unit: int,

@@ -6,8 +6,8 @@ import asyncio
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from app.commands.catalogue import kind_of_command
 from app.commands.limits import Limits
-from app.commands.rules import setpoints_judged
 from app.commands.setpoint_range import unread_for_range
 from app.errors import Problem
 from app.live.state import BusLive
@@ -76,8 +76,8 @@ def _unread_by_unit(
     live: BusLive, action: Action, limits: Callable[[int], Limits]
 ) -> dict[int, tuple[int, ...]]:
     unread = {
-        unit: unread_for_range(live.units[unit], limits(unit), raw, kind)
-        for unit, raw, kind in setpoints_judged(action, live)
+        new.unit: unread_for_range(live.units[new.unit], limits(new.unit), new.raw, new.kind)
+        for new in kind_of_command(action).setpoints(action, live)
     }
     return {unit: numbers for unit, numbers in unread.items() if numbers}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from app.commands.setpoints import commanded_setpoint
-from app.live.ramp_time import ramp_seconds
+from app.live.ramp_time import ramp_parameter, ramp_seconds
 from app.live.state import BusLive, UnitLive, follower
 from bus.catalogue.numbers import ACCELERATION, DECELERATION, MAX_DISPLAY, RATIO_SETPOINT
 
@@ -28,7 +28,7 @@ def ramp_of(unit: UnitLive, old: int | None, new: int) -> Ramp | None:
     follows its master."""
     if old == new or follower(unit):
         return None
-    number = DECELERATION if old is not None and new < old else ACCELERATION
+    number = ramp_parameter(old, new)
     tenths = None if old is None else unit.parameter_raw(number)
     return Ramp(number, tenths, ramp_seconds(unit, old, new))
 

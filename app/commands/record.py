@@ -16,8 +16,9 @@ import structlog
 from app.audit.groups import link_parts
 from app.audit.log import EventLog
 from app.commands import idempotency
+from app.commands.catalogue import kind_of_command
 from app.commands.wish import Wish
-from app.commands.words import Wording, wording, wordings_by_unit
+from app.commands.wording import Wording
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.live.state import BusLive
@@ -52,8 +53,9 @@ class Record:
 
     async def intend(self, wish: Wish, live: BusLive) -> Intent:
         """On disk when this returns. Raises StoreError, and then nothing may be sent."""
-        by_unit = wordings_by_unit(wish.action, live)
-        whole = _entry(wish, wish.unit, wording(wish.action, live))
+        kind = kind_of_command(wish.action)
+        by_unit = kind.part_wordings(wish.action, live)
+        whole = _entry(wish, wish.unit, kind.wording(wish.action, live))
         parts = [_entry(wish, unit, words) for unit, words in by_unit.items()]
         ring = self._events.keys.ring
 
@@ -76,7 +78,7 @@ class Record:
 
     async def reject(self, wish: Wish, live: BusLive, problem: Problem) -> None:
         """A wish that was not sent, with the reason."""
-        entry = _entry(wish, wish.unit, wording(wish.action, live))
+        entry = _entry(wish, wish.unit, kind_of_command(wish.action).wording(wish.action, live))
         await self._events.record(kind="command", **entry, outcome=problem.code, message=problem.detail)
 
 

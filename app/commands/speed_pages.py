@@ -11,15 +11,16 @@ from fastapi import APIRouter, Form
 from starlette.responses import Response
 
 from app.commands.bodies import Quantity
+from app.commands.catalogue import EXECUTE_SPEED, SET_SPEED
 from app.commands.forms import Desks, Desktop
 from app.commands.ramp import nudges, present_setpoint
 from app.commands.reviewing import change, judge, know_ramps
 from app.commands.typed import Typed
 from app.commands.words import shown_setpoint
-from app.commands.writer import Writer
+from app.commands.writer import permitted, permitted_writer
 from app.errors import Problem
 from app.live.state import UnitLive, follower
-from app.web.access import Operator, Person
+from app.web.access import Person
 from bus.contract import ExecuteSpeed, Result, SetSpeed
 from bus.errors import CallerError
 
@@ -33,7 +34,7 @@ ERROR_PLACE = "#setpoint-error"
 
 @router.post("/review")
 async def review_speed(
-    person: Operator,
+    person: Annotated[Person, permitted(SET_SPEED)],
     desk: Desks,
     bus: str,
     unit: int,
@@ -77,7 +78,7 @@ def _not_so(desk: Desktop, live: UnitLive, error: CallerError | Problem) -> Resp
 
 @router.post("/speed")
 async def set_speed(
-    person: Writer,
+    person: Annotated[Person, permitted_writer(SET_SPEED)],
     desk: Desks,
     bus: str,
     unit: int,
@@ -124,7 +125,7 @@ def _refuse_moved(desk: Desktop, bus: str, live: UnitLive, was: str) -> None:
 
 @router.post("/nudge")
 async def nudge(
-    person: Writer,
+    person: Annotated[Person, permitted_writer(SET_SPEED)],
     desk: Desks,
     bus: str,
     unit: int,
@@ -157,7 +158,9 @@ def _is_small(desk: Desktop, bus: str, live: UnitLive, step: int) -> bool:
 
 
 @router.get("/execute")
-async def review_execute(person: Operator, desk: Desks, bus: str, unit: int) -> Response:
+async def review_execute(
+    person: Annotated[Person, permitted(EXECUTE_SPEED)], desk: Desks, bus: str, unit: int
+) -> Response:
     """What executing the staged speed will do."""
     live = desk.unit(bus, unit)
     try:
@@ -177,7 +180,7 @@ async def review_execute(person: Operator, desk: Desks, bus: str, unit: int) -> 
 
 @router.post("/execute")
 async def execute(
-    person: Writer,
+    person: Annotated[Person, permitted_writer(EXECUTE_SPEED)],
     desk: Desks,
     bus: str,
     unit: int,

@@ -15,12 +15,13 @@ from fastapi import APIRouter, Query
 from starlette.responses import JSONResponse, Response, StreamingResponse
 
 from app.commands.answers import frame_json
+from app.commands.catalogue import READ_TRACE
 from app.commands.desk import Desk
 from app.commands.shown import TraceShown
 from app.commands.trace_file import trace_line
-from app.commands.writer import AskDesk
+from app.commands.writer import AskDesk, permitted
 from app.errors import Problem
-from app.web.access import Engineer, Person
+from app.web.access import Person
 from app.web.api_route import ApiRoute
 from bus.contract import Frame, ReadTrace
 
@@ -39,7 +40,7 @@ TRACE: dict[int | str, dict[str, Any]] = {
 
 @router.get("/trace", responses=TRACE)
 async def get_trace(
-    person: Engineer,
+    person: Annotated[Person, permitted(READ_TRACE)],
     desk: AskDesk,
     bus: str,
     seconds: Annotated[float | None, Query(gt=0, le=HOUR_S)] = None,

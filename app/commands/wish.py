@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 from msgspec.structs import replace
 
+from app.commands.catalogue import kind_of_command
 from app.feed.channel import ProgressListener
-from app.live.state import BusLive
 from app.web.access import Person
-from app.web.deadline import DEFAULT_TIMEOUT_S, Deadline
-from bus.catalogue.parameters import PARAMETERS
-from bus.contract import Action, Result, UnitOutcome, WriteParameter
-from bus.contract.durations import longest_stage_s
+from app.web.deadline import Deadline
+from bus.contract import Action, Result, UnitOutcome
 
 SECRET_DIFFERS = "the unit reads another value, which is not shown"
 
@@ -34,25 +32,13 @@ class Wish:
     @property
     def unit(self) -> int | None:
         """The one unit it is about, if it is about one."""
-        unit = getattr(self.action, "unit", None)
-        return unit if isinstance(unit, int) else None
-
-
-def timeout_s_for(bus: BusLive, staged_units: int = 0) -> float:
-    """How long a command may wait where its sender does not say: a change of several units needs the time of
-    its staging too. ``staged_units``: how many, 0 for a command to one."""
-    return DEFAULT_TIMEOUT_S + staged_units * longest_stage_s(bus.baud, bus.settings.turnaround_s)
-
-
-def writes_secret(action: Action) -> bool:
-    """Whether the frames of this action carry what is not to be shown (#21)."""
-    return isinstance(action, WriteParameter) and PARAMETERS[action.number].secret
+        return self.action.only_unit
 
 
 def without_secret(action: Action, result: Result) -> Result:
     """``result`` as it may be stored and shown: of a secret not what was read back, nor the frames, nor words
     that may name it."""
-    if not writes_secret(action):
+    if not kind_of_command(action).is_secret(action):
         return result
     units = [replace(unit, read_back=None, message=_masked(unit)) for unit in result.units]
     return replace(result, read_back=None, message=_masked(result), units=units, values=[], frames=[])

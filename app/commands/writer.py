@@ -7,13 +7,14 @@ poll more.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
+from app.commands.catalogue import CommandKind
 from app.commands.desk import Desk
-from app.web.access import Person, Requires, Role
+from app.web.access import Person, Requires
 from app.web.services import service, service_of
 
 AskDesk = Annotated[Desk, service(Desk)]
@@ -34,7 +35,11 @@ class _Writes(Requires):
         return person
 
 
-Writer = Annotated[Person, Depends(_Writes(Role.OPERATOR))]
-"""An operator, for whose write the next turn of ``{bus}`` is left free."""
-EngineeringWriter = Annotated[Person, Depends(_Writes(Role.ENGINEER))]
-"""An engineer, likewise."""
+def permitted(kind: CommandKind[Any]) -> Any:
+    """A dependency that lets in who may send such a command."""
+    return Depends(Requires(kind.role))
+
+
+def permitted_writer(kind: CommandKind[Any]) -> Any:
+    """The same, and leaves the next turn of ``{bus}`` free for the write."""
+    return Depends(_Writes(kind.role))

@@ -10,15 +10,17 @@ from typing import Annotated
 from fastapi import APIRouter, Form
 from starlette.responses import Response
 
+from app.commands.catalogue import SET_LINE
 from app.commands.fate import Fate, fate_of_problem
 from app.commands.forms import Desks, Desktop
 from app.commands.risks import by_remark
-from app.commands.wish import timeout_s_for
+from app.commands.timeouts import longest_change_s, timeout_s_for
 from app.commands.words import shown_setpoint
+from app.commands.writer import permitted
 from app.commands.zero import ZeroPlan, plan_zero
 from app.errors import Problem
 from app.live.state import BusLive
-from app.web.access import Operator, Person, Role, Viewer
+from app.web.access import Person, Viewer
 from app.web.deadline import Deadline
 from bus.contract import Result, SetLine, SetSpeed, UnitOutcome
 
@@ -31,7 +33,7 @@ Proof = tuple[str, str, Fate]
 async def review_zero(person: Viewer, desk: Desks) -> Response:
     """What setting the line to zero will do, and to whom; a bus in other hands is named as a whole. Who may
     only look is told so: the button stands in the same place of every page for everybody."""
-    if not person.role.includes(Role.OPERATOR):
+    if not person.role.includes(SET_LINE.role):
         return desk.render("line/_zero_not_yours.html")
     now = time.time()
     objections = {bus: desk.guards.control.objection(bus, person.account, now) for bus in desk.live.buses}
@@ -53,7 +55,7 @@ async def review_zero(person: Viewer, desk: Desks) -> Response:
 
 def _longest_s(bus: BusLive, units: int) -> float:
     """All at once, its withdrawal, and then each alone."""
-    return 2 * timeout_s_for(bus, units) + units * timeout_s_for(bus)
+    return longest_change_s(bus, units) + units * timeout_s_for(bus)
 
 
 def _plans(desk: Desktop) -> list[ZeroPlan]:
@@ -65,7 +67,7 @@ def _plans(desk: Desktop) -> list[ZeroPlan]:
 
 @router.post("")
 async def set_zero(
-    person: Operator,
+    person: Annotated[Person, permitted(SET_LINE)],
     desk: Desks,
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[float, Form()],

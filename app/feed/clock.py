@@ -1,8 +1,5 @@
 """How far a worker's clock is from the app's, from messages that say when they were sent. Pure.
 
-A message arrives later than it was sent, never earlier, so the least difference seen is the
-nearest to the truth. It is taken over the last windows only, so that a stepped clock is noticed.
-
 A message that was on its way while this machine's own clock was set back seems to have arrived long
 before it was sent. So after a step of the app's clock nothing is judged until such messages are in.
 """
@@ -16,11 +13,11 @@ import msgspec
 
 from app.history.clock import ClockWatch
 from bus.contract import Message
+from bus.contract.clock_offset import ClockOffset
 
 SAME_CLOCK_S = 0.05
 """Clocks this near are one clock: most workers run on the app's own machine."""
 STEP_S = 0.5
-WINDOW_S = 10.0
 SETTLED_S = 1.0
 """How long after a step of the app's own clock a message may still have been on its way."""
 
@@ -30,13 +27,11 @@ _TIMES = ("at", "sent_at", "acknowledged_at", "proven_at")
 
 
 class WorkerClock:
-    """Least-delay estimate of what to add to one worker's times, in seconds."""
+    """What to add to one worker's times, in seconds."""
 
     def __init__(self) -> None:
         self.offset_s = 0.0
-        self._window_began = -inf
-        self._least = inf
-        self._least_before = inf
+        self._difference = ClockOffset()
         self._own: ClockWatch | None = None
         self._settled_at = -inf
 
@@ -45,12 +40,9 @@ class WorkerClock:
         it was received by a clock that cannot be set."""
         if self._own_stepped(received_at, running):
             return 0.0
-        first = self._least == inf and self._least_before == inf
-        if not 0 <= received_at - self._window_began <= WINDOW_S:
-            self._window_began = received_at
-            self._least_before, self._least = self._least, inf
-        self._least = min(self._least, received_at - sent_at)
-        return self._settle(min(self._least, self._least_before), first)
+        first = self._difference.seconds is None
+        self._difference.observe(sent_at, received_at)
+        return self._settle(self._difference.seconds or 0.0, first)
 
     def _own_stepped(self, received_at: float, running: float) -> bool:
         """Whether this is too soon after a step of the app's clock. A worker of another machine is off by
@@ -58,7 +50,7 @@ class WorkerClock:
         self._own = self._own or ClockWatch(received_at, running)
         step = self._own.step(received_at, running)
         if step:
-            self._least = self._least_before = inf
+            self._difference = ClockOffset()
             self._settled_at = running + SETTLED_S
             if self.offset_s:
                 self.offset_s += step

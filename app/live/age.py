@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from bus.contract import BusFigures, UnitLinkState
 from bus.contract.durations import POLL_BYTES
-from bus.settings import BITS_PER_BYTE, BusSettings
+from bus.settings import BusSettings, wire_seconds
 
 if TYPE_CHECKING:
     from app.live.bus_live import BusLive, UnitLive
@@ -35,7 +35,7 @@ def scan_s_of(bus: BusLive) -> float:
 
 def scan_s_at_best(settings: BusSettings) -> float:
     """The wire time of one poll of every configured unit, seconds."""
-    return len(settings.unit) * POLL_BYTES * BITS_PER_BYTE / settings.baud
+    return wire_seconds(len(settings.unit) * POLL_BYTES, settings.baud)
 
 
 def unit_link_now(bus: BusLive, unit: UnitLive, now: float) -> UnitLinkState:

@@ -9,7 +9,8 @@ from pydantic import Field
 
 from app.commands.answers import answer
 from app.commands.api import FATE
-from app.commands.writer import Writer
+from app.commands.catalogue import SET_LINE
+from app.commands.writer import permitted_writer
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404
@@ -17,7 +18,7 @@ from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, setpoints_now
 from app.recipes.shown import DryRunShown, LoadedShown, RecipeShown
 from app.recipes.view import dry_run_json, loaded_json, recipe_json
-from app.web.access import Engineer, Viewer
+from app.web.access import Engineer, Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
 from app.web.numbers import whole_number
@@ -81,7 +82,7 @@ async def try_recipe(person: Viewer, book: Book, recipe_id: int) -> DryRunShown:
 @router.post("/recipes/{recipe_id}/load", responses=FATE)
 async def load_recipe(
     request: Request,
-    person: Writer,
+    person: Annotated[Person, permitted_writer(SET_LINE)],
     book: Book,
     live: Live,
     recipe_id: int,

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from functools import partial
 
 from app.audit.log import EventLog
+from app.commands.catalogue import SET_LINE
 from app.commands.desk import Desk
-from app.commands.wish import timeout_s_for
 from app.errors import Problem
 from app.live.state import BusLive, LiveState
 from app.recipes.rules import Departure, DryRun, Recipe, Setpoint, departures, dry_run, setpoint_kind
@@ -92,7 +92,7 @@ class RecipeBook:
             person,
             recipe.bus,
             action,
-            deadline=Deadline(made_at, timeout_s_for(self._bus(recipe), len(action.setpoints))),
+            deadline=Deadline(made_at, SET_LINE.timeout_s(action, self._bus(recipe))),
             confirm=confirm,
             id=command_id,
             origin=f"recipe {recipe.name}",

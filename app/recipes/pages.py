@@ -6,19 +6,21 @@ from typing import Annotated
 
 from fastapi import APIRouter, Form, Request, Response
 
+from app.commands.catalogue import SET_LINE
 from app.commands.forms import Desks
 from app.commands.line_change import followers_of, proven, reviewed
 from app.commands.ramp import present_setpoint
 from app.commands.reviewing import keep_their_setpoint, know_ramps
 from app.commands.risks import by_remark
-from app.commands.wish import timeout_s_for
+from app.commands.timeouts import longest_change_s
+from app.commands.writer import permitted
 from app.errors import Problem
 from app.live.api import Live
 from app.live.lookup import bus_or_404
 from app.live.state import BusLive
 from app.recipes.api import Book, recipe_or_404
 from app.recipes.rules import Setpoint, present_raw, setpoint_kind, setpoint_text
-from app.web.access import Engineer, Operator, Viewer
+from app.web.access import Engineer, Person, Viewer
 from app.web.templating import render
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_raw, speed_raw
@@ -79,7 +81,9 @@ async def one_page(request: Request, person: Viewer, book: Book, recipe_id: int)
 
 
 @router.get("/recipes/{recipe_id}/review")
-async def review(person: Operator, desk: Desks, book: Book, recipe_id: int) -> Response:
+async def review(
+    person: Annotated[Person, permitted(SET_LINE)], desk: Desks, book: Book, recipe_id: int
+) -> Response:
     """The second step before loading."""
     recipe = await recipe_or_404(book, recipe_id)
     bus = desk.bus(recipe.bus)
@@ -98,14 +102,14 @@ async def review(person: Operator, desk: Desks, book: Book, recipe_id: int) -> R
         risks=by_remark((step.name, risk) for step in run.steps for risk in step.risks),
         left_out=by_remark(left_out),
         unchanged=unchanged,
-        longest_s=2 * timeout_s_for(bus, len(run.steps)),
+        longest_s=longest_change_s(bus, len(run.steps)),
     )
 
 
 @router.post("/recipes/{recipe_id}/load")
 async def load(
     request: Request,
-    person: Operator,
+    person: Annotated[Person, permitted(SET_LINE)],
     desk: Desks,
     book: Book,
     recipe_id: int,

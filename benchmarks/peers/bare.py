@@ -9,11 +9,11 @@ from typing import cast
 
 import serial_asyncio
 
-from bus.settings import Dialect
+from bus.settings import Dialect, wire_seconds
 from bus.wire.bodies import encode_request
 from bus.wire.commands import ReadStatus
 from bus.wire.framing import FrameDecoder, ReceivedFrame
-from bus.wire.lengths import longest_reply_bytes, wire_seconds
+from bus.wire.lengths import longest_reply_bytes
 
 DIALECT = Dialect()
 TURNAROUND_S = 0.05

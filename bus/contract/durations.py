@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus.settings import BITS_PER_BYTE
+from bus.settings import wire_seconds
 
 POLL_BYTES = 7 + 18
 """81h and its response."""
@@ -16,18 +16,14 @@ _EXECUTE_BYTES = 7
 
 def stage_s(baud: int) -> float:
     """82h to one unit and its acknowledgement at best, seconds."""
-    return _seconds(_STAGE_BYTES + _ACK_BYTES, baud)
+    return wire_seconds(_STAGE_BYTES + _ACK_BYTES, baud)
 
 
 def longest_stage_s(baud: int, turnaround_s: float) -> float:
     """The same at worst, no retry counted. ``turnaround_s``: what a unit may take to begin its response."""
-    return _seconds(_STAGE_BYTES + _DOUBLED_BYTES + _ACK_BYTES, baud) + turnaround_s
+    return wire_seconds(_STAGE_BYTES + _DOUBLED_BYTES + _ACK_BYTES, baud) + turnaround_s
 
 
 def change_s(units: int, baud: int) -> float:
     """Stage each of ``units``, one broadcast, read each back at best, seconds."""
-    return units * stage_s(baud) + _seconds(_EXECUTE_BYTES + units * POLL_BYTES, baud)
-
-
-def _seconds(byte_count: int, baud: int) -> float:
-    return byte_count * BITS_PER_BYTE / baud
+    return units * stage_s(baud) + wire_seconds(_EXECUTE_BYTES + units * POLL_BYTES, baud)

@@ -28,7 +28,7 @@ from bus.line.tally import Tally, WireCounts
 from bus.line.trace import Passed, Trace
 from bus.line.underway import UnderWay
 from bus.line.window import MARGIN_S, QUIET_BYTES, Window
-from bus.settings import BITS_PER_BYTE, Dialect
+from bus.settings import Dialect, wire_seconds
 from bus.wire.commands import Request
 from bus.wire.exchange import Answered, Event, Exchange, Foreign, Unexpected
 from bus.wire.fence import Doubt, Doubts
@@ -50,7 +50,7 @@ class Link:
         self, dialect: Dialect, baud: int, turnaround_s: float, clock: Clock, roster: Roster, trace: Trace
     ) -> None:
         self._dialect = dialect
-        self._byte_s = BITS_PER_BYTE / baud
+        self._byte_s = wire_seconds(1, baud)
         self._turnaround_s = turnaround_s
         self._clock = clock
         self._trace = trace
@@ -120,7 +120,7 @@ class Link:
         return self._doubts.about(unit)
 
     def _go_at(self, baud: int) -> None:
-        self._byte_s = BITS_PER_BYTE / baud
+        self._byte_s = wire_seconds(1, baud)
         self._window.attach(self._port, self._byte_s)
         self._forget()
 

@@ -10,10 +10,9 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 
 from bus.line.window import MARGIN_S
-from bus.settings import Dialect
+from bus.settings import Dialect, wire_seconds
 from bus.wire.bodies import encode_request
 from bus.wire.commands import ReadStatus
-from bus.wire.lengths import wire_seconds
 
 PASSES = 2
 MOST_PASSES = 4

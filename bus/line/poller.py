@@ -26,9 +26,9 @@ from bus.line.schedule import Schedule
 from bus.line.steps import Expect, Note, Retune, Tell, Unstage
 from bus.line.trace import Interpreter, Trace
 from bus.line.turns import Turns
-from bus.settings import BusSettings
+from bus.settings import BusSettings, wire_seconds
 from bus.wire.commands import Nak, ReadStatus, Request, WriteParameter
-from bus.wire.lengths import usual_reply_bytes, wire_seconds
+from bus.wire.lengths import usual_reply_bytes
 
 CLOSED_TO_OFFLINE_S = 3.0
 

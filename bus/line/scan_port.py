@@ -16,7 +16,7 @@ from bus.line.clock import Clock, RealClock
 from bus.line.examination import Question
 from bus.line.transport import OpenPort, open_port
 from bus.line.window import MARGIN_S, Window
-from bus.settings import BITS_PER_BYTE, Dialect
+from bus.settings import Dialect, wire_seconds
 from bus.wire.exchange import Answered, Echo, Event, Exchange
 from bus.wire.fence import Doubts
 from bus.wire.framing import FrameDecoder, ReceivedFrame
@@ -69,7 +69,7 @@ class ScanPort:
     def __init__(self, baud: int, clock: Clock) -> None:
         self.echoes = False
         self._clock = clock
-        self._byte_s = BITS_PER_BYTE / baud
+        self._byte_s = wire_seconds(1, baud)
         self._window = Window(clock, self._on_window_over)
         self._decoder = FrameDecoder(_PLAIN)
         self._doubts = Doubts(_PLAIN)

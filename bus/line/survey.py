@@ -15,8 +15,7 @@ from bus.line.passes import Passes, silent_seconds
 from bus.line.proof import ask
 from bus.line.roster import Roster
 from bus.line.steps import Answer, Ask, Fate, Procedure, Step, Tell, Wait, Wish
-from bus.settings import Dialect
-from bus.wire.lengths import wire_seconds
+from bus.settings import Dialect, wire_seconds
 
 SHARE = 1 / 3
 """Of the wire, at most: a unit that is polled keeps two thirds of its rate."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus.settings import BITS_PER_BYTE, Dialect
+from bus.settings import Dialect
 from bus.wire.commands import ReadParameter, Request
 
 _FRAME_OVERHEAD = 5
@@ -54,8 +54,3 @@ def _reply_bytes(request: Request, dialect: Dialect, bytes_per_byte: int) -> int
     nak_data = 1
     data = max(nak_data, *acknowledged_lengths(request, dialect))
     return _FRAME_OVERHEAD + bytes_per_byte * (2 + data)
-
-
-def wire_seconds(byte_count: int, baud: int) -> float:
-    """How long ``byte_count`` bytes take at ``baud``, ten bits each."""
-    return byte_count * BITS_PER_BYTE / baud

@@ -18,23 +18,21 @@ from bus.contract import (
     Frames,
     Hello,
     Progress,
-    ReadParameters,
     ReadTrace,
     Result,
-    ScanBus,
     Snapshot,
     UnitLink,
     Update,
     Watch,
 )
+from bus.contract.clock_offset import ClockOffset
 from bus.line.clock import Clock, RealClock
+from bus.line.commands import errand_of
 from bus.line.opener import Opener, OpenFunction
-from bus.line.orders import errand_of
 from bus.line.poller import Poller
 from bus.line.trace import Interpreter, Passed
 from bus.line.transport import open_port
 from bus.settings import BusSettings
-from bus.worker.deadline import AppClock
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
 
@@ -48,7 +46,6 @@ FINISH_WITHIN_S = 1.4
 SAY_WITHIN_S = 0.3
 LOOK_S = 0.01
 FRAMES_AT_A_STRETCH = 25
-_NO_WRITE = (ReadParameters, ReadTrace, ScanBus)
 
 _log = structlog.get_logger("bus.worker")
 
@@ -67,7 +64,7 @@ class BusWorker:
         self.clock = clock or RealClock()
         self.worker = uuid.uuid4().hex
         self.outbox = Outbox()
-        self.app_clock = AppClock()
+        self.app_clock = ClockOffset()
         self.poller = Poller(bus, self.clock, self._emit, seed if seed is not None else uuid.uuid4().int)
         self._opener = Opener(self.poller, open_function)
         self._started_at = self._epoch()
@@ -177,7 +174,7 @@ class BusWorker:
         if not self.poller.link.open:
             cause = self.poller.state.cause
             return Result("", 0.0, "bus_closed", f"there is no link to the bus: {cause}; nothing was sent")
-        if time_left_s < 0 and not isinstance(command.action, _NO_WRITE):
+        if time_left_s < 0 and command.action.writes:
             message = f"it came {-time_left_s:.1f} s after its time was over: nothing was sent"
             return Result("", 0.0, "not_sent", message)
         return None

@@ -35,8 +35,8 @@ from bus.contract import (
     decode_from_app,
     encode,
 )
+from bus.contract.clock_offset import ClockOffset
 from bus.line.backoff import Backoff
-from bus.worker.deadline import AppClock
 from bus.worker.outbox import Outbox
 
 SHORTEST_PAUSE_S = 0.1
@@ -97,7 +97,7 @@ class Uplink:
         token: str,
         outbox: Outbox,
         duty: Duty,
-        app_clock: AppClock,
+        app_clock: ClockOffset,
         epoch: Callable[[], float],
     ) -> None:
         self._url = feed_url(url)
@@ -189,7 +189,7 @@ class Uplink:
                 f"it speaks version {answer.version} of the link and this worker {CONTRACT_VERSION}: "
                 "install the same release of lineside on both"
             )
-        self._app_clock.heard(answer.app_time, self._epoch())
+        self._app_clock.observe(answer.app_time, self._epoch())
         return answer
 
     async def _receive(self, socket: ClientConnection) -> None:
@@ -210,7 +210,7 @@ class Uplink:
             case Delivered(seq=seq):
                 self._outbox.delivered(seq)
             case Clock(app_time=app_time):
-                self._app_clock.heard(app_time, self._epoch())
+                self._app_clock.observe(app_time, self._epoch())
             case Command():
                 self._duty.command(message)
             case Reserve():

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from app.audit.store import Filter
-from app.commands.wish import timeout_s_for
+from app.commands.timeouts import timeout_s_for
 from app.errors import Problem, StoreError
 from app.live.state import LiveState
 from app.web.access import Person, Role

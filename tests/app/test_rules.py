@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from app.commands.blocks import Block
 from app.commands.limits import HIGHEST_SETPOINT, NO_LIMITS, Limits
 from app.commands.objection import Circumstances, ObjectionError
-from app.commands.rules import check, is_write, setpoints_of, units_named, units_written
+from app.commands.rules import check
 from app.live.state import BusLive, LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
@@ -181,7 +181,6 @@ def test_a_broadcast_is_refused_when_it_would_execute_what_a_blocked_unit_has_st
 
 def test_reading_a_blocked_unit_is_no_write() -> None:
     check(ReadParameters(unit=2), circumstances(blocked=2))
-    assert not is_write(ReadParameters(unit=2))
 
 
 def test_an_empty_change_is_refused() -> None:
@@ -245,23 +244,6 @@ def test_the_mode_is_not_changed_while_running() -> None:
 def test_a_baud_that_no_unit_speaks_is_refused_with_the_nearest() -> None:
     assert objection(ChangeBaud(baud=5000), circumstances()).nearest == 4800
     assert objection(ChangeBaud(baud=4800), circumstances()).code == "dangerous"
-
-
-def test_what_an_action_names_and_what_it_reaches() -> None:
-    bus = bus_with(Staged(unit=16, at=0.0, raw=7))
-    assert units_named(SetLine(setpoints={2: 1, 1: 1})) == [1, 2]
-    assert units_written(SetLine(setpoints={2: 1}), bus) == [2, 16]
-    assert units_written(ExecuteAll(), bus) == [16]
-    assert units_named(ExecuteAll()) == []
-    assert setpoints_of(ExecuteAll(), bus) == {16: 7}
-    assert setpoints_of(ExecuteSpeed(unit=1), bus) == {}
-
-
-def test_the_unit_of_an_action_and_the_setpoint_in_a_parameter() -> None:
-    bus = bus_with(parameter(1, 8, 0))
-    assert units_named(SetSpeed(unit=2, raw=1)) == [2]
-    assert setpoints_of(WriteParameter(unit=1, number=20, raw=700), bus) == {1: 700}
-    assert setpoints_of(WriteParameter(unit=1, number=6, raw=700), bus) == {}
 
 
 def test_a_parameter_that_no_unit_has_is_refused() -> None:

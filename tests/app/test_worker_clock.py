@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.feed.clock import SAME_CLOCK_S, WINDOW_S, WorkerClock, shifted
+from app.feed.clock import SAME_CLOCK_S, WorkerClock, shifted
 from bus.contract import Clause, Frame, Reading, Result, UnitOutcome
+from bus.contract.clock_offset import WINDOW_S
 
 DELAYS = st.lists(st.floats(0.0005, 5.0), min_size=1, max_size=50)
 

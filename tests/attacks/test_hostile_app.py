@@ -21,7 +21,7 @@ from bus.contract import (
     encode,
 )
 from bus.contract import MalformedMessageError as Malformed
-from bus.worker.deadline import AppClock
+from bus.contract.clock_offset import ClockOffset
 from bus.worker.outbox import Outbox
 from bus.worker.service import FATES_KEPT, MOST_COMMANDS, MOST_TRACES
 from bus.worker.uplink import MESSAGES_AT_ONCE, MESSAGES_PER_S, Uplink
@@ -110,7 +110,7 @@ def test_a_flood_is_read_no_faster_than_it_is_meant_to_be(message: AppMessage) -
     """The rest waits in the socket, and the loop is free meanwhile."""
 
     async def scene() -> float:
-        uplink = Uplink("http://app", TOKEN, Outbox(), Desk(), AppClock(), lambda: 0.0)
+        uplink = Uplink("http://app", TOKEN, Outbox(), Desk(), ClockOffset(), lambda: 0.0)
         flood = Flood(message, int(MESSAGES_AT_ONCE + 10 * MESSAGES_PER_S))
         await uplink._receive(flood)  # type: ignore[arg-type]
         return asyncio.get_running_loop().time()

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from app import cli
-from app.cli import tether
 from app.database import Database, StoreError
 from app.database.private import make_file, make_private, write_file
 from app.errors import StoreError as Refusal
 from bus import __main__ as worker
+from bus.worker import parent
 
 LINESIDE = Path(sys.executable).with_name("lineside")
 CONFIG = """\
@@ -164,7 +164,7 @@ def test_a_process_begins_by_taking_the_rights_of_others(
 ) -> None:
     """Also from what a library writes, of which nothing else here knows."""
     monkeypatch.setattr(cli, "cli", lambda **_: None)
-    monkeypatch.setattr(tether, "tie_to_parent", lambda: None)
+    monkeypatch.delenv(parent.PARENT, raising=False)
     monkeypatch.setenv("PYDANTIC_DISABLE_PLUGINS", "__all__")
     monkeypatch.delenv(worker.TOKEN_VARIABLE, raising=False)
     before = os.umask(0)

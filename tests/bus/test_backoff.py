@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 from structlog.testing import capture_logs
 
+from bus.contract.clock_offset import ClockOffset
 from bus.errors import WireError
 from bus.line.backoff import (
     JITTER,
@@ -20,7 +21,6 @@ from bus.line.backoff import (
 )
 from bus.line.opener import Opener
 from bus.line.port import EndedWhileOpening, OpenPort, Receiver
-from bus.worker.deadline import AppClock
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import REFUSED_PAUSE_S, Refused, Uplink
 from tests.bus.test_uplink import Desk
@@ -186,7 +186,7 @@ class Flapping(Uplink):
     """An app that accepts and then does as it is told."""
 
     def __init__(self, end: Callable[[], Exception], lasts_s: float) -> None:
-        super().__init__("http://app", "t", Outbox(), Desk(), AppClock(), lambda: 0.0)
+        super().__init__("http://app", "t", Outbox(), Desk(), ClockOffset(), lambda: 0.0)
         self.accepted: list[float] = []
         self._end, self._lasts_s = end, lasts_s
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.errors import CallerError
-from bus.settings import Dialect
+from bus.settings import Dialect, wire_seconds
 from bus.wire.bodies import (
     IllegalRequest,
     encode_reply,
@@ -39,7 +39,7 @@ from bus.wire.commands import (
     is_write,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
-from bus.wire.lengths import longest_reply_bytes, usual_reply_bytes, wire_seconds
+from bus.wire.lengths import longest_reply_bytes, usual_reply_bytes
 
 BINARY, BCD = Dialect(), Dialect(parameter_numbers="bcd")
 

@@ -93,7 +93,7 @@ def test_a_command_that_comes_too_late_is_never_sent_but_a_read_is() -> None:
 def test_the_apps_clock_decides_what_is_late() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        line.worker.app_clock.heard(EPOCH - 3600.0, EPOCH)
+        line.worker.app_clock.observe(EPOCH - 3600.0, EPOCH)
         fate = await line.ask(SetSpeed(1, 640), timeout_s=-3599.0)
         assert fate.outcome == "verified", "the app's clock is an hour slow: one second is left"
 

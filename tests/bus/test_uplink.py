@@ -26,7 +26,7 @@ from bus.contract import (
     WantSnapshot,
     Watch,
 )
-from bus.worker.deadline import AppClock
+from bus.contract.clock_offset import ClockOffset
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import GOING_AWAY, Uplink, _about_status, feed_url
 from tests.bus.fake_app import TOKEN, FakeApp
@@ -71,7 +71,7 @@ class Desk:
 @asynccontextmanager
 async def linked(app: FakeApp, token: str = TOKEN) -> AsyncIterator[tuple[Outbox, Desk]]:
     outbox, desk = Outbox(), Desk()
-    uplink = Uplink(app.url, token, outbox, desk, AppClock(), time.time)
+    uplink = Uplink(app.url, token, outbox, desk, ClockOffset(), time.time)
     running = asyncio.create_task(uplink.run())
     try:
         yield outbox, desk
@@ -194,7 +194,7 @@ async def _said(logs: list[MutableMapping[str, Any]]) -> None:
 
 async def test_an_address_that_names_no_host_is_said_and_does_not_end_the_worker() -> None:
     desk = Desk()
-    uplink = Uplink("http://a..b:8000", TOKEN, Outbox(), desk, AppClock(), time.time)
+    uplink = Uplink("http://a..b:8000", TOKEN, Outbox(), desk, ClockOffset(), time.time)
     with capture_logs() as logs:
         linking = asyncio.create_task(uplink.run())
         async with asyncio.timeout(20):

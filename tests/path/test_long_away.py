@@ -16,7 +16,7 @@ import httpx
 
 from bus import contract
 from bus.contract import CONTRACT_VERSION, BusLink, Hello, Reading, Snapshot, Watch
-from bus.worker.deadline import AppClock
+from bus.contract.clock_offset import ClockOffset
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
 from tests.e2e.limits import PROCEDURE_S
@@ -83,7 +83,7 @@ def test_ten_minutes_are_delivered_at_their_own_times(tmp_path: Path) -> None:
         outbox.put([reading])
     config = configured(tmp_path, number)
     token = command(config, "token", "create", "far", "--role", "worker", "--bus", "far").strip()
-    uplink = Uplink(url, token, outbox, line, AppClock(), time.time)
+    uplink = Uplink(url, token, outbox, line, ClockOffset(), time.time)
     with at_work(uplink), served(config):
         eventually(lambda: outbox.connected and not len(outbox), "everything delivered", within=PROCEDURE_S)
         for unit in UNITS:

@@ -1,0 +1,178 @@
+"""Every kind of command, described once. Pure.
+
+A row says what the app needs to know of a kind: who may send it, what it changes, how it is checked, worded
+and recorded, how long it may take. What is sent is the request in ``bus.contract.actions``, which says too
+whether it writes and which units it addresses; how a worker carries it out and proves it is a row in
+``bus.line.commands``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from app.commands import checks, new_setpoints, wording
+from app.commands.new_setpoints import NewSetpoint, staged_setpoints
+from app.commands.objection import Circumstances
+from app.commands.timeouts import timeout_s_for
+from app.commands.wording import Wording
+from app.live.state import BusLive
+from app.web.access import Role
+from bus.catalogue.parameter import danger_of_writing
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import (
+    Action,
+    ChangeBaud,
+    ExecuteAll,
+    ExecuteSpeed,
+    ReadParameters,
+    ReadTrace,
+    ScanBus,
+    SetLine,
+    SetSpeed,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+
+A = TypeVar("A", bound=Action)
+
+READ_S, READ_IN_GAPS_S = 30.0, 600.0
+"""Forty reads at 300 baud, and the same in a tenth of the wire."""
+SCAN_S = 180.0
+
+
+def _no_check(_: Action, _now: Circumstances) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class CommandKind(Generic[A]):
+    """One kind of command. The functions get the request, and the bus as it is now."""
+
+    request: type[A]
+    role: Role
+    """Who may send it, and all above."""
+    wording: Callable[[A, BusLive], Wording]
+    """What it is called in the events."""
+    part_wordings: Callable[[A, BusLive], Mapping[int, Wording]] = lambda _, _bus: {}
+    """The same for each unit of a change of several."""
+    units_written: Callable[[A, BusLive], Sequence[int]] = lambda action, _: (
+        action.units if action.writes else ()
+    )
+    """The units at which it, or its broadcast, can change something."""
+    setpoints: Callable[[A, BusLive], Iterable[NewSetpoint]] = lambda _, _bus: ()
+    """The setpoints that it would bring about, as far as they are known; each is judged."""
+    check: Callable[[A, Circumstances], None] = _no_check
+    """Raises ObjectionError for what it refuses by itself."""
+    danger: Callable[[A], str] = lambda _: ""
+    """Why it must be confirmed; empty where it need not be."""
+    timeout_s: Callable[[A, BusLive], float] = lambda _, bus: timeout_s_for(bus)
+    """How long it may take where its sender does not say."""
+    writes_parameters: bool = False
+    is_secret: Callable[[A], bool] = lambda _: False
+    """Whether its frames carry what is not to be shown (#21)."""
+    is_event: Callable[[A], bool] = lambda action: action.writes
+    """Whether it is recorded before it is sent."""
+
+
+SET_SPEED = CommandKind(
+    SetSpeed,
+    Role.OPERATOR,
+    wording=wording.of_set_speed,
+    setpoints=new_setpoints.of_set_speed,
+)
+EXECUTE_SPEED = CommandKind(
+    ExecuteSpeed,
+    Role.OPERATOR,
+    wording=wording.of_execute_speed,
+    setpoints=new_setpoints.of_execute_speed,
+)
+EXECUTE_ALL = CommandKind(
+    ExecuteAll,
+    Role.OPERATOR,
+    wording=wording.of_execute_all,
+    part_wordings=wording.parts_of_execute_all,
+    units_written=lambda _, bus: list(staged_setpoints(bus)),
+    setpoints=new_setpoints.of_execute_all,
+)
+SET_LINE = CommandKind(
+    SetLine,
+    Role.OPERATOR,
+    wording=wording.of_set_line,
+    part_wordings=wording.parts_of_set_line,
+    units_written=lambda action, bus: sorted({*action.setpoints, *staged_setpoints(bus)}),
+    setpoints=new_setpoints.of_set_line,
+    check=checks.check_line,
+    timeout_s=lambda action, bus: timeout_s_for(bus, len(action.setpoints)),
+)
+WRITE_OUTPUT = CommandKind(
+    WriteOutput,
+    Role.OPERATOR,
+    wording=wording.of_write_output,
+    check=checks.check_output,
+)
+WRITE_ANALOG_OUTPUT = CommandKind(
+    WriteAnalogOutput,
+    Role.ENGINEER,
+    wording=lambda action, _: Wording("set analog output (88h)", new=str(action.raw), new_raw=action.raw),
+    check=checks.check_analog_output,
+)
+WRITE_PARAMETER = CommandKind(
+    WriteParameter,
+    Role.ENGINEER,
+    wording=wording.of_write_parameter,
+    setpoints=new_setpoints.of_write_parameter,
+    check=checks.check_parameter,
+    danger=lambda action: danger_of_writing(PARAMETERS[action.number], action.raw),
+    writes_parameters=True,
+    is_secret=lambda action: PARAMETERS[action.number].secret,
+)
+CHANGE_BAUD = CommandKind(
+    ChangeBaud,
+    Role.ENGINEER,
+    wording=lambda action, bus: Wording("change the baud of the line", str(bus.baud), str(action.baud)),
+    units_written=lambda _, bus: list(bus.units),
+    check=checks.check_baud,
+    danger=lambda _: "every unit changes its baud; one that does not follow is cut off",
+    writes_parameters=True,
+)
+READ_PARAMETERS = CommandKind(
+    ReadParameters,
+    Role.VIEWER,
+    wording=lambda action, _: Wording(f"read {len(action.numbers) or len(PARAMETERS)} parameters (85h)"),
+    timeout_s=lambda action, _: READ_S if action.urgent else READ_IN_GAPS_S,
+)
+SCAN_BUS = CommandKind(
+    ScanBus,
+    Role.ENGINEER,
+    wording=lambda action, _: Wording(f"scan the addresses {action.first} to {action.last}"),
+    timeout_s=lambda _, _bus: SCAN_S,
+    # A look at one address, as a swap takes every few seconds, is none.
+    is_event=lambda action: action.last > action.first,
+)
+READ_TRACE = CommandKind(
+    ReadTrace,
+    Role.ENGINEER,
+    wording=lambda _, _bus: Wording("read the kept frames"),
+)
+
+_KINDS: tuple[CommandKind[Any], ...] = (
+    SET_SPEED,
+    EXECUTE_SPEED,
+    EXECUTE_ALL,
+    SET_LINE,
+    WRITE_OUTPUT,
+    WRITE_ANALOG_OUTPUT,
+    WRITE_PARAMETER,
+    CHANGE_BAUD,
+    READ_PARAMETERS,
+    SCAN_BUS,
+    READ_TRACE,
+)
+COMMANDS: dict[type[Action], CommandKind[Any]] = {kind.request: kind for kind in _KINDS}
+
+
+def kind_of_command(action: Action) -> CommandKind[Any]:
+    """The row of ``action``."""
+    return COMMANDS[type(action)]

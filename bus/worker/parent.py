@@ -1,0 +1,32 @@
+"""Ties a child process to its parent, so that it ends even when the parent is killed (Linux only)."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+
+PARENT = "LINESIDE_PARENT"
+"""The environment's name for the process that a child belongs to."""
+_PR_SET_PDEATHSIG = 1
+
+
+def tied_environment() -> dict[str, str]:
+    """The environment for a child of this process."""
+    return {**os.environ, PARENT: str(os.getpid())}
+
+
+def named_parent() -> int | None:
+    """The process that the environment says this one belongs to; told to no child of this one."""
+    named = os.environ.pop(PARENT, "")
+    return int(named) if named.isdecimal() else None
+
+
+def tie_to(parent: int) -> None:
+    """In the child, first of all: end by SIGTERM when ``parent`` ends; at once when it has ended."""
+    if sys.platform != "linux":
+        return
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    if os.getppid() != parent:
+        raise SystemExit(1)

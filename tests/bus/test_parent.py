@@ -1,0 +1,52 @@
+"""A child process ends with its parent, whenever that is killed."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+
+from bus.worker.parent import PARENT, tied_environment
+
+CHILD = """
+from bus.worker.parent import named_parent, tie_to
+if parent := named_parent():
+    tie_to(parent)
+print('tied', flush=True)
+input()
+"""
+PARENT_OF_CHILD = f"""
+import subprocess, sys
+from bus.worker.parent import tied_environment
+subprocess.run([sys.executable, "-c", {CHILD!r}], env=tied_environment())
+"""
+
+
+def test_a_child_ends_when_its_parent_is_killed() -> None:
+    held, holding = os.pipe()
+    with subprocess.Popen(
+        [sys.executable, "-c", PARENT_OF_CHILD], stdin=held, stdout=subprocess.PIPE
+    ) as parent:
+        os.close(held)
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == b"tied\n"
+        os.kill(parent.pid, signal.SIGKILL)
+        # The child holds the pipe open: it ends once the child is gone too.
+        ended, _, _ = select.select([parent.stdout], [], [], 10.0)
+        os.close(holding)
+        assert ended
+        assert parent.stdout.read() == b""
+
+
+def test_a_child_whose_parent_is_gone_already_does_not_begin() -> None:
+    gone = tied_environment() | {PARENT: "1"}
+    done = subprocess.run([sys.executable, "-c", CHILD], env=gone, capture_output=True, check=False)
+    assert (done.returncode, done.stdout) == (1, b"")
+
+
+def test_a_process_that_nobody_tied_lives_on() -> None:
+    free = {name: value for name, value in os.environ.items() if name != PARENT}
+    called = [sys.executable, "-c", CHILD]
+    assert subprocess.run(called, env=free, input=b"\n", capture_output=True, check=True).stdout == b"tied\n"
