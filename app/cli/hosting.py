@@ -27,8 +27,8 @@ from bus.errors import LinesideError
 from bus.worker.log import configure_log
 
 SWITCH_S = 0.001
-"""How long a thread that computes (a parameter set, a search, an export) keeps the interpreter from the event loop,
-each time that the loop has polled its sockets."""
+"""How long a thread that computes (a parameter set, a search, an export) keeps the interpreter from the event
+loop, each time that the loop has polled its sockets."""
 _ENDINGS = (signal.SIGTERM, signal.SIGINT)
 
 

@@ -20,6 +20,7 @@ from app.live.hub import Hub
 from app.server.addresses import source_of
 from app.server.frames import outlet_of
 from app.web.access import Person, Role, Viewer
+from app.web.problems import refuse_socket
 from app.web.services import service_of
 from app.web.templating import templates_of
 from bus.bucket import Bucket
@@ -30,8 +31,6 @@ SILENCE_ENDS_S = 30.0
 """A page that says nothing for this long is gone; it speaks every ten seconds."""
 
 
-REFUSED_AFTER_S = 1.0
-"""What a page that is one too many waits for its refusal."""
 MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE = 2.0, 10
 SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE = 0.5, 3
 """Of one page. The whole state is a quarter of a megabyte for a large line."""
@@ -53,10 +52,10 @@ _decoder = msgspec.json.Decoder(Said)
 async def live(websocket: WebSocket, person: Viewer, language: str = "") -> None:
     """One page from its opening to its end. ``language``: the page's own, so that both are the same."""
     hub, address = service_of(websocket, Hub), source_of(websocket.client.host if websocket.client else "")
-    if not hub.admission.enter(person.account, address, time.monotonic()):
-        # At once it would only be asked again at once.
-        await asyncio.sleep(REFUSED_AFTER_S)
-        raise Problem(429, "too_many", "too many pages are open; close some").with_headers(Retry_After="10")
+    if not hub.admission.enter(person.account, address):
+        problem = Problem(429, "too_many", "too many pages are open; close some")
+        await refuse_socket(websocket, problem.with_headers(Retry_After="10"))
+        return
     try:
         await _serve(websocket, person, language, hub)
     finally:

@@ -1,7 +1,7 @@
 """Accepts connections one in each iteration of the event loop.
 
-``create_server`` accepts all that wait at once, and begins with the request of each in the next iteration: a burst
-of some hundred stands in front of a command that arrives on a connection that is open already.
+``create_server`` accepts all that wait at once, and begins with the request of each in the next iteration: a
+burst of some hundred stands in front of a command that arrives on a connection that is open already.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from contextlib import suppress
 from ssl import SSLContext
 
 NO_ROOM_S = 0.1
-"""How long nothing is accepted after the system had no room for a connection (EMFILE, ENFILE, ENOBUFS, ENOMEM)."""
+"""How long nothing is accepted after the system had no room for a connection (accept(2): EMFILE, ENOMEM)."""
 
 
 async def accept_connections(

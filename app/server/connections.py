@@ -35,6 +35,13 @@ class Connection:
     account: str = ""
     """Of whom it has shown a valid credential."""
 
+    def release(self) -> None:
+        """It has ended: no longer refer to its protocol, which refers to it."""
+        self.drop, self.is_waiting = _nothing, bool
+
+
+def _nothing() -> None: ...
+
 
 class Connections:
     """Those that are open now; ``most``: how many the system allows."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
+from functools import partial
 from typing import Any, cast
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
@@ -14,6 +16,7 @@ from app.server.refusal import MALFORMED, TOO_LONG, TOO_MANY, TOO_SLOW, Refusal
 
 MOST_HEAD_BYTES = 32 * 1024
 MOST_HEADERS = 100
+JUST_NOW_S = 0.25
 MOST_PIPELINED = 8
 """Requests that wait for the response to one before them."""
 
@@ -72,9 +75,12 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         protocol = self.config.ws_protocol_class
         assert protocol is not None
 
-        def continued(**how: Any) -> asyncio.Protocol:
-            return protocol(**how, connection=self.connection, open_connections=self._open_connections)  # type: ignore[call-arg]
-
+        # A function made here would refer to this protocol, which would live until the next collection.
+        continued = partial(
+            cast(Callable[..., asyncio.Protocol], protocol),
+            connection=self.connection,
+            open_connections=self._open_connections,
+        )
         self.ws_protocol_class = continued  # type: ignore[assignment]
         super().handle_websocket_upgrade()
 
@@ -134,7 +140,9 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         return begun or bool(self.pipeline) or self.flow.read_paused
 
     def _is_clients_turn(self) -> bool:
-        return self._pace.awaited is not Awaited.NOTHING or self.flow.write_paused
+        """Whether it has been for a while: a burst must not push out a request that is just being sent."""
+        is_awaited = self._pace.awaited is not Awaited.NOTHING
+        return self.flow.write_paused or (is_awaited and self.loop.time() - self._pace.since > JUST_NOW_S)
 
     def _count_head(self, size: int) -> None:
         self._head_bytes += size

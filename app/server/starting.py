@@ -1,7 +1,7 @@
 """Begins with one request in each iteration of the event loop, and senders take turns.
 
-A burst of some hundred requests, on connections that are open already or just accepted, would else be begun in one
-iteration, and a command that arrives after it waits for all of them.
+Otherwise a burst of some hundred requests, on connections that are open already or just accepted, would be
+begun in one iteration, and a command that arrives after it waits for all of them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _CREDENTIALS = (b"authorization", b"cookie")
 
 
 class Starts:
-    """``await turn(key)``: at once where nothing was begun in this iteration, else when the key has its turn."""
+    """``await turn(key)``: at once where nothing was begun in this iteration, else when the key is next."""
 
     def __init__(self) -> None:
         self._waiting: OrderedDict[object, deque[asyncio.Future[None]]] = OrderedDict()

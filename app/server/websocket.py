@@ -23,8 +23,8 @@ MOST_MESSAGE_BYTES = 32 * 1024
 FRAMES_A_SECOND = 10.0
 MOST_FRAMES_AT_ONCE = 60
 SLICE_BYTES = 512
-"""Parsed at once of a page's socket: 85 empty frames, more than may come at once. A chunk of the network has room
-for 40,000, which take half a second."""
+"""Parsed at once of a page's socket: 85 empty frames, more than may come at once. A chunk of the network has
+room for 40,000, which take half a second."""
 MOST_UNREAD_BYTES = 64 * 1024
 """Of responses to pings."""
 

@@ -1,4 +1,4 @@
-"""Requests of nobody who is signed in: few at a time of each address, so that a flood of them delays itself."""
+"""Requests without a person: few at a time of each address, so that a flood of them delays itself."""
 
 from __future__ import annotations
 

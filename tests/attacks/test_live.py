@@ -118,7 +118,7 @@ def test_one_page_too_many_is_refused_and_the_others_stay(
     admission = Admission()
     monkeypatch.setattr(hub_of(client), "admission", admission)
     for number in range(MOST_OF_ACCOUNT - 1):
-        admission.enter("t (token)", f"elsewhere {number}", 0.0)
+        admission.enter("t (token)", f"elsewhere {number}")
     with client.websocket_connect("/live", headers=ORIGIN) as page:
         page.receive_text()
         with (
