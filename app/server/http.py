@@ -32,6 +32,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         super().__init__(*args, **options)
         self._refusal = MALFORMED
         self._is_ending = False
+        self._offered: dict[str, Any] = {}
         self._head_bytes = 0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -41,6 +42,11 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         address = self.client[0] if self.client else ""
         self.connection = Connection(address, self._give_way, self._is_clients_turn)
         self._open_connections.open(self.connection)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Nothing refers to this protocol any more but itself."""
+        super().connection_lost(exc)
+        self._offered.clear()
 
     def check(self, now: float) -> None:
         """End the connection of a client that takes too long to send or to read. ``now``: the loop's time."""
@@ -107,7 +113,8 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
     def on_headers_complete(self) -> None:
         """It is known what is asked; the app may begin."""
         self._pace.expect(Awaited.BODY, self.loop.time())
-        self.scope["extensions"] = cast(Any, {EXTENSION: self._identify})
+        self._offered[EXTENSION] = self._identify
+        self.scope["extensions"] = self._offered
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:

@@ -99,8 +99,12 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
 
     async def run_asgi(self) -> None:
         """The app, told of the short way."""
-        self.scope["extensions"] |= cast(Any, {EXTENSION: {OUTLET: self}, CONNECTION: self._identify})
-        await super().run_asgi()
+        offered = cast(dict[str, Any], self.scope["extensions"])
+        offered |= {EXTENSION: {OUTLET: self}, CONNECTION: self._identify}
+        try:
+            await super().run_asgi()
+        finally:
+            offered.clear()  # it refers to this protocol, which would live until the next collection
 
     def write(self, frame: bytes, /) -> bool:
         """As :class:`app.server.frames.Outlet`."""
