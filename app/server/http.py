@@ -16,7 +16,6 @@ from app.server.refusal import MALFORMED, TOO_LONG, TOO_MANY, TOO_SLOW, Refusal
 
 MOST_HEAD_BYTES = 32 * 1024
 MOST_HEADERS = 100
-JUST_NOW_S = 0.25
 MOST_PIPELINED = 8
 """Requests that wait for the response to one before them."""
 
@@ -147,9 +146,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         return begun or bool(self.pipeline) or self.flow.read_paused
 
     def _is_clients_turn(self) -> bool:
-        """Whether it has been for a while: a burst must not push out a request that is just being sent."""
-        is_awaited = self._pace.awaited is not Awaited.NOTHING
-        return self.flow.write_paused or (is_awaited and self.loop.time() - self._pace.since > JUST_NOW_S)
+        return self._pace.awaited is not Awaited.NOTHING or self.flow.write_paused
 
     def _count_head(self, size: int) -> None:
         self._head_bytes += size
