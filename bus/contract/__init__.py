@@ -28,13 +28,7 @@ from bus.contract.actions import (
     WriteParameter,
 )
 from bus.contract.bounds import LONGEST_FRAME, MOST_CLAUSES, MOST_UPDATES
-from bus.contract.fates import (
-    FoundUnit,
-    Progress,
-    Result,
-    UnitOutcome,
-)
-from bus.contract.message import (
+from bus.contract.link_message import (
     BUFFER_AGE_S,
     CONTRACT_VERSION,
     BusLinkState,
@@ -57,7 +51,13 @@ from bus.contract.readings import (
     UnitLink,
     UnitState,
 )
-from bus.contract.speech import (
+from bus.contract.results import (
+    FoundUnit,
+    Progress,
+    Result,
+    UnitOutcome,
+)
+from bus.contract.session import (
     AppMessage,
     Batch,
     Cancel,

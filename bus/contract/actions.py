@@ -1,7 +1,7 @@
 """What the app can ask of a bus: from the app to the worker.
 
-A new one needs a class here, a row in ``bus.line.commands`` for how it is carried out and proven, and a row
-in ``app.commands.catalogue`` for everything else.
+A new one needs a class here, a row in ``bus.line.commands.catalogue`` for how it is carried out and verified,
+and a row in ``app.commands.catalogue`` for everything else.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from bus.contract.bounds import (
     Stamp,
     UnitId,
 )
-from bus.contract.message import Message
+from bus.contract.link_message import Message
 
 
 class BusAction(Message, frozen=True):

@@ -23,7 +23,7 @@ from bus.contract.bounds import (
     Text,
     UnitId,
 )
-from bus.contract.message import BusLinkState, Direction, Message, UnitLinkState
+from bus.contract.link_message import BusLinkState, Direction, Message, UnitLinkState
 
 
 class Reading(Message, frozen=True, tag="reading"):
