@@ -12,7 +12,7 @@ from bus.errors import WireError
 from bus.line.poller import Poller
 from bus.line.port.open_port import open_port
 from bus.line.port.port import EndedWhileOpening, OpenPort, Receiver
-from bus.reconnect_delay import STABLE_S, Backoff, is_worth_a_line
+from bus.reconnect_delay import STABLE_S, ReconnectDelay, is_worth_logging
 
 RETRY_S = 0.5
 CHECK_S = 0.5
@@ -35,7 +35,7 @@ class Opener:
         self._causes = 0
         """How often in a row another cause was seen than before."""
         self._lost_cause = ""
-        self._backoff = Backoff(random.random)
+        self._backoff = ReconnectDelay(random.random)
         self._listener: _Listener | None = None
         poller.lost = self._is_lost
 
@@ -88,7 +88,7 @@ class Opener:
         except WireError as error:
             return error
         self._cause = ""
-        if self._backoff.is_worth_a_line:
+        if self._backoff.is_worth_logging:
             self._log_open()
         poller.port_opened(self._port)
         return None
@@ -96,7 +96,7 @@ class Opener:
     def _note_stable(self) -> None:
         """The opening that has lasted at last may have been none worth a line."""
         self._causes = 0
-        if not self._backoff.is_worth_a_line:
+        if not self._backoff.is_worth_logging:
             self._log_open()
 
     def _log_open(self) -> None:
@@ -126,7 +126,7 @@ class Opener:
     def _tell(self, cause: str) -> None:
         is_new, self._cause = bool(cause) and cause != self._cause, cause
         self._causes += is_new
-        if is_new and self._backoff.is_worth_a_line and is_worth_a_line(self._causes):
+        if is_new and self._backoff.is_worth_logging and is_worth_logging(self._causes):
             _log.warning("port closed; retrying", cause=cause, lost_soon_after_opening=self._backoff.count)
 
     def heard(self, listener: _Listener, data: bytes) -> None:

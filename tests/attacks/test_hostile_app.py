@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from bus.contract import (
     AppMessage,
-    Clock,
+    ClockSync,
     Command,
     ReadTrace,
     Result,
@@ -105,7 +105,7 @@ class Flood:
         return self._data
 
 
-@pytest.mark.parametrize("message", [WantSnapshot(), Clock(app_time=1.0)], ids=["snapshots", "clocks"])
+@pytest.mark.parametrize("message", [WantSnapshot(), ClockSync(app_time=1.0)], ids=["snapshots", "clocks"])
 def test_a_flood_is_read_no_faster_than_it_is_meant_to_be(message: AppMessage) -> None:
     """The rest waits in the socket, and the loop is free meanwhile."""
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from bus.contract import ParameterValue, Reading, Staged, UnitLink
 from bus.line.roster import Roster
-from bus.line.statistics.unit_statistics import AnswerTimes
+from bus.line.statistics.unit_statistics import ResponseTimes
 from bus.wire.commands import (
     Ack,
     ExecuteSpeed,
@@ -137,7 +137,7 @@ def test_a_unit_of_no_configuration_is_known_but_not_told(roster: Roster) -> Non
 
 @given(st.lists(st.floats(0, 5.0), min_size=1, max_size=200))
 def test_quantiles_are_within_a_class_of_the_truth(seconds: list[float]) -> None:
-    times = AnswerTimes()
+    times = ResponseTimes()
     for each in seconds:
         times.add(each)
     median = times.quantile(0.5)
@@ -149,4 +149,4 @@ def test_quantiles_are_within_a_class_of_the_truth(seconds: list[float]) -> None
 
 
 def test_no_answer_has_no_quantile() -> None:
-    assert AnswerTimes().quantile(0.5) is None
+    assert ResponseTimes().quantile(0.5) is None

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import msgspec
 
-from bus.line.commands.procedure import NO_RUBBISH, Answer, Ask, Fate, Rubbish
+from bus.line.exchange.send import NO_NOISE, LineNoise, Send, SendResult, SendStatus
 from bus.settings import Dialect
 from bus.wire.commands import Reply, Request, is_write
-from bus.wire.fence import Doubt
+from bus.wire.fence import PendingResponses
 
 MOST_FENCES = 8
 """Fences that are answered, each before a try that is not: such a unit hears one frame in two."""
 
 
-class Heard(msgspec.Struct, frozen=True):
+class ExchangeResult(msgspec.Struct, frozen=True):
     """How one exchange ended. Times: seconds since the epoch; ``reply`` None: no answer in its window."""
 
     request: Request
@@ -21,27 +21,27 @@ class Heard(msgspec.Struct, frozen=True):
     sent_at: float
     answered_at: float | None = None
     frame: bytes = b""
-    rubbish: Rubbish = NO_RUBBISH
+    noise: LineNoise = NO_NOISE
     dialect: Dialect | None = None
     """How the request was written, where something was sent."""
 
 
-class Asking:
-    """``next_request`` and ``settle`` in turn, until ``answer`` is there.
+class Attempts:
+    """``next_request`` and ``settle`` in turn, until ``result`` is there.
 
     A timeout of a fence counts like a timeout of the request: so many in a row mean silence. A write never
     leaves after ``deadline`` (on the clock of ``now``), whatever came of its earlier tries.
     """
 
-    def __init__(self, ask: Ask, deadline: float = float("inf")) -> None:
+    def __init__(self, ask: Send, deadline: float = float("inf")) -> None:
         self.ask = ask
-        self.answer: Answer | None = None
+        self.result: SendResult | None = None
         self._deadline = float("inf") if ask.withdraws or not is_write(ask.request) else deadline
         self._attempts = 0
         self._fences = 0
         self._unanswered = 0
         self._sent_at: float | None = None
-        self._rubbish = NO_RUBBISH
+        self._noise = NO_NOISE
 
     @property
     def begun(self) -> bool:
@@ -52,54 +52,54 @@ class Asking:
         """How ``request`` is written, where not as the bus does."""
         return self.ask.dialect if request == self.ask.request else None
 
-    def tells_of(self, request: Request) -> bool:
+    def reports(self, request: Request) -> bool:
         """Whether it is told that ``request`` leaves: the first time only, and not for a fence."""
-        return self.ask.tells and not self.begun and request == self.ask.request
+        return self.ask.reports_sent and not self.begun and request == self.ask.request
 
-    def next_request(self, now: float, doubt: Doubt) -> Request | None:
-        """What to send now; None once ``answer`` is there. ``doubt``: of the unit asked."""
-        if self.answer is not None:
+    def next_request(self, now: float, pending: PendingResponses) -> Request | None:
+        """What to send now; None once ``result`` is there. ``doubt``: of the unit asked."""
+        if self.result is not None:
             return None
-        fence = self._fence(doubt)
+        fence = self._fence(pending)
         if fence is not None:
             return fence
         if now > self._deadline:
-            self._end(Fate.TOO_LATE)
+            self._end(SendStatus.TOO_LATE)
             return None
         return self.ask.request
 
-    def settle(self, heard: Heard) -> bool:
+    def settle(self, exchange: ExchangeResult) -> bool:
         """What ``next_request`` gave has passed; whether it is tried again, as nobody answered."""
-        if heard.request != self.ask.request:
-            self._rubbish = heard.rubbish
-            self._settle_fence(answered=heard.reply is not None)
+        if exchange.request != self.ask.request:
+            self._noise = exchange.noise
+            self._settle_fence(answered=exchange.reply is not None)
         else:
-            self._settle_request(heard)
-        return self.answer is None and heard.reply is None
+            self._settle_request(exchange)
+        return self.result is None and exchange.reply is None
 
-    def _settle_request(self, heard: Heard) -> None:
+    def _settle_request(self, exchange: ExchangeResult) -> None:
         self._attempts += 1
-        self._sent_at = heard.sent_at
-        if heard.request.unit == 0:
-            self._end(Fate.SENT)
-        elif heard.reply is not None:
-            self._end(Fate.ANSWERED, heard)
+        self._sent_at = exchange.sent_at
+        if exchange.request.unit == 0:
+            self._end(SendStatus.SENT)
+        elif exchange.reply is not None:
+            self._end(SendStatus.RESPONDED, exchange)
         else:
-            self._rubbish = heard.rubbish
-            self._missed()
+            self._noise = exchange.noise
+            self._timed_out()
 
     def close(self) -> None:
         """The port is gone."""
-        if self.answer is None:
-            self._end(Fate.CLOSED)
+        if self.result is None:
+            self._end(SendStatus.PORT_CLOSED)
 
-    def _fence(self, doubt: Doubt) -> Request | None:
+    def _fence(self, pending: PendingResponses) -> Request | None:
         """A retry may take the answer to the try before, as it is hardly older. A later question may not:
         an answer that a buffer on the way kept for seconds would be shown as new."""
-        fence = doubt.fence_before(self.ask.request)
-        fresh = self.ask.proves or not self.begun
-        if fence is None and fresh and self.ask.request in doubt.outstanding:
-            fence = doubt.fence()
+        fence = pending.fence_before(self.ask.request)
+        fresh = self.ask.fresh or not self.begun
+        if fence is None and fresh and self.ask.request in pending.outstanding:
+            fence = pending.fence()
         return fence if fence != self.ask.request else None
 
     def _settle_fence(self, *, answered: bool) -> None:
@@ -107,18 +107,18 @@ class Asking:
             self._unanswered = 0
             self._fences += 1
             if self._fences > MOST_FENCES:
-                self._end(Fate.SILENT)
+                self._end(SendStatus.TIMED_OUT)
         else:
-            self._missed()
+            self._timed_out()
 
-    def _missed(self) -> None:
+    def _timed_out(self) -> None:
         self._unanswered += 1
-        if self._unanswered >= self.ask.tries or self._attempts >= self.ask.tries:
-            self._end(Fate.SILENT)
+        if self._unanswered >= self.ask.attempts_allowed or self._attempts >= self.ask.attempts_allowed:
+            self._end(SendStatus.TIMED_OUT)
 
-    def _end(self, fate: Fate, heard: Heard | None = None) -> None:
-        reply = heard.reply if heard is not None else None
-        answered_at = heard.answered_at if heard is not None else None
-        frame = heard.frame if heard is not None else b""
-        rubbish = heard.rubbish if heard is not None else self._rubbish
-        self.answer = Answer(fate, reply, self._attempts, self._sent_at, answered_at, frame, rubbish)
+    def _end(self, status: SendStatus, exchange: ExchangeResult | None = None) -> None:
+        reply = exchange.reply if exchange is not None else None
+        answered_at = exchange.answered_at if exchange is not None else None
+        frame = exchange.frame if exchange is not None else b""
+        noise = exchange.noise if exchange is not None else self._noise
+        self.result = SendResult(status, reply, self._attempts, self._sent_at, answered_at, frame, noise)

@@ -18,7 +18,7 @@ PASSES = 2
 MOST_PASSES = 4
 
 
-def silent_seconds(baud: int, turnaround_s: float) -> float:
+def no_response_s(baud: int, turnaround_s: float) -> float:
     """What an address costs where nothing answers: the request, the turnaround, one byte, the margin."""
     request = encode_request(ReadStatus(1), Dialect())
     return wire_seconds(len(request) + 1, baud) + turnaround_s + MARGIN_S

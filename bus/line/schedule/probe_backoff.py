@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass
 
-from bus.line.schedule.wire_share import Share
+from bus.line.schedule.wire_share import WireShare
 
 STEPS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 10.0)
 """Back-off after each unanswered probe."""
@@ -26,7 +26,7 @@ class _Silent:
     due: float
 
 
-class Silence:
+class ProbeBackoff:
     """The units that do not answer, and when each is probed next.
 
     One probe costs one timeout; the timeouts of all are rationed to ``WIRE_SHARE``. An answered probe
@@ -100,6 +100,6 @@ class Silence:
         return silent.due - late
 
 
-def _rations() -> dict[bool, Share]:
+def _rations() -> dict[bool, WireShare]:
     """By whether no unit answers."""
-    return {False: Share(WIRE_SHARE), True: Share(WIRE_SHARE_ALONE)}
+    return {False: WireShare(WIRE_SHARE), True: WireShare(WIRE_SHARE_ALONE)}
