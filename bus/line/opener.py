@@ -66,7 +66,7 @@ class Opener:
         await self._until_lost()
         stable.cancel()
         pause_s = self._backoff.ended(clock.now() - opened, useful=counts.answers > answers)
-        self._tell(self._lost_cause)
+        self._log_closed(self._lost_cause)
         return pause_s
 
     def _failed(self, failure: WireError, took_s: float) -> float:
@@ -74,7 +74,7 @@ class Opener:
         pause_s = RETRY_S if took_s < RETRY_S else 0.0
         if isinstance(failure, EndedWhileOpening):
             pause_s = self._backoff.ended(0.0)
-        self._tell(str(failure))
+        self._log_closed(str(failure))
         self._poller.still_closed(str(failure))
         return pause_s
 
@@ -123,13 +123,13 @@ class Opener:
         if self._lost is not None and not self._lost.done():
             self._lost.set_result(cause)
 
-    def _tell(self, cause: str) -> None:
+    def _log_closed(self, cause: str) -> None:
         is_new, self._cause = bool(cause) and cause != self._cause, cause
         self._causes += is_new
         if is_new and self._backoff.is_worth_logging and is_worth_logging(self._causes):
             _log.warning("port closed; retrying", cause=cause, lost_soon_after_opening=self._backoff.count)
 
-    def heard(self, listener: _Listener, data: bytes) -> None:
+    def data_received(self, listener: _Listener, data: bytes) -> None:
         """Bytes of one opening; of an old one they mean nothing any more."""
         if listener is self._listener:
             self._poller.link.data_received(data)
@@ -147,7 +147,7 @@ class _Listener:
         self._opener = opener
 
     def data_received(self, data: bytes) -> None:
-        self._opener.heard(self, data)
+        self._opener.data_received(self, data)
 
     def connection_lost(self, cause: str) -> None:
         self._opener.ended(self, cause)

@@ -15,9 +15,9 @@ from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Result, Up
 from bus.errors import CallerError, WireError
 from bus.line.clock import LineClock, Timer
 from bus.line.commands.command_run import CommandRun
-from bus.line.commands.procedure import Effect, ExpectBaud, ReportProgress, Retune, Unstage
-from bus.line.exchange.attempts import ExchangeResult
+from bus.line.commands.procedure import ExpectBaud, LineEffect, ReportProgress, Retune, Unstage
 from bus.line.exchange.link import Link
+from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.port.port import OpenPort, PartlySent
 from bus.line.roster import Roster
 from bus.line.schedule.arbiter import Arbiter
@@ -207,12 +207,14 @@ class Poller:
             return []
         if reply is None:
             updates = self.roster.missed(request.unit, self.clock.epoch(now))
-            if self.roster[request.unit].silent and request.unit in self.schedule.poll_order:
+            if self.roster[request.unit].unresponsive and request.unit in self.schedule.poll_order:
                 self.schedule.stopped_responding(request.unit, now)
             return updates
         assert result.answered_at is not None
         is_probe = result.dialect not in (None, self.bus.dialect)
-        updates = self.roster.heard(request, reply, result.answered_at, result.frame, is_probe=is_probe)
+        updates = self.roster.take_response(
+            request, reply, result.answered_at, result.frame, is_probe=is_probe
+        )
         if self.roster.is_configured(request.unit):
             self.schedule.answers(request.unit, now)
             if isinstance(request, WriteParameter) and not isinstance(reply, Nak):
@@ -293,7 +295,7 @@ class Poller:
         at = self.clock.epoch(now)
         return msgspec.structs.replace(run.result, id=run.id, at=at, frames=frames)
 
-    def apply(self, command_id: str, step: Effect) -> None:
+    def apply(self, command_id: str, step: LineEffect) -> None:
         """What a procedure tells on its way."""
         at = self.clock.epoch(self.clock.now())
         match step:

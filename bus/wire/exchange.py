@@ -120,7 +120,7 @@ class Exchange:
     def pending(self) -> PendingResponses:
         """What the unit may still answer late once this exchange is over."""
         if self._to_ponder is not None:
-            self._pending, self._to_ponder = self._pending.heard(self._to_ponder), None
+            self._pending, self._to_ponder = self._pending.received(self._to_ponder), None
         return self._pending
 
     def give_up(self) -> None:
@@ -145,7 +145,7 @@ class Exchange:
         if reply is None:
             return Unexpected(frame)
         if not self._before.believes(self.request, frame.body):
-            self._before = self._before.heard(frame.body)
+            self._before = self._before.received(frame.body)
             return Late(frame)
         self.awaiting = False
         self.reply = reply

@@ -139,7 +139,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
             outstanding = (*outstanding, request)[-MOST_OUTSTANDING:]
         return PendingResponses(self.unit, self.dialect, outstanding, last=None, fading=self.last)
 
-    def heard(self, body: bytes) -> PendingResponses:
+    def received(self, body: bytes) -> PendingResponses:
         """A frame of this unit came in, awaited or not (rule 1). What may be a second copy ends nothing."""
         shape = shape_of(body)
         if shape is None:
@@ -220,7 +220,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
         lengths = acknowledged_lengths(fence, self.dialect)
         answers = (bytes((self.unit, ACK, *bytes(length))) for length in lengths)
         pending = [
-            len(self.sent(fence).heard(answer).outstanding) + (not self.believes(fence, answer))
+            len(self.sent(fence).received(answer).outstanding) + (not self.believes(fence, answer))
             for answer in answers
         ]
         return max(pending)

@@ -23,7 +23,7 @@ from bus.contract import (
 from bus.contract import MalformedMessageError as Malformed
 from bus.contract.clock_offset import ClockOffset
 from bus.worker.outbox import Outbox
-from bus.worker.service import FATES_KEPT, MOST_COMMANDS, MOST_TRACES
+from bus.worker.service import MOST_COMMANDS, MOST_TRACES, RESULTS_KEPT
 from bus.worker.uplink import MESSAGES_AT_ONCE, MESSAGES_PER_S, Uplink
 from tests.attacks.hostile import GARBAGE, broken, encoded, of_type
 from tests.bus.fake_app import TOKEN
@@ -65,9 +65,9 @@ def test_more_commands_than_anybody_asks_for_are_not_taken() -> None:
 def test_what_is_remembered_of_commands_is_bounded() -> None:
     async def scene(line: VirtualLine) -> None:
         await line.until(lambda: line.readings(1))
-        for number in range(FATES_KEPT + 100):
+        for number in range(RESULTS_KEPT + 100):
             line.worker.command(Command(f"late-{number}", EPOCH, SetSpeed(1, 640)))
-        assert len(line.worker._fates) == FATES_KEPT
+        assert len(line.worker._fates) == RESULTS_KEPT
         line.command(SetSpeed(1, 640), command_id="kept")
         await line.until(lambda: line.fate_of("kept"))
         kept = line.worker._fates["kept"]

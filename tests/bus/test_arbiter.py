@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from bus.contract import Result
 from bus.line.commands.command_run import CommandRun, Priority
 from bus.line.commands.procedure import CommandContext, Procedure
-from bus.line.exchange.attempts import ExchangeResult
 from bus.line.exchange.send import Send
+from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.schedule.arbiter import Arbiter
 from bus.line.schedule.poll_schedule import PollSchedule
 from bus.settings import Dialect

@@ -98,7 +98,7 @@ class TestDoubt:
         assert PendingResponses(1, PLAIN).believes(SPEED, b"\x01\x15\x89")
 
     def test_an_answered_parameter_may_come_twice(self) -> None:
-        answered = PendingResponses(1, PLAIN).sent(READ).heard(b"\x01\x06\x02")
+        answered = PendingResponses(1, PLAIN).sent(READ).received(b"\x01\x06\x02")
         assert answered.fence_before(ReadParameter(1, 4)) == POLL
         assert answered.fence_before(READ) is None
         assert answered.fence_before(SPEED) is None
@@ -118,9 +118,9 @@ class TestDoubt:
         for _ in range(2 * LONG_RUN):
             pending = pending.sent(READ)
         for _ in range(2 * LONG_RUN):
-            pending = pending.heard(b"\x01\x06\x02").moved_on()
+            pending = pending.received(b"\x01\x06\x02").moved_on()
         assert pending.fence_before(ReadParameter(1, 4)) == POLL
-        pending = pending.sent(POLL).heard(bytes((1, ACK, *bytes(11)))).moved_on()
+        pending = pending.sent(POLL).received(bytes((1, ACK, *bytes(11)))).moved_on()
         assert pending.outstanding == ()
 
     @given(st.lists(st.sampled_from(ALL), max_size=10), st.sampled_from(ALL))
@@ -131,7 +131,7 @@ class TestDoubt:
         fences = 0
         while (fence := pending.fence_before(wanted)) is not None and fence != wanted:
             length = 11 if isinstance(fence, ReadStatus) else 1
-            pending = pending.sent(fence).heard(bytes((1, ACK, *bytes(length))))
+            pending = pending.sent(fence).received(bytes((1, ACK, *bytes(length))))
             fences += 1
             assert fences <= len(lost) + 1
 
@@ -139,7 +139,7 @@ class TestDoubt:
 class TestDoubts:
     def test_another_unit_in_between_lets_the_last_answer_be_forgotten(self) -> None:
         pending = PendingByUnit(PLAIN)
-        pending.after(PendingResponses(1, PLAIN).sent(READ).heard(b"\x01\x06\x02"))
+        pending.after(PendingResponses(1, PLAIN).sent(READ).received(b"\x01\x06\x02"))
         assert pending.fence_before(ReadParameter(1, 4)) == POLL
         pending.after(PendingResponses(2, PLAIN).sent(ReadStatus(2)))
         assert pending.fence_before(ReadParameter(1, 4)) is None
@@ -243,7 +243,7 @@ class TestASecret:
         assert not pending.may_hold_secret(2)
 
     def test_while_a_second_copy_may_come(self) -> None:
-        came = PendingResponses(1, PLAIN).sent(self.PASSWORD).heard(bytes((1, ACK, 4, 210)))
+        came = PendingResponses(1, PLAIN).sent(self.PASSWORD).received(bytes((1, ACK, 4, 210)))
         assert came.outstanding == ()
         assert came.may_hold_secret
         assert not came.moved_on().may_hold_secret
@@ -252,4 +252,4 @@ class TestASecret:
 def test_a_frame_that_is_no_response_ends_nothing() -> None:
     waiting = PendingResponses(1, PLAIN).sent(READ)
     for body in (b"\x01", bytes((1, 0x81)), bytes((1, NAK)), bytes((1, NAK, 1, 2))):
-        assert waiting.heard(body) == waiting
+        assert waiting.received(body) == waiting

@@ -104,17 +104,17 @@ class Trial:
     async def play(self, seed: int, count: int) -> None:
         """One wish after the other, each judged as soon as its fate is known."""
         dice = random.Random(seed)
-        for context in wishes(seed, count):
+        for action in wishes(seed, count):
             await asyncio.sleep(dice.uniform(0.0, 0.1))
-            await self._judge(context, dice.choice((0.03, 0.2, 2.0)))
+            await self._judge(action, dice.choice((0.03, 0.2, 2.0)))
         self.complaints += unasked(self.cases, self._record)
         self.complaints += rash_broadcasts(self.cases, self._record)
 
-    async def _judge(self, context: Action, timeout_s: float) -> None:
+    async def _judge(self, action: Action, timeout_s: float) -> None:
         asked_at = self._now()
         before = {unit.address: (unit.setpoint, unit.entered) for unit in self._units}
-        result = await self._ask(context, timeout_s)
-        case = Case(context, asked_at, asked_at + timeout_s, result, self._now())
+        result = await self._ask(action, timeout_s)
+        case = Case(action, asked_at, asked_at + timeout_s, result, self._now())
         self.cases.append(case)
         self.complaints += untrue_fate(case, self._record, self._unit_at)
         self.complaints += half_done(case, before, self._record, self._unit_at)
@@ -151,8 +151,8 @@ def virtual_trial(
     """Play wishes on a virtual clock on a line with these faults, while ``meddle`` does what it does."""
 
     async def scene(line: VirtualLine) -> Trial:
-        def ask(context: Action, timeout_s: float) -> Awaitable[Result]:
-            return line.ask(context, timeout_s=timeout_s, within_s=300.0)
+        def ask(action: Action, timeout_s: float) -> Awaitable[Result]:
+            return line.ask(action, timeout_s=timeout_s, within_s=300.0)
 
         record = line.line.record
         trial = Trial(ask, line.loop.time, record, line.plant.units)

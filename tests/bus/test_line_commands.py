@@ -55,5 +55,5 @@ async def test_what_writes_goes_first_and_claims_the_units_that_it_can_reach(
     bus = BusSettings(name="a", port="/dev/null", unit=(UnitSettings(id=1, name="One"),))
     run = command_run_of(Poller(bus, RealClock(), lambda _: None), "a", action, 2.0)
     assert run is not None
-    assert (run.claim, run.units) == (claim, units)
-    assert (run.claim is Priority.WRITE) == action.writes
+    assert (run.priority, run.units) == (claim, units)
+    assert (run.priority is Priority.WRITE) == action.writes

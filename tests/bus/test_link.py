@@ -9,9 +9,9 @@ from msgspec.structs import replace
 
 from bus.contract import LONGEST_FRAME, MOST_CLAUSES
 from bus.errors import WireError
-from bus.line.exchange.attempts import ExchangeResult
 from bus.line.exchange.link import SECRET_LINGERS_S, Link
 from bus.line.exchange.port_pace import PortPace
+from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.exchange.window import MARGIN_S
 from bus.line.roster import Roster
 from bus.line.statistics.trace import HIDDEN, Interpreter, Trace, TracedFrame
@@ -188,7 +188,7 @@ def test_a_spoilt_answer_ends_the_wait_at_once(wires: Wires) -> None:
     wires.receive(bytes(spoilt))
     wires.pass_time(0.02)
     assert wires.heard[0][0].reply is None
-    assert wires.heard[0][0].noise.spoilt
+    assert wires.heard[0][0].noise.garbled
     assert wires.roster[1].statistics.counts.checksum_errors == 1
 
 

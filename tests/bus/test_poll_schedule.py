@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from bus.catalogue.parameters import NEEDED_TO_SHOW, PARAMETERS
 from bus.line.schedule.parameter_queue import ParameterQueue
-from bus.line.schedule.poll_order import KEPT_OF_A_TURN, WATCHED_HZ, Round
+from bus.line.schedule.poll_order import KEPT_OF_A_TURN, WATCHED_HZ, PollOrder
 from bus.line.schedule.poll_schedule import PollSchedule, Task, TaskKind
 from bus.line.schedule.probe_backoff import ALONE_STEP_S, STEPS_S, ProbeBackoff
 from bus.line.schedule.wire_share import WireShare
@@ -119,7 +119,7 @@ def test_the_slow_circle_leaves_the_scan_its_wire() -> None:
 @given(units=st.integers(2, 40), watched=st.integers(1, 40))
 def test_a_watched_unit_never_takes_more_than_its_share(units: int, watched: int) -> None:
     chosen = set(range(1, min(watched, units) + 1))
-    turns = Round(range(1, units + 1), POLL_S)
+    turns = PollOrder(range(1, units + 1), POLL_S)
     for unit in range(1, units + 1):
         turns.join(unit)
     turns.watch(chosen)
@@ -136,7 +136,7 @@ def test_a_watched_unit_never_takes_more_than_its_share(units: int, watched: int
 
 @pytest.mark.parametrize("opened", [3, 250])
 def test_a_unit_that_somebody_opens_is_polled_at_once_and_steadily(opened: int) -> None:
-    turns = Round(range(1, 256), POLL_S)
+    turns = PollOrder(range(1, 256), POLL_S)
     for unit in range(1, 256):
         turns.join(unit)
     for _ in range(255 + 200):
@@ -151,7 +151,7 @@ def test_a_unit_that_somebody_opens_is_polled_at_once_and_steadily(opened: int) 
 
 
 def test_who_comes_and_goes_takes_nobodys_turn() -> None:
-    turns = Round(range(1, 41), POLL_S)
+    turns = PollOrder(range(1, 41), POLL_S)
     for unit in range(1, 41):
         turns.join(unit)
     taken = []
@@ -176,7 +176,7 @@ def test_one_watched_unit_of_eight_is_polled_at_most_ten_times_a_second() -> Non
 
 
 def test_a_unit_that_joins_late_does_not_make_up_for_what_it_missed() -> None:
-    turns = Round([1, 2, 3], POLL_S)
+    turns = PollOrder([1, 2, 3], POLL_S)
     turns.join(1)
     turns.join(2)
     for _ in range(1000):
@@ -186,7 +186,7 @@ def test_a_unit_that_joins_late_does_not_make_up_for_what_it_missed() -> None:
 
 
 def test_a_unit_that_leaves_has_no_more_turns() -> None:
-    turns = Round([1, 2], POLL_S)
+    turns = PollOrder([1, 2], POLL_S)
     turns.join(1)
     turns.join(2)
     turns.leave(1)
@@ -294,7 +294,7 @@ def test_a_share_is_kept_however_long_its_uses_are(uses: list[float], fraction: 
 def test_a_back_off_never_exceeds_ten_seconds(seed: int) -> None:
     silence = ProbeBackoff(seed)
     silence.alone = False
-    silence.fell(1, 0.0)
+    silence.stopped_responding(1, 0.0)
     now = 0.0
     for _ in range(10):
         due = silence.wake_at()

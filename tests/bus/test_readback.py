@@ -9,8 +9,8 @@ import pytest
 from bus.contract import Reading, Result
 from bus.line.commands import writes
 from bus.line.commands.procedure import CommandContext, Procedure, Wait
-from bus.line.exchange.attempts import Attempts, ExchangeResult
 from bus.line.exchange.send import Send, SendResult, SendStatus
+from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
 from bus.line.roster import Roster, UnitRecord
 from bus.settings import Dialect
 from bus.wire.commands import (
@@ -64,13 +64,13 @@ def status(commanded: int, inputs: int = MASTER, outputs: int = REMOTE) -> Statu
 @pytest.fixture
 def record() -> UnitRecord:
     roster = Roster([1], 0.0)
-    roster.heard(ReadParameter(1, 8), ParameterReply(1, 0), 0.0, b"")
+    roster.take_response(ReadParameter(1, 8), ParameterReply(1, 0), 0.0, b"")
     roster[1].reading = Reading(1, 0.0, 100, 100, 0, REMOTE, MASTER)
     return roster[1]
 
 
 def follower(record: UnitRecord) -> UnitRecord:
-    Roster.heard(_of(record), ReadParameter(1, 8), ParameterReply(1, 1), 0.0, b"")
+    Roster.take_response(_of(record), ReadParameter(1, 8), ParameterReply(1, 1), 0.0, b"")
     return record
 
 
@@ -154,8 +154,8 @@ def test_no_read_back_is_unverified(record: UnitRecord) -> None:
 
 
 def test_nothing_sent_is_never_more_than_not_sent(record: UnitRecord) -> None:
-    for status, outcome in ((SendStatus.TOO_LATE, "not_sent"), (SendStatus.PORT_CLOSED, "bus_closed")):
-        result, asked = play(set_speed(record), brain_of(write=status, reads=[status(640)]))
+    for end, outcome in ((SendStatus.TOO_LATE, "not_sent"), (SendStatus.PORT_CLOSED, "bus_closed")):
+        result, asked = play(set_speed(record), brain_of(write=end, reads=[status(640)]))
         assert result.outcome == outcome
         assert len(asked) == 1, "a read-back by chance would prove nothing"
 
@@ -249,7 +249,9 @@ def miss(request: Request) -> ExchangeResult:
     return ExchangeResult(request, None, 1.0)
 
 
-def ask_until_over(attempts: Attempts, answers: Callable[[Request], bool], now: float = 0.0) -> list[Request]:
+def ask_until_over(
+    attempts: SendAttempts, answers: Callable[[Request], bool], now: float = 0.0
+) -> list[Request]:
     """Play it; ``answers`` says whether a request is answered. Every timeout leaves its doubt."""
     pending, sent = PendingResponses(1, PLAIN), []
     while (request := attempts.next_request(now, pending)) is not None:
@@ -266,60 +268,60 @@ def ask_until_over(attempts: Attempts, answers: Callable[[Request], bool], now: 
 
 
 def test_a_read_is_tried_three_times() -> None:
-    attempts = Attempts(Send(ReadStatus(1)))
+    attempts = SendAttempts(Send(ReadStatus(1)))
     assert ask_until_over(attempts, lambda _: False) == [ReadStatus(1)] * 3
-    assert attempts.answer is not None
-    assert (attempts.answer.status, attempts.answer.attempts) == (SendStatus.TIMED_OUT, 3)
+    assert attempts.result is not None
+    assert (attempts.result.status, attempts.result.attempts) == (SendStatus.TIMED_OUT, 3)
 
 
 def test_a_write_is_tried_four_times_with_a_fence_before_each_try() -> None:
     write = SetAndExecuteSpeed(1, 640)
-    attempts = Attempts(Send(write))
+    attempts = SendAttempts(Send(write))
     sent = ask_until_over(attempts, lambda request: request != write)
     assert sent == [write, ReadStatus(1)] * 3 + [write]
-    assert attempts.answer is not None
-    assert attempts.answer.attempts == 4
+    assert attempts.result is not None
+    assert attempts.result.attempts == 4
 
 
 def test_a_dead_unit_gets_the_write_once_and_then_only_reads() -> None:
     write = SetAndExecuteSpeed(1, 640)
-    attempts = Attempts(Send(write))
+    attempts = SendAttempts(Send(write))
     sent = ask_until_over(attempts, lambda _: False)
     assert sent.count(write) == 1
     assert len(sent) == 4
 
 
 def test_a_write_never_leaves_after_its_deadline() -> None:
-    attempts = Attempts(Send(SetAndExecuteSpeed(1, 640)), deadline=5.0)
+    attempts = SendAttempts(Send(SetAndExecuteSpeed(1, 640)), deadline=5.0)
     assert attempts.next_request(5.1, PendingResponses(1, PLAIN)) is None
-    assert attempts.answer is not None
-    assert (attempts.answer.status, attempts.answer.attempts) == (SendStatus.TOO_LATE, 0)
+    assert attempts.result is not None
+    assert (attempts.result.status, attempts.result.attempts) == (SendStatus.TOO_LATE, 0)
 
 
 def test_its_retries_do_not_either() -> None:
     write = SetAndExecuteSpeed(1, 640)
-    attempts = Attempts(Send(write), deadline=5.0)
+    attempts = SendAttempts(Send(write), deadline=5.0)
     assert attempts.next_request(4.9, PendingResponses(1, PLAIN)) == write
     attempts.settle(miss(write))
     assert attempts.next_request(5.1, PendingResponses(1, PLAIN)) is None
-    assert attempts.answer is not None
-    assert (attempts.answer.status, attempts.answer.attempts) == (SendStatus.TOO_LATE, 1)
+    assert attempts.result is not None
+    assert (attempts.result.status, attempts.result.attempts) == (SendStatus.TOO_LATE, 1)
 
 
 def test_a_read_back_may_follow_the_deadline() -> None:
-    attempts = Attempts(Send(ReadStatus(1), fresh=True), deadline=5.0)
+    attempts = SendAttempts(Send(ReadStatus(1), fresh=True), deadline=5.0)
     assert attempts.next_request(9.0, PendingResponses(1, PLAIN)) == ReadStatus(1)
 
 
 def test_a_proof_is_fenced_from_an_older_answer_of_its_own_kind() -> None:
     pending = PendingResponses(1, PLAIN).sent(ReadStatus(1))
-    fence = Attempts(Send(ReadStatus(1), fresh=True)).next_request(0.0, pending)
+    fence = SendAttempts(Send(ReadStatus(1), fresh=True)).next_request(0.0, pending)
     assert isinstance(fence, ReadParameter)
 
 
 def test_a_later_poll_is_fenced_too_and_its_retry_is_not() -> None:
     pending = PendingResponses(1, PLAIN).sent(ReadStatus(1))
-    attempts = Attempts(Send(ReadStatus(1)))
+    attempts = SendAttempts(Send(ReadStatus(1)))
     fence = attempts.next_request(0.0, pending)
     assert isinstance(fence, ReadParameter)
     assert not attempts.settle(ExchangeResult(fence, Ack(1), 1.0, 1.5)), (
@@ -331,7 +333,7 @@ def test_a_later_poll_is_fenced_too_and_its_retry_is_not() -> None:
 
 
 def test_a_closed_port_ends_it() -> None:
-    attempts = Attempts(Send(ReadStatus(1)))
+    attempts = SendAttempts(Send(ReadStatus(1)))
     attempts.close()
-    assert attempts.answer is not None
-    assert attempts.answer.status is SendStatus.PORT_CLOSED
+    assert attempts.result is not None
+    assert attempts.result.status is SendStatus.PORT_CLOSED

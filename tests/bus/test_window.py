@@ -57,7 +57,7 @@ def test_bytes_that_come_hold_it_open_but_not_past_the_last_moment() -> None:
     bench.window.open(100.05, 100.09)
     for step in range(100):
         bench.pass_time(step * BYTE_S)
-        bench.window.heard(bench.time, inside_frame=False)
+        bench.window.received(bench.time, inside_frame=False)
     bench.pass_time(1.0)
     assert bench.ended_at() == [0.09]
 
@@ -66,7 +66,7 @@ def test_an_answer_that_pauses_is_over() -> None:
     bench = Bench()
     bench.window.open(100.05, 100.09)
     bench.pass_time(0.049)
-    bench.window.heard(bench.time, inside_frame=False)
+    bench.window.received(bench.time, inside_frame=False)
     bench.pass_time(1.0)
     assert bench.ended_at() == [0.049 + QUIET_S]
 
@@ -134,7 +134,7 @@ def test_a_process_that_stalled_while_bytes_gathered_hears_them_first() -> None:
     bench.pass_time(0.3, stalled_until=0.3)
     assert bench.listening[-1] == (0.3, True)
     assert not bench.over
-    bench.window.heard(bench.time, inside_frame=False)
+    bench.window.received(bench.time, inside_frame=False)
     bench.window.close()
     bench.pass_time(1.0)
     assert not bench.over
@@ -160,9 +160,9 @@ def test_a_frame_may_pause_as_long_as_an_adapter_holds_bytes_back() -> None:
     bench = Bench()
     bench.window.open(100.05, 100.15)
     bench.pass_time(0.048)
-    bench.window.heard(bench.time, inside_frame=True)
+    bench.window.received(bench.time, inside_frame=True)
     bench.pass_time(0.064)
     assert bench.ended_at() == []
-    bench.window.heard(bench.time, inside_frame=True)
+    bench.window.received(bench.time, inside_frame=True)
     bench.pass_time(1.0)
     assert bench.ended_at() == [round(0.064 + LEAST_FRAME_GAP_S, 4)]

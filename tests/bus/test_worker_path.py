@@ -132,7 +132,7 @@ async def test_a_refusal_is_the_units_word_and_is_asked_once(line: LineServer, t
     line.line.plant.unit(2).memory[numbers.CONTROL_MODE] = Mode.LOCAL
     async with running(line, tmp_path) as app:
         fate = await app.ask(SetSpeed(2, 100))
-        assert (fate.outcome, fate.unit_error, fate.units[0].attempts) == ("refused", 0x80, 1)
+        assert (fate.outcome, fate.unit_error, fate.units[0].command) == ("refused", 0x80, 1)
         assert "REMOTE" in fate.message
 
 
@@ -217,11 +217,11 @@ async def test_readings_are_kept_while_the_app_is_away(line: LineServer, tmp_pat
 
 async def test_a_killed_app_leaves_the_whole_new_line(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
-        attempts = asyncio.create_task(app.ask(SetLine({1: 301, 2: 302, 3: 303}), command_id="whole"))
+        command = asyncio.create_task(app.ask(SetLine({1: 301, 2: 302, 3: 303}), command_id="whole"))
         await app.until(lambda: any(getattr(update, "id", "") == "whole" for update in app.updates()))
         await app.stop()
         await app.start()
-        await asyncio.wait_for(attempts, 10)
+        await asyncio.wait_for(command, 10)
         assert app.fates("whole")[0].outcome == "verified"
         setpoints = line.call(lambda simulated: [unit.setpoint for unit in simulated.plant.units])
         assert setpoints == [301, 302, 303]
@@ -252,10 +252,10 @@ async def test_a_snapshot_is_said_again_when_asked_for(line: LineServer, tmp_pat
 async def test_a_waiting_command_can_be_given_up(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
         line.call(lambda simulated: simulated.faults.set(FaultKind.DEAD, 1.0, 2))
-        attempts = asyncio.create_task(app.ask(ReadParameters(1, urgent=False), command_id="slow"))
+        command = asyncio.create_task(app.ask(ReadParameters(1, urgent=False), command_id="slow"))
         await app.until(lambda: any(getattr(update, "id", "") == "slow" for update in app.updates()))
         await app.say(Cancel("slow"))
-        fate = await attempts
+        fate = await command
         assert fate.outcome in ("unverified", "not_sent")
 
 

@@ -34,7 +34,7 @@ class LineCommand(Generic[A]):
     """``procedure`` carries it out and proves it; it is made when its turn has come."""
 
     procedure: Callable[[Poller, A, CommandContext], Procedure]
-    claim: Callable[[A], Priority] = lambda _: Priority.WRITE
+    priority: Callable[[A], Priority] = lambda _: Priority.WRITE
 
 
 def _set_speed(poller: Poller, action: SetSpeed, command: CommandContext) -> Procedure:
@@ -111,7 +111,7 @@ def command_run_of(poller: Poller, command_id: str, action: Action, deadline: fl
     )
     return CommandRun(
         command_id,
-        row.claim(action),
+        row.priority(action),
         _units_claimed(action),
         deadline,
         command,

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from bus.contract import Result
-from bus.line.commands.procedure import CommandContext, Effect, Procedure, Wait
-from bus.line.exchange.attempts import Attempts, ExchangeResult
+from bus.line.commands.procedure import CommandContext, LineEffect, Procedure, Wait
 from bus.line.exchange.send import Send, SendResult
+from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
 from bus.line.statistics.trace import TracedFrame
 from bus.wire.commands import Request
 from bus.wire.fence import PendingResponses
@@ -33,18 +33,18 @@ class CommandRun:
     """``begin`` makes the procedure when its turn has come. ``units``: those nobody else may write to."""
 
     id: str
-    claim: Priority
+    priority: Priority
     units: frozenset[int]
     deadline: float
     """On the line's clock."""
     context: CommandContext
     begin: Callable[[], Procedure]
-    on_effect: Callable[[Effect], None]
+    on_effect: Callable[[LineEffect], None]
     """Hears what the procedure tells on its way."""
     frames: list[TracedFrame] = field(default_factory=list)
     resume_at: float = 0.0
     result: Result | None = None
-    attempts: Attempts | None = None
+    attempts: SendAttempts | None = None
     _procedure: Procedure | None = None
 
     @property
@@ -67,7 +67,7 @@ class CommandRun:
                     return None
                 self._advance(None, now)
                 continue
-            request = self.attempts.next_request(now, pending_of(self.attempts.ask.request.unit))
+            request = self.attempts.next_request(now, pending_of(self.attempts.send.request.unit))
             if request is not None:
                 return request
             self._advance(self._take_result(), now)
@@ -110,13 +110,13 @@ class CommandRun:
         assert self._procedure is not None
         try:
             step = self._procedure.send(result)
-            while isinstance(step, Effect):
+            while isinstance(step, LineEffect):
                 self.on_effect(step)
                 step = self._procedure.send(None)
         except StopIteration as end:
             self.result = end.value
             return
         if isinstance(step, Send):
-            self.attempts = Attempts(step, self.deadline)
+            self.attempts = SendAttempts(step, self.deadline)
         elif isinstance(step, Wait):
             self.resume_at = now + step.seconds

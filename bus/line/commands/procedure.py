@@ -53,9 +53,9 @@ class ExpectBaud(msgspec.Struct, frozen=True):
     baud: int
 
 
-Effect = ReportProgress | Unstage | Retune | ExpectBaud
+LineEffect = ReportProgress | Unstage | Retune | ExpectBaud
 """What needs no waiting."""
-ProcedureStep = Send | Wait | Effect
+ProcedureStep = Send | Wait | LineEffect
 Subprocedure = Generator[ProcedureStep, SendResult | None, T]
 """Gets a SendResult for a Send, None for every other step."""
 Procedure = Subprocedure[Result]

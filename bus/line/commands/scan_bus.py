@@ -68,7 +68,7 @@ def survey(roster: Roster, first: int, last: int, pace: ScanPace, context: Comma
         except _Lost:
             return _result(found, f"the link to the bus was lost after {passes.done} of {of} addresses")
         if one is None:
-            passes.silent()
+            passes.no_response()
         else:
             passes.found()
             found.append(one)

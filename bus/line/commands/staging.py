@@ -44,19 +44,19 @@ def set_line(roster: Roster, setpoints: Mapping[int, int], context: CommandConte
     ]
     if context.exchange_s * len(members) > context.time_left_s:
         return _no_time(members, context)
-    shelter = SuspendedStages(roster, setpoints, context)
-    failure = yield from shelter.enter()
+    suspended = SuspendedStages(roster, setpoints, context)
+    failure = yield from suspended.suspend()
     if failure is None:
         failure = yield from _stage_all(members, context)
     if failure is None:
         sent = yield from send(Send(ExecuteSpeed(ALL_UNITS)))
         if sent.status is SendStatus.SENT:
             result = yield from verify_all(members, sent, roster, context)
-            yield from shelter.leave()
+            yield from suspended.restore()
             return result
         failure = not_sent(ALL_UNITS, sent)
     yield from withdraw_all(members, context)
-    yield from shelter.leave()
+    yield from suspended.restore()
     return stopped(members, *failure)
 
 

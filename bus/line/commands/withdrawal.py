@@ -86,7 +86,7 @@ class SuspendedStages:
         self._sheltered: dict[int, int] = {}
         self._wish = context
 
-    def enter(self) -> Subprocedure[tuple[Outcome, str] | None]:
+    def suspend(self) -> Subprocedure[tuple[Outcome, str] | None]:
         """None when no unit outside the change can move with it."""
         for unit, (record, staged) in self._waiting.items():
             present = yield from _stage_present(record, self._wish)
@@ -98,7 +98,7 @@ class SuspendedStages:
             self._sheltered[unit] = staged
         return None
 
-    def leave(self) -> Subprocedure[None]:
+    def restore(self) -> Subprocedure[None]:
         """Give each its staged speed back."""
         for unit, staged in self._sheltered.items():
             yield from send(Send(StageSpeed(unit, staged), withdraws=True))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import msgspec
 
 from bus.line.clock import LineClock
-from bus.line.exchange.attempts import ExchangeResult
 from bus.line.exchange.send import NO_NOISE, LineNoise
+from bus.line.exchange.send_attempts import ExchangeResult
 from bus.wire.exchange import Exchange
 
 

@@ -20,9 +20,9 @@ from collections.abc import Callable
 from bus.contract import Direction
 from bus.errors import WireError
 from bus.line.clock import LineClock
-from bus.line.exchange.attempts import ExchangeResult
 from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.exchange.port_pace import PortPace
+from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.exchange.window import MARGIN_S, QUIET_BYTES, Window
 from bus.line.port.port import OpenPort
 from bus.line.roster import Roster
@@ -64,7 +64,7 @@ class Link:
         self._pace = PortPace()
         self._secret_until = -math.inf
         self._forget()
-        self.done: Callable[[ExchangeResult, float, float], None] = _nobody
+        self.done: Callable[[ExchangeResult, float, float], None] = _ignore
         """Called with what was heard and when the exchange began and ended."""
 
     # --- the port ------------------------------------------------------------------------------
@@ -169,7 +169,7 @@ class Link:
             return
         events = exchange.receive(data, now)
         followed_at = self._follow(current, events, now) if current is not None and self._next else None
-        self._window.heard(now, inside_frame=self._decoder.pending > 0)
+        self._window.received(now, inside_frame=self._decoder.pending > 0)
         for event in events:
             self._take(event, exchange, now)
         if current is not None and current.exchange.reply is not None:
@@ -235,13 +235,13 @@ class Link:
         else:
             self._note_stray(now, event.frame.wire, exchange, unit=event.frame.body[0])
 
-    def _take_noise(self, noise: Noise, asked: int, now: float) -> None:
+    def _take_noise(self, noise: Noise, unit: int, now: float) -> None:
         """After an answer with a wrong checksum no other will come, so only quiet is waited for."""
-        self._statistics.noise(noise, asked)
+        self._statistics.noise(noise, unit)
         if self._current is None:
             return
         self._current.garbled = True
-        if noise.reason is Fault.CHECKSUM and noise.body[0] == asked:
+        if noise.reason is Fault.CHECKSUM and noise.body[0] == unit:
             self._window.shorten(now + QUIET_BYTES * self._byte_s)
 
     def _take_response(self, wire: bytes, now: float) -> None:
@@ -292,5 +292,5 @@ class Link:
         self._trace.add(TracedFrame(self._clock.epoch(now), "in", data, valid, hidden))
 
 
-def _nobody(_heard: ExchangeResult, _began: float, _ended: float) -> None:
+def _ignore(_result: ExchangeResult, _began: float, _ended: float) -> None:
     """Until the poller listens."""

@@ -60,7 +60,7 @@ class Window:
         self._listen_from(listen_at)
         self._ring_at(ends if listen_at is None else listen_at)
 
-    def heard(self, now: float, *, inside_frame: bool) -> None:
+    def received(self, now: float, *, inside_frame: bool) -> None:
         """Bytes came in; ``inside_frame``: they end in the middle of what may be a frame."""
         self._quiet_at = now + (max(self._quiet_s, LEAST_FRAME_GAP_S) if inside_frame else self._quiet_s)
 

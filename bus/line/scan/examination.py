@@ -65,7 +65,7 @@ class ProbeOutcome:
     """From the request's last byte to the answer's first."""
 
     @property
-    def silent(self) -> bool:
+    def no_response(self) -> bool:
         """Nothing came at all."""
         return self.reply is None and not (self.garbled or self.unexpected or self.surplus)
 
@@ -137,7 +137,7 @@ class _Examination:
     def _first_status(self) -> Generator[Probe, ProbeOutcome, StatusReply | None]:
         """The 81h to unit 111 has the checksum 10h itself: a unit that takes it twice is found so only."""
         status = yield from self._status(STATUS_READS)
-        if self.outcomes[-1].silent and checksum(bytes((self.unit, ReadStatus.COMMAND))) == DLE:
+        if self.outcomes[-1].no_response and checksum(bytes((self.unit, ReadStatus.COMMAND))) == DLE:
             self.doubles = True
             status = yield from self._status(STATUS_READS)
         return status
@@ -148,7 +148,7 @@ class _Examination:
             outcome = yield from self._probe(ReadStatus(self.unit))
             if isinstance(outcome.reply, StatusReply):
                 return outcome.reply
-            if look == 0 and outcome.silent:
+            if look == 0 and outcome.no_response:
                 return None
         return None
 
@@ -208,7 +208,7 @@ class _Examination:
     # --- conclusions ---------------------------------------------------------------------------
 
     def _no_unit(self) -> Found | None:
-        heard = [outcome for outcome in self.outcomes if not outcome.silent]
+        heard = [outcome for outcome in self.outcomes if not outcome.no_response]
         if len(heard) < min(2, STATUS_READS):
             return None
         refused = [outcome.reply.code for outcome in heard if isinstance(outcome.reply, Nak)]

@@ -145,7 +145,7 @@ class ScanPort:
             self._unrequested_bytes += len(data)
             return
         current.events += current.exchange.receive(data, now)
-        self._window.heard(now, inside_frame=self._decoder.pending > 0)
+        self._window.received(now, inside_frame=self._decoder.pending > 0)
         if current.exchange.reply is None:
             return
         if current.response_ends is None:

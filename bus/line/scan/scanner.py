@@ -74,7 +74,7 @@ async def _probe_all(
     for unit in passes:
         settled, one = passes.settled, await prober.examine(unit)
         if one is None:
-            passes.silent()
+            passes.no_response()
         else:
             passes.found()
             scan.found.append(one)

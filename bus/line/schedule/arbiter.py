@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from bus.line.commands.command_run import CommandRun, Priority
-from bus.line.exchange.attempts import Attempts, ExchangeResult
 from bus.line.exchange.send import Send
+from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
 from bus.line.schedule.command_queue import CommandQueue
 from bus.line.schedule.poll_schedule import PollSchedule, Task, TaskKind
 from bus.wire.commands import Nak, ReadParameter, ReadStatus, Request
@@ -43,8 +43,8 @@ class Arbiter:
         """Whose request is under way; None: the schedule's."""
         self._pending_of = pending_of
         self._exchange_s = exchange_s
-        self._routine: tuple[Task, Attempts] | None = None
-        self._foreseen: tuple[Task, Attempts] | None = None
+        self._routine: tuple[Task, SendAttempts] | None = None
+        self._foreseen: tuple[Task, SendAttempts] | None = None
         self._routine_at = 0.0
         self._read_last = False
         self._not_before = 0.0
@@ -80,22 +80,22 @@ class Arbiter:
             return None
         task, attempts = self._foreseen
         request = attempts.next_request(now, self._pending_of(task.unit).moved_on())
-        return request if request == attempts.ask.request else None
+        return request if request == attempts.send.request else None
 
     def followed(self, now: float) -> Request:
         """What was foreseen has left at ``now``."""
         assert self._foreseen is not None
         (task, attempts), self._foreseen = self._foreseen, None
         self._routine = task, attempts
-        self._pace(attempts.ask.request, now)
-        return attempts.ask.request
+        self._pace(attempts.send.request, now)
+        return attempts.send.request
 
     def settle(self, exchange: ExchangeResult, began: float, ended: float) -> bool:
         """The exchange under way is over; whether it is tried again, as nobody answered."""
         run, self.owner = self.owner, None
         if run is not None:
-            self._read_last = run.claim is Priority.READ
-            if run.claim is Priority.SLOW:
+            self._read_last = run.priority is Priority.READ
+            if run.priority is Priority.SLOW:
                 self.schedule.spent(Task(TaskKind.SLOW), began, ended, answered=True)
             return run.settle(exchange, ended)
         if self._routine is not None:
@@ -139,7 +139,7 @@ class Arbiter:
         task, attempts = self._routine
         return (
             task.kind is TaskKind.POLL
-            and request == attempts.ask.request
+            and request == attempts.send.request
             and task.unit in self.schedule.poll_order
         )
 
@@ -169,7 +169,7 @@ class Arbiter:
         return request
 
     def _settle_routine(
-        self, task: Task, attempts: Attempts, exchange: ExchangeResult, began: float, ended: float
+        self, task: Task, attempts: SendAttempts, exchange: ExchangeResult, began: float, ended: float
     ) -> bool:
         again = attempts.settle(exchange)
         self.schedule.spent(task, began, ended, answered=exchange.reply is not None)
@@ -193,8 +193,8 @@ class Arbiter:
         self._not_before = now + PACE * self._exchange_s(request)
 
 
-def _routine(task: Task) -> tuple[Task, Attempts]:
+def _routine(task: Task) -> tuple[Task, SendAttempts]:
     tries = _TRIES.get(task.kind, 0)
     if task.kind is TaskKind.PARAMETER:
-        return task, Attempts(Send(ReadParameter(task.unit, task.number), max_attempts=tries))
-    return task, Attempts(Send(ReadStatus(task.unit), max_attempts=tries))
+        return task, SendAttempts(Send(ReadParameter(task.unit, task.number), max_attempts=tries))
+    return task, SendAttempts(Send(ReadStatus(task.unit), max_attempts=tries))

@@ -29,7 +29,7 @@ class CommandQueue:
     def add(self, run: CommandRun) -> None:
         """Let it have its turn."""
         self._all.append(run)
-        self._all.sort(key=lambda each: each.claim)
+        self._all.sort(key=lambda each: each.priority)
 
     def cancel(self, command_id: str) -> None:
         """Give one up where nothing is half done."""
@@ -44,7 +44,7 @@ class CommandQueue:
     ) -> tuple[CommandRun, Request] | None:
         """Who sends what now; ``slow``: of those that take the gaps only, else of all the others."""
         for run in self._all:
-            if (run.claim is Priority.SLOW) != slow or run.result is not None:
+            if (run.priority is Priority.SLOW) != slow or run.result is not None:
                 continue
             if self._may_run(run, now):
                 request = run.next_request(now, pending_of)
@@ -69,12 +69,12 @@ class CommandQueue:
     @property
     def write_waits(self) -> bool:
         """Whether anything would write."""
-        return any(run.claim is Priority.WRITE and run.result is None for run in self._all)
+        return any(run.priority is Priority.WRITE and run.result is None for run in self._all)
 
     @property
     def slow_waits(self) -> bool:
         """Whether anything would use a gap."""
-        return any(run.claim is Priority.SLOW for run in self._all)
+        return any(run.priority is Priority.SLOW for run in self._all)
 
     @property
     def group_changes(self) -> bool:

@@ -82,7 +82,7 @@ class PollSchedule:
 
     def answers(self, unit: int, now: float) -> None:
         """``unit`` answered for the first time, or again after a silence."""
-        self.probes.returned(unit, now)
+        self.probes.responded(unit, now)
         if unit in self.poll_order:
             return
         self.poll_order.join(unit)
@@ -94,7 +94,7 @@ class PollSchedule:
         self.poll_order.leave(unit)
         self.parameters.forget(unit)
         if unit not in self.probes:
-            self.probes.fell(unit, now)
+            self.probes.stopped_responding(unit, now)
         self._adapt()
 
     def port_opened(self, now: float) -> None:
@@ -123,9 +123,9 @@ class PollSchedule:
         """The next use of the wire; None: nothing before ``wake_at``."""
         if self._unseen:
             return Task(TaskKind.FIRST, self._unseen.pop())
-        silent = self.probes.due(now)
-        if silent is not None:
-            return Task(TaskKind.PROBE, silent)
+        unit = self.probes.due(now)
+        if unit is not None:
+            return Task(TaskKind.PROBE, unit)
         task = self._gap(now, slow_waits=slow_waits)
         if task is not None:
             return task

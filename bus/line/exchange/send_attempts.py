@@ -26,17 +26,17 @@ class ExchangeResult(msgspec.Struct, frozen=True):
     """How the request was written, where something was sent."""
 
 
-class Attempts:
+class SendAttempts:
     """``next_request`` and ``settle`` in turn, until ``result`` is there.
 
     A timeout of a fence counts like a timeout of the request: so many in a row mean silence. A write never
     leaves after ``deadline`` (on the clock of ``now``), whatever came of its earlier tries.
     """
 
-    def __init__(self, ask: Send, deadline: float = float("inf")) -> None:
-        self.ask = ask
+    def __init__(self, send: Send, deadline: float = float("inf")) -> None:
+        self.send = send
         self.result: SendResult | None = None
-        self._deadline = float("inf") if ask.withdraws or not is_write(ask.request) else deadline
+        self._deadline = float("inf") if send.withdraws or not is_write(send.request) else deadline
         self._attempts = 0
         self._fences = 0
         self._unanswered = 0
@@ -50,14 +50,14 @@ class Attempts:
 
     def dialect_of(self, request: Request) -> Dialect | None:
         """How ``request`` is written, where not as the bus does."""
-        return self.ask.dialect if request == self.ask.request else None
+        return self.send.dialect if request == self.send.request else None
 
     def reports(self, request: Request) -> bool:
         """Whether it is told that ``request`` leaves: the first time only, and not for a fence."""
-        return self.ask.reports_sent and not self.begun and request == self.ask.request
+        return self.send.reports_sent and not self.begun and request == self.send.request
 
     def next_request(self, now: float, pending: PendingResponses) -> Request | None:
-        """What to send now; None once ``result`` is there. ``doubt``: of the unit asked."""
+        """What to send now; None once ``result`` is there. ``pending``: of the unit asked."""
         if self.result is not None:
             return None
         fence = self._fence(pending)
@@ -66,11 +66,11 @@ class Attempts:
         if now > self._deadline:
             self._end(SendStatus.TOO_LATE)
             return None
-        return self.ask.request
+        return self.send.request
 
     def settle(self, exchange: ExchangeResult) -> bool:
         """What ``next_request`` gave has passed; whether it is tried again, as nobody answered."""
-        if exchange.request != self.ask.request:
+        if exchange.request != self.send.request:
             self._noise = exchange.noise
             self._settle_fence(answered=exchange.reply is not None)
         else:
@@ -96,11 +96,11 @@ class Attempts:
     def _fence(self, pending: PendingResponses) -> Request | None:
         """A retry may take the answer to the try before, as it is hardly older. A later question may not:
         an answer that a buffer on the way kept for seconds would be shown as new."""
-        fence = pending.fence_before(self.ask.request)
-        fresh = self.ask.fresh or not self.begun
-        if fence is None and fresh and self.ask.request in pending.outstanding:
+        fence = pending.fence_before(self.send.request)
+        fresh = self.send.fresh or not self.begun
+        if fence is None and fresh and self.send.request in pending.outstanding:
             fence = pending.fence()
-        return fence if fence != self.ask.request else None
+        return fence if fence != self.send.request else None
 
     def _settle_fence(self, *, answered: bool) -> None:
         if answered:
@@ -113,7 +113,7 @@ class Attempts:
 
     def _timed_out(self) -> None:
         self._unanswered += 1
-        if self._unanswered >= self.ask.attempts_allowed or self._attempts >= self.ask.attempts_allowed:
+        if self._unanswered >= self.send.attempts_allowed or self._attempts >= self.send.attempts_allowed:
             self._end(SendStatus.TIMED_OUT)
 
     def _end(self, status: SendStatus, exchange: ExchangeResult | None = None) -> None:
