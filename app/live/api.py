@@ -15,10 +15,10 @@ from app.live.shown import BusShown, LineShown, UnitShown
 from app.live.sources import Sources
 from app.live.state import LiveState
 from app.live.view import bus_json, line_json, unit_json
+from app.messages import DEFAULT
 from app.settings import Settings
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
-from app.web.languages import DEFAULT
 from app.web.services import looked_up, service
 from app.web.templating import templates_of
 

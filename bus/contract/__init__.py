@@ -34,16 +34,6 @@ from bus.contract.fates import (
     Result,
     UnitOutcome,
 )
-from bus.contract.message import (
-    BUFFER_AGE_S,
-    CONTRACT_VERSION,
-    BusLinkState,
-    Direction,
-    Message,
-    Outcome,
-    Stage,
-    UnitLinkState,
-)
 from bus.contract.readings import (
     BusFigures,
     BusLink,
@@ -77,6 +67,16 @@ from bus.contract.speech import (
     decode_from_worker,
     encode,
 )
+from bus.contract.tagged import (
+    BUFFER_AGE_S,
+    CONTRACT_VERSION,
+    BusLinkState,
+    Direction,
+    Outcome,
+    Stage,
+    TaggedStruct,
+    UnitLinkState,
+)
 
 __all__ = [
     "BUFFER_AGE_S",
@@ -104,7 +104,6 @@ __all__ = [
     "Frames",
     "Hello",
     "MalformedMessageError",
-    "Message",
     "Outcome",
     "ParameterValue",
     "Progress",
@@ -119,6 +118,7 @@ __all__ = [
     "Snapshot",
     "Stage",
     "Staged",
+    "TaggedStruct",
     "UnitAction",
     "UnitCounts",
     "UnitFigures",

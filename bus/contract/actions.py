@@ -21,10 +21,10 @@ from bus.contract.bounds import (
     Stamp,
     UnitId,
 )
-from bus.contract.message import Message
+from bus.contract.tagged import TaggedStruct
 
 
-class BusAction(Message, frozen=True):
+class BusAction(TaggedStruct, frozen=True):
     """Addresses a bus."""
 
     writes: ClassVar[bool] = True

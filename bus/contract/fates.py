@@ -20,11 +20,11 @@ from bus.contract.bounds import (
     UnitId,
     Words,
 )
-from bus.contract.message import Message, Outcome, Stage
 from bus.contract.readings import Frame, ParameterValue
+from bus.contract.tagged import Outcome, Stage, TaggedStruct
 
 
-class Progress(Message, frozen=True, tag="progress"):
+class Progress(TaggedStruct, frozen=True, tag="progress"):
     """How far a command has come. ``done``/``of`` count rows or addresses where there are several."""
 
     id: Id
@@ -35,7 +35,7 @@ class Progress(Message, frozen=True, tag="progress"):
     of: Count = 0
 
 
-class UnitOutcome(Message, frozen=True, tag="unit_outcome"):
+class UnitOutcome(TaggedStruct, frozen=True, tag="unit_outcome"):
     """The fate of a command at one unit, with the times of its frames."""
 
     unit: UnitId
@@ -49,7 +49,7 @@ class UnitOutcome(Message, frozen=True, tag="unit_outcome"):
     attempts: Count = 0
 
 
-class FoundUnit(Message, frozen=True, tag="found_unit"):
+class FoundUnit(TaggedStruct, frozen=True, tag="found_unit"):
     """What a scan saw at one address. ``kind``: digimax, garbled (two units?), foreign, or late where
     responses come too late to be told apart."""
 
@@ -60,7 +60,7 @@ class FoundUnit(Message, frozen=True, tag="found_unit"):
     remarks: Annotated[list[Words], Meta(max_length=20)] = field(default_factory=list)
 
 
-class Result(Message, frozen=True, tag="result"):
+class Result(TaggedStruct, frozen=True, tag="result"):
     """The one fate of a command. ``values``: what ReadParameters read. ``skew_s``: upper bound of the
     time between the first and the last unit's acting on one broadcast. ``frames``: what carried it."""
 

@@ -10,7 +10,6 @@ from msgspec import Meta
 from bus.contract.actions import Action
 from bus.contract.bounds import MOST_UNITS, MOST_UPDATES, Id, Sequence, Stamp, Text, UnitId, Words
 from bus.contract.fates import Progress, Result
-from bus.contract.message import Message
 from bus.contract.readings import (
     BusFigures,
     BusLink,
@@ -21,11 +20,12 @@ from bus.contract.readings import (
     UnitLink,
     UnitState,
 )
+from bus.contract.tagged import TaggedStruct
 
 Update = Reading | ParameterValue | UnitLink | BusLink | Staged | BusFigures | Progress | Result | Frames
 
 
-class Hello(Message, frozen=True, tag="hello"):
+class Hello(TaggedStruct, frozen=True, tag="hello"):
     """First word of a worker. ``worker`` is new at every start, so sequence numbers belong to it."""
 
     version: int
@@ -37,7 +37,7 @@ class Hello(Message, frozen=True, tag="hello"):
     sent_at: Stamp
 
 
-class Snapshot(Message, frozen=True, tag="snapshot"):
+class Snapshot(TaggedStruct, frozen=True, tag="snapshot"):
     """The whole present state; ``seq`` is the number of the last update it includes."""
 
     seq: Sequence
@@ -47,7 +47,7 @@ class Snapshot(Message, frozen=True, tag="snapshot"):
     figures: BusFigures | None = None
 
 
-class Batch(Message, frozen=True, tag="batch"):
+class Batch(TaggedStruct, frozen=True, tag="batch"):
     """Updates in order. ``live`` False: kept while the app was away; they belong to history only."""
 
     seq: Sequence
@@ -59,7 +59,7 @@ class Batch(Message, frozen=True, tag="batch"):
 WorkerMessage = Hello | Snapshot | Batch
 
 
-class Command(Message, frozen=True, tag="command"):
+class Command(TaggedStruct, frozen=True, tag="command"):
     """A wish with an identity and a last moment. ``deadline``: on the app's clock, the last instant at
     which a frame that writes may leave (the worker knows that clock by ``Clock``).
     A worker carries out an id once; asked again, it repeats the fate."""
@@ -69,17 +69,17 @@ class Command(Message, frozen=True, tag="command"):
     action: Action
 
 
-class Reserve(Message, frozen=True, tag="reserve"):
+class Reserve(TaggedStruct, frozen=True, tag="reserve"):
     """A write is about to be asked for: the next turn of the wire is left to it, for a moment."""
 
 
-class Cancel(Message, frozen=True, tag="cancel"):
+class Cancel(TaggedStruct, frozen=True, tag="cancel"):
     """Give up a command at the next point where nothing is half done."""
 
     id: Id
 
 
-class Welcome(Message, frozen=True, tag="welcome"):
+class Welcome(TaggedStruct, frozen=True, tag="welcome"):
     """The app's answer to Hello. ``seq``: the last batch it has of this very worker (0: none)."""
 
     version: int
@@ -88,27 +88,27 @@ class Welcome(Message, frozen=True, tag="welcome"):
     refused: Text = ""
 
 
-class Delivered(Message, frozen=True, tag="delivered"):
+class Delivered(TaggedStruct, frozen=True, tag="delivered"):
     """Everything up to ``seq`` is safe with the app; the worker may forget it."""
 
     seq: Sequence
 
 
-class Clock(Message, frozen=True, tag="clock"):
+class Clock(TaggedStruct, frozen=True, tag="clock"):
     """The app's time, about once a second: the worker keeps the least delay it has seen, so that a
     command held up on the way is known to be late."""
 
     app_time: Stamp
 
 
-class Watch(Message, frozen=True, tag="watch"):
+class Watch(TaggedStruct, frozen=True, tag="watch"):
     """The units on a page that someone has open, and whether someone follows the trace."""
 
     units: Annotated[list[UnitId], Meta(max_length=MOST_UNITS)]
     trace: bool = False
 
 
-class WantSnapshot(Message, frozen=True, tag="want_snapshot"):
+class WantSnapshot(TaggedStruct, frozen=True, tag="want_snapshot"):
     """A number was missing: say everything again."""
 
 

@@ -17,5 +17,5 @@ Stage = Literal["waiting", "sent", "searching", "acknowledged", "proving"]
 Direction = Literal["out", "in"]
 
 
-class Message(msgspec.Struct, frozen=True, tag_field="is", omit_defaults=True):
+class TaggedStruct(msgspec.Struct, frozen=True, tag_field="is", omit_defaults=True):
     """Base of every message and part of a message: immutable, told apart by its ``is`` field."""

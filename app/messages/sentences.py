@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import string
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 MOST_REMEMBERED = 2000
@@ -31,11 +31,9 @@ class Sentences:
     ``texts`` translates the values that are fixed texts themselves.
     """
 
-    def __init__(
-        self, patterns: Mapping[str, str] | None = None, texts: Mapping[str, str] | None = None
-    ) -> None:
+    def __init__(self, patterns: Mapping[str, str] | None = None, texts: Callable[[str], str] = str) -> None:
         self._patterns = [Pattern.of(text, said) for text, said in (patterns or {}).items()]
-        self._texts = texts or {}
+        self._texts = texts
         self._known: dict[str, str] = {}
 
     def say(self, sentence: str) -> str:
@@ -50,8 +48,8 @@ class Sentences:
         return known
 
     def _find(self, sentence: str, deepest: int) -> str:
-        if sentence in self._texts:
-            return self._texts[sentence]
+        if (translated := self._texts(sentence)) != sentence:
+            return translated
         if not deepest or " " not in sentence:
             return sentence
         for pattern in self._patterns:
