@@ -12,9 +12,9 @@ from typing import get_args
 import pytest
 
 from app.audit.kinds import Kind
-from app.live.cause_text import CAUSE_TEXTS, CHECK_TEXTS, MOTION_TEXTS, STOPPED_WITH_RUN
-from app.live.fields import STATE_WORDS
-from app.live.hub import STAGE_WORDS
+from app.live.browsers.hub import STAGE_WORDS
+from app.live.screen.cause_text import CAUSE_TEXTS, CHECK_TEXTS, MOTION_TEXTS, STOPPED_WITH_RUN
+from app.live.screen.fields import STATE_WORDS
 from app.web.access import Role
 from app.web.assets import templates_dir
 from app.web.languages import Languages
