@@ -11,8 +11,8 @@ from collections.abc import Callable
 from app.audit.log import EventLog
 from app.feed.bus_feed import TIMEOUT_TICKS, BusFeed
 from app.feed.channel import Channel
-from app.live.bus_live import BusLive
 from app.live.change_recorder import ChangeRecorder
+from app.live.state.bus_live import BusLive
 from app.pipeline import HistoryIntake, Pipeline
 
 

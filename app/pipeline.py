@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
 
-from app.live.bus_live import BusLive
 from app.live.change_recorder import ChangeRecorder
 from app.live.changes import Change, Changes
+from app.live.state.bus_live import BusLive
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
 
 KEPT = (Reading, ParameterValue, UnitLink, BusLink)

@@ -13,7 +13,7 @@ from app.feed.channel import Channel, Connection
 from app.feed.holders import Credential, Ending, Holder
 from app.feed.ingest import Ingest, Received
 from app.feed.rates import update_bucket
-from app.live.bus_live import NO_WORKER
+from app.live.state.bus_live import NO_WORKER
 from app.pipeline import Pipeline
 from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome
 
