@@ -19,6 +19,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from app.messages.languages import catalogs
 from app.time_zone import is_zone, machine_zone
 from bus import configuration
 from bus.configuration import ConfigurationError
@@ -62,7 +63,7 @@ class Site(Strict):
     @field_validator("language")
     @classmethod
     def _language_has_a_file(cls, tag: str) -> str:
-        known = sorted(path.stem for path in (Path(__file__).parent / "web" / "languages").glob("*.toml"))
+        known = sorted(catalogs())
         if tag not in known:
             raise ValueError(f"write one of {', '.join(known)}")
         return tag

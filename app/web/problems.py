@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
 
+import msgspec
 import structlog
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
@@ -81,10 +82,16 @@ def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
         "status": problem.status,
         "code": problem.code,
         "detail": detail or problem.detail,
-        **({} if problem.params is None else {"params": _plain(problem.params)}),
+        **_message_members(problem),
         **problem.extra,
     }
     return _ProblemResponse(content, problem.status, problem.headers)
+
+
+def _message_members(problem: Problem) -> dict[str, Any]:
+    """``params`` in English, one level deep; ``reason`` with the codes of all levels."""
+    members = {} if problem.params is None else {"params": _plain(problem.params)}
+    return members if problem.message is None else members | {"reason": msgspec.to_builtins(problem.message)}
 
 
 def _plain(params: Mapping[str, object]) -> dict[str, int | float | str]:

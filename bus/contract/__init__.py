@@ -28,22 +28,6 @@ from bus.contract.actions import (
     WriteParameter,
 )
 from bus.contract.bounds import LONGEST_FRAME, MOST_CLAUSES, MOST_UPDATES
-from bus.contract.fates import (
-    FoundUnit,
-    Progress,
-    Result,
-    UnitOutcome,
-)
-from bus.contract.message import (
-    BUFFER_AGE_S,
-    CONTRACT_VERSION,
-    BusLinkState,
-    Direction,
-    Message,
-    Outcome,
-    Stage,
-    UnitLinkState,
-)
 from bus.contract.readings import (
     BusFigures,
     BusLink,
@@ -57,7 +41,13 @@ from bus.contract.readings import (
     UnitLink,
     UnitState,
 )
-from bus.contract.speech import (
+from bus.contract.results import (
+    FoundUnit,
+    Progress,
+    Result,
+    UnitOutcome,
+)
+from bus.contract.session import (
     AppMessage,
     Batch,
     Cancel,
@@ -76,6 +66,16 @@ from bus.contract.speech import (
     decode_from_app,
     decode_from_worker,
     encode,
+)
+from bus.contract.tagged import (
+    BUFFER_AGE_S,
+    CONTRACT_VERSION,
+    BusLinkState,
+    Direction,
+    Outcome,
+    Stage,
+    TaggedStruct,
+    UnitLinkState,
 )
 
 __all__ = [
@@ -104,7 +104,6 @@ __all__ = [
     "Frames",
     "Hello",
     "MalformedMessageError",
-    "Message",
     "Outcome",
     "ParameterValue",
     "Progress",
@@ -119,6 +118,7 @@ __all__ = [
     "Snapshot",
     "Stage",
     "Staged",
+    "TaggedStruct",
     "UnitAction",
     "UnitCounts",
     "UnitFigures",

@@ -1,7 +1,7 @@
 """What the app can ask of a bus: from the app to the worker.
 
-A new one needs a class here, a row in ``bus.line.commands`` for how it is carried out and proven, and a row
-in ``app.commands.catalogue`` for everything else.
+A new one needs a class here, a row in ``bus.line.commands.catalogue`` for how it is carried out and verified,
+and a row in ``app.commands.catalogue`` for everything else.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from bus.contract.bounds import (
     Stamp,
     UnitId,
 )
-from bus.contract.message import Message
+from bus.contract.tagged import TaggedStruct
 
 
-class BusAction(Message, frozen=True):
+class BusAction(TaggedStruct, frozen=True):
     """Addresses a bus."""
 
     writes: ClassVar[bool] = True

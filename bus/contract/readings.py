@@ -23,10 +23,10 @@ from bus.contract.bounds import (
     Text,
     UnitId,
 )
-from bus.contract.message import BusLinkState, Direction, Message, UnitLinkState
+from bus.contract.tagged import BusLinkState, Direction, TaggedStruct, UnitLinkState
 
 
-class Reading(Message, frozen=True, tag="reading"):
+class Reading(TaggedStruct, frozen=True, tag="reading"):
     """One answer to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1, all as sent."""
 
     unit: UnitId
@@ -38,7 +38,7 @@ class Reading(Message, frozen=True, tag="reading"):
     inputs: Byte
 
 
-class ParameterValue(Message, frozen=True, tag="parameter"):
+class ParameterValue(TaggedStruct, frozen=True, tag="parameter"):
     """What 85h answered, and the very frame that said so (``frame``, as on the wire, for evidence).
     ``available`` False: the unit said NAK 82h, it does not have this one."""
 
@@ -50,7 +50,7 @@ class ParameterValue(Message, frozen=True, tag="parameter"):
     frame: FrameBytes = b""
 
 
-class UnitLink(Message, frozen=True, tag="unit_link"):
+class UnitLink(TaggedStruct, frozen=True, tag="unit_link"):
     """A unit was heard, is overdue, was lost or was never seen."""
 
     unit: UnitId
@@ -59,7 +59,7 @@ class UnitLink(Message, frozen=True, tag="unit_link"):
     cause: Text = ""
 
 
-class BusLink(Message, frozen=True, tag="bus_link"):
+class BusLink(TaggedStruct, frozen=True, tag="bus_link"):
     """The port was opened or closed ``at``; ``cause`` says why in words. Told again, with the same ``at``,
     when it goes at another rate."""
 
@@ -70,7 +70,7 @@ class BusLink(Message, frozen=True, tag="bus_link"):
     """The rate that the port goes at now, which a change of #18 may have moved; 0 from an older worker."""
 
 
-class Staged(Message, frozen=True, tag="staged"):
+class Staged(TaggedStruct, frozen=True, tag="staged"):
     """The speed a unit has acknowledged by 82h and not yet executed; None once executed or withdrawn."""
 
     unit: UnitId
@@ -78,7 +78,7 @@ class Staged(Message, frozen=True, tag="staged"):
     raw: FourBytes | None
 
 
-class UnitState(Message, frozen=True, tag="unit_state"):
+class UnitState(TaggedStruct, frozen=True, tag="unit_state"):
     """All that the worker knows of one unit now."""
 
     unit: UnitId
@@ -103,7 +103,7 @@ class UnitCounts(Struct, omit_defaults=True):
 
 
 # Frozen, as it is told, of what is counted in: msgspec allows that, the rule is for dataclasses.
-class UnitFigures(UnitCounts, Message, frozen=True, tag="unit_figures"):  # type: ignore[misc]
+class UnitFigures(UnitCounts, TaggedStruct, frozen=True, tag="unit_figures"):  # type: ignore[misc]
     """The counters of one unit, and its answer times in seconds (first byte after request)."""
 
     answer_s_min: Seconds | None = None
@@ -112,7 +112,7 @@ class UnitFigures(UnitCounts, Message, frozen=True, tag="unit_figures"):  # type
     answer_s_max: Seconds | None = None
 
 
-class BusFigures(Message, frozen=True, tag="bus_figures"):
+class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
     """What the wire carries, about once a second. ``diagnosis`` is the likely cause of trouble in words."""
 
     at: Stamp
@@ -131,7 +131,7 @@ class BusFigures(Message, frozen=True, tag="bus_figures"):
     twice and nobody knows which one is whose; 0: none."""
 
 
-class Frame(Message, frozen=True, tag="frame"):
+class Frame(TaggedStruct, frozen=True, tag="frame"):
     """One frame (or piece of rubbish) as it passed the port, with what it says."""
 
     at: Stamp
@@ -146,7 +146,7 @@ class Frame(Message, frozen=True, tag="frame"):
         return in_english(self.clauses)
 
 
-class Frames(Message, frozen=True, tag="frames"):
+class Frames(TaggedStruct, frozen=True, tag="frames"):
     """Trace, sent only while someone follows it."""
 
     frames: Annotated[list[Frame], Meta(max_length=MOST_FRAMES)]

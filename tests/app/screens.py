@@ -5,8 +5,8 @@ from __future__ import annotations
 from app.live.screen.fields import Voice
 from app.live.screen.screen import Screen
 from app.live.state.live_state import LiveState
+from app.messages import Languages
 from app.web.formats import Formats
-from app.web.languages import Languages
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.app.played_sources import played_sources

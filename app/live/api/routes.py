@@ -15,10 +15,10 @@ from app.live.lookup import bus_or_404, unit_or_404
 from app.live.screen.fields import Voice
 from app.live.screen.sources import Sources
 from app.live.state.live_state import LiveState
+from app.messages import DEFAULT
 from app.settings import Settings
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
-from app.web.languages import DEFAULT
 from app.web.services import looked_up, service
 from app.web.templating import templates_of
 

@@ -14,8 +14,8 @@ from app.live.state.age import figures_now, offline_after_s, scan_s_of, stale_af
 from app.live.state.bus_live import BusLive, UnitLive, follower, speed_decimals
 from app.live.state.conditions import bits_of, mode_of
 from app.live.state.motion import State
+from app.messages import Language
 from app.web.formats import UNKNOWN, Formats
-from app.web.languages import Language
 from bus.catalogue.numbers import (
     ANALOG_IN_HIGH,
     ANALOG_IN_LOW,

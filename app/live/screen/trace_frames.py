@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from typing import Any
 
 from app.live.screen.fields import Voice
@@ -18,17 +18,14 @@ def frame_fields(frame: Frame, voice: Voice) -> dict[str, Any]:
         "direction": frame.direction,
         "hex": frame.data.hex(" ").upper(),
         "meaning": "".join(
-            _translated(clause, voice.language.texts) + clause.then for clause in frame.clauses
+            _translated(clause, voice.language.term) + clause.then for clause in frame.clauses
         )[:LONGEST],
         "valid": frame.valid,
     }
 
 
-def _translated(clause: Clause, texts: Mapping[str, str]) -> str:
+def _translated(clause: Clause, term: Callable[[str], str]) -> str:
     """Only whole texts of the catalog are translated: a worker's words are neither matched against patterns
     nor used as a format. Words among the values are in English too."""
-    values = {
-        name: texts.get(value, value) if isinstance(value, str) else value
-        for name, value in clause.values.items()
-    }
-    return filled(texts.get(clause.text, clause.text), values)
+    values = {name: term(value) if isinstance(value, str) else value for name, value in clause.values.items()}
+    return filled(term(clause.text), values)
