@@ -7,12 +7,12 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Request, Response
 from pydantic import Field
 
-from app.commands.answers import answer
-from app.commands.api import FATE
+from app.commands.api.commands import FATE
+from app.commands.api.responses import answer
 from app.commands.catalogue import SET_LINE
-from app.commands.writer import permitted_writer
+from app.commands.service.writer import permitted_writer
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, setpoints_now

@@ -8,9 +8,10 @@ from functools import partial
 
 from app.audit.log import EventLog
 from app.commands.catalogue import SET_LINE
-from app.commands.desk import Desk
+from app.commands.service.command_service import Desk
 from app.errors import Problem
-from app.live.state import BusLive, LiveState
+from app.live.state.bus_live import BusLive
+from app.live.state.live_state import LiveState
 from app.recipes.rules import Departure, DryRun, Recipe, Setpoint, departures, dry_run, setpoint_kind
 from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person

@@ -7,17 +7,17 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 
 from app.commands.catalogue import SET_LINE
-from app.commands.forms import Desks
-from app.commands.line_change import followers_of, proven, reviewed
-from app.commands.ramp import present_setpoint
-from app.commands.reviewing import keep_their_setpoint, know_ramps
-from app.commands.risks import by_remark
-from app.commands.timeouts import longest_change_s
-from app.commands.writer import permitted
+from app.commands.forms.line_change import followers_of, proven, reviewed
+from app.commands.forms.page_context import Desks
+from app.commands.forms.review import keep_their_setpoint, know_ramps
+from app.commands.review.ramp import present_setpoint
+from app.commands.review.risks import by_remark
+from app.commands.rules.timeouts import longest_change_s
+from app.commands.service.writer import permitted
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
-from app.live.state import BusLive
+from app.live.state.bus_live import BusLive
 from app.recipes.api import Book, recipe_or_404
 from app.recipes.rules import Setpoint, present_raw, setpoint_kind, setpoint_text
 from app.web.access import Engineer, Person, Viewer

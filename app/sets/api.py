@@ -10,7 +10,7 @@ from pydantic import Field
 from app.audit.api import Events
 from app.audit.log import EventLog
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.sets.compare import compare
 from app.sets.document import write_document

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from app.commands.desk import Desk
+from app.commands.service.command_service import Desk
 from app.errors import Problem
-from app.live.state import BusLive, UnitLive
+from app.live.state.bus_live import BusLive, UnitLive
 from app.sets.compare import with_unit
 from app.sets.effects import warning_of
 from app.sets.reading import known_rows, status_of

@@ -5,9 +5,9 @@ from __future__ import annotations
 from fastapi import APIRouter, Request, Response
 from starlette.datastructures import FormData
 
-from app.commands.writer import AskDesk
+from app.commands.service.writer import AskDesk
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.sets.batch import learn, refuse_moved, rows_of_batch, write_batch
 from app.sets.effects import EFFECT_TEXTS, OPERATING_VALUES

@@ -11,7 +11,7 @@ import structlog
 from app.audit.log import EventLog
 from app.commands.authority import Authority
 from app.errors import Problem
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from app.sets.drift import Drifts
 from app.sets.model import Origin, ParameterSet, UnitRows
 from app.sets.reading import ParameterReader

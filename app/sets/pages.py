@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.sets.api import Keeper, Schedules
 from app.sets.compare import compare

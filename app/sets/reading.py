@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from app.commands.desk import Desk
+from app.commands.service.command_service import Desk
 from app.errors import Problem
-from app.live.state import BusLive, LiveState, UnitLive
+from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.live_state import LiveState
 from app.sets.model import Row, UnitRows
 from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS

@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Callable
 import structlog
 
 from app.audit.log import EventLog
-from app.commands.desk import Desk
+from app.commands.service.command_service import Desk
 from app.errors import Problem, StoreError
 from app.sets.background import Background
 from app.sets.model import UnitRows

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 
-from app.commands.desk import Desk
+from app.commands.service.command_service import Desk
 from app.errors import Problem
 from app.sets.effects import warning_of
 from app.sets.plan import plan_restore

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from app.errors import Problem
 from app.live.lookup import unit_or_404
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.model import UnitRows

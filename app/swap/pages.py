@@ -7,10 +7,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Request, Response
 
-from app.commands.desk import Desk
-from app.commands.writer import AskDesk
+from app.commands.service.command_service import Desk
+from app.commands.service.writer import AskDesk
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
 from app.sets.api import Keeper
 from app.sets.form_source import Chosen, post_source

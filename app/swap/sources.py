@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.errors import Problem
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from app.sets.form_source import FormSource
 from app.sets.keeper import SetKeeper
 from app.sets.sides import side

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from app.live.abnormal import Tally, UnitView, all_offline, shown_cause
-from app.live.cause import Cause, bus_cause
-from app.live.onset import Onset
-from app.live.suspicion import suspicion
-from app.live.view import unit_json
+from app.live.api.view import unit_json
+from app.live.diagnosis.abnormal import Tally, UnitView, all_offline, shown_cause
+from app.live.diagnosis.cause import Cause, bus_cause
+from app.live.diagnosis.suspicion import suspicion
+from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, voice
 
