@@ -20,6 +20,7 @@ from app.web.services import service
 from app.web.shape import Units
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
+from bus.messages import Message
 from bus.text import Lines, OneLine
 
 router = APIRouter(include_in_schema=False)
@@ -173,7 +174,7 @@ async def drift_fragment(
 def _taking_or_404(readings: Takings, taking_id: str) -> Taking:
     taking = readings.get(taking_id)
     if taking is None:
-        raise Problem(404, "unknown_taking", "no such reading; the server may have been started anew")
+        raise Problem(404, "unknown_taking", Message("no_such_taking"))
     return taking
 
 

@@ -27,6 +27,7 @@ from app.swap.sources import source_of
 from app.web.access import Engineer, Person
 from app.web.services import service
 from app.web.templating import render
+from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)
 
@@ -104,7 +105,7 @@ async def begin_restore(
     unit_or_404(live, bus, unit)
     swap = swaps.of_or_404(bus, unit)
     if swap.source is None:
-        raise Problem(409, "no_set", "this swap has no set to restore from; enter the sheet, or leave it")
+        raise Problem(409, "no_set", Message("swap_without_set"))
     rows = unit_rows_or_404(await set_or_404(keeper, swap.source.set), swap.source.unit)
     restore = await restores.plan(person, bus, unit, rows)
     await swaps.restoring(swap, restore)

@@ -17,6 +17,7 @@ from app.web.access import Engineer, Operator, Viewer, name_of
 from app.web.api_route import ApiRoute
 from app.web.services import service
 from app.web.shape import Strict, iso
+from bus.messages import Message
 from bus.text import OneLine
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"], route_class=ApiRoute)
@@ -35,7 +36,7 @@ class LimitsBody(Strict):
     @model_validator(mode="after")
     def _leave_something(self) -> LimitsBody:
         if self.lowest is not None and self.highest is not None and self.lowest > self.highest:
-            raise ValueError("lowest is above highest, so no setpoint would be left")
+            raise ValueError(Message("no_setpoint_left"))
         return self
 
 

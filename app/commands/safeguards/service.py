@@ -15,6 +15,7 @@ from app.database import Database
 from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber
 from app.web.access import Person, Role, name_of
+from bus.messages import Message, term
 
 SIGNED_OUT = "signed out, or has other rights"
 Find = Callable[[str], Awaitable[tuple[str, Role] | None]]
@@ -121,12 +122,10 @@ class Safeguards:
     async def _who_may_hold(self, person: Person, to: str) -> str:
         found = (to, person.role) if to == person.account else await self._find(to)
         if found is None:
-            detail = "there is no user {name} who may log in; control stays where it is"
-            raise Problem(422, "invalid", detail, params={"name": to})
+            raise Problem(422, "invalid", Message.of("holder_cannot_sign_in", name=to))
         account, role = found
         if not role.includes(Role.OPERATOR):
-            detail = "{name} is {role} and may set nothing; control goes to an operator or above"
-            raise Problem(422, "invalid", detail, params={"name": to, "role": role})
+            raise Problem(422, "invalid", Message.of("holder_may_not_command", name=to, role=term(role)))
         return account
 
     async def release(self, person: Person, bus: str) -> None:
@@ -171,4 +170,4 @@ class Safeguards:
 
 
 def _controlled(error: ControlledError) -> Problem:
-    return Problem(409, "controlled", error.template, params=error.params, outcome="controlled")
+    return Problem(409, "controlled", error.message, outcome="controlled")
