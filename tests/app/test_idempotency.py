@@ -11,9 +11,9 @@ import pytest
 
 from app.audit.keyring import KeyRing
 from app.audit.log import ENDED_BEFORE
-from app.commands import idempotency
-from app.commands.desk import Desk
-from app.commands.wish import Wish, without_secret
+from app.commands.service import idempotency
+from app.commands.service.command_request import Wish, without_secret
+from app.commands.service.command_service import Desk
 from app.errors import Problem, StoreError
 from app.live.command_ids import key_of
 from app.web.access import Person, Role
@@ -26,7 +26,7 @@ WISH = SetSpeed(unit=1, raw=5)
 
 def restarted(stage: Stage) -> Desk:
     """The desk of a server that remembers nothing but what is on disk."""
-    return Desk(stage.live, stage.workers.channels, stage.events, stage.database, stage.guards, stage.rights)
+    return Desk(stage.live, stage.channels, stage.events, stage.database, stage.guards, stage.rights)
 
 
 async def test_a_known_fate_is_given_again_and_nothing_is_sent(stage: Stage, worker: PlayedWorker) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from app.live.trace_frames import frame_fields
+from app.live.screen.trace_frames import frame_fields
 from app.messages import Languages
 from bus.clauses import LONGEST, Clause
 from bus.contract import Frame

@@ -67,10 +67,10 @@ def test_what_is_remembered_of_commands_is_bounded() -> None:
         await line.until(lambda: line.readings(1))
         for number in range(RESULTS_KEPT + 100):
             line.worker.command(Command(f"late-{number}", EPOCH, SetSpeed(1, 640)))
-        assert len(line.worker._fates) == RESULTS_KEPT
+        assert len(line.worker._results) == RESULTS_KEPT
         line.command(SetSpeed(1, 640), command_id="kept")
         await line.until(lambda: line.fate_of("kept"))
-        kept = line.worker._fates["kept"]
+        kept = line.worker._results["kept"]
         assert kept is not None
         assert kept.frames == []
 
@@ -84,7 +84,7 @@ def test_the_trace_is_read_by_few_at_once_and_remembered_by_none() -> None:
         refused = [fate for each in asked if (fate := line.fate_of(each)) is not None]
         assert [fate.outcome for fate in refused] == ["not_sent"] * 5
         await line.until(lambda: all(line.fate_of(each) for each in asked))
-        assert not set(asked) & line.worker._fates.keys()
+        assert not set(asked) & line.worker._results.keys()
 
     run(scene, 2)
 

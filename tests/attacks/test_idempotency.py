@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from app.commands.desk import Desk
+from app.commands.service.command_service import Desk
 from app.errors import Problem
 from app.web.access import Person, Role
 from bus.contract import Result, WriteParameter
@@ -40,4 +40,4 @@ async def _ask(desk: Desk, raw: int) -> Result:
 
 
 def _restarted(stage: Stage) -> Desk:
-    return Desk(stage.live, stage.workers.channels, stage.events, stage.database, stage.guards, stage.rights)
+    return Desk(stage.live, stage.channels, stage.events, stage.database, stage.guards, stage.rights)

@@ -132,7 +132,7 @@ async def test_a_refusal_is_the_units_word_and_is_asked_once(line: LineServer, t
     line.line.plant.unit(2).memory[numbers.CONTROL_MODE] = Mode.LOCAL
     async with running(line, tmp_path) as app:
         fate = await app.ask(SetSpeed(2, 100))
-        assert (fate.outcome, fate.unit_error, fate.units[0].command) == ("refused", 0x80, 1)
+        assert (fate.outcome, fate.unit_error, fate.units[0].attempts) == ("refused", 0x80, 1)
         assert "REMOTE" in fate.message
 
 
