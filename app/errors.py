@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
 from bus.errors import LinesideError
+from bus.messages import Message
 
 ProblemCode = Literal[
     "acknowledged",
@@ -75,15 +76,15 @@ class TooCostlyError(StoreError):
 class Problem(LinesideError):
     """A refusal that goes to the client: problem+json for programs, a page or a fragment for people.
 
-    ``code`` is the reason for programs, ``detail`` the text in English. ``extra`` are members of the answer
-    (RFC 9457, 3.2).
+    ``code`` is the kind of reason for programs, ``message`` the reason, ``detail`` its text in English.
+    ``extra`` are members of the answer (RFC 9457, 3.2).
     """
 
     def __init__(
         self,
         status: int,
         code: ProblemCode,
-        detail: str,
+        detail: Message | str,
         *,
         params: Mapping[str, object] | None = None,
         **extra: Any,

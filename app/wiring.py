@@ -25,35 +25,37 @@ from app.auth.passwords import Passwords
 from app.auth.rights import Rights
 from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
-from app.commands.desk import Desk
-from app.commands.safeguards import Safeguards
+from app.bus_service import BusService
+from app.commands.safeguards.service import Safeguards
+from app.commands.service.command_service import CommandService
 from app.database import Database
 from app.database.private import make_private
 from app.feed.workers import Workers
+from app.history.pages.warming import warm
 from app.history.service import History
 from app.history.status import sentence
 from app.history.status_words import status_words
-from app.history.warming import warm
-from app.live.fields import Voice
-from app.live.hub import Hub
-from app.live.onset_lookup import OnsetLookup
-from app.live.sources import Sources
-from app.live.state import LiveState
+from app.live.browsers.hub import Hub
+from app.live.change_recorder import ChangeRecorder
+from app.live.screen.fields import Translator
+from app.live.screen.sources import Sources
+from app.live.state.live_state import LiveState
+from app.live.state.onset_lookup import OnsetLookup
 from app.metrics.counts import Counts
 from app.metrics.measured import MetricSources
-from app.pipeline import Pipeline
+from app.pipeline import record_history_faults
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore
 from app.sets.first_write import FirstWrites
 from app.sets.keeper import SetKeeper
 from app.sets.reading import ParameterReader
-from app.sets.restore import RestoreDesk
+from app.sets.restore import RestoreService
 from app.sets.restore_store import RestoreStore
 from app.sets.schedule import SetSchedule
 from app.sets.store import SetStore
 from app.sets.taking import Takings
 from app.settings import Settings
-from app.swap.desk import SwapDesk
+from app.swap.desk import SwapService
 from app.swap.store import SwapStore
 from app.web.access import Person, Role
 from app.web.assets import Assets, static_dir, templates_dir
@@ -87,17 +89,18 @@ class Services:
     live: LiveState
     sources: Sources
     history: History
-    pipeline: Pipeline
+    buses: Mapping[str, BusService]
+    recorder: ChangeRecorder
     workers: Workers
     hub: Hub
     safeguards: Safeguards
-    desk: Desk
+    desk: CommandService
     sets: SetKeeper
     set_schedule: SetSchedule
     first_writes: FirstWrites
     takings: Takings
-    restores: RestoreDesk
-    swaps: SwapDesk
+    restores: RestoreService
+    swaps: SwapService
     recipes: RecipeBook
     measured: MetricSources
     onsets: OnsetLookup
@@ -114,14 +117,17 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
     assets = Assets(static_dir())
     compiled = settings.server.data / "compiled"
     templates = Templates(templates_dir(), assets, settings.site, demo=demo, kept_in=compiled)
-    buses, site = [bus.name for bus in settings.bus], settings.site
-    accounts = Accounts(database, passwords, events, buses=buses, site=site.name)
+    site = settings.site
+    names = [bus.name for bus in settings.bus]
+    accounts = Accounts(database, passwords, events, buses=names, site=site.name)
     rights = Rights(database, accounts)
     lifetimes = Lifetimes.of(settings.server.sessions)
     sign_in = SignIn(database, passwords, events, lifetimes, site=site.name)
     live, history = LiveState(settings.bus, time()), History(settings)
-    pipeline = Pipeline(live, history, events)
-    workers = Workers(buses, pipeline)
+    recorder = ChangeRecorder(events)
+    record_history_faults(history, recorder)
+    buses = {name: BusService(bus, history, events) for name, bus in live.buses.items()}
+    workers = Workers({name: bus.feed for name, bus in buses.items()}, recorder)
     safeguards = Safeguards(
         database,
         events,
@@ -130,10 +136,11 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         rights=rights,
         sessions=sign_in,
     )
-    desk = Desk(live, workers.channels, events, database, safeguards, rights)
+    channels = {name: bus.channel for name, bus in buses.items()}
+    desk = CommandService(live, channels, events, database, safeguards, rights)
     reader = ParameterReader(live, desk)
     sets = SetKeeper(live, reader, SetStore(database), events, rights)
-    restores = RestoreDesk(reader, desk, events, RestoreStore(database))
+    restores = RestoreService(reader, desk, events, RestoreStore(database))
     recipes = RecipeBook(live, desk, RecipeStore(database), events)
     local_time = partial(datetime.now, ZoneInfo(site.zone))
     sources = Sources(
@@ -143,7 +150,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         notices=partial(_notices, history, anchoring),
         history_fault=lambda: history.status.message,
     )
-    hub = Hub(live, sources, templates, workers.watch, time)
+    hub = Hub(live, sources, templates, {name: bus.feed.watch for name, bus in buses.items()}, time)
     return Services(
         settings=settings,
         assets=assets,
@@ -159,7 +166,8 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         live=live,
         sources=sources,
         history=history,
-        pipeline=pipeline,
+        buses=buses,
+        recorder=recorder,
         workers=workers,
         hub=hub,
         safeguards=safeguards,
@@ -169,7 +177,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         first_writes=FirstWrites(live, desk, sets, local_time),
         takings=Takings(sets),
         restores=restores,
-        swaps=SwapDesk(events, SwapStore(database), restores, time),
+        swaps=SwapService(events, SwapStore(database), restores, time),
         recipes=recipes,
         measured=MetricSources(live, hub, Counts(events), partial(_anchor_status, anchoring)),
         onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, time),
@@ -181,7 +189,7 @@ def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
     return AnchorStatus() if anchoring is None else anchoring.status
 
 
-def _notices(history: History, anchoring: Anchoring | None, voice: Voice, now: float) -> str:
+def _notices(history: History, anchoring: Anchoring | None, voice: Translator, now: float) -> str:
     """What of the records is not well, in the reader's language; mostly nothing."""
     found = (
         sentence(history.status, voice.t, voice.formats, now),
@@ -197,7 +205,8 @@ async def running(services: Services) -> AsyncIterator[None]:
     works = (
         *((services.anchoring.follow,) if services.anchoring else ()),
         services.events.repeated.follow,
-        services.pipeline.record,
+        services.recorder.follow,
+        *(bus.recorder.follow for bus in services.buses.values()),
         services.hub.beat,
         services.onsets.follow,
         services.history.inspect_daily,
@@ -214,7 +223,8 @@ async def running(services: Services) -> AsyncIterator[None]:
     finally:
         with suppress(TimeoutError):
             async with asyncio.timeout(RECORDED_WITHIN_S):
-                await services.pipeline.recorded()
+                for recorder in (services.recorder, *(bus.recorder for bus in services.buses.values())):
+                    await recorder.recorded()
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)

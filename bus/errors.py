@@ -8,21 +8,26 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from enum import Enum, IntEnum
 
+from bus.messages import TERM, Message, term
+
 
 class LinesideError(Exception):
-    """Base of every error this project raises on purpose; its text is meant for people.
+    """Base of every error this project raises on purpose; its message is meant for people.
 
-    With ``params`` the text is a template whose ``{names}`` they fill in. Request text belongs in ``params``:
-    the template is looked up in the catalog of the reader's language, where request text must never go.
+    With a text instead of a message: ``params`` fill in its ``{names}``.
     """
 
-    def __init__(self, template: str = "", *, params: Mapping[str, object] | None = None) -> None:
-        super().__init__(template if params is None else template.format(**params))
-        self.template = template
-        self.params = params
+    def __init__(self, message: Message | str = "", *, params: Mapping[str, object] | None = None) -> None:
+        self.template = str(message)
+        text = self.template if params is None else self.template.format(**params)
+        self.message = message if isinstance(message, Message) else term(text)
+        self.params: Mapping[str, object] | None = message.params if isinstance(message, Message) else params
+        super().__init__(text)
 
     def text(self, t: Callable[..., str]) -> str:
         """The text in the language whose translation function is ``t``."""
+        if self.message.code != TERM:
+            return t(self.message)
         if self.params is None:
             return t(self.template)
         return t(self.template, **{name: _translated(value, t) for name, value in self.params.items()})
@@ -47,7 +52,7 @@ class UnitError(LinesideError):
     """The unit answered, and refused."""
 
     def __init__(self, unit: int, code: int) -> None:
-        super().__init__(f"unit {unit} refused: {unit_error_name(code)}")
+        super().__init__(unit_refused(unit, code))
         self.unit = unit
         self.code = code
 
@@ -71,23 +76,31 @@ class UnitErrorCode(IntEnum):
     ILLEGAL_COMMAND = 0x89
 
 
-_UNIT_ERROR_NAMES: dict[int, str] = {
-    UnitErrorCode.NOT_REMOTE: "unit is not in REMOTE mode",
-    UnitErrorCode.ILLEGAL_SPEED: "illegal speed value",
-    UnitErrorCode.ILLEGAL_PARAMETER_NUMBER: "illegal parameter number",
-    UnitErrorCode.ILLEGAL_PARAMETER_VALUE: "illegal parameter value",
-    UnitErrorCode.ILLEGAL_OUTPUT_NUMBER: "illegal auxiliary output number",
-    UnitErrorCode.ILLEGAL_OUTPUT_VALUE: "illegal auxiliary output value",
-    UnitErrorCode.ILLEGAL_COMMAND_DFS: "illegal command",
-    UnitErrorCode.ANALOG_OUTPUT_NOT_COMMANDED_BY_LINK: "analog output is not set for link control",
-    UnitErrorCode.ILLEGAL_ANALOG_VALUE: "illegal analog output value",
-    UnitErrorCode.ILLEGAL_COMMAND: "illegal command",
+_UNIT_ERRORS: dict[int, Message] = {
+    UnitErrorCode.NOT_REMOTE: Message("unit_not_remote"),
+    UnitErrorCode.ILLEGAL_SPEED: Message("illegal_speed"),
+    UnitErrorCode.ILLEGAL_PARAMETER_NUMBER: Message("illegal_parameter_number"),
+    UnitErrorCode.ILLEGAL_PARAMETER_VALUE: Message("illegal_parameter_value"),
+    UnitErrorCode.ILLEGAL_OUTPUT_NUMBER: Message("illegal_output_number"),
+    UnitErrorCode.ILLEGAL_OUTPUT_VALUE: Message("illegal_output_value"),
+    UnitErrorCode.ILLEGAL_COMMAND_DFS: Message("illegal_command"),
+    UnitErrorCode.ANALOG_OUTPUT_NOT_COMMANDED_BY_LINK: Message("analog_output_not_by_link"),
+    UnitErrorCode.ILLEGAL_ANALOG_VALUE: Message("illegal_analog_value"),
+    UnitErrorCode.ILLEGAL_COMMAND: Message("illegal_command"),
 }
-
-
 UNNAMED_UNIT_ERROR = "error {code}h, which the manual does not name"
 
 
+def unit_error(code: int) -> Message:
+    """What a NAK's error byte means (128-137 known; any other is shown by its number)."""
+    return _UNIT_ERRORS.get(code) or Message("error_not_in_manual", {"code": f"{code:02X}"})
+
+
+def unit_refused(unit: int, code: int) -> Message:
+    """A unit's NAK, with its error byte."""
+    return Message("unit_refused", {"unit": unit, "error": unit_error(code)})
+
+
 def unit_error_name(code: int) -> str:
-    """The words for a NAK's error byte (128-137 known; any other is shown by its number)."""
-    return _UNIT_ERROR_NAMES.get(code) or UNNAMED_UNIT_ERROR.format(code=f"{code:02X}")
+    """What a NAK's error byte means, in English."""
+    return str(unit_error(code))

@@ -17,8 +17,8 @@ from typing import Any, cast
 import pytest
 from websockets.asyncio.client import ClientConnection
 
-from app.feed.ingest import Ingest, Received
-from app.live.browser import Browser
+from app.feed.ingest import Ingest, IngestPosition
+from app.live.browsers.browser import Browser
 from app.web.access import Role
 from bus.bucket import Bucket
 from bus.contract import AppMessage, Batch, Command, Result, SetSpeed, Update, encode
@@ -94,9 +94,9 @@ class PlayedConnection:
 
 
 async def connected(house: House) -> PlayedConnection:
-    services, connection = house.services, PlayedConnection()
-    channel, bucket = services.workers.channels[BUS], Bucket(1000.0, 1000)
-    connection.ingest = Ingest(hello(), Received("w1"), channel, services.pipeline, connection, bucket)
+    bus, connection = house.services.buses[BUS], PlayedConnection()
+    bucket = Bucket(1000.0, 1000)
+    connection.ingest = Ingest(hello(), IngestPosition("w1"), bus.channel, bus.pipeline, connection, bucket)
     await connection.ingest.receive(encode(snapshot()))
     return connection
 

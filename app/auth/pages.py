@@ -18,13 +18,14 @@ from app.web.access import Viewer, person_of, public
 from app.web.services import service
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
+from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)
 
 
 SigningIn = Annotated[SignIn, service(SignIn)]
 Keeping = Annotated[Accounts, service(Accounts)]
-Text = Annotated[str, Form()]
+FormText = Annotated[str, Form()]
 DEVICE_COOKIE = "lineside_device"
 """Tells a browser in which somebody has signed in before from those of strangers; it signs nobody in."""
 DEVICE_KNOWN_S = 365 * rules.DAY
@@ -49,7 +50,7 @@ async def login_page(
 
 @router.post("/login", dependencies=[Depends(public)])
 async def log_in(
-    request: Request, sign_in: SigningIn, name: Text = "", password: Text = "", next: Text = "/"
+    request: Request, sign_in: SigningIn, name: FormText = "", password: FormText = "", next: FormText = "/"
 ) -> Response:
     """A person, by password."""
     return await _sign_in(request, sign_in, name.strip(), password, next, panel=False)
@@ -57,7 +58,7 @@ async def log_in(
 
 @router.post("/login/panel", dependencies=[Depends(public)])
 async def log_panel_in(
-    request: Request, sign_in: SigningIn, name: Text = "", pin: Text = "", next: Text = "/"
+    request: Request, sign_in: SigningIn, name: FormText = "", pin: FormText = "", next: FormText = "/"
 ) -> Response:
     """A panel on the wall, by PIN."""
     return await _sign_in(request, sign_in, name.strip(), pin, next, panel=True)
@@ -82,11 +83,11 @@ async def account_page(request: Request, _: Viewer, done: str = "") -> HTMLRespo
 
 @router.post("/account/language")
 async def choose_language(
-    request: Request, person: Viewer, accounts: Keeping, language: Text = ""
+    request: Request, person: Viewer, accounts: Keeping, language: FormText = ""
 ) -> Response:
     """Empty: what the browser asks for."""
     if language and language not in templates_of(request).languages:
-        raise CallerError("there is no language '{language}'", params={"language": language[:40]})
+        raise CallerError(Message.of("no_such_language", language=language[:40]))
     _refuse_programs(person.via)
     await accounts.set_language(person.name, language)
     return RedirectResponse("/account?done=language", 303)
@@ -98,20 +99,20 @@ async def change_password(
     person: Viewer,
     accounts: Keeping,
     sign_in: SigningIn,
-    present: Text = "",
-    password: Text = "",
-    again: Text = "",
+    present: FormText = "",
+    password: FormText = "",
+    again: FormText = "",
 ) -> Response:
     """Every other session of the user ends, this one goes on."""
     _refuse_programs(person.via)
     if person.panel:
-        raise Problem(403, "forbidden", "the PIN of a panel is changed by an admin")
+        raise Problem(403, "forbidden", Message("panel_pin_by_admin"))
     name, address = person.name, address_of(request)
     this_one = rules.secret_hash(request.cookies[COOKIE])
     try:
         await sign_in.check_present(name, present, address, _device_of(request))
         if password != again:
-            raise CallerError("the two new passwords differ; nothing was changed")
+            raise CallerError(Message("new_passwords_differ"))
         await accounts.set_password(name, password, by=name, origin=address, keep=this_one)
     except CallerError as fault:
         return _account(request, fault=fault)
@@ -178,7 +179,7 @@ def _account(request: Request, *, done: str = "", fault: CallerError | None = No
 
 def _refuse_programs(via: str) -> None:
     if via != "session":
-        raise Problem(403, "forbidden", "only somebody who signed in has an account to change")
+        raise Problem(403, "forbidden", Message("no_account"))
 
 
 def _own(path: str) -> str:

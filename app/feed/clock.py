@@ -11,8 +11,8 @@ from typing import TypeVar
 
 import msgspec
 
-from app.history.clock import ClockWatch
-from bus.contract import Message
+from app.history.intake.clock_watch import ClockWatch
+from bus.contract import TaggedStruct
 from bus.contract.clock_offset import ClockOffset
 
 SAME_CLOCK_S = 0.05
@@ -21,7 +21,7 @@ STEP_S = 0.5
 SETTLED_S = 1.0
 """How long after a step of the app's own clock a message may still have been on its way."""
 
-M = TypeVar("M", bound=Message)
+M = TypeVar("M", bound=TaggedStruct)
 
 _TIMES = ("at", "sent_at", "acknowledged_at", "proven_at")
 
@@ -74,8 +74,8 @@ def shifted(message: M, offset_s: float) -> M:
         value = getattr(message, name)
         if name in _TIMES and value is not None:
             changed[name] = value + offset_s
-        elif isinstance(value, Message):
+        elif isinstance(value, TaggedStruct):
             changed[name] = shifted(value, offset_s)
-        elif isinstance(value, list) and value and isinstance(value[0], Message):
+        elif isinstance(value, list) and value and isinstance(value[0], TaggedStruct):
             changed[name] = [shifted(part, offset_s) for part in value]
     return msgspec.structs.replace(message, **changed)

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from app.feed.channel import Channel, Connection
+from app.feed.channel import Channel, MessageSink
 from app.feed.clock import WorkerClock, shifted
 from app.feed.plausibility import Sorted, judge_snapshot, sort_updates
 from app.feed.rates import cost_of
@@ -20,7 +20,7 @@ from app.pipeline import Pipeline
 from bus.bucket import Bucket
 from bus.contract import (
     Batch,
-    Clock,
+    ClockSync,
     Delivered,
     Hello,
     MalformedMessageError,
@@ -34,7 +34,7 @@ from bus.contract import (
 
 
 @dataclass(slots=True)
-class Received:
+class IngestPosition:
     """How far the app has followed one worker. ``seq``: its last batch that is safe here."""
 
     worker: str
@@ -47,21 +47,21 @@ class Ingest:
     def __init__(
         self,
         hello: Hello,
-        received: Received,
+        received: IngestPosition,
         channel: Channel,
         pipeline: Pipeline,
-        connection: Connection,
+        connection: MessageSink,
         bucket: Bucket,
         now: Callable[[], float] = time.time,
     ) -> None:
-        self.hello = hello
+        self._hello = hello
         self._received = received
         self._channel = channel
         self._pipeline = pipeline
         self._connection = connection
         self._bucket = bucket
         self._now = now
-        self._units: Collection[int] = pipeline.units_of(hello.bus)
+        self._units: Collection[int] = pipeline.units
         self._clock = WorkerClock()
         self._snapshot_seq: int | None = None
         self._snapshot_wanted = False
@@ -93,7 +93,7 @@ class Ingest:
         """About once a second: the app's time, and what may be forgotten: it was here a tick ago, so it is
         on disk by now, and a server that dies is told it again."""
         self.silent_ticks += not self._is_held_back
-        await self._connection.send(Clock(app_time=self._now()))
+        await self._connection.send(ClockSync(app_time=self._now()))
         await self._confirm(self._settled)
         self._settled = self._received.seq
 
@@ -109,9 +109,9 @@ class Ingest:
         self._snapshot_seq = snapshot.seq
         self._snapshot_wanted = False
         whole = judge_snapshot(shifted(snapshot, self._clock.offset_s), self._units, self._now())
-        self._pipeline.snapshot(self.hello.bus, whole, self.hello.software)
+        self._pipeline.snapshot(whole, self._hello.software)
         if first:
-            await self._channel.opened(self._connection, self.hello.worker)
+            await self._channel.opened(self._connection, self._hello.worker)
 
     async def _take_batch(self, batch: Batch) -> None:
         if self._snapshot_seq is None:
@@ -130,11 +130,11 @@ class Ingest:
             if isinstance(update, Result | Progress):
                 self._channel.on_update(update, self._connection)
         if updates.late:
-            self._pipeline.batch(self.hello.bus, updates.late, live=False)
+            self._pipeline.batch(updates.late, live=False)
         if updates.live:
-            self._pipeline.batch(self.hello.bus, updates.live, live=True)
+            self._pipeline.batch(updates.live, live=True)
         if updates.refused:
-            self._pipeline.updates_refused(self.hello.bus, self._now(), updates.refused)
+            self._pipeline.updates_refused(self._now(), updates.refused)
 
     async def _miss(self, batch: Batch, expected: int) -> None:
         if batch.seq > expected and not self._snapshot_wanted:
@@ -150,4 +150,4 @@ class Ingest:
         now = self._now()
         step = self._clock.hear(sent_at, now, time.monotonic())
         if step:
-            self._pipeline.clock_stepped(self.hello.bus, step, now)
+            self._pipeline.clock_stepped(step, now)

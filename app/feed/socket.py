@@ -9,11 +9,13 @@ from fastapi import APIRouter, WebSocket
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from app.errors import Problem
+from app.feed.bus_feed import WorkerLeft
 from app.feed.holders import Credential
-from app.feed.workers import WorkerLeft, Workers
+from app.feed.workers import Workers
 from app.web.access import Worker
 from app.web.services import service_of
 from bus.contract import AppMessage, MalformedMessageError, encode
+from bus.messages import Message
 
 router = APIRouter()
 
@@ -26,7 +28,7 @@ REASON_BYTES = 123
 
 
 class WorkerSocket:
-    """Starlette's WebSocket with the words of :class:`app.feed.workers.Socket`."""
+    """Starlette's WebSocket with the words of :class:`app.feed.bus_feed.WorkerConnection`."""
 
     def __init__(self, websocket: WebSocket) -> None:
         self._websocket = websocket
@@ -69,8 +71,7 @@ async def feed(websocket: WebSocket, worker: Worker) -> None:
         raise Problem(
             403,
             "forbidden",
-            "the token {called} is for no bus; an admin can create one with --role worker --bus BUS",
-            params={"called": worker.name},
+            Message.of("worker_token_without_bus", called=worker.name),
         )
     await websocket.accept()
     address = websocket.client.host if websocket.client else ""

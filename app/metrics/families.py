@@ -8,7 +8,7 @@ from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_l
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from app.live.bus_live import BusLive
+from app.live.state.bus_live import BusLive
 from app.metrics.measured import MetricSources
 from bus.contract import UnitFigures
 
@@ -22,7 +22,7 @@ _COUNTED = {
 }
 
 
-class _Line(Collector):
+class _LineCollector(Collector):
     """One reading of everything."""
 
     def __init__(self, measured: MetricSources) -> None:
@@ -77,5 +77,5 @@ def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
 def text(measured: MetricSources) -> bytes:
     """All of it, as Prometheus reads it."""
     registry = CollectorRegistry()
-    registry.register(_Line(measured))
+    registry.register(_LineCollector(measured))
     return generate_latest(registry)

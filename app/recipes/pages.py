@@ -7,24 +7,25 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 
 from app.commands.catalogue import SET_LINE
-from app.commands.forms import Desks
-from app.commands.line_change import followers_of, proven, reviewed
-from app.commands.ramp import present_setpoint
-from app.commands.reviewing import keep_their_setpoint, know_ramps
-from app.commands.risks import by_remark
-from app.commands.timeouts import longest_change_s
-from app.commands.writer import permitted
+from app.commands.forms.line_change import followers_of, proven, reviewed
+from app.commands.forms.page_context import Page
+from app.commands.forms.review import keep_their_setpoint, know_ramps
+from app.commands.review.ramp import present_setpoint
+from app.commands.review.risks import by_remark
+from app.commands.rules.timeouts import longest_change_s
+from app.commands.service.writer import permitted
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
-from app.live.state import BusLive
+from app.live.state.bus_live import BusLive
 from app.recipes.api import Book, recipe_or_404
-from app.recipes.rules import Setpoint, present_raw, setpoint_kind, setpoint_text
+from app.recipes.rules import RecipeSetpoint, present_raw, setpoint_kind, setpoint_text
 from app.web.access import Engineer, Person, Viewer
 from app.web.templating import render
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError
+from bus.messages import Message
 from bus.text import Lines, OneLine
 
 router = APIRouter(include_in_schema=False)
@@ -58,11 +59,11 @@ async def save(
     bus = bus_or_404(live, str(form.get("bus", "")))
     name = name.strip()
     if not 1 <= len(name) <= 80:
-        raise Problem(422, "invalid", "a recipe has a name of 1 to 80 characters; nothing was saved")
+        raise Problem(422, "invalid", Message("recipe_name_length"))
     typed = {unit: str(form.get(f"unit-{unit}", "")).strip() for unit in bus.units}
     setpoints = {unit: _raw(bus, unit, text) for unit, text in typed.items() if text}
     if not setpoints:
-        raise Problem(422, "invalid", "no setpoint was given; nothing was saved")
+        raise Problem(422, "invalid", Message("recipe_without_setpoint"))
     saved = await book.save(person, bus.settings.name, name, comment[:1000], setpoints)
     return Response(status_code=303, headers={"Location": f"/recipes/{saved.id}"})
 
@@ -82,7 +83,7 @@ async def one_page(request: Request, person: Viewer, book: Book, recipe_id: int)
 
 @router.get("/recipes/{recipe_id}/review")
 async def review(
-    person: Annotated[Person, permitted(SET_LINE)], desk: Desks, book: Book, recipe_id: int
+    person: Annotated[Person, permitted(SET_LINE)], desk: Page, book: Book, recipe_id: int
 ) -> Response:
     """The second step before loading."""
     recipe = await recipe_or_404(book, recipe_id)
@@ -110,7 +111,7 @@ async def review(
 async def load(
     request: Request,
     person: Annotated[Person, permitted(SET_LINE)],
-    desk: Desks,
+    desk: Page,
     book: Book,
     recipe_id: int,
     id: Annotated[str, Form(min_length=8)],
@@ -123,7 +124,7 @@ async def load(
         desk.refuse_lapsed(reviewed_at)
         setpoints = reviewed(bus, form)
         if setpoints != {one.unit: one.raw for one in recipe.setpoints if one.unit in bus.units}:
-            raise Problem(422, "invalid", "this is not what was reviewed; nothing was sent")
+            raise Problem(422, "invalid", Message("not_what_was_reviewed"))
         result = await book.load(person, recipe, desk.made_at, confirm=True, command_id=id)
     except Problem as problem:
         return desk.refused(problem, recipe.name)
@@ -146,7 +147,7 @@ def _present(bus: BusLive) -> dict[int, str]:
         kind = setpoint_kind(unit)
         raw = None if kind is None else present_raw(unit, kind)
         known = kind is not None and raw is not None
-        shown[number] = setpoint_text(unit, Setpoint(number, raw or 0, kind)) if known and kind else ""
+        shown[number] = setpoint_text(unit, RecipeSetpoint(number, raw or 0, kind)) if known and kind else ""
     return shown
 
 
@@ -154,11 +155,10 @@ def _raw(bus: BusLive, number: int, text: str) -> int:
     unit = bus.units[number]
     kind, decimals = setpoint_kind(unit), unit.parameter_raw(DECIMALS)
     if kind is None or decimals is None:
-        raise Problem(
-            422, "invalid", f"{unit.settings.name} has not told its decimals (#3) and mode (#8) yet"
-        )
+        raise Problem(422, "invalid", Message.of("decimals_and_mode_unknown", name=unit.settings.name))
     try:
         return ratio_raw(text) if kind == "ratio" else speed_raw(text, decimals)
     except CallerError as error:
-        params = {"name": unit.settings.name, "reason": error}
-        raise Problem(422, "invalid", "{name}: {reason}; nothing was saved", params=params) from error
+        raise Problem(
+            422, "invalid", Message.of("nothing_saved", name=unit.settings.name, reason=error.message)
+        ) from error

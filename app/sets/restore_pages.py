@@ -7,10 +7,10 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
-from app.live.state import LiveState
-from app.sets.api import Keeper
+from app.live.state.live_state import LiveState
+from app.sets.api import ParameterSets
 from app.sets.compare import compare
 from app.sets.effects import OPERATING_VALUES
 from app.sets.form_source import Chosen, FormSource, post_source
@@ -26,11 +26,12 @@ from app.sets.selection import Selection
 from app.sets.shown import ComparedShown
 from app.sets.sides import side
 from app.sets.view import compared_json
-from app.swap.desk import SwapDesk
+from app.swap.desk import SwapService
 from app.web.access import Engineer
 from app.web.services import service_of
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
+from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)
 
@@ -39,7 +40,7 @@ Ticks = Annotated[list[int] | None, Form()]
 
 @router.get("/units/{bus}/{unit}/restore")
 async def restore_page(
-    request: Request, _: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int
+    request: Request, _: Engineer, keeper: ParameterSets, restores: Restores, live: Live, bus: str, unit: int
 ) -> Response:
     """Choose what the unit shall become; and the results of earlier restores of it."""
     live_unit = unit_or_404(live, bus, unit)
@@ -55,7 +56,13 @@ async def restore_page(
 
 @post_source(router, "/units/{bus}/{unit}/restore")
 async def plan_page(
-    person: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int, chosen: Chosen
+    person: Engineer,
+    keeper: ParameterSets,
+    restores: Restores,
+    live: Live,
+    bus: str,
+    unit: int,
+    chosen: Chosen,
 ) -> Response:
     """Read the unit and say what would be written. Nothing is."""
     unit_or_404(live, bus, unit)
@@ -77,7 +84,7 @@ async def restore_progress(request: Request, _: Engineer, restores: Restores, re
         planned_at=restore.planned_at,
         name=restore.before.name,
         tickable=dangerous,
-        swap=service_of(request, SwapDesk).of(restore.bus, restore.unit),
+        swap=service_of(request, SwapService).of(restore.bus, restore.unit),
         proven=_proof(restore.wanted, restore.proven),
     )
     if restore.state != "running":
@@ -127,7 +134,7 @@ async def cancel(person: Engineer, restores: Restores, restore_id: str) -> Respo
 async def _stored(keeper: SetKeeper, live: LiveState, chosen: FormSource) -> UnitRows:
     """The rows of a stored set named ``set:12:3``. Raises Problem 422 or 404."""
     if not chosen.text.startswith("set:"):
-        raise Problem(422, "invalid", "choose a stored set or a file")
+        raise Problem(422, "invalid", Message("set_or_file_missing"))
     return (await side(chosen.text, keeper, live)).rows
 
 
@@ -136,9 +143,9 @@ def _ticked(restore: Restore, rows: frozenset[int]) -> Selection:
     reviewed = frozenset(write.number for write in restore.plan.writes)
     reviewed |= frozenset(write.number for write, _ in restore.offered)
     if not rows:
-        raise Problem(422, "invalid", "no row was chosen; nothing was written")
+        raise Problem(422, "invalid", Message("no_row_chosen"))
     if rows - reviewed:
-        raise Problem(422, "invalid", "this is not what was reviewed; nothing was sent")
+        raise Problem(422, "invalid", Message("not_what_was_reviewed"))
     return restore.selection.choosing(rows, reviewed - rows - OPERATING_VALUES)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from starlette.requests import ClientDisconnect, HTTPConnection
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Message as AsgiMessage
 
 from app.errors import Problem
 from app.server.addresses import source_of
@@ -12,6 +13,7 @@ from app.server.starting import HEALTH
 from app.web.access import person_of
 from app.web.bounds import MOST_PLAIN_BODY_BYTES, BoundedBody
 from app.web.security import refuse
+from bus.messages import Message
 
 AT_ONCE, AT_ONCE_OF_ADDRESS = 2, 1
 MOST_WAITING, MOST_WAITING_OF_ADDRESS = 512, 64
@@ -51,8 +53,8 @@ class AnonymousInTurn:
             async with self._turns.turn(source_of(client.host if client else ""), known=False):
                 await self._app(scope, _replaying(body, receive), send)
         except TooManyWaitingError:
-            detail = "too many requests of this address wait already; let some end"
-            raise Problem(429, "too_many", detail).with_headers(Retry_After="2") from None
+            problem = Problem(429, "too_many", Message("too_many_requests"))
+            raise problem.with_headers(Retry_After="2") from None
 
 
 async def _whole_body(receive: Receive) -> bytes:
@@ -69,9 +71,9 @@ async def _whole_body(receive: Receive) -> bytes:
 
 def _replaying(body: bytes, receive: Receive) -> Receive:
     """``receive`` after the body was taken from it."""
-    begun: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
+    begun: list[AsgiMessage] = [{"type": "http.request", "body": body, "more_body": False}]
 
-    async def replaying() -> Message:
+    async def replaying() -> AsgiMessage:
         return begun.pop() if begun else await receive()
 
     return replaying

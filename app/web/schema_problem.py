@@ -36,6 +36,7 @@ _MEMBERS: dict[str, Any] = {
         "additionalProperties": True,
         "description": "The values in detail, by name.",
     },
+    "reason": {"$ref": f"{_SCHEMAS}Message"},
     "errors": {
         "type": "array",
         "items": {"$ref": f"{_SCHEMAS}InvalidField"},
@@ -49,6 +50,16 @@ _MEMBERS: dict[str, Any] = {
     "nearest": {
         "type": ["integer", "null"],
         "description": "The nearest raw value that is allowed, 0 to 99999.",
+    },
+}
+_MESSAGE = {
+    "type": "object",
+    "title": "Message",
+    "description": "What detail says, for programs: a value that is a text of its own is a message too.",
+    "required": ["code", "params"],
+    "properties": {
+        "code": {"type": "string", "description": "Which text it is."},
+        "params": {"type": "object", "additionalProperties": True, "description": "Its values, by name."},
     },
 }
 _INVALID_FIELD = {
@@ -90,7 +101,7 @@ def problem_schemas(schemas: Mapping[str, Any]) -> dict[str, Any]:
         "properties": {**result, **_MEMBERS},
     }
     code = {"type": "string", "title": "ProblemCode", "enum": sorted(CODES), "description": "The reason."}
-    return {"Problem": problem, "ProblemCode": code, "InvalidField": _INVALID_FIELD}
+    return {"Problem": problem, "ProblemCode": code, "InvalidField": _INVALID_FIELD, "Message": _MESSAGE}
 
 
 def _response(description: str) -> dict[str, Any]:

@@ -7,8 +7,10 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from bus.messages import Message
 
-class Strict(BaseModel):
+
+class StrictBody(BaseModel):
     """A body in which nothing is unknown, nothing is converted and no number is infinite."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -17,11 +19,11 @@ class Strict(BaseModel):
 def _each_once(numbers: list[int]) -> list[int]:
     twice = [number for number in numbers if numbers.count(number) > 1]
     if twice:
-        raise ValueError(f"{twice[0]} is given twice")
+        raise ValueError(Message.of("number_given_twice", number=str(twice[0])))
     return numbers
 
 
-Units = Annotated[
+UnitAddresses = Annotated[
     list[Annotated[int, Field(ge=1, le=255)]], Field(max_length=255), AfterValidator(_each_once)
 ]
 """Addresses (#17)."""

@@ -12,12 +12,12 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse
 
+from app.messages import Language, Languages
 from app.settings import Site
 from app.web.access import Person, Role, person_of
 from app.web.assets import Assets
 from app.web.compiled import Compiled
 from app.web.formats import Formats
-from app.web.languages import Language, Languages
 from app.web.services import service_of
 
 
@@ -35,7 +35,7 @@ class Templates:
         demo: bool = False,
         kept_in: Path | None = None,
     ) -> None:
-        self.languages = Languages()
+        self.languages = Languages(kept_in=kept_in)
         self._site = site
         self._demo = demo
         self._assets = assets

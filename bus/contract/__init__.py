@@ -28,22 +28,6 @@ from bus.contract.actions import (
     WriteParameter,
 )
 from bus.contract.bounds import LONGEST_FRAME, MOST_CLAUSES, MOST_UPDATES
-from bus.contract.fates import (
-    FoundUnit,
-    Progress,
-    Result,
-    UnitOutcome,
-)
-from bus.contract.message import (
-    BUFFER_AGE_S,
-    CONTRACT_VERSION,
-    BusLinkState,
-    Direction,
-    Message,
-    Outcome,
-    Stage,
-    UnitLinkState,
-)
 from bus.contract.readings import (
     BusFigures,
     BusLink,
@@ -57,16 +41,22 @@ from bus.contract.readings import (
     UnitLink,
     UnitState,
 )
-from bus.contract.speech import (
+from bus.contract.results import (
+    FoundUnit,
+    Progress,
+    Result,
+    UnitOutcome,
+)
+from bus.contract.session import (
     AppMessage,
     Batch,
     Cancel,
-    Clock,
+    ClockSync,
     Command,
     Delivered,
     Hello,
     MalformedMessageError,
-    Reserve,
+    ReserveTurn,
     Snapshot,
     Update,
     WantSnapshot,
@@ -76,6 +66,16 @@ from bus.contract.speech import (
     decode_from_app,
     decode_from_worker,
     encode,
+)
+from bus.contract.tagged import (
+    BUFFER_AGE_S,
+    CONTRACT_VERSION,
+    BusLinkState,
+    Direction,
+    Outcome,
+    Stage,
+    TaggedStruct,
+    UnitLinkState,
 )
 
 __all__ = [
@@ -93,7 +93,7 @@ __all__ = [
     "Cancel",
     "ChangeBaud",
     "Clause",
-    "Clock",
+    "ClockSync",
     "Command",
     "Delivered",
     "Direction",
@@ -104,14 +104,13 @@ __all__ = [
     "Frames",
     "Hello",
     "MalformedMessageError",
-    "Message",
     "Outcome",
     "ParameterValue",
     "Progress",
     "ReadParameters",
     "ReadTrace",
     "Reading",
-    "Reserve",
+    "ReserveTurn",
     "Result",
     "ScanBus",
     "SetLine",
@@ -119,6 +118,7 @@ __all__ = [
     "Snapshot",
     "Stage",
     "Staged",
+    "TaggedStruct",
     "UnitAction",
     "UnitCounts",
     "UnitFigures",

@@ -1,7 +1,7 @@
 """What the app can ask of a bus: from the app to the worker.
 
-A new one needs a class here, a row in ``bus.line.commands`` for how it is carried out and proven, and a row
-in ``app.commands.catalogue`` for everything else.
+A new one needs a class here, a row in ``bus.line.commands.catalogue`` for how it is carried out and verified,
+and a row in ``app.commands.catalogue`` for everything else.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from msgspec import Meta, field
 from bus.contract.bounds import (
     MOST_FRAMES,
     MOST_UNITS,
-    Baud,
+    BaudRate,
     FourBytes,
     OutputNumber,
     ParameterNumber,
@@ -21,10 +21,10 @@ from bus.contract.bounds import (
     Stamp,
     UnitId,
 )
-from bus.contract.message import Message
+from bus.contract.tagged import TaggedStruct
 
 
-class BusAction(Message, frozen=True):
+class BusAction(TaggedStruct, frozen=True):
     """Addresses a bus."""
 
     writes: ClassVar[bool] = True
@@ -114,7 +114,7 @@ class WriteParameter(UnitAction, frozen=True, tag="write_parameter"):
 class ChangeBaud(BusAction, frozen=True, tag="change_baud"):
     """#18 to every unit of the bus, follow, prove all, go back if one does not answer."""
 
-    baud: Baud
+    baud: BaudRate
 
 
 class ScanBus(BusAction, frozen=True, tag="scan_bus"):

@@ -12,21 +12,21 @@ from bus.contract.bounds import (
     MOST_FRAMES,
     MOST_UNITS,
     Byte,
-    Count,
+    DurationSeconds,
     FourBytes,
     FrameBytes,
     Hertz,
+    LongText,
     ParameterNumber,
-    Seconds,
     Share,
     Stamp,
-    Text,
+    Total,
     UnitId,
 )
-from bus.contract.message import BusLinkState, Direction, Message, UnitLinkState
+from bus.contract.tagged import BusLinkState, Direction, TaggedStruct, UnitLinkState
 
 
-class Reading(Message, frozen=True, tag="reading"):
+class Reading(TaggedStruct, frozen=True, tag="reading"):
     """One answer to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1, all as sent."""
 
     unit: UnitId
@@ -38,7 +38,7 @@ class Reading(Message, frozen=True, tag="reading"):
     inputs: Byte
 
 
-class ParameterValue(Message, frozen=True, tag="parameter"):
+class ParameterValue(TaggedStruct, frozen=True, tag="parameter"):
     """What 85h answered, and the very frame that said so (``frame``, as on the wire, for evidence).
     ``available`` False: the unit said NAK 82h, it does not have this one."""
 
@@ -50,27 +50,27 @@ class ParameterValue(Message, frozen=True, tag="parameter"):
     frame: FrameBytes = b""
 
 
-class UnitLink(Message, frozen=True, tag="unit_link"):
+class UnitLink(TaggedStruct, frozen=True, tag="unit_link"):
     """A unit was heard, is overdue, was lost or was never seen."""
 
     unit: UnitId
     at: Stamp
     link: UnitLinkState
-    cause: Text = ""
+    cause: LongText = ""
 
 
-class BusLink(Message, frozen=True, tag="bus_link"):
+class BusLink(TaggedStruct, frozen=True, tag="bus_link"):
     """The port was opened or closed ``at``; ``cause`` says why in words. Told again, with the same ``at``,
     when it goes at another rate."""
 
     at: Stamp
     link: BusLinkState
-    cause: Text = ""
+    cause: LongText = ""
     baud: Annotated[int, Meta(ge=0, le=9600)] = 0
     """The rate that the port goes at now, which a change of #18 may have moved; 0 from an older worker."""
 
 
-class Staged(Message, frozen=True, tag="staged"):
+class Staged(TaggedStruct, frozen=True, tag="staged"):
     """The speed a unit has acknowledged by 82h and not yet executed; None once executed or withdrawn."""
 
     unit: UnitId
@@ -78,7 +78,7 @@ class Staged(Message, frozen=True, tag="staged"):
     raw: FourBytes | None
 
 
-class UnitState(Message, frozen=True, tag="unit_state"):
+class UnitState(TaggedStruct, frozen=True, tag="unit_state"):
     """All that the worker knows of one unit now."""
 
     unit: UnitId
@@ -92,46 +92,46 @@ class UnitCounts(Struct, omit_defaults=True):
     """What became of every request to one unit since the worker started; the worker counts in it."""
 
     unit: UnitId
-    polls: Count = 0
-    answers: Count = 0
-    timeouts: Count = 0
-    retries: Count = 0
-    checksum_errors: Count = 0
-    foreign: Count = 0
-    late: Count = 0
-    naks: Annotated[dict[Byte, Count], Meta(max_length=256)] = field(default_factory=dict)
+    polls: Total = 0
+    answers: Total = 0
+    timeouts: Total = 0
+    retries: Total = 0
+    checksum_errors: Total = 0
+    foreign: Total = 0
+    late: Total = 0
+    naks: Annotated[dict[Byte, Total], Meta(max_length=256)] = field(default_factory=dict)
 
 
 # Frozen, as it is told, of what is counted in: msgspec allows that, the rule is for dataclasses.
-class UnitFigures(UnitCounts, Message, frozen=True, tag="unit_figures"):  # type: ignore[misc]
+class UnitFigures(UnitCounts, TaggedStruct, frozen=True, tag="unit_figures"):  # type: ignore[misc]
     """The counters of one unit, and its answer times in seconds (first byte after request)."""
 
-    answer_s_min: Seconds | None = None
-    answer_s_median: Seconds | None = None
-    answer_s_p99: Seconds | None = None
-    answer_s_max: Seconds | None = None
+    answer_s_min: DurationSeconds | None = None
+    answer_s_median: DurationSeconds | None = None
+    answer_s_p99: DurationSeconds | None = None
+    answer_s_max: DurationSeconds | None = None
 
 
-class BusFigures(Message, frozen=True, tag="bus_figures"):
+class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
     """What the wire carries, about once a second. ``diagnosis`` is the likely cause of trouble in words."""
 
     at: Stamp
     scan_hz: Hertz
-    scan_s: Seconds
+    scan_s: DurationSeconds
     wire_utilisation: Share
-    scan_s_with_one_more: Seconds
-    noise_bytes: Count = 0
-    echoes: Count = 0
-    diagnosis: Text = ""
+    scan_s_with_one_more: DurationSeconds
+    noise_bytes: Total = 0
+    echoes: Total = 0
+    diagnosis: LongText = ""
     units: Annotated[list[UnitFigures], Meta(max_length=MOST_UNITS)] = field(default_factory=list)
-    updates_lost: Count = 0
+    updates_lost: Total = 0
     """Readings and news dropped because the app was away longer than the worker can keep them."""
     answers_for_all: Byte = 0
     """The unit that seems to answer to every address beside the others, so that each answer of theirs comes
     twice and nobody knows which one is whose; 0: none."""
 
 
-class Frame(Message, frozen=True, tag="frame"):
+class Frame(TaggedStruct, frozen=True, tag="frame"):
     """One frame (or piece of rubbish) as it passed the port, with what it says."""
 
     at: Stamp
@@ -146,7 +146,7 @@ class Frame(Message, frozen=True, tag="frame"):
         return in_english(self.clauses)
 
 
-class Frames(Message, frozen=True, tag="frames"):
+class Frames(TaggedStruct, frozen=True, tag="frames"):
     """Trace, sent only while someone follows it."""
 
     frames: Annotated[list[Frame], Meta(max_length=MOST_FRAMES)]

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from app.database.connection import Database
-from app.history.query import Answer, Question, answer
-from app.history.recorder import Recorder
-from app.history.runs import micros
-from app.history.tail import Tail
-from app.history.upkeep import Keep
-from app.history.values import VALUES
-from app.history.writer import MIGRATIONS, Writer
+from app.history.intake.recorder import Recorder
+from app.history.intake.tail import Tail
+from app.history.intake.upkeep import Keep
+from app.history.intake.writer import MIGRATIONS, Writer
+from app.history.query.query import QueryResult, SeriesQuery, answer
+from app.history.series.runs import micros
+from app.history.series.values import VALUES
 from bus.contract import ParameterValue, Reading, Update
 from bus.settings import BusSettings, UnitSettings
 
@@ -61,9 +61,11 @@ class Shelf:
         """Every minute into its block."""
         self.recorder.fold_everything()
 
-    def ask(self, value: str, start: float, end: float, most: int = 20_000, bus: BusSettings = BUS) -> Answer:
+    def ask(
+        self, value: str, start: float, end: float, most: int = 20_000, bus: BusSettings = BUS
+    ) -> QueryResult:
         """What a value was."""
-        question = Question(bus, 1, VALUES[value], micros(start), micros(end), most)
+        question = SeriesQuery(bus, 1, VALUES[value], micros(start), micros(end), most)
         return self.database.read_now(lambda connection: answer(connection, self.tail, question))
 
     def close(self) -> None:

@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from app.commands import rules
-from app.commands.desk import WriteSubscriber
-from app.commands.limits import NO_LIMITS
-from app.commands.objection import Circumstances, ObjectionError
+from app.commands import check
+from app.commands.rules.objection import ObjectionError, RuleContext
+from app.commands.safeguards.limits import NO_LIMITS
+from app.commands.service.command_service import WriteSubscriber
 from app.database import Database
 from app.errors import Problem
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from app.sets.keeper import SetKeeper
 from app.sets.reading import ParameterReader
 from app.sets.store import SetStore
@@ -83,11 +83,11 @@ class PlayedDesk:
     def check(self, person: Person, bus: str, action: Action, *, confirm: bool = False) -> None:
         assert (person.name, bus, confirm) == ("anna", "dry-end", True)
         assert isinstance(action, SetSpeed)
-        now = Circumstances(
+        now = RuleContext(
             self.live.buses[bus], lambda _: NO_LIMITS, lambda _: None, lambda _: 0, confirm=confirm
         )
         try:
-            rules.check(action, now)
+            check.check(action, now)
         except ObjectionError as error:
             raise Problem(422, error.code, str(error)) from error
 
@@ -149,12 +149,11 @@ def a_bus() -> LiveState:
 def answering(live: LiveState, commanded: int = 1000, *, run: bool = False, remote: bool = True) -> None:
     """Both units have answered, with all that is needed to show them."""
     outputs, inputs = REMOTE if remote else 0, HEALTHY | (RUN if run else 0)
-    live.apply("dry-end", [BusLink(at=1.0, link="open")])
+    live.buses["dry-end"].apply([BusLink(at=1.0, link="open")])
     for unit in (1, 2):
         needed = {2: 20000, 3: 1, 6: 100, 7: 50, 8: 0}
-        live.apply("dry-end", [UnitLink(unit=unit, at=1.0, link="online")])
-        live.apply(
-            "dry-end",
+        live.buses["dry-end"].apply([UnitLink(unit=unit, at=1.0, link="online")])
+        live.buses["dry-end"].apply(
             [Reading(unit, fresh(), commanded, commanded, 0, outputs, inputs)]
             + [ParameterValue(unit=unit, number=number, at=1.0, raw=raw) for number, raw in needed.items()],
         )
@@ -186,4 +185,4 @@ class SetScene:
     def tells(self, unit: int, *numbers: int, raw: int = 30) -> None:
         """A unit says that these of its parameters are ``raw``."""
         values = [ParameterValue(unit=unit, number=number, at=1.0, raw=raw) for number in numbers]
-        self.live.apply("dry-end", values)
+        self.live.buses["dry-end"].apply(values)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from app.live.fields import Voice
-from app.live.sources import Drifted, Sources, UnitSubscriber
+from app.live.screen.fields import Translator
+from app.live.screen.sources import Drifted, Sources, UnitSubscriber
 
 
 class PlayedGuards:
@@ -30,7 +30,7 @@ class PlayedGuards:
 class NoGoldenSets:
     """No unit has a golden set."""
 
-    def summary(self, _bus: str, _unit: int, _voice: Voice, _now: float) -> Drifted:
+    def summary(self, _bus: str, _unit: int, _voice: Translator, _now: float) -> Drifted:
         """Nothing."""
         return Drifted()
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from app.live.fields import Voice
-from app.live.screen import Screen
-from app.live.state import LiveState
+from app.live.screen.fields import Translator
+from app.live.screen.screen import Screen
+from app.live.state.live_state import LiveState
+from app.messages import Languages
 from app.web.formats import Formats
-from app.web.languages import Languages
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.app.played_sources import played_sources
@@ -15,9 +15,9 @@ AT_SPEED, REMOTE, RUN, HEALTHY = 0x80, 0x40, 0x01, 0x02
 PARAMETERS = {2: 2000, 3: 1, 6: 100, 7: 200, 8: 0, 12: 10, 22: 0, 23: 510}
 
 
-def voice(tag: str = "en") -> Voice:
+def voice(tag: str = "en") -> Translator:
     language = Languages()[tag]
-    return Voice(language, Formats(language.locale))
+    return Translator(language, Formats(language.locale))
 
 
 def line(units: int = 2) -> LiveState:
@@ -27,12 +27,14 @@ def line(units: int = 2) -> LiveState:
     )
     live = LiveState([BusSettings(name="dry", port="/dev/null", unit=settings)], 0.0)
     live.buses["dry"].worker_lost = None
-    live.apply("dry", [BusLink(at=100.0, link="open")])
+    live.buses["dry"].apply([BusLink(at=100.0, link="open")])
     for number in range(1, units + 1):
         parameters = [
             ParameterValue(unit=number, number=n, at=100.0, raw=raw) for n, raw in PARAMETERS.items()
         ]
-        live.apply("dry", [UnitLink(unit=number, at=100.0, link="online"), *parameters, reading(number)])
+        live.buses["dry"].apply(
+            [UnitLink(unit=number, at=100.0, link="online"), *parameters, reading(number)]
+        )
     return live
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from app.live.abnormal import Tally, UnitView, all_offline, shown_cause
-from app.live.cause import Cause, bus_cause
-from app.live.onset import Onset
-from app.live.suspicion import suspicion
-from app.live.view import unit_json
+from app.live.api.view import unit_json
+from app.live.diagnosis.abnormal import StateCounts, UnitView, all_offline, shown_cause
+from app.live.diagnosis.cause import Cause, bus_cause
+from app.live.diagnosis.suspicion import suspicion
+from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, voice
 
@@ -20,7 +20,7 @@ def shown(
 ) -> tuple[str, str] | None:
     """Level and code of what the first line of a unit names."""
     live = line()
-    live.apply("dry", [UnitLink(unit=1, at=NOW, link=link), reading(**changes)])  # type: ignore[arg-type]
+    live.buses["dry"].apply([UnitLink(unit=1, at=NOW, link=link), reading(**changes)])  # type: ignore[arg-type]
     bus = live.buses["dry"]
     found = shown_cause(bus, bus.units[1], NOW, blocked=blocked, drifted=drifted)
     return (found.level, found.code) if found else None
@@ -67,7 +67,7 @@ def test_a_unit_in_whose_name_another_may_answer_is_abnormal(
 ) -> None:
     live = line()
     bus = live.buses["dry"]
-    live.apply("dry", [reading(), said])
+    live.buses["dry"].apply([reading(), said])
     cause = shown_cause(bus, bus.units[1], NOW, blocked="", drifted="")
     assert (cause and (cause.level, cause.params["why"])) == (found and ("high", found))
     assert unit_json(bus, bus.units[1], NOW, lambda _bus, _unit: "", voice())["suspect"] == found
@@ -76,11 +76,11 @@ def test_a_unit_in_whose_name_another_may_answer_is_abnormal(
 def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:
     live = line(4)
     bus = live.buses["dry"]
-    live.apply("dry", [reading(), ParameterValue(1, 17, NOW, 3), ParameterValue(2, 17, NOW, 3)])
+    live.buses["dry"].apply([reading(), ParameterValue(1, 17, NOW, 3), ParameterValue(2, 17, NOW, 3)])
     assert suspicion(bus, bus.units[1]) == ""
-    live.apply("dry", [ParameterValue(3, 17, NOW, 3)])
+    live.buses["dry"].apply([ParameterValue(3, 17, NOW, 3)])
     assert suspicion(bus, bus.units[1]) == "", "units whose #17 says something else"
-    live.apply("dry", [ParameterValue(2, 17, NOW, 2)])
+    live.buses["dry"].apply([ParameterValue(2, 17, NOW, 2)])
     assert suspicion(bus, bus.units[1]) == "perhaps unit 3 answers for it (#17)"
     assert suspicion(bus, bus.units[2]) == ""
 
@@ -89,10 +89,10 @@ def test_a_bus_says_worker_or_port_and_since_when() -> None:
     live = line()
     bus = live.buses["dry"]
     assert bus_cause(bus, 100.5) is None
-    live.apply("dry", [BusLink(at=101.0, link="closed", cause="no such device")])
-    live.apply("dry", [BusLink(at=105.0, link="closed", cause="permission denied")])
+    live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause="no such device")])
+    live.buses["dry"].apply([BusLink(at=105.0, link="closed", cause="permission denied")])
     assert bus_cause(bus, 110.0) == Cause("port_lost", "urgent", Onset(101.0), {"why": "permission denied"})
-    live.worker_went("dry", 120.0)
+    live.buses["dry"].lose_worker(120.0)
     assert bus_cause(bus, 130.0) == Cause("worker_lost", "urgent", Onset(120.0))
 
 
@@ -100,10 +100,10 @@ def test_a_worker_that_stands_still_is_named_before_its_units() -> None:
     live = line()
     bus = live.buses["dry"]
     figures = BusFigures(at=NOW, scan_hz=4.8, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3)
-    live.apply("dry", [figures])
+    live.buses["dry"].apply([figures])
     assert bus_cause(bus, 101.9) is None
     assert bus_cause(bus, 102.1) == Cause("worker_silent", "urgent", Onset(NOW))
-    live.apply("dry", [reading(at=102.0)])
+    live.buses["dry"].apply([reading(at=102.0)])
     assert bus_cause(bus, 102.1) is None, "a unit was heard through it"
 
 
@@ -122,7 +122,7 @@ def test_a_bus_on_which_no_unit_responds_is_one_cause() -> None:
 
 def test_only_units_that_respond_are_in_a_state() -> None:
     bus = line().buses["dry"]
-    tally = Tally()
+    tally = StateCounts()
     for link in ("online", "stale"):
         tally.count(UnitView(bus.units[1], link, None))  # type: ignore[arg-type]
     assert (tally.units, tally.online, tally.at_speed) == (2, 1, 1)

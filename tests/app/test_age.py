@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.live.age import offline_after_s, scan_s_at_best, scan_s_of, stale_after_s, unit_link_now
-from app.live.state import BusLive, LiveState
+from app.live.state.age import offline_after_s, scan_s_at_best, scan_s_of, stale_after_s, unit_link_now
+from app.live.state.bus_live import BusLive
+from app.live.state.live_state import LiveState
 from bus.contract import BusFigures, BusLink, UnitLink, UnitLinkState
 from tests.app.stage import bus_settings, reading
 
@@ -19,10 +20,10 @@ def bus_of(said: UnitLinkState = "online", *, port: str = "open", scan_s: float 
     live = LiveState([bus_settings()], 0.0)
     read = reading(1)
     word = type(read)(1, READ_AT, read.commanded, read.actual, read.analog, read.outputs, read.inputs)
-    live.apply("dry-end", [word, UnitLink(unit=1, at=READ_AT, link=said)])
-    live.apply("dry-end", [BusLink(at=0.0, link="open" if port == "open" else "closed")])
+    live.buses["dry-end"].apply([word, UnitLink(unit=1, at=READ_AT, link=said)])
+    live.buses["dry-end"].apply([BusLink(at=0.0, link="open" if port == "open" else "closed")])
     if scan_s is not None:
-        live.apply("dry-end", [BusFigures(0.0, 1 / scan_s, scan_s, 0.9, scan_s)])
+        live.buses["dry-end"].apply([BusFigures(0.0, 1 / scan_s, scan_s, 0.9, scan_s)])
     return live.buses["dry-end"]
 
 

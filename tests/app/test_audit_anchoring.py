@@ -32,10 +32,10 @@ from app.audit.store import Filter
 from app.database import Database
 from app.database.connection import open_for_reading
 from app.main import create_app
+from app.messages import Languages
 from app.settings import Audit
 from app.web.access import Role
 from app.web.formats import Formats
-from app.web.languages import Languages
 from app.wiring import running
 from tests.app.whole_app import settings_in
 

@@ -9,9 +9,9 @@ import pytest
 
 from app.audit.log import EventLog
 from app.database import Database
-from app.live.sources import Drifted
+from app.live.screen.sources import Drifted
 from app.sets.drift import Drifts
-from app.sets.model import ParameterSet, Row, UnitRows
+from app.sets.model import ParameterRow, ParameterSet, UnitRows
 from app.sets.store import SetStore
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue
@@ -34,14 +34,14 @@ class Scene:
         self.drifts.on_change(lambda bus, unit: self.told.append((bus, unit)))
 
     async def golden(self) -> None:
-        rows = {number: Row(number, 0, read_at=GOLDEN_READ) for number in PARAMETERS}
+        rows = {number: ParameterRow(number, 0, read_at=GOLDEN_READ) for number in PARAMETERS}
         unit = UnitRows(1, "Unwind", rows)
         kept = await self.store.save(ParameterSet("dry-end", GOLDEN_READ, "anna", "by hand", (unit,)))
         await self.store.mark_golden("dry-end", 1, kept.id, "anna", GOLDEN_READ)
         await self.drifts.load()
 
     def reads(self, number: int, raw: int) -> None:
-        self.live.apply("dry-end", [ParameterValue(unit=1, number=number, at=self.now, raw=raw)])
+        self.live.buses["dry-end"].apply([ParameterValue(unit=1, number=number, at=self.now, raw=raw)])
 
     async def asked(self, who: str, number: int, raw: int | None, outcome: str | None = "verified") -> None:
         said: dict[str, Any] = {"who": who, "origin": "api", "bus": "dry-end", "unit": 1, "new_raw": raw}
@@ -123,9 +123,9 @@ async def test_after_a_restart_the_events_still_tell(scene: Scene) -> None:
     live = a_bus()
     again = Drifts(live, scene.store, scene.events)
     await again.load()
-    live.apply("dry-end", [ParameterValue(unit=1, number=41, at=NOW, raw=7)])
+    live.buses["dry-end"].apply([ParameterValue(unit=1, number=41, at=NOW, raw=7)])
     assert again.unread("dry-end", 1) == 40, "what a scan asks beyond the list is none of the forty"
-    live.apply("dry-end", [ParameterValue(unit=1, number=12, at=NOW + 5, raw=21)])
+    live.buses["dry-end"].apply([ParameterValue(unit=1, number=12, at=NOW + 5, raw=21)])
     [one] = await again.traced("dry-end", 1)
     assert one.change is not None
     assert (one.change["who"], one.traced) == ("anna", True)

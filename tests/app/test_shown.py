@@ -6,11 +6,11 @@ import time
 
 from pydantic import ConfigDict, TypeAdapter, with_config
 
-from app.commands.answers import fate_json
-from app.commands.shown import FateShown
-from app.live.shown import BusShown, CauseShown, ParameterShown, UnitShown
-from app.live.state import LiveState
-from app.live.view import bus_json, parameter_json
+from app.commands.api.responses import fate_json
+from app.commands.api.schemas import CommandResultShown
+from app.live.api.schemas import BusShown, CauseShown, ParameterShown, UnitShown
+from app.live.api.view import bus_json, parameter_json
+from app.live.state.live_state import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Clause, Command, Frame, Result, UnitOutcome, Update
 from tests.app.screens import voice
@@ -28,7 +28,7 @@ def test_units_and_buses_read_and_unread() -> None:
             TypeAdapter(EXACT(UnitShown)).validate_python(unit)
             assert unit.keys() == UnitShown.__annotations__.keys()
             assert unit["cause"].keys() == CauseShown.__annotations__.keys()
-        live.worker_came("dry-end", snapshot(), "1.0")
+        live.buses["dry-end"].take_snapshot(snapshot(), "1.0")
     for number in PARAMETERS:
         row = parameter_json(live.buses["dry-end"].units[1], number)
         TypeAdapter(EXACT(ParameterShown)).validate_python(row)
@@ -41,7 +41,7 @@ def test_fates() -> None:
     result = Result(id="a", at=1.0, outcome="verified", units=parts, frames=[frame])
     for unit in (None, 1):
         fate = fate_json(live.buses["dry-end"], result, unit)
-        TypeAdapter(EXACT(FateShown)).validate_python(fate)
+        TypeAdapter(EXACT(CommandResultShown)).validate_python(fate)
 
 
 async def test_the_api_gives_them(stage: Stage) -> None:

@@ -16,12 +16,12 @@ from fastapi.routing import APIRoute
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.web import languages
+from app import messages
+from app.messages import Languages
+from app.messages.sentences import LONGEST, Pattern, Sentences
 from app.web.access import Role
 from app.web.bounds import LONGEST_QUERY
 from app.web.formats import Formats
-from app.web.languages import Languages
-from app.web.languages.sentences import LONGEST, Pattern, Sentences
 from tests.app.whole_app import House, whole_app
 
 MARK = "zq7"
@@ -32,7 +32,7 @@ ADDRESS_TEXTS = [
     *("\0", "\ufffd", "..", "../../etc/passwd", "%s%n", "{0.__class__}", "{", "'\""),
     *("-1", "1e9", "9" * 300),
 ]
-FILE = Path(languages.__file__).parent / "de.toml"
+FILE = Path(messages.__file__).parent / "de.toml"
 PATTERNS = list(tomllib.loads(FILE.read_text(encoding="utf-8"))["sentences"])
 
 

@@ -10,17 +10,17 @@ from contextlib import asynccontextmanager
 import pytest
 
 from bus.contract import BusLink, SetSpeed
-from bus.line.ports.tcp import TCP_LOST_AFTER_MS
-from bus.line.transport import open_port
+from bus.line.port.open_port import open_port
+from bus.line.port.tcp import TCP_LOST_AFTER_MS
 from bus.settings import BusSettings, UnitSettings
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
-from bus.simulator.ports import TcpPort
+from bus.simulator.ports import TcpLinePort
 from bus.simulator.record import Happened
 from bus.simulator.serve import LineServer
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
-from tests.bus.test_transport import Ear
+from tests.bus.test_open_port import Ear
 
 TCP_USER_TIMEOUT = 18
 """Linux, which names it only from Python 3.12 on."""
@@ -28,7 +28,7 @@ TCP_USER_TIMEOUT = 18
 
 @pytest.fixture
 def line() -> Iterator[LineServer]:
-    with LineServer(SimulatedLine(demo_line(2, script=False).plant, speedup=20), TcpPort()) as server:
+    with LineServer(SimulatedLine(demo_line(2, script=False).plant, speedup=20), TcpLinePort()) as server:
         yield server
 
 

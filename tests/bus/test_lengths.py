@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bus.settings import Dialect
+from bus.settings import Dialect, wire_seconds
 from bus.wire.commands import (
     ExecuteSpeed,
     ReadParameter,
@@ -21,7 +21,6 @@ from bus.wire.lengths import (
     least_reply_bytes,
     longest_reply_bytes,
     usual_reply_bytes,
-    wire_seconds,
 )
 
 PLAIN, TWO_BYTES, DOUBLED = Dialect(), Dialect(parameter_reply_bytes=2), Dialect(checksum_10h="twice")

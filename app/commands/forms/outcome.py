@@ -1,0 +1,71 @@
+"""What became of a wish, in the words of the screen. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from app.errors import Problem
+from app.live.screen.fields import Translator
+from bus.contract import Outcome, Result, UnitOutcome
+from bus.errors import unit_error_name
+
+Tone = Literal["good", "bad", "doubt"]
+ValueFormat = Callable[[int], str]
+"""A read-back integer as people read it."""
+
+
+_OF_A_PART: dict[Outcome, Tone] = {"not_sent": "bad", "unverified": "doubt"}
+"""Where one unit's part in a change has an end of its own, told by its message: taken back, or still held."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutcomeText:
+    """``good`` it is so; ``bad`` it is not, and nothing is half done; ``doubt`` nobody knows."""
+
+    tone: Tone
+    text: str
+
+
+ResultRow = tuple[str, str, OutcomeText]
+"""A unit's name, the requested value and the result."""
+
+
+def fate_of(result: Result | UnitOutcome, shown: ValueFormat, voice: Translator) -> OutcomeText:
+    """The fate of a command, or of one unit's part in it."""
+    read = "" if result.read_back is None else shown(result.read_back)
+    if isinstance(result, UnitOutcome) and result.message and not read and result.outcome in _OF_A_PART:
+        return OutcomeText(_OF_A_PART[result.outcome], voice.t(result.message))
+    match result.outcome:
+        case "verified":
+            said = voice.t("verified: reads {value}", value=read) if read else voice.t("verified")
+            return OutcomeText("good", said)
+        case "acknowledged":
+            return OutcomeText("good", voice.t("acknowledged by the unit"))
+        case "refused":
+            return OutcomeText("bad", voice.t("refused: {reason}", reason=_reason(result, voice)))
+        case "unverified":
+            if read:
+                return OutcomeText("doubt", voice.t("reads {value} instead", value=read))
+            return OutcomeText("doubt", voice.t("no answer: whether it was done is not known"))
+    return OutcomeText("bad", _not_sent(result.outcome, result.message, voice))
+
+
+def fate_of_problem(problem: Problem, voice: Translator) -> OutcomeText:
+    """What was refused before anything was sent."""
+    return OutcomeText("bad", voice.formats.sentence(problem.text(voice.t)))
+
+
+def _reason(result: Result | UnitOutcome, voice: Translator) -> str:
+    if result.unit_error is not None:
+        return voice.t(unit_error_name(result.unit_error))
+    return voice.t(result.message)
+
+
+def _not_sent(outcome: Outcome, message: str, voice: Translator) -> str:
+    if outcome == "not_sent":
+        return voice.t("not sent: the wire was not free in time")
+    if outcome == "bus_closed":
+        return voice.t("not sent: there is no link to the bus")
+    return voice.t(message)

@@ -1,0 +1,49 @@
+"""One command as somebody asked for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from msgspec.structs import replace
+
+from app.commands.catalogue import kind_of_command
+from app.feed.channel import ProgressListener
+from app.web.access import Person
+from app.web.deadline import Deadline
+from bus.contract import Action, Result, UnitOutcome
+
+SECRET_DIFFERS = "the unit reads another value, which is not shown"
+
+
+@dataclass(frozen=True, slots=True)
+class CommandRequest:
+    """``deadline``: the last moment at which a frame that writes may leave."""
+
+    id: str
+    person: Person
+    bus: str
+    action: Action
+    deadline: Deadline
+    origin: str
+    listener: ProgressListener | None = None
+    key: str | None = None
+    """What its sender calls it, to be told its result again; a sender's keys are its own."""
+
+    @property
+    def unit(self) -> int | None:
+        """The one unit it is about, if it is about one."""
+        return self.action.only_unit
+
+
+def without_secret(action: Action, result: Result) -> Result:
+    """``result`` as it may be stored and shown: of a secret not what was read back, nor the frames, nor words
+    that may name it."""
+    if not kind_of_command(action).is_secret(action):
+        return result
+    units = [replace(unit, read_back=None, message=_masked(unit)) for unit in result.units]
+    return replace(result, read_back=None, message=_masked(result), units=units, values=[], frames=[])
+
+
+def _masked(result: Result | UnitOutcome) -> str:
+    is_told = result.message and result.read_back is not None and str(result.read_back) in result.message
+    return SECRET_DIFFERS if is_told else result.message

@@ -1,0 +1,54 @@
+"""A block that cannot be read costs itself and nothing else. zlib's own checksum tells it."""
+
+from __future__ import annotations
+
+import sqlite3
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeVar
+
+T = TypeVar("T")
+StoredTier = Literal["raw", "minutes", "hours"]
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class BlockKey:
+    """Where a block is: ``unit`` by its key, ``start`` in µs."""
+
+    tier: StoredTier
+    unit: int
+    start: int
+
+
+class DamagedBlock(ValueError):
+    """Its content is not what was written."""
+
+    def __init__(self, block: BlockKey, why: str) -> None:
+        super().__init__(f"{why} ({block.tier} of unit key {block.unit} from {block.start})")
+        self.block = block
+
+
+def intact(block: BlockKey, unpack: Callable[[], T]) -> T:
+    """What ``unpack`` gives. Raises DamagedBlock where that is a ValueError."""
+    try:
+        return unpack()
+    except DamagedBlock:
+        raise
+    except ValueError as error:
+        raise DamagedBlock(block, str(error)) from error
+
+
+def torn(error: sqlite3.Error) -> bool:
+    """Whether SQLite found its own pages damaged."""
+    code = getattr(error, "sqlite_errorcode", None)
+    return isinstance(code, int) and code & 0xFF == sqlite3.SQLITE_CORRUPT
+
+
+def sound(blob: bytes) -> bool:
+    """Whether a block still has its checksum."""
+    try:
+        zlib.decompress(blob)
+    except zlib.error:
+        return False
+    return True

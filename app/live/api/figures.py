@@ -1,0 +1,108 @@
+"""What the wire of a bus carries, as the API shows it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from bus.contract import BusFigures, UnitFigures
+from bus.errors import unit_error_name
+
+EventCount = Annotated[int, Field(description="Since the bus worker started.")]
+ResponseSeconds = Annotated[float | None, Field(description="Seconds; null: no response yet.")]
+
+
+class NakShown(TypedDict):
+    """How often a unit refused with one error."""
+
+    unit_error: Annotated[int, Field(description="Error code of the NAK, 128 to 137.")]
+    unit_error_name: str
+    count: EventCount
+
+
+class UnitFiguresShown(TypedDict):
+    """The counters and response times of one unit."""
+
+    unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
+    polls: EventCount
+    answers: Annotated[int, Field(description="Responses since the bus worker started.")]
+    timeouts: EventCount
+    retries: EventCount
+    checksum_errors: EventCount
+    foreign: Annotated[
+        int, Field(description="Responses that no DIGIMAX IV gives, since the worker started.")
+    ]
+    late: Annotated[
+        int, Field(description="Responses after their window, or twice, since the worker started.")
+    ]
+    naks: list[NakShown]
+    answer_s_min: ResponseSeconds
+    answer_s_median: ResponseSeconds
+    answer_s_p99: ResponseSeconds
+    answer_s_max: ResponseSeconds
+
+
+class BusFiguresShown(TypedDict):
+    """The figures of a bus, measured about once a second; null while no worker measures."""
+
+    bus: str
+    measured: Annotated[bool, Field(description="Whether a worker measures; without one all else is null.")]
+    at: Annotated[float | None, Field(description="Seconds since 1970.")]
+    scan_hz: Annotated[float | None, Field(description="Scans per second.")]
+    scan_s: Annotated[float | None, Field(description="Duration of one scan, seconds.")]
+    scan_s_with_one_more: Annotated[float | None, Field(description="The same with one unit more, seconds.")]
+    wire_utilisation: Annotated[float | None, Field(description="Share of the wire's time in use, 0 to 1.")]
+    noise_bytes: Annotated[
+        int | None, Field(description="Bytes that are no frame, since the worker started.")
+    ]
+    echoes: Annotated[int | None, Field(description="Own requests received back, since the worker started.")]
+    updates_lost: Annotated[
+        int | None, Field(description="Readings dropped because the dashboard was away for too long.")
+    ]
+    answers_for_all: Annotated[
+        int | None, Field(description="Unit that seems to respond to every address, 1 to 255; 0: none.")
+    ]
+    diagnosis: Annotated[str | None, Field(description="Likely cause of trouble on the bus; empty: none.")]
+    units: list[UnitFiguresShown]
+
+
+def figures_json(bus: str, figures: BusFigures | None) -> BusFiguresShown:
+    """The figures of a bus, None where no worker measures them."""
+    return {
+        "bus": bus,
+        "measured": figures is not None,
+        "at": figures.at if figures else None,
+        "scan_hz": figures.scan_hz if figures else None,
+        "scan_s": figures.scan_s if figures else None,
+        "scan_s_with_one_more": figures.scan_s_with_one_more if figures else None,
+        "wire_utilisation": figures.wire_utilisation if figures else None,
+        "noise_bytes": figures.noise_bytes if figures else None,
+        "echoes": figures.echoes if figures else None,
+        "updates_lost": figures.updates_lost if figures else None,
+        "answers_for_all": figures.answers_for_all if figures else None,
+        "diagnosis": figures.diagnosis if figures else None,
+        "units": [_unit_json(unit) for unit in figures.units] if figures else [],
+    }
+
+
+def _unit_json(unit: UnitFigures) -> UnitFiguresShown:
+    return {
+        "unit": unit.unit,
+        "polls": unit.polls,
+        "answers": unit.answers,
+        "timeouts": unit.timeouts,
+        "retries": unit.retries,
+        "checksum_errors": unit.checksum_errors,
+        "foreign": unit.foreign,
+        "late": unit.late,
+        "naks": [
+            {"unit_error": code, "unit_error_name": unit_error_name(code), "count": count}
+            for code, count in sorted(unit.naks.items())
+        ],
+        "answer_s_min": unit.answer_s_min,
+        "answer_s_median": unit.answer_s_median,
+        "answer_s_p99": unit.answer_s_p99,
+        "answer_s_max": unit.answer_s_max,
+    }

@@ -1,0 +1,178 @@
+"""One bus and its units as they are now: the newest word of each, and what follows from a reading."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import structlog
+
+from app.live.state.age import offline_after_s, scan_s_of
+from app.live.state.conditions import bits_of, conditions_of
+from app.live.state.motion import Motion
+from app.live.state.onset import Onset, Onsets
+from app.live.state.snapshot import updates_of
+from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
+from bus.catalogue.values import MOST_DECIMALS, RATIO_DECIMALS, is_follower
+from bus.contract import (
+    BusFigures,
+    BusLink,
+    ParameterValue,
+    Reading,
+    Snapshot,
+    Staged,
+    UnitLink,
+    Update,
+)
+from bus.settings import BusSettings, UnitSettings
+
+log = structlog.get_logger()
+
+NO_WORKER = "the bus worker is not connected"
+BusSubscriber = Callable[[Sequence[Update]], None]
+"""Called with the updates of a bus after they were applied."""
+
+
+@dataclass(slots=True)
+class UnitLive:
+    """The newest word of one unit. ``link`` is the worker's opinion; the age has a say too."""
+
+    settings: UnitSettings
+    link: UnitLink
+    reading: Reading | None = None
+    parameters: dict[int, ParameterValue] = field(default_factory=dict)
+    staged: int | None = None
+    motion: Motion = field(default_factory=Motion)
+    onsets: Onsets = field(default_factory=Onsets)
+    last_response: float | None = None
+    """Unix time, before this server started; None while it is not known."""
+
+    def parameter_raw(self, number: int) -> int | None:
+        """The raw value of a parameter as last read; None when never read or not available, and for decimals
+        (#3) that no value can have."""
+        known = self.parameters.get(number)
+        raw = known.raw if known is not None else None
+        return None if raw is not None and number == DECIMALS and raw > MOST_DECIMALS else raw
+
+
+@dataclass(slots=True)
+class BusLive:
+    """One bus: its port as the worker sees it, its figures, its units in floor order. It has one writer: what
+    the worker reports. A command never changes it."""
+
+    settings: BusSettings
+    link: BusLink
+    link_onset: Onset
+    """Since when the port is as ``link`` says."""
+    worker_lost: Onset | None
+    """Since when no worker is connected; None while one is."""
+    worker_software: str = ""
+    figures: BusFigures | None = None
+    units: dict[int, UnitLive] = field(default_factory=dict)
+    _subscribers: list[BusSubscriber] = field(default_factory=list, compare=False)
+
+    @property
+    def worker_connected(self) -> bool:
+        """Whether a worker speaks for this bus now."""
+        return self.worker_lost is None
+
+    @property
+    def baud(self) -> int:
+        """The present rate: what the worker says, as #18 may have moved it; else as configured."""
+        return self.link.baud or self.settings.baud
+
+    def subscribe(self, subscriber: BusSubscriber) -> Callable[[], None]:
+        """Call ``subscriber`` with the updates after each change; the result ends it."""
+        self._subscribers.append(subscriber)
+        return lambda: self._subscribers.remove(subscriber)
+
+    def apply(self, updates: Sequence[Update]) -> None:
+        """Take in what the worker reported, in order, and call the subscribers; none of them can stop it. A
+        unit that is not configured is passed over."""
+        for update in updates:
+            self._apply_one(update)
+        for subscriber in tuple(self._subscribers):
+            try:
+                subscriber(updates)
+            except Exception:
+                log.exception("subscriber of the live state failed", bus=self.settings.name)
+
+    def take_snapshot(self, snapshot: Snapshot, software: str) -> list[Update]:
+        """A worker connected, with its whole state; returns that as updates."""
+        if not self.worker_connected:
+            self.worker_lost = None
+            # It says how its port is, and not since when.
+            self.link, self.link_onset = snapshot.bus, Onset(snapshot.bus.at, exact=False)
+        self.worker_software = software
+        updates = updates_of(snapshot)
+        self.apply(updates)
+        return updates
+
+    def lose_worker(self, at: float, cause: str = NO_WORKER) -> None:
+        """The worker's connection ended: the port counts as closed, nothing counts as fresh."""
+        self.worker_lost = Onset(at)
+        self.figures = None
+        units = [unit for unit in self.units.values() if unit.link.link == "online"]
+        stale = [UnitLink(unit=unit.settings.id, at=at, link="stale", cause=cause) for unit in units]
+        self.apply([BusLink(at=at, link="closed", cause=cause), *stale])
+
+    def _apply_one(self, update: Update) -> None:
+        match update:
+            case BusLink():
+                self._take_link(update)
+            case BusFigures():
+                self.figures = update
+            case Reading() | UnitLink() | ParameterValue() | Staged():
+                unit = self.units.get(update.unit)
+                if unit is not None:
+                    self._apply_to_unit(unit, update)
+
+    def _apply_to_unit(self, unit: UnitLive, update: Reading | UnitLink | ParameterValue | Staged) -> None:
+        match update:
+            case Reading():
+                self.take_reading(unit, update)
+            case UnitLink():
+                unit.link = update
+            case ParameterValue():
+                unit.parameters[update.number] = update
+            case Staged():
+                unit.staged = update.raw
+
+    def _take_link(self, link: BusLink) -> None:
+        """A worker says how its port is when that changes."""
+        if link.link != self.link.link:
+            self.link_onset = Onset(link.at)
+        self.link = link
+
+    def take_reading(self, unit: UnitLive, reading: Reading) -> None:
+        """With all that follows from it."""
+        unit.reading = reading
+        bits, scan_s = bits_of(self, reading), scan_s_of(self)
+        unit.motion.see(reading, bits, scan_s=scan_s, ratio=reads_ratio(self, unit))
+        unit.onsets.see(reading.at, conditions_of(bits, reading), offline_after_s(scan_s))
+
+
+def follower(unit: UnitLive) -> bool | None:
+    """Whether #8 makes the unit follow a master by a ratio; None while it was not read."""
+    mode = unit.parameter_raw(FOLLOWER_MODE)
+    return None if mode is None else is_follower(mode)
+
+
+def reads_ratio(bus: BusLive, unit: UnitLive) -> bool:
+    """Whether commanded and actual speed of a unit are ratios to its master, in the dialect of its bus."""
+    return bus.settings.follower_speed == "ratio" and bool(follower(unit))
+
+
+def speed_decimals(bus: BusLive, unit: UnitLive) -> int | None:
+    """The decimals of commanded and actual speed; None while #3 was not read."""
+    return RATIO_DECIMALS if reads_ratio(bus, unit) else unit.parameter_raw(DECIMALS)
+
+
+def never_seen(settings: BusSettings, at: float) -> BusLive:
+    """A bus that no worker has reported yet; first seen so at ``at``."""
+    units = {
+        unit.id: UnitLive(settings=unit, link=UnitLink(unit=unit.id, at=at, link="unknown"))
+        for unit in settings.unit
+    }
+    first_seen = Onset(at, exact=False)
+    return BusLive(settings, BusLink(at, "closed", NO_WORKER), first_seen, first_seen, units=units)

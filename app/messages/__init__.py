@@ -1,0 +1,8 @@
+"""What is said to people in each language: one gettext catalog, a ``.po`` file of this folder, for each."""
+
+from __future__ import annotations
+
+from app.messages.language import Language
+from app.messages.languages import DEFAULT, Languages
+
+__all__ = ["DEFAULT", "Language", "Languages"]

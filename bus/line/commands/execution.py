@@ -1,0 +1,115 @@
+"""After the broadcast: what each unit shows, who is told singly, who else has moved. Pure procedures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import msgspec
+
+from bus.contract import Result, UnitOutcome
+from bus.line.commands.member import Member
+from bus.line.commands.procedure import (
+    CommandContext,
+    Procedure,
+    ReportProgress,
+    Subprocedure,
+    Unstage,
+    send,
+)
+from bus.line.commands.readback import Readback, verify_speed, verify_unchanged
+from bus.line.commands.writes import outcome_with_readback
+from bus.line.exchange.send import Send, SendResult
+from bus.line.roster import Roster
+from bus.wire.commands import ExecuteSpeed
+
+
+def verify_all(
+    members: list[Member], broadcast: SendResult, roster: Roster, context: CommandContext
+) -> Procedure:
+    """Each of them, then those that missed it once more, then whoever was not asked to move."""
+    for done, member in enumerate(members):
+        yield ReportProgress("proving", member.unit, done, len(members))
+        yield from verify(member, broadcast, context)
+    for member in members:
+        if member.outcome is not None and member.outcome.outcome != "verified":
+            yield from _execute_singly(member, context)
+    strays = yield from _strays(roster, members)
+    return executed(members, broadcast, strays)
+
+
+def verify(member: Member, broadcast: SendResult, context: CommandContext) -> Subprocedure[None]:
+    """Whether it shows what it had staged."""
+    readback = yield from verify_speed(member.record, member.raw, context.dialect, before=member.before)
+    if readback.shown:
+        yield Unstage(member.unit)
+    outcome = outcome_with_readback(member.unit, broadcast, readback)
+    staging = member.sent
+    member.outcome = msgspec.structs.replace(
+        outcome,
+        message="" if readback.shown else _not_shown(member, readback),
+        sent_at=staging.sent_at if staging is not None else broadcast.sent_at,
+        acknowledged_at=staging.answered_at if staging is not None else None,
+        attempts=staging.attempts if staging is not None else 1,
+    )
+
+
+def _not_shown(member: Member, readback: Readback) -> str:
+    """Whoever missed the broadcast has the value in its memory, and the next execute would find it there."""
+    return f"unit {member.unit}: {readback.why}; it may still hold {member.raw} staged"
+
+
+def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[None]:
+    """It acknowledged its stage and does not show it: it may have missed the one frame nobody answers."""
+    sent = yield from send(Send(ExecuteSpeed(member.unit)))
+    if not sent.may_have_acted:
+        return
+    yield from verify(member, sent, context)
+    if member.outcome is not None and member.outcome.outcome == "verified":
+        message = "missed the broadcast and was told singly"
+        member.outcome = msgspec.structs.replace(member.outcome, message=message)
+
+
+def _strays(roster: Roster, members: list[Member]) -> Subprocedure[str]:
+    """In words, which units outside the change moved with it, staged by somebody else."""
+    inside = {member.unit for member in members}
+    moved: list[str] = []
+    for record in roster:
+        if record.unit in inside or not roster.is_configured(record.unit):
+            continue
+        if record.link.link != "online" or record.reading is None:
+            continue
+        readback = yield from verify_unchanged(record, record.reading.commanded)
+        if not readback.shown and readback.read_back is not None:
+            moved.append(f"unit {record.unit}, which was not part of the change: {readback.why}")
+    return "; ".join(moved)
+
+
+def unchanged(member: Member, broadcast: SendResult, readback: Readback) -> UnitOutcome:
+    """The fate of one that had nothing staged from here."""
+    if readback.shown:
+        message = "nothing was staged from here, and its commanded speed is unchanged"
+    else:
+        message = f"unit {member.unit}: {readback.why}"
+    outcome = outcome_with_readback(member.unit, broadcast, readback)
+    return msgspec.structs.replace(outcome, message=message, acknowledged_at=None)
+
+
+def executed(members: list[Member], broadcast: SendResult, remark: str) -> Result:
+    """The fate of all whose broadcast has left."""
+    outcomes = [member.outcome for member in members if member.outcome is not None]
+    bad = [outcome for outcome in outcomes if outcome.outcome != "verified"]
+    words = [outcome.message for outcome in bad] or [o.message for o in outcomes if "singly" in o.message]
+    return Result(
+        id="",
+        at=0.0,
+        outcome="unverified" if bad else "verified",
+        message="; ".join([*words, *([remark] if remark else [])]),
+        units=sorted(outcomes, key=lambda outcome: outcome.unit),
+        skew_s=_skew(outcomes, broadcast),
+    )
+
+
+def _skew(outcomes: Iterable[UnitOutcome], broadcast: SendResult) -> float | None:
+    """Every unit acted after the broadcast's last byte and before it was seen to have acted."""
+    proven = [outcome.proven_at for outcome in outcomes if outcome.proven_at is not None]
+    return max(proven) - broadcast.sent_at if proven and broadcast.sent_at is not None else None

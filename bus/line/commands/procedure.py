@@ -1,0 +1,81 @@
+"""What a procedure may do: send, wait, report. A procedure is a generator, so it knows no clock and no port.
+
+``sent = yield Send(...)`` has one request carried out with all its attempts; ``yield Wait(...)`` lets others
+use the wire; ``yield ReportProgress(...)`` reports how far it is. The poller runs it; a test runs it with
+made-up responses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import TypeVar
+
+import msgspec
+
+from bus.contract import Result, Stage
+from bus.line.exchange.send import Send, SendResult
+from bus.settings import Dialect
+
+T = TypeVar("T")
+
+
+class Wait(msgspec.Struct, frozen=True):
+    """Seconds in which the procedure sends nothing."""
+
+    seconds: float
+
+
+class ReportProgress(msgspec.Struct, frozen=True):
+    """How far a command is."""
+
+    stage: Stage
+    unit: int | None = None
+    done: int = 0
+    of: int = 0
+
+
+class Unstage(msgspec.Struct, frozen=True):
+    """``unit`` holds no staged speed any more: it was executed, as read back, or withdrawn."""
+
+    unit: int
+
+
+class Retune(msgspec.Struct, frozen=True):
+    """Everything from here on goes at ``baud``."""
+
+    baud: int
+
+
+class ExpectBaud(msgspec.Struct, frozen=True):
+    """Units come up at ``baud`` once they have been switched off and on; the present rate: where they are."""
+
+    baud: int
+
+
+LineEffect = ReportProgress | Unstage | Retune | ExpectBaud
+"""What needs no waiting."""
+ProcedureStep = Send | Wait | LineEffect
+Subprocedure = Generator[ProcedureStep, SendResult | None, T]
+"""Gets a SendResult for a Send, None for every other step."""
+Procedure = Subprocedure[Result]
+
+
+@dataclass(slots=True)
+class CommandContext:
+    """What a procedure knows of the command it carries out, besides the action itself."""
+
+    dialect: Dialect
+    cancelled: bool = False
+    """Give up at the next point where nothing is half done."""
+    time_left_s: float = float("inf")
+    """Until the deadline, as the procedure begins."""
+    exchange_s: float = 0.02
+    """What one write takes on this bus."""
+
+
+def send(step: Send) -> Subprocedure[SendResult]:
+    """The result of one Send."""
+    sent = yield step
+    assert sent is not None
+    return sent

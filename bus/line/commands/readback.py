@@ -1,0 +1,172 @@
+"""When a write is proven: only by what a later exchange shows. Pure procedures and rules.
+
+The commanded speed of an 81h is compared with what was asked. A follower (#8 = 1 or 2) is given a
+ratio, and whether its CS then is that ratio is the dialect's answer: where it is a speed, #37 is read,
+and only where a unit does not say it there, a CS that has become the ratio is taken as proof.
+
+A unit may take a moment to show what it acknowledged, so a read-back that differs is read again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bus.catalogue.numbers import FOLLOWER_MODE, RATIO_SETPOINT, SPEED_SETPOINT
+from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.status import StatusBits, output_is_on, status_bits
+from bus.line.commands.procedure import Subprocedure, Wait, send
+from bus.line.exchange.send import Send, SendResult
+from bus.line.roster import UnitRecord
+from bus.settings import Dialect
+from bus.wire.commands import ParameterReply, ReadParameter, ReadStatus, StatusReply
+
+REREADS = 2
+"""How often a read-back that differs is read again."""
+REREAD_AFTER_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Readback:
+    """What the read-back showed. ``read_back`` None: there was none. ``why``: when not ``shown``."""
+
+    shown: bool
+    read_back: int | None = None
+    at: float | None = None
+    why: str = ""
+
+
+Verification = Subprocedure[Readback]
+
+
+def read_status(
+    unit: int,
+) -> Subprocedure[tuple[StatusReply | None, SendResult]]:
+    """A fresh 81h that nothing older can be taken for."""
+    sent = yield from send(Send(ReadStatus(unit), fresh=True))
+    return (sent.reply if isinstance(sent.reply, StatusReply) else None), sent
+
+
+def read_parameter(unit: int, number: int) -> Subprocedure[tuple[int | None, SendResult]]:
+    """A fresh 85h; None when the unit does not have it, or does not answer."""
+    sent = yield from send(Send(ReadParameter(unit, number), fresh=True))
+    return (sent.reply.raw if isinstance(sent.reply, ParameterReply) else None), sent
+
+
+def follows(record: UnitRecord, bits: StatusBits) -> Subprocedure[bool]:
+    """Whether the unit is a follower: by #8, read now where it is not known or the status bit disagrees."""
+    mode = record.raw(FOLLOWER_MODE)
+    if mode is None or bool(mode) != bits.follower:
+        mode, _ = yield from read_parameter(record.unit, FOLLOWER_MODE)
+    return bits.follower if mode is None else mode != 0
+
+
+def verify_speed(record: UnitRecord, raw: int, dialect: Dialect, *, before: int | None) -> Verification:
+    """That ``raw`` is now the commanded speed (or ratio). ``before``: the CS last read before the write."""
+    readback = Readback(False)
+    for look in range(1 + REREADS):
+        if look:
+            yield Wait(REREAD_AFTER_S)
+        status, sent = yield from read_status(record.unit)
+        if status is None:
+            return Readback(False, readback.read_back, readback.at, "it did not answer the read-back")
+        bits = status_bits(status.outputs, status.inputs, dialect.estop_healthy)
+        if dialect.follower_speed == "speed" and (yield from follows(record, bits)):
+            readback = yield from _verify_ratio(record, raw, status, sent, before)
+        else:
+            readback = _compare_speed(raw, status, bits, sent)
+        if readback.shown:
+            return readback
+    return readback
+
+
+def _compare_speed(raw: int, status: StatusReply, bits: StatusBits, sent: SendResult) -> Readback:
+    if status.commanded == raw:
+        return Readback(True, raw, sent.answered_at)
+    why = f"its commanded speed reads {status.commanded}{_override(bits)}"
+    return Readback(False, status.commanded, sent.answered_at, why)
+
+
+def _override(bits: StatusBits) -> str:
+    """What, at the unit's terminals, may stand above the commanded speed."""
+    active = [name for name, on in (("preset", bits.preset), ("up", bits.up), ("down", bits.down)) if on]
+    if not bits.remote:
+        active.append("LOCAL")
+    return f" while {' and '.join(active)} is active" if active else ""
+
+
+def _verify_ratio(
+    record: UnitRecord, raw: int, status: StatusReply, sent: SendResult, before: int | None
+) -> Verification:
+    ratio, ratio_answer = yield from read_parameter(record.unit, RATIO_SETPOINT)
+    if ratio == raw:
+        return Readback(True, ratio, ratio_answer.answered_at)
+    if status.commanded == raw and before is not None and before != raw:
+        return Readback(True, raw, sent.answered_at)
+    if ratio is None:
+        why = "it is a follower, and its ratio (#37) could not be read back"
+        return Readback(False, status.commanded, sent.answered_at, why)
+    return Readback(False, ratio, ratio_answer.answered_at, f"its ratio (#37) reads {ratio}")
+
+
+def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:
+    """That a unit to which nothing was to happen still has the commanded speed it had."""
+    status, sent = yield from read_status(record.unit)
+    if status is None:
+        return Readback(False, None, None, "it did not answer the read-back")
+    if before is None or status.commanded == before:
+        return Readback(True, status.commanded, sent.answered_at)
+    why = f"its commanded speed went from {before} to {status.commanded} though nothing was staged from here"
+    return Readback(False, status.commanded, sent.answered_at, why)
+
+
+def verify_parameter(unit: int, number: int, raw: int) -> Verification:
+    """That 85h shows ``raw``."""
+    readback = Readback(False)
+    for look in range(1 + REREADS):
+        if look:
+            yield Wait(REREAD_AFTER_S)
+        shown, sent = yield from read_parameter(unit, number)
+        if sent.reply is None:
+            return Readback(False, readback.read_back, readback.at, "it did not answer the read-back")
+        reads = "another value" if PARAMETERS[number].secret else shown
+        readback = Readback(shown == raw, shown, sent.answered_at, f"it reads {reads}")
+        if readback.shown:
+            return readback
+    return readback
+
+
+def verify_output(unit: int, number: int, on: bool) -> Verification:
+    """That the bit of output ``number`` in ST2 shows ``on``."""
+    readback = Readback(False)
+    for look in range(1 + REREADS):
+        if look:
+            yield Wait(REREAD_AFTER_S)
+        status, sent = yield from read_status(unit)
+        if status is None:
+            return Readback(False, readback.read_back, readback.at, "it did not answer the read-back")
+        shown = output_is_on(status.outputs, number)
+        state = "on" if shown else "off"
+        readback = Readback(shown == on, int(shown), sent.answered_at, f"the output reads {state}")
+        if readback.shown:
+            return readback
+    return readback
+
+
+def present_setpoint(record: UnitRecord, dialect: Dialect) -> Subprocedure[int | None]:
+    """What 82h must put into a unit so that a stray execute changes nothing; None when it cannot be read.
+
+    The commanded speed of a fresh 81h; a follower's ratio where CS is a speed; #20 while an input stands
+    above the setpoint.
+    """
+    status, _ = yield from read_status(record.unit)
+    if status is None:
+        return None
+    bits = status_bits(status.outputs, status.inputs, dialect.estop_healthy)
+    follower = yield from follows(record, bits)
+    if follower and (dialect.follower_speed == "speed" or bits.preset or bits.up or bits.down):
+        ratio, _ = yield from read_parameter(record.unit, RATIO_SETPOINT)
+        return ratio
+    if bits.preset or bits.up or bits.down:
+        setpoint, _ = yield from read_parameter(record.unit, SPEED_SETPOINT)
+        return setpoint if setpoint is not None else status.commanded
+    return status.commanded

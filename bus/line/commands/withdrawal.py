@@ -1,0 +1,104 @@
+"""Nobody may be surprised by a staged speed: the withdrawal of a change, and the shelter of those outside it.
+
+Whoever may hold a staged speed is given its present one (82h), so that no stray execute changes anything.
+Pure procedures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from bus.contract import Outcome, Result, UnitOutcome
+from bus.line.commands.member import Member
+from bus.line.commands.procedure import CommandContext, Subprocedure, Unstage, send
+from bus.line.commands.readback import present_setpoint
+from bus.line.exchange.send import Send, SendStatus
+from bus.line.roster import Roster, UnitRecord
+from bus.wire.commands import StageSpeed
+
+
+def _stage_present(record: UnitRecord, context: CommandContext) -> Subprocedure[int | None]:
+    """Stage the present speed; that speed, or None where the unit did not take it."""
+    present = yield from present_setpoint(record, context.dialect)
+    if present is None:
+        return None
+    sent = yield from send(Send(StageSpeed(record.unit, present), withdraws=True))
+    if sent.status is not SendStatus.RESPONDED or sent.refusal is not None:
+        return None
+    yield Unstage(record.unit)
+    return present
+
+
+def withdraw_all(members: list[Member], context: CommandContext) -> Subprocedure[None]:
+    """Instead of the broadcast."""
+    for member in members:
+        if member.may_hold:
+            present = yield from _stage_present(member.record, context)
+            member.outcome = _withdrawn(member, present)
+
+
+def _withdrawn(member: Member, present: int | None) -> UnitOutcome:
+    assert member.sent is not None
+    if present is not None:
+        message = f"staged and put back to its present speed ({present}); not executed"
+    else:
+        message = (
+            f"may still hold {member.raw} staged, for it could not be put back: stage its present speed "
+            "before anything is executed on this line"
+        )
+    return UnitOutcome(
+        unit=member.unit,
+        outcome="not_sent" if present is not None else "unverified",
+        message=message,
+        unit_error=member.sent.refusal,
+        sent_at=member.sent.sent_at,
+        acknowledged_at=member.sent.answered_at if member.staged else None,
+        attempts=member.sent.attempts,
+    )
+
+
+def stopped(members: list[Member], outcome: Outcome, why: str) -> Result:
+    """The fate of a change that ended before its broadcast, and which units may hold what was staged."""
+    units = [member.outcome or _untouched(member) for member in members]
+    left = [str(each.unit) for each in units if each.outcome == "unverified"]
+    warning = f"; may still be staged in unit {', '.join(left)}" if left else ""
+    refusals = [each.unit_error for each in units if each.unit_error is not None]
+    return Result(
+        id="",
+        at=0.0,
+        outcome=outcome,
+        message=f"{why}: no unit was changed{warning}",
+        unit_error=refusals[0] if refusals else None,
+        units=sorted(units, key=lambda each: each.unit),
+    )
+
+
+def _untouched(member: Member) -> UnitOutcome:
+    return UnitOutcome(unit=member.unit, outcome="not_sent", message="nothing was sent to it")
+
+
+class SuspendedStages:
+    """Units outside a change that hold a staged speed, kept from executing it with the others."""
+
+    def __init__(self, roster: Roster, setpoints: Mapping[int, int], context: CommandContext) -> None:
+        outside = [record for record in roster if record.unit not in setpoints]
+        self._waiting = {each.unit: (each, each.staged) for each in outside if each.staged is not None}
+        self._sheltered: dict[int, int] = {}
+        self._wish = context
+
+    def suspend(self) -> Subprocedure[tuple[Outcome, str] | None]:
+        """None when no unit outside the change can move with it."""
+        for unit, (record, staged) in self._waiting.items():
+            present = yield from _stage_present(record, self._wish)
+            if present is None:
+                return "not_sent", (
+                    f"unit {unit} is not part of the change but holds {staged} staged, would execute it too, "
+                    "and could not be put back to its present speed"
+                )
+            self._sheltered[unit] = staged
+        return None
+
+    def restore(self) -> Subprocedure[None]:
+        """Give each its staged speed back."""
+        for unit, staged in self._sheltered.items():
+            yield from send(Send(StageSpeed(unit, staged), withdraws=True))

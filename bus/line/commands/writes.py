@@ -1,0 +1,169 @@
+"""A write to one unit, from the frame to its one fate. Pure procedures (``bus.line.commands.procedure``)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from bus.contract import Outcome, Result, UnitOutcome
+from bus.errors import unit_error_name
+from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, send
+from bus.line.commands.readback import (
+    REREADS,
+    Readback,
+    Verification,
+    verify_output,
+    verify_parameter,
+    verify_speed,
+)
+from bus.line.exchange.send import Send, SendResult, SendStatus
+from bus.line.roster import UnitRecord
+from bus.wire.commands import (
+    ExecuteSpeed,
+    Request,
+    SetAndExecuteSpeed,
+    StageSpeed,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+
+NOTHING_TO_READ_BACK = "acknowledged; there is nothing to read back"
+
+
+def set_and_execute(record: UnitRecord, raw: int, context: CommandContext) -> Procedure:
+    """84h, proven by the commanded speed of an 81h."""
+    before = record.reading.commanded if record.reading is not None else None
+    return write(
+        record.unit,
+        SetAndExecuteSpeed(record.unit, raw),
+        lambda: verify_speed(record, raw, context.dialect, before=before),
+    )
+
+
+def stage(record: UnitRecord, raw: int) -> Procedure:
+    """82h: not visible until it is executed, so acknowledged at best."""
+    return write(record.unit, StageSpeed(record.unit, raw), None)
+
+
+def execute(record: UnitRecord, context: CommandContext) -> Procedure:
+    """83h to one unit, proven where it is known what it holds staged."""
+    staged = record.staged
+    before = record.reading.commanded if record.reading is not None else None
+    if staged is None:
+        return write(record.unit, ExecuteSpeed(record.unit), None)
+    return write(
+        record.unit,
+        ExecuteSpeed(record.unit),
+        lambda: verify_speed(record, staged, context.dialect, before=before),
+    )
+
+
+def write_parameter(unit: int, number: int, raw: int) -> Procedure:
+    """86h, proven by 85h."""
+    return write(unit, WriteParameter(unit, number, raw), lambda: verify_parameter(unit, number, raw))
+
+
+def write_output(unit: int, number: int, on: bool) -> Procedure:
+    """87h, proven by the bit in ST2."""
+    return write(unit, WriteOutput(unit, number, on), lambda: verify_output(unit, number, on))
+
+
+def write_analog_output(unit: int, raw: int) -> Procedure:
+    """88h: nothing can be read back."""
+    return write(unit, WriteAnalogOutput(unit, raw), None)
+
+
+def write(unit: int, request: Request, verify: Callable[[], Verification] | None) -> Procedure:
+    """Send ``request`` and, unless refused, prove it. ``prove`` None: an ACK is all there is."""
+    sent = yield from send(Send(request, reports_sent=True))
+    if not sent.may_have_acted:
+        return result_of_one(outcome_without_readback(unit, sent))
+    if sent.status is SendStatus.RESPONDED and sent.refusal is None:
+        yield ReportProgress("acknowledged", unit)
+    if verify is None:
+        return result_of_one(outcome_without_readback(unit, sent))
+    yield ReportProgress("proving", unit)
+    readback = yield from verify()
+    return result_of_one(outcome_with_readback(unit, sent, readback))
+
+
+def outcome_without_readback(unit: int, sent: SendResult) -> UnitOutcome:
+    """The fate of a write that is not, or cannot be, read back."""
+    outcome, message = _outcome_without_readback(unit, sent)
+    return UnitOutcome(
+        unit=unit,
+        outcome=outcome,
+        message=message,
+        unit_error=sent.refusal,
+        sent_at=sent.sent_at,
+        acknowledged_at=sent.answered_at if sent.refusal is None else None,
+        attempts=sent.attempts,
+    )
+
+
+def _outcome_without_readback(unit: int, sent: SendResult) -> tuple[Outcome, str]:
+    if sent.refusal is not None:
+        refused = f"unit {unit} refused: {unit_error_name(sent.refusal)}"
+        if sent.may_have_acted:
+            return "unverified", f"{refused}; but an earlier try was not answered, and may have been taken"
+        return "refused", refused
+    if sent.status is SendStatus.RESPONDED:
+        return "acknowledged", NOTHING_TO_READ_BACK
+    if sent.attempts == 0:
+        return not_sent(unit, sent)
+    tries = "once" if sent.attempts == 1 else f"{sent.attempts} times"
+    return "unverified", f"unit {unit} did not acknowledge (sent {tries}): whether it acted is not known"
+
+
+def not_sent(unit: int, sent: SendResult) -> tuple[Outcome, str]:
+    """Why nothing left for ``unit``."""
+    if sent.status is SendStatus.PORT_CLOSED:
+        return "bus_closed", "there is no link to the bus: nothing was sent"
+    if sent.status is SendStatus.TOO_LATE:
+        return "not_sent", "its time was over before it could be sent: nothing was sent"
+    message = f"unit {unit} does not answer, nor did it before: nothing was sent, its state is not known"
+    return "unverified", message
+
+
+def outcome_with_readback(unit: int, sent: SendResult, readback: Readback) -> UnitOutcome:
+    """The fate of a write that was read back."""
+    refused = sent.refusal is not None and not readback.shown and readback.read_back is not None
+    unproven: Outcome = "refused" if refused else "unverified"
+    return UnitOutcome(
+        unit=unit,
+        outcome="verified" if readback.shown else unproven,
+        message=_message_of(unit, sent, readback),
+        unit_error=sent.refusal if refused else None,
+        read_back=readback.read_back,
+        sent_at=sent.sent_at,
+        acknowledged_at=sent.answered_at if sent.refusal is None else None,
+        proven_at=readback.at if readback.shown else None,
+        attempts=sent.attempts,
+    )
+
+
+def _message_of(unit: int, sent: SendResult, readback: Readback) -> str:
+    acknowledged = sent.status is SendStatus.RESPONDED and sent.refusal is None
+    if readback.shown:
+        return "" if acknowledged else "not acknowledged, but the read-back shows it"
+    said = "acknowledged" if acknowledged else "did not acknowledge"
+    if sent.refusal is not None:
+        said = f"refused: {unit_error_name(sent.refusal)}"
+    looks = f" ({1 + REREADS} looks)" if readback.read_back is not None else ""
+    if readback.read_back is None:
+        joined = "and" if said == "did not acknowledge" else "but"
+        return f"unit {unit} {said}, {joined} {readback.why}: its state is not known"
+    return f"unit {unit} {said}, but {readback.why}{looks}: its state is not what was asked"
+
+
+def result_of_one(outcome: UnitOutcome) -> Result:
+    """The result of a command to one unit; id, time and frames are the poller's to add."""
+    return Result(
+        id="",
+        at=0.0,
+        outcome=outcome.outcome,
+        message=outcome.message,
+        unit_error=outcome.unit_error,
+        read_back=outcome.read_back,
+        units=[outcome],
+    )

@@ -1,0 +1,45 @@
+"""The exchange under way: its times, and what came in beside its answer."""
+
+from __future__ import annotations
+
+import msgspec
+
+from bus.line.clock import LineClock
+from bus.line.exchange.send import NO_NOISE, LineNoise
+from bus.line.exchange.send_attempts import ExchangeResult
+from bus.wire.exchange import Exchange
+
+
+class CurrentExchange(msgspec.Struct):
+    """Times are the line's own, in seconds."""
+
+    exchange: Exchange
+    began: float
+    ends_sending: float
+    """When the request's last byte has left."""
+    last_moment: float
+    """No answer can come later, whenever this process gets to hear it."""
+    frame: bytes = b""
+    """The answer, as it was on the wire."""
+    garbled: bool = False
+    unexpected: bool = False
+
+    def result(self, clock: LineClock, now: float) -> ExchangeResult:
+        """How it ended, at ``now``."""
+        exchange = self.exchange
+        answered_at = clock.epoch(min(now, self.last_moment)) if exchange.reply is not None else None
+        return ExchangeResult(
+            exchange.request,
+            exchange.reply,
+            clock.epoch(self.ends_sending),
+            answered_at,
+            b"" if exchange.prepared.secret else self.frame,
+            self._noise(),
+            exchange.dialect,
+        )
+
+    def _noise(self) -> LineNoise:
+        """Bytes that never became a frame are rubbish too: two units at one address may sound like that."""
+        exchange = self.exchange
+        garbled = self.garbled or (exchange.reply is None and exchange.first_byte_at is not None)
+        return LineNoise(garbled, self.unexpected) if garbled or self.unexpected else NO_NOISE

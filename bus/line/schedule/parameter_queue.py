@@ -1,0 +1,105 @@
+"""Which parameter is read next in the gaps of the scan. Pure: order only, no time."""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Collection, Sequence
+
+from bus.catalogue.numbers import DECIMALS
+
+DECIMALS_EVERY = 4
+"""So many reads of the circle bring one #3, and a first reading of all the others still ends soon."""
+
+
+class ParameterQueue:
+    """Two queues of 85h reads: those needed to show a unit right, and a slow circle of all others.
+
+    The needed ones go number by number over all units, so that all units are shown right together; #3 goes
+    first, as without decimals no speed can be shown right.
+    The circle never ends: what was read goes to its end, which finds what was changed at a panel. Every
+    fourth read of it is #3 of the next unit, as decimals changed at a panel make every shown speed wrong.
+    """
+
+    def __init__(self, numbers: Sequence[int], needed: Collection[int]) -> None:
+        self._numbers = tuple(numbers)
+        self._needed_numbers = frozenset(needed)
+        self._needed: list[tuple[bool, int, int, int]] = []
+        self._background: deque[tuple[int, int]] = deque()
+        self._decimals: deque[tuple[int, int]] = deque()
+        self._waiting: set[tuple[int, int]] = set()
+        self._urgent: set[tuple[int, int]] = set()
+        self._arrivals = 0
+        self._turn = 0
+
+    def learn_all(self, unit: int) -> None:
+        """``unit`` is new or has returned: everything about it is to be read."""
+        self.forget(unit)
+        self.need(unit)
+        for number in self._numbers:
+            if number not in self._needed_numbers:
+                self._add_background(unit, number)
+
+    def need(self, unit: int) -> None:
+        """Read again what is needed to show ``unit`` right."""
+        for number in self._needed_numbers:
+            if (unit, number) not in self._urgent:
+                self._urgent.add((unit, number))
+                self._arrivals += 1
+                rank = (number != DECIMALS, number, self._arrivals, unit)
+                heapq.heappush(self._needed, rank)
+
+    def forget(self, unit: int) -> None:
+        """``unit`` does not answer; nothing is read from it."""
+        self._needed = [entry for entry in self._needed if entry[3] != unit]
+        heapq.heapify(self._needed)
+        self._background = deque(entry for entry in self._background if entry[0] != unit)
+        self._decimals = deque(entry for entry in self._decimals if entry[0] != unit)
+        self._waiting = {entry for entry in self._waiting if entry[0] != unit}
+        self._urgent = {entry for entry in self._urgent if entry[0] != unit}
+
+    def has_needed(self) -> bool:
+        """Whether a parameter is missing without which a unit is not shown right."""
+        return bool(self._needed)
+
+    def next_needed(self) -> tuple[int, int] | None:
+        """Unit and number of the next needed parameter, taken from the queue."""
+        if not self._needed:
+            return None
+        _, number, _, unit = heapq.heappop(self._needed)
+        self._urgent.discard((unit, number))
+        return unit, number
+
+    def next_background(self) -> tuple[int, int] | None:
+        """Unit and number of the next parameter of the slow circle, taken from it."""
+        self._turn = (self._turn + 1) % DECIMALS_EVERY
+        queue = (self._background or self._decimals) if self._turn else (self._decimals or self._background)
+        if not queue:
+            return None
+        entry = queue.popleft()
+        self._waiting.discard(entry)
+        return entry
+
+    def was_read(self, unit: int, number: int, *, available: bool) -> None:
+        """It takes its place at the end of the circle; one that the unit does not have leaves it."""
+        if available and number in self._numbers:
+            self._add_background(unit, number)
+
+    def was_not_read(self, unit: int, number: int) -> None:
+        """No answer: back into the queue it came from."""
+        if number in self._needed_numbers:
+            self._again(unit, number)
+        else:
+            self._add_background(unit, number)
+
+    def _again(self, unit: int, number: int) -> None:
+        if (unit, number) not in self._urgent:
+            self._urgent.add((unit, number))
+            self._arrivals += 1
+            heapq.heappush(self._needed, (True, number, self._arrivals, unit))
+
+    def _add_background(self, unit: int, number: int) -> None:
+        if (unit, number) not in self._waiting:
+            self._waiting.add((unit, number))
+            queue = self._decimals if number == DECIMALS else self._background
+            queue.append((unit, number))

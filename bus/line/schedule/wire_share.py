@@ -1,0 +1,29 @@
+"""A right to a fraction of the wire's time."""
+
+from __future__ import annotations
+
+
+class WireShare:
+    """Lets something use the wire for at most ``fraction`` of the time, however long one use is.
+
+    What was not used can be saved up for ``burst_s`` seconds of waiting, so that short uses between
+    long ones of others still come to the whole fraction. Pure: ``now`` in seconds is passed in.
+    """
+
+    def __init__(self, fraction: float, burst_s: float = 0.0) -> None:
+        self.fraction = fraction
+        self.burst_s = burst_s
+        self._ready_at = float("-inf")
+
+    def ready(self, now: float) -> bool:
+        """Whether it may be used now."""
+        return now >= self._ready_at
+
+    @property
+    def ready_at(self) -> float:
+        """The moment from which it may be used."""
+        return self._ready_at
+
+    def spend(self, now: float, seconds: float) -> None:
+        """It was used for ``seconds``, beginning at ``now``."""
+        self._ready_at = max(self._ready_at, now - self.burst_s) + seconds / self.fraction

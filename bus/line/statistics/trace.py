@@ -1,0 +1,125 @@
+"""The last frames, at most an hour of them, packed; their meaning is made only when somebody asks."""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from msgspec.structs import replace
+
+from bus.contract import LONGEST_FRAME, MOST_CLAUSES, Clause, Direction, Frame
+from bus.settings import Dialect
+from bus.wire.describe import Describer
+from bus.wire.framing import FrameDecoder
+
+KEPT_S = 3600.0
+KEPT_BYTES = 16_000_000
+PIECE_BYTES = 65_536
+MOST_FRAMES_OF_A_COMMAND = 300
+HIDDEN = Clause("a frame with a secret value (#21), which is not kept")
+
+_HEAD = struct.Struct("<dBBH")
+_VALID, _HIDDEN = 1, 2
+
+
+class TracedFrame(NamedTuple):
+    """One frame or piece of rubbish as it passed the port; ``at``: seconds since the epoch."""
+
+    at: float
+    direction: Direction
+    data: bytes
+    valid: bool = True
+    hidden: bool = False
+
+
+@dataclass(slots=True)
+class _Piece:
+    began: float
+    packed: bytearray
+
+
+class Trace:
+    """A ring of packed records, bounded by time and by bytes."""
+
+    def __init__(self, kept_s: float = KEPT_S, kept_bytes: int = KEPT_BYTES) -> None:
+        self._kept_s = kept_s
+        self._kept_bytes = kept_bytes
+        self._pieces: deque[_Piece] = deque()
+        self.follower: Callable[[TracedFrame], None] | None = None
+        """Gets each frame as it passes, while somebody follows."""
+        self.witness: list[TracedFrame] | None = None
+        """The frames of the command under way are put down here as well."""
+
+    def add(self, passed: TracedFrame) -> None:
+        """Keep one; a secret one without its bytes, of noise without end only the beginning."""
+        data = b"" if passed.hidden else passed.data[:LONGEST_FRAME]
+        if not self._pieces or len(self._pieces[-1].packed) >= PIECE_BYTES:
+            self._pieces.append(_Piece(passed.at, bytearray()))
+            self._drop_old(passed.at)
+        flags = passed.valid * _VALID | passed.hidden * _HIDDEN
+        packed = self._pieces[-1].packed
+        packed += _HEAD.pack(passed.at, passed.direction == "in", flags, len(data))
+        packed += data
+        if self.witness is not None and len(self.witness) < MOST_FRAMES_OF_A_COMMAND:
+            self.witness.append(passed._replace(data=data))
+        if self.follower is not None:
+            self.follower(passed._replace(data=data))
+
+    def since(self, at: float) -> Iterator[TracedFrame]:
+        """What is kept from ``at`` on, oldest first. New frames may come while it is read."""
+        pieces = list(self._pieces)
+        for place, piece in enumerate(pieces):
+            if place + 1 == len(pieces) or pieces[place + 1].began > at:
+                yield from (passed for passed in _unpack(bytes(piece.packed)) if passed.at >= at)
+
+    @property
+    def size(self) -> int:
+        """Bytes in use."""
+        return sum(len(piece.packed) for piece in self._pieces)
+
+    def _drop_old(self, now: float) -> None:
+        while len(self._pieces) > 1 and (
+            self._pieces[1].began < now - self._kept_s or self.size > self._kept_bytes
+        ):
+            self._pieces.popleft()
+
+
+def _unpack(packed: bytes) -> Iterator[TracedFrame]:
+    place = 0
+    while place < len(packed):
+        at, came_in, flags, length = _HEAD.unpack_from(packed, place)
+        place += _HEAD.size
+        data = packed[place : place + length]
+        place += length
+        yield TracedFrame(at, "in" if came_in else "out", data, bool(flags & _VALID), bool(flags & _HIDDEN))
+
+
+class Interpreter:
+    """Gives frames their meaning, in their order: an answer is read in the light of its request."""
+
+    def __init__(self, dialect: Dialect) -> None:
+        self._dialect = dialect
+        self._describer = Describer(dialect)
+
+    def frame(self, passed: TracedFrame) -> Frame:
+        """As the app shows it."""
+        clauses = [HIDDEN] if passed.hidden else self._clauses(passed.data)
+        return Frame(
+            at=passed.at,
+            direction=passed.direction,
+            data=b"" if passed.hidden else passed.data,
+            clauses=clauses,
+            valid=passed.valid,
+        )
+
+    def _clauses(self, data: bytes) -> list[Clause]:
+        decoder = FrameDecoder(self._dialect)
+        clauses: list[Clause] = []
+        for described in self._describer.describe([*decoder.feed(data), *decoder.flush()]):
+            if clauses:
+                clauses[-1] = replace(clauses[-1], then="; ")
+            clauses += described.clauses
+        return clauses[:MOST_CLAUSES]

@@ -1,0 +1,86 @@
+"""Counters and answer times of one unit. Pure."""
+
+from __future__ import annotations
+
+import math
+
+from msgspec.structs import asdict
+
+from bus.contract import UnitCounts, UnitFigures
+
+_SHORTEST_S = 0.0001
+_STEP = 1.08
+"""Answer times are counted in classes each 8 % wider than the one before, from 0.1 ms to 8 s."""
+_CLASSES = 148
+
+
+class ResponseTimes:
+    """Seconds from a request's last byte to the first byte of the answer, as a histogram."""
+
+    __slots__ = ("_classes", "count", "largest", "smallest")
+
+    def __init__(self) -> None:
+        self._classes = [0] * _CLASSES
+        self.count = 0
+        self.smallest: float | None = None
+        self.largest: float | None = None
+
+    def add(self, seconds: float) -> None:
+        """One answer; a negative time (a port faster than its baud rate) counts as none at all."""
+        seconds = max(seconds, 0.0)
+        self.count += 1
+        self._classes[_class_of(seconds)] += 1
+        self.smallest = seconds if self.smallest is None else min(self.smallest, seconds)
+        self.largest = seconds if self.largest is None else max(self.largest, seconds)
+
+    def quantile(self, part: float) -> float | None:
+        """The time that ``part`` (0 to 1) of the answers did not exceed; None before the first."""
+        if self.smallest is None or self.largest is None:
+            return None
+        left = part * self.count
+        # Every second, twice for each unit of the line: the empty classes before the first are passed over.
+        for place in range(_class_of(self.smallest), _CLASSES):
+            left -= self._classes[place]
+            if left <= 0 and self._classes[place]:
+                return min(max(_middle_of(place), self.smallest), self.largest)
+        return self.largest
+
+
+def _class_of(seconds: float) -> int:
+    if seconds <= _SHORTEST_S:
+        return 0
+    return min(int(math.log(seconds / _SHORTEST_S) / math.log(_STEP)) + 1, _CLASSES - 1)
+
+
+def _middle_of(place: int) -> float:
+    return _SHORTEST_S * _STEP ** (place - 0.5) if place else 0.0
+
+
+class UnitStatistics:
+    """What became of every request to one unit since the worker started.
+
+    ``overdue``: how many responses came after their window, while another unit was asked.
+    """
+
+    __slots__ = ("counts", "overdue", "times")
+
+    def __init__(self, unit: int) -> None:
+        self.counts = UnitCounts(unit)
+        self.overdue = 0
+        self.times = ResponseTimes()
+
+    def refused(self, code: int) -> None:
+        """The unit said NAK. A new dictionary, as the one before may have been told."""
+        naks = self.counts.naks
+        self.counts.naks = {**naks, code: naks.get(code, 0) + 1}
+
+    def figures(self) -> UnitFigures:
+        """As the app gets it."""
+        times = self.times
+        return UnitFigures(
+            **asdict(self.counts),
+            answer_s_min=times.smallest,
+            answer_s_median=times.quantile(0.5),
+            answer_s_p99=times.quantile(0.99),
+            answer_s_max=times.largest,
+        )

@@ -1,0 +1,9 @@
+"""A message as data, and the English text of every code."""
+
+from __future__ import annotations
+
+from bus.messages.catalog import Catalog
+from bus.messages.message import NUMBER, TERM, Message, ParamValue, number, term
+from bus.messages.texts import TEXTS, Plural
+
+__all__ = ["NUMBER", "TERM", "TEXTS", "Catalog", "Message", "ParamValue", "Plural", "number", "term"]

@@ -1,0 +1,111 @@
+"""What is said to people, before it is in any language: a code and the values of its text. Pure."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from decimal import Decimal
+from typing import Annotated, TypeAlias
+
+import msgspec
+from msgspec import Meta
+
+from bus.messages.catalog import ENGLISH, Catalog
+
+DEEPEST = 8
+"""Messages inside messages."""
+LONGEST_TEXT = 4_000
+"""Characters of a value, and of a message once it is rendered."""
+NUMBER = "number"
+"""Code of a decimal number: ``value`` is written with a point, each language shows it with its own sign."""
+TERM = "term"
+"""Code of a fixed word of the program: ``text`` is looked up in the catalog as it is."""
+_BRACES = re.compile(r"\{(\w+)\}")
+
+MessageCode = Annotated[str, Meta(max_length=60, pattern="^[a-z][a-z0-9_]*$")]
+ParamName = Annotated[str, Meta(max_length=40)]
+ParamText = Annotated[str, Meta(max_length=LONGEST_TEXT)]
+ParamList = Annotated["list[int | ParamText | Message]", Meta(max_length=500)]
+Finite = Annotated[float, Meta(ge=-1e15, le=1e15)]
+ParamValue: TypeAlias = "int | Finite | ParamText | Message | ParamList"
+
+
+class Message(msgspec.Struct, frozen=True):
+    """``code`` names the text, ``params`` what its braces stand for; both are for programs too.
+
+    A text in ``params`` is shown as it is: it may come from a request, from a person or from another process.
+    What has to be translated is a message itself. A list is joined: messages by semicolons, else by commas.
+    Raises ValueError when it is nested too deeply.
+    """
+
+    code: MessageCode
+    params: Annotated[dict[ParamName, ParamValue], Meta(max_length=20)] = {}
+
+    @classmethod
+    def of(cls, code: str, /, **params: ParamValue) -> Message:
+        """The message, its params as keywords."""
+        return cls(code, params)
+
+    def __post_init__(self) -> None:
+        if not _is_within(DEEPEST, self.params.values()):
+            raise ValueError(f"messages are nested more than {DEEPEST} deep")
+
+    def __hash__(self) -> int:
+        return hash((self.code, str(self.params)))
+
+    def __str__(self) -> str:
+        """Its text in English."""
+        return self.render(ENGLISH)
+
+    def render(self, catalog: Catalog) -> str:
+        """Its text in the language of ``catalog``, at most 4,000 characters.
+
+        A message may come from another process, so its text is never a format string: that could reach into
+        objects (``{a.__class__}``) and pad without bound (``{a:>999999999}``).
+        """
+        if self.code == NUMBER:
+            return str(self.params.get("value", "")).replace(".", catalog.point)
+        if self.code == TERM:
+            return catalog.term(str(self.params.get("text", "")))
+        template = catalog.template(self.code, self.params.get("n"))
+        if template is None:
+            template = " ".join([self.code, *(f"{{{name}}}" for name in self.params)])
+        return _BRACES.sub(lambda found: self._filled(found, catalog), template)[:LONGEST_TEXT]
+
+    def _filled(self, found: re.Match[str], catalog: Catalog) -> str:
+        value = self.params.get(found[1])
+        return found[0] if value is None else _shown(value, catalog)
+
+
+def number(value: Decimal | str) -> Message:
+    """A decimal number; each language writes it with its own decimal sign."""
+    return Message(NUMBER, {"value": str(value)})
+
+
+def term(text: str) -> Message:
+    """A fixed word of the program as the value of another message."""
+    return Message(TERM, {"text": text})
+
+
+def _shown(value: ParamValue, catalog: Catalog) -> str:
+    match value:
+        case Message():
+            return value.render(catalog)
+        case list():
+            separator = "; " if any(isinstance(each, Message) for each in value) else ", "
+            return separator.join(_shown(each, catalog) for each in value)
+        case float():
+            return str(value).replace(".", catalog.point)
+        case _:
+            return str(value)
+
+
+def _is_within(deepest: int, values: Iterable[object]) -> bool:
+    """Whether no message in ``values`` holds more than ``deepest`` levels of others."""
+    for value in values:
+        if isinstance(value, Message):
+            if not deepest or not _is_within(deepest - 1, value.params.values()):
+                return False
+        elif isinstance(value, list) and not _is_within(deepest, value):
+            return False
+    return True

@@ -1,0 +1,48 @@
+"""How soon to try again what ends soon after it begins. Pure.
+
+What worked for a while and then breaks, a cable that is pulled or an app that restarts, is tried again at
+once. What begins and ends again and again, such as a device server that accepts and closes, is tried ever
+more seldom, and only some of its ends are worth a line in the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+STABLE_S = 10.0
+"""What lasts so long has worked."""
+FIRST_PAUSE_S = 0.5
+LONGEST_PAUSE_S = 30.0
+LONGEST_USEFUL_PAUSE_S = 0.5
+"""While it is of use in between: a plug with a bad contact."""
+JITTER = 0.25
+
+
+@dataclass(slots=True)
+class ReconnectDelay:
+    """``random`` gives numbers from 0 to 1; many that lost the same server must not come back together."""
+
+    random: Callable[[], float]
+    count: int = 0
+    """How often in a row it ended too soon."""
+
+    def ended(self, lasted_s: float, *, useful: bool = False) -> float:
+        """It began and ended after ``lasted_s``; ``useful``: something came of it. Seconds to wait."""
+        if lasted_s >= STABLE_S:
+            self.count = 0
+            return 0.0
+        self.count += 1
+        longest = LONGEST_USEFUL_PAUSE_S if useful else LONGEST_PAUSE_S
+        pause = min(FIRST_PAUSE_S * 2.0 ** min(self.count - 1, 16), longest)
+        return pause * (1.0 - JITTER + 2.0 * JITTER * self.random())
+
+    @property
+    def is_worth_logging(self) -> bool:
+        """Whether to log this end."""
+        return is_worth_logging(self.count)
+
+
+def is_worth_logging(count: int) -> bool:
+    """Whether to log what happens for this time: the first three, then each time that it has doubled."""
+    return count <= 3 or count & (count - 1) == 0

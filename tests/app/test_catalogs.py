@@ -1,0 +1,163 @@
+"""The catalogs are complete: every text of the screen and every message, with the same names in braces."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from app.messages import Languages
+from app.messages.compiled import compiled
+from app.messages.languages import DEFAULT, catalogs
+from bus.messages import TEXTS, Message, Plural, number, term
+from bus.messages.texts import GROUPS
+from tests.catalogs import Key, catalog_at, in_code, in_templates, key_of, leftovers, wanted
+
+ROOT = Path(__file__).resolve().parents[2]
+TRANSLATED = {tag: path for tag, path in catalogs().items() if tag != DEFAULT}
+BRACES = re.compile(r"\{(\w*)\}")
+MANY = re.compile(r"\{n\} (units|rows|addresses|values|parameters|followers|sets|events|frames|readings)\b")
+NEVER_ONE = {"{n} values differ from golden: {parts}", "{name}, {n} units departed"}
+"""What is said of two at least."""
+MOST_LEFT = 515
+"""Texts that the sentences look up which are not messages yet: this may only shrink."""
+
+
+def each_text(text: str | tuple[str, ...] | list[str]) -> list[str]:
+    return [text] if isinstance(text, str) else list(text)
+
+
+@pytest.mark.parametrize("path", TRANSLATED.values(), ids=TRANSLATED)
+def test_every_text_is_translated(path: Path) -> None:
+    there = {key_of(message) for message in catalog_at(path) if message.id and all(each_text(message.string))}
+    assert sorted(wanted().keys() - there, key=str) == []
+
+
+@pytest.mark.parametrize("path", TRANSLATED.values(), ids=TRANSLATED)
+def test_nothing_is_left_over(path: Path) -> None:
+    left: list[Key] = leftovers(path)
+    assert [key for key in left if key[0] is not None] == []
+    assert len(left) <= MOST_LEFT
+
+
+@pytest.mark.parametrize("path", catalogs().values(), ids=catalogs())
+def test_a_translation_has_the_names_of_its_text(path: Path) -> None:
+    for message in catalog_at(path):
+        if message.id:
+            names = {frozenset(BRACES.findall(text)) for text in each_text(message.id)[-1:]}
+            said = {frozenset(BRACES.findall(text)) for text in each_text(message.string)[-1:]}
+            assert names == said, message.id
+
+
+def test_a_code_stands_in_one_group_only() -> None:
+    counted = Counter(code for group in GROUPS for code in group)
+    assert [code for code, n in counted.items() if n > 1] == []
+
+
+def names_of(code: str) -> set[str]:
+    text = TEXTS[code]
+    if isinstance(text, Plural):
+        return {"n", *BRACES.findall(text.one), *BRACES.findall(text.many)}
+    return set(BRACES.findall(text))
+
+
+def made(path: Path) -> Iterator[tuple[str, set[str]]]:
+    """The messages that a module makes: each with its code and the names of its params."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        match node:
+            case ast.Call(
+                func=ast.Attribute(value=ast.Name(id="Message"), attr="of"),
+                args=[ast.Constant(value=str(code))],
+                keywords=given,
+            ):
+                yield code, {each.arg or "**" for each in given}
+            case ast.Call(func=ast.Name(id="Message"), args=[ast.Constant(value=str(code))]):
+                yield code, set()
+            case ast.Call(func=ast.Name(id="Message"), args=[ast.Constant(value=str(code)), ast.Dict(keys)]):
+                yield code, {each.value if isinstance(each, ast.Constant) else "**" for each in keys}
+
+
+MADE = [
+    (path.relative_to(ROOT).as_posix(), code, names)
+    for part in ("app", "bus")
+    for path in sorted((ROOT / part).rglob("*.py"))
+    for code, names in made(path)
+]
+
+
+def test_each_message_has_a_text_and_its_values() -> None:
+    """More values than the text has are for programs."""
+    wrong = [
+        (path, code, names)
+        for path, code, names in MADE
+        if code not in TEXTS or ("**" not in names and not names >= names_of(code))
+    ]
+    assert wrong == []
+
+
+def test_each_text_is_of_a_message() -> None:
+    assert sorted(TEXTS.keys() - {code for _, code, _ in MADE}) == []
+
+
+def test_the_extraction_finds_texts_at_all() -> None:
+    assert "Set line to zero" in in_templates()
+    assert ("{n} row differs", "{n} rows differ") in in_templates()
+    assert "verified" in in_code()
+
+
+def test_what_is_counted_has_a_text_for_one() -> None:
+    """A script that counts takes the texts of a ``tn`` from the page."""
+    found = in_templates() | in_code()
+    counted = {text for pair in found if isinstance(pair, tuple) for text in pair}
+    assert {text for text in found - counted if isinstance(text, str) and MANY.search(text)} == NEVER_ONE
+
+
+def test_one_file_adds_a_language(tmp_path: Path) -> None:
+    header = 'msgid ""\nmsgstr "Content-Type: text/plain; charset=utf-8\\n"\n'
+    header += '"Plural-Forms: nplurals=2; plural=(n != 1);\\n"\n'
+    (tmp_path / "en.po").write_text(header)
+    text = 'msgid "Set {unit} to {value}"\nmsgstr "Still {unit} til {value}"\n'
+    plural = 'msgid "{n} row"\nmsgid_plural "{n} rows"\nmsgstr[0] "{n} rad"\nmsgstr[1] "{n} rader"\n'
+    (tmp_path / "nb.po").write_text(f"{header}\n{text}\n{plural}")
+    norwegian = Languages(tmp_path).choose("", "nb-NO", "en")
+    assert norwegian.t("Set {unit} to {value}", unit="Nip", value="1,0") == "Still Nip til 1,0"
+    assert norwegian.t("not translated yet {x}") == "not translated yet {x}"
+    assert [norwegian.tn("{n} row", "{n} rows", n) for n in (1, 2)] == ["1 rad", "2 rader"]
+    assert (str(norwegian), norwegian.name) == ("nb", "norsk bokmål")
+
+
+def test_a_message_is_rendered_in_each_language() -> None:
+    english, german = Languages()["en"], Languages()["de"]
+    message = Message.of("unit_refused", unit=7, error=Message("illegal_speed"))
+    assert english.t(message) == str(message) == "unit 7 refused: illegal speed value"
+    assert german.t(message) == "Regler 7 hat abgelehnt: unzulässige Drehzahl"
+    assert german.t(number("48.0")) == "48,0"
+    assert german.t(term("verified")) == "geprüft"
+
+
+def test_the_texts_of_every_code_are_found_by_it() -> None:
+    german = Languages()["de"]
+    assert {code for code in TEXTS if german.template(code, 1) is None} == set()
+
+
+def test_a_compiled_catalog_is_kept_until_its_source_changes(tmp_path: Path) -> None:
+    source, kept = tmp_path / "nb.po", tmp_path / "kept"
+    header = 'msgid ""\nmsgstr "Content-Type: text/plain; charset=utf-8\\n"\n\n'
+    source.write_text(header + 'msgid "open"\nmsgstr "åpen"\n', encoding="utf-8")
+    assert compiled(source, kept).gettext("open") == "åpen"
+    written = (kept / "nb.mo").stat().st_mtime_ns
+    assert compiled(source, kept).gettext("open") == "åpen"
+    assert (kept / "nb.mo").stat().st_mtime_ns == written
+    source.write_text(header + 'msgid "open"\nmsgstr "åpent"\n', encoding="utf-8")
+    assert compiled(source, kept).gettext("open") == "åpent"
+
+
+def test_a_folder_that_cannot_be_written_costs_nothing(tmp_path: Path) -> None:
+    source, file = tmp_path / "nb.po", tmp_path / "file"
+    source.write_text('msgid ""\nmsgstr ""\n\nmsgid "open"\nmsgstr "apen"\n')
+    file.touch()
+    assert compiled(source, file / "in").gettext("open") == "apen"

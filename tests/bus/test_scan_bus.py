@@ -1,0 +1,154 @@
+"""A worker's scan of addresses in the gaps of its round, on a virtual clock."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable
+
+from bus.contract import FoundUnit, ParameterValue, Progress, Reading, Result, ScanBus, UnitLink
+from bus.simulator.faults import FaultKind
+from bus.simulator.memory import Memory
+from bus.simulator.section import Section
+from bus.simulator.unit import Unit
+from tests.bus.virtual_line import VirtualLine, run
+
+CONFIGURED, PRESENT = 3, 5
+
+
+def kinds(result: Result) -> dict[int, str]:
+    return {found.unit: found.kind for found in result.found}
+
+
+async def scan(line: VirtualLine, last: int = 8) -> Result:
+    await asyncio.sleep(2.0)
+    return await line.ask(ScanBus(1, last), within_s=600.0)
+
+
+def test_it_finds_units_that_nobody_configured() -> None:
+    result = run(scan, PRESENT, configured=CONFIGURED)
+    assert result.outcome == "verified"
+    assert result.found == [
+        FoundUnit(unit, 9600, "digimax", list(range(1, 41)), []) for unit in range(1, PRESENT + 1)
+    ]
+
+
+def test_a_scan_teaches_no_parameter_that_there_is_not() -> None:
+    """Its probes ask for numbers beyond the list, and the app refuses a message with one."""
+
+    async def scene(line: VirtualLine) -> set[int]:
+        await scan(line)
+        return {update.number for update in line.updates if isinstance(update, ParameterValue)}
+
+    assert run(scene, PRESENT, configured=CONFIGURED) <= set(range(1, 41))
+
+
+def test_the_app_hears_of_strangers_only_in_the_result() -> None:
+    async def scene(line: VirtualLine) -> set[int]:
+        await scan(line)
+        return {update.unit for update in line.updates if isinstance(update, Reading | UnitLink)}
+
+    assert run(scene, PRESENT, configured=CONFIGURED) <= set(range(1, CONFIGURED + 1))
+
+
+def test_the_silent_are_asked_again_and_progress_is_told() -> None:
+    async def scene(line: VirtualLine) -> list[Progress]:
+        await scan(line)
+        return told(line)
+
+    progress = run(scene, PRESENT, configured=CONFIGURED)
+    assert [each.unit for each in progress] == [1, 2, 3, 4, 5, 6, 7, 8, 6, 7, 8]
+    assert [each.done for each in progress] == sorted(each.done for each in progress)
+    assert progress[-1].done == 7
+
+
+def told(line: VirtualLine) -> list[Progress]:
+    """How far a scan of eight addresses said it was."""
+    return [update for update in line.updates if isinstance(update, Progress) and update.of == 8]
+
+
+def test_a_unit_whose_first_answer_was_lost_is_found() -> None:
+    async def scene(line: VirtualLine) -> Result:
+        await asyncio.sleep(2.0)
+        line.faults.set(FaultKind.DEAD, 1.0, unit=4)
+        scanning = asyncio.create_task(line.ask(ScanBus(1, 8), within_s=600.0))
+        await line.until(lambda: any(each.unit == 5 for each in told(line)))
+        line.faults.clear()
+        return await scanning
+
+    assert list(kinds(run(scene, PRESENT, configured=CONFIGURED))) == [1, 2, 3, 4, 5]
+
+
+def test_a_scan_leaves_the_units_two_thirds_of_their_rate() -> None:
+    async def scene(line: VirtualLine) -> tuple[float, float]:
+        await asyncio.sleep(5.0)
+        before = await readings_in(line, asyncio.sleep(2.0))
+        meanwhile = await readings_in(line, line.ask(ScanBus(101, 120), within_s=600.0))
+        return before, meanwhile
+
+    before, meanwhile = run(scene, 8)
+    assert meanwhile > 0.6 * before
+
+
+async def readings_in(line: VirtualLine, work: Awaitable[object]) -> float:
+    """Readings a second while ``work`` goes on."""
+    began, had = line.loop.time(), len(line.readings())
+    await work
+    return (len(line.readings()) - had) / (line.loop.time() - began)
+
+
+def test_a_unit_that_answers_for_others_is_named() -> None:
+    async def scene(line: VirtualLine) -> Result:
+        line.faults.set(FaultKind.EVERYBODY, 1.0, unit=2)
+        return await scan(line)
+
+    assert "unit 2 answers to addresses that are not its own" in run(scene, 2, configured=2).message
+
+
+def test_what_is_no_digimax_is_called_so() -> None:
+    async def scene(line: VirtualLine) -> Result:
+        line.faults.set(FaultKind.WRONG_LENGTH, 1.0, unit=4)
+        line.faults.set(FaultKind.CORRUPT, 1.0, unit=5)
+        return await scan(line)
+
+    found = kinds(run(scene, PRESENT, configured=CONFIGURED))
+    assert (found[1], found[4]) == ("digimax", "foreign")
+    assert found.get(5, "garbled") == "garbled"
+
+
+def test_two_units_at_one_address_are_recognised_every_time() -> None:
+    """Their answers fall into each other: often not even a frame's beginning comes through."""
+
+    async def scene(line: VirtualLine) -> list[str]:
+        line.plant.sections.append(Section(Unit(Memory({17: 3}))))
+        await asyncio.sleep(2.0)
+        looks = [await line.ask(ScanBus(3, 3), within_s=600.0) for _ in range(20)]
+        return [kinds(look).get(3, "silent") for look in looks]
+
+    assert run(scene, 3, configured=3) == ["garbled"] * 20
+
+
+def test_a_scan_without_a_port_says_so() -> None:
+    async def scene(line: VirtualLine) -> Result:
+        await asyncio.sleep(2.0)
+        line.unplug()
+        await asyncio.sleep(2.0)
+        return await line.ask(ScanBus(1, 8))
+
+    assert run(scene, PRESENT, configured=CONFIGURED).outcome == "bus_closed"
+
+
+def test_a_port_lost_meanwhile_ends_it() -> None:
+    async def scene(line: VirtualLine) -> Result:
+        await asyncio.sleep(2.0)
+        command = line.command(ScanBus(1, 255))
+        await asyncio.sleep(5.0)
+        line.unplug()
+        await asyncio.sleep(2.0)
+        fate = line.fate_of(command)
+        assert fate is not None
+        return fate
+
+    result = run(scene, PRESENT, configured=CONFIGURED)
+    assert result.outcome == "unverified"
+    assert "the link to the bus was lost after" in result.message
+    assert 1 in kinds(result)

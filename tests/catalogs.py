@@ -1,0 +1,129 @@
+"""What the catalogs of app/messages must hold. ``python -m tests.catalogs`` adds what is missing and
+removes what nothing says any more."""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+
+from babel.messages.catalog import Catalog
+from babel.messages.extract import extract_from_dir
+from babel.messages.pofile import read_po, write_po
+
+from app.live.browsers.hub import STAGE_WORDS
+from app.live.screen.cause_text import CAUSE_TEXTS, CHECK_TEXTS, MOTION_TEXTS, STOPPED_WITH_RUN
+from app.live.screen.fields import STATE_WORDS
+from app.messages.languages import DEFAULT, catalogs
+from app.web.access import Role
+from app.web.assets import templates_dir
+from bus.catalogue.parameters import PARAMETERS
+from bus.errors import UnitErrorCode, unit_error_name
+from bus.messages import TEXTS, Plural
+
+APP = Path(__file__).resolve().parent.parent / "app"
+KEYWORDS = {"t": None, "tn": (1, 2)}
+Key = tuple[str | None, str]
+"""The code of a message, or None for a text of a page; the text in English."""
+
+
+def in_templates() -> set[str | tuple[str, str]]:
+    """The texts of ``t("…")`` and the pairs of ``tn("…", "…")`` in the templates."""
+    extracted = extract_from_dir(templates_dir(), [("**.html", "jinja2")], keywords=KEYWORDS)
+    return {text for _, _, text, _, _ in extracted if isinstance(text, str) or all(text)}
+
+
+def in_code() -> set[str | tuple[str, str]]:
+    """The same in the modules of the app."""
+    found: set[str | tuple[str, str]] = set()
+    for path in APP.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            match node:
+                case ast.Call(
+                    func=ast.Attribute(attr="tn") | ast.Name(id="tn"),
+                    args=[ast.Constant(value=str(one)), ast.Constant(value=str(many)), *_],
+                ):
+                    found.add((one, many))
+                case ast.Call(
+                    func=ast.Attribute(attr="t") | ast.Name(id="t"), args=[ast.Constant(value=str(text)), *_]
+                ):
+                    found.add(text)
+    return found
+
+
+def in_tables() -> set[str]:
+    """The words of tables that pages look up."""
+    parameters = PARAMETERS.values()
+    return {
+        *STATE_WORDS.values(),
+        *CAUSE_TEXTS.values(),
+        *CHECK_TEXTS.values(),
+        *MOTION_TEXTS.values(),
+        STOPPED_WITH_RUN,
+        *STAGE_WORDS.values(),
+        *(unit_error_name(code) for code in UnitErrorCode),
+        *(parameter.meaning for parameter in parameters),
+        *(parameter.group for parameter in parameters),
+        *(parameter.dangerous for parameter in parameters if parameter.dangerous),
+        *(word for parameter in parameters for word in parameter.choices.values()),
+        *(str(role) for role in Role),
+    }
+
+
+@cache
+def wanted() -> dict[Key, str | tuple[str, str]]:
+    """Everything that a catalog must hold."""
+    texts = in_templates() | in_code() | in_tables()
+    pairs = {text[0]: text for text in texts if isinstance(text, tuple)}
+    found: dict[Key, str | tuple[str, str]] = {(None, text): text for text in texts if isinstance(text, str)}
+    found |= {(None, one): pair for one, pair in pairs.items()}
+    for code, text in TEXTS.items():
+        found[code, text.one if isinstance(text, Plural) else text] = (
+            tuple(text) if isinstance(text, Plural) else text
+        )
+    return found
+
+
+def catalog_at(path: Path) -> Catalog:
+    """A catalog as it is stored."""
+    return read_po(BytesIO(path.read_bytes()), locale=path.stem)
+
+
+def key_of(message: object) -> Key:
+    """Which of the wanted texts an entry translates."""
+    text = message.id[0] if isinstance(message.id, tuple) else message.id  # type: ignore[attr-defined]
+    return message.context, text  # type: ignore[attr-defined]
+
+
+def write(path: Path, catalog: Catalog) -> None:
+    """Store a catalog, sorted, one text a line."""
+    target = BytesIO()
+    write_po(target, catalog, width=0, sort_output=True, omit_header=False, ignore_obsolete=True)
+    path.write_bytes(target.getvalue())
+
+
+def leftovers(path: Path) -> list[Key]:
+    """What a catalog holds and nothing says."""
+    return [key for message in catalog_at(path) if message.id and (key := key_of(message)) not in wanted()]
+
+
+def bring_up_to_date(path: Path) -> None:
+    """Add what is missing to the catalog, untranslated, and remove what nothing says."""
+    catalog = catalog_at(path)
+    there = {key_of(message): message for message in catalog if message.id}
+    for key in leftovers(path):
+        if key[0] is None:
+            continue  # said by the sentences that are not messages yet
+        message = there[key]
+        catalog.delete(message.id, message.context)
+    for (code, _), text in wanted().items():
+        if (code, _) not in there:
+            catalog.add(text, context=code)
+    write(path, catalog)
+
+
+if __name__ == "__main__":
+    for tag, each in catalogs().items():
+        if tag != DEFAULT:
+            bring_up_to_date(each)
