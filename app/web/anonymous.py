@@ -45,7 +45,7 @@ class AnonymousInTurn:
 
     async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
-            body = await _whole_body(receive)
+            body = await _complete_body(receive)
         except ClientDisconnect:
             return
         client = HTTPConnection(scope).client
@@ -57,7 +57,7 @@ class AnonymousInTurn:
             raise problem.with_headers(Retry_After="2") from None
 
 
-async def _whole_body(receive: Receive) -> bytes:
+async def _complete_body(receive: Receive) -> bytes:
     """Raises ClientDisconnect where the rest of it does not come."""
     body, more = bytearray(), True
     while more:

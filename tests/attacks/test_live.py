@@ -137,7 +137,8 @@ def test_pages_that_turn_without_end_do_not_flood_the_workers(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hub, told = hub_of(client), list[Any]()
-    monkeypatch.setattr(hub, "_watch", lambda *wish: told.append(wish))
+    watchers = {"dry-end": lambda *watched: told.append(("dry-end", *watched))}
+    monkeypatch.setattr(hub, "_watchers", watchers)
     monkeypatch.setattr(hub, "_clock", lambda: 100.0)
     browser = Browser("anna", "viewer", "en")
     for turn in range(1000):
