@@ -23,10 +23,10 @@ from app.messages.languages import catalogs
 from app.time_zone import is_zone, machine_zone
 from bus import configuration
 from bus.configuration import ConfigurationError
-from bus.settings import BusSettings, Strict
+from bus.settings import BusSettings, StrictModel
 from bus.text import OneLine
 
-__all__ = ["ConfigurationError", "Server", "Sessions", "Settings", "Site", "load"]
+__all__ = ["ConfigurationError", "ServerSettings", "Sessions", "Settings", "Site", "load"]
 
 _HOST_NAME = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?:\.[A-Za-z0-9-]{1,63})*")
 
@@ -35,7 +35,7 @@ KEY_SUFFIX = ".audit.key"
 """``lineside.toml`` has its key in ``lineside.audit.key``."""
 
 
-class Site(Strict):
+class Site(StrictModel):
     """The plant as people call it."""
 
     name: Annotated[OneLine, Field(min_length=1, max_length=80)] = "Lineside"
@@ -94,11 +94,11 @@ def _host_name(written: str) -> str:
     return bare
 
 
-Network = Annotated[IPv4Network | IPv6Network, BeforeValidator(_network)]
+TrustedNetwork = Annotated[IPv4Network | IPv6Network, BeforeValidator(_network)]
 HostName = Annotated[str, AfterValidator(_host_name)]
 
 
-class Sessions(Strict):
+class Sessions(StrictModel):
     """How long a sign-in lasts: since it was last used, and in all."""
 
     idle_hours: Annotated[float, Field(strict=True, ge=0.25, le=168)] = 12
@@ -117,7 +117,7 @@ class Sessions(Strict):
         return self
 
 
-class Server(Strict):
+class ServerSettings(StrictModel):
     """Where the dashboard listens and keeps its data."""
 
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
@@ -125,7 +125,7 @@ class Server(Strict):
     """0 takes any free port."""
     data: Path = Path("data")
     """Relative to the file; absolute once loaded."""
-    trusted_proxies: tuple[Network, ...] = ()
+    trusted_proxies: tuple[TrustedNetwork, ...] = ()
     """Whose X-Forwarded-For, -Proto and -Host are believed."""
     allowed_hosts: tuple[HostName, ...] = ()
     """The names under which the dashboard answers; empty: any."""
@@ -137,7 +137,7 @@ class Server(Strict):
         return self.data / "lineside.db"
 
 
-class History(Strict):
+class HistorySettings(StrictModel):
     """How long readings are kept."""
 
     raw_days: Annotated[int, Field(strict=True, ge=1, le=3650)] = 30
@@ -146,7 +146,7 @@ class History(Strict):
     """Those, and the bits as intervals."""
 
 
-class Audit(Strict):
+class Audit(StrictModel):
     """What makes the audit log provable. Both are relative to the file; absolute once loaded."""
 
     key_file: Path | None = None
@@ -155,12 +155,12 @@ class Audit(Strict):
     """Where the head of the log is noted every minute and at every stop; when absent, nowhere."""
 
 
-class Settings(Strict):
+class Settings(StrictModel):
     """The whole configuration."""
 
     site: Site = Site()
-    server: Server = Server()
-    history: History = History()
+    server: ServerSettings = ServerSettings()
+    history: HistorySettings = HistorySettings()
     audit: Audit = Audit()
     bus: tuple[BusSettings, ...] = ()
     _file: Path | None = PrivateAttr(None)

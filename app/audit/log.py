@@ -14,7 +14,7 @@ from app.audit import search, store
 from app.audit.entry import Event as Event
 from app.audit.entry import is_moment, new_entry
 from app.audit.keys import Keys, passing_keys
-from app.audit.kinds import Kind
+from app.audit.kinds import EventKind
 from app.audit.proof import LogProof
 from app.audit.reading import messages_of
 from app.audit.repeated import RepeatedEvents
@@ -27,7 +27,7 @@ from bus.messages import Message
 
 log = structlog.get_logger()
 
-Subscriber = Callable[[Event], None]
+EventSubscriber = Callable[[Event], None]
 Also = Callable[[sqlite3.Connection], None]
 """What else is written in the transaction of an event."""
 
@@ -53,9 +53,9 @@ class EventLog:
         self.repeated = RepeatedEvents(self.record, clock)
         self._database = database
         self._clock = clock
-        self._subscribers: list[Subscriber] = []
+        self._subscribers: list[EventSubscriber] = []
 
-    def subscribe(self, subscriber: Subscriber) -> Callable[[], None]:
+    def subscribe(self, subscriber: EventSubscriber) -> Callable[[], None]:
         """Hear of each event, and of a command again with its fate. Returns what ends it."""
         self._subscribers.append(subscriber)
         return lambda: self._subscribers.remove(subscriber)
@@ -63,7 +63,7 @@ class EventLog:
     async def intend(
         self,
         *,
-        kind: Kind = "command",
+        kind: EventKind = "command",
         who: str,
         origin: str,
         bus: str,
@@ -110,7 +110,7 @@ class EventLog:
     async def record(
         self,
         *,
-        kind: Kind,
+        kind: EventKind,
         what: str | Message,
         who: str = "",
         origin: str = "",
@@ -146,7 +146,13 @@ class EventLog:
         return (await self._append_all([entry]))[0]
 
     async def count(
-        self, kind: Kind, what: str | Message, *, who: str = "", origin: str = "", message: str | Message = ""
+        self,
+        kind: EventKind,
+        what: str | Message,
+        *,
+        who: str = "",
+        origin: str = "",
+        message: str | Message = "",
     ) -> None:
         """Something that a stranger can cause as often as they like: see `RepeatedEvents`."""
         await self.repeated.count(kind, what, who=who, origin=origin, message=message)

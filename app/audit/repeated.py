@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 
-from app.audit.kinds import Kind
+from app.audit.kinds import EventKind
 from app.audit.tally import WINDOW_S, Counted, Tally
 from bus.messages import Message
 
 MANY = "many addresses"
 """The origin of what is counted for more places than are told apart."""
-_Said = tuple[Kind, str | Message, str, str, str | Message]
+_Said = tuple[EventKind, str | Message, str, str, str | Message]
 """Kind, what, who, origin and message."""
 
 
@@ -27,7 +27,7 @@ class RepeatedEvents:
         self._tally: Tally[_Said] = Tally()
 
     async def count(
-        self, kind: Kind, what: str | Message, *, who: str, origin: str, message: str | Message
+        self, kind: EventKind, what: str | Message, *, who: str, origin: str, message: str | Message
     ) -> None:
         """It happened once more."""
         told = self._tally.note(f"{kind} {who}", (kind, what, who, origin, message), self._clock())

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from app.feed.channel import Channel, Connection
+from app.feed.channel import Channel, MessageSink
 from app.feed.clock import WorkerClock, shifted
 from app.feed.plausibility import Sorted, judge_snapshot, sort_updates
 from app.feed.rates import cost_of
@@ -20,7 +20,7 @@ from app.pipeline import Pipeline
 from bus.bucket import Bucket
 from bus.contract import (
     Batch,
-    Clock,
+    ClockSync,
     Delivered,
     Hello,
     MalformedMessageError,
@@ -34,7 +34,7 @@ from bus.contract import (
 
 
 @dataclass(slots=True)
-class Received:
+class IngestPosition:
     """How far the app has followed one worker. ``seq``: its last batch that is safe here."""
 
     worker: str
@@ -47,10 +47,10 @@ class Ingest:
     def __init__(
         self,
         hello: Hello,
-        received: Received,
+        received: IngestPosition,
         channel: Channel,
         pipeline: Pipeline,
-        connection: Connection,
+        connection: MessageSink,
         bucket: Bucket,
         now: Callable[[], float] = time.time,
     ) -> None:
@@ -93,7 +93,7 @@ class Ingest:
         """About once a second: the app's time, and what may be forgotten: it was here a tick ago, so it is
         on disk by now, and a server that dies is told it again."""
         self.silent_ticks += not self._is_held_back
-        await self._connection.send(Clock(app_time=self._now()))
+        await self._connection.send(ClockSync(app_time=self._now()))
         await self._confirm(self._settled)
         self._settled = self._received.seq
 
