@@ -42,6 +42,7 @@ from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
 from app.web.services import Registry
 from app.web.templating import Templates
+from app.web.turns import Turns
 from bus.contract import (
     CONTRACT_VERSION,
     AppMessage,
@@ -244,7 +245,7 @@ class Stage:
         configuration = Settings(site=Site(name="Test line"), bus=(settings,))
         self.app.state.registry = Registry(
             (
-                *(configuration, _templates(), sources),
+                *(configuration, _templates(), sources, Turns()),
                 *(self.live, self.desk, self.guards, self.workers, self.events),
             )
         )
