@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bus.line.exchange.send import Send
-
 from bus.contract import Result
 from bus.line.commands.command_run import CommandRun, Priority
 from bus.line.commands.procedure import CommandContext, Procedure
+from bus.line.exchange.send import Send
 from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.schedule.arbiter import Arbiter
 from bus.line.schedule.poll_schedule import PollSchedule

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from bus.line.exchange.send import Send, SendResult, SendStatus
 
 from bus.contract import Reading, Result
 from bus.line.commands import writes
 from bus.line.commands.procedure import CommandContext, Procedure, Wait
+from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
 from bus.line.roster import Roster, UnitRecord
 from bus.settings import Dialect
