@@ -157,7 +157,7 @@ class Poller:
         self.link.do_not_follow()
 
     def submit(self, run: CommandRun) -> None:
-        """Carry out ``errand``: its first frame is the next one, if its claim allows."""
+        """Carry out ``run``: its first frame is the next one, if its priority allows."""
         now = self.clock.now()
         self.commands.add(run)
         self.link.do_not_follow()
@@ -284,7 +284,7 @@ class Poller:
             self._sweep(now)
 
     def _sweep(self, now: float) -> None:
-        """Tell the fate of every errand that has one."""
+        """Emit the result of every command that has one."""
         for run in self.commands.take_finished():
             self._emit([self._result_of(run, now)])
 

@@ -34,13 +34,13 @@ class WireStatistics:
         self._last_answer = b""
 
     def noise(self, noise: Noise, addressed: int) -> None:
-        """Bytes that are no frame, while ``asked`` was asked."""
+        """Bytes that are no frame, during an exchange with ``addressed``."""
         self.wire.noise_bytes += len(noise.data)
         if noise.reason is Fault.CHECKSUM:
             self._roster[addressed].statistics.counts.checksum_errors += 1
 
     def stray_frame(self, event: StrayFrame, addressed: int, pending: PendingByUnit) -> None:
-        """A good frame that is not the answer of ``asked``."""
+        """A good frame that is not the response of ``addressed``."""
         match event:
             case Echo():
                 self.wire.echoes += 1
