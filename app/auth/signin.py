@@ -115,8 +115,7 @@ class SignIn:
             lambda connection: store.end_session(connection, hash_, name, now)
         )
         if was_last:
-            for subscriber in self._signed_out:
-                await subscriber(name)
+            await asyncio.gather(*(subscriber(name) for subscriber in self._signed_out))
 
     def lifetime_of(self, user: User) -> rules.Lifetime:
         """How long the sessions of this user last."""

@@ -25,9 +25,9 @@ MOST_RECIPES = 1000
 class RecipeBook:
     """One for the app."""
 
-    def __init__(self, state: LiveState, desk: Desk, store: RecipeStore, events: EventLog) -> None:
+    def __init__(self, state: LiveState, commands: Mapping[str, Desk], store: RecipeStore, events: EventLog) -> None:
         self._state = state
-        self._desk = desk
+        self._commands = commands
         self.store = store
         self._events = events
         self._loaded: dict[str, Loaded] = {}
@@ -89,9 +89,8 @@ class RecipeBook:
             detail, params = "{name} cannot be loaded now: {why}; nothing was sent", {"name": recipe.name}
             raise Problem(409, "not_loadable", detail, params=params | {"why": why})
         action = SetLine(setpoints={setpoint.unit: setpoint.raw for setpoint in recipe.setpoints})
-        result = await self._desk.ask(
+        result = await self._commands[recipe.bus].ask(
             person,
-            recipe.bus,
             action,
             deadline=Deadline(made_at, SET_LINE.timeout_s(action, self._bus(recipe))),
             confirm=confirm,
@@ -103,9 +102,9 @@ class RecipeBook:
         return result
 
     def _refusal(self, person: Person, bus: str, unit: int, raw: int) -> str:
-        """Why the desk would refuse this setpoint now, confirmed as it will be; empty when it would not."""
+        """Why this setpoint would be refused now, confirmed as it will be; empty when it would not."""
         try:
-            self._desk.check(person, bus, SetSpeed(unit=unit, raw=raw), confirm=True)
+            self._commands[bus].check(person, SetSpeed(unit=unit, raw=raw), confirm=True)
         except Problem as problem:
             return problem.detail
         return ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import structlog
 
@@ -29,14 +29,14 @@ class SetKeeper:
     def __init__(
         self,
         state: LiveState,
-        reader: ParameterReader,
+        readers: Mapping[str, ParameterReader],
         store: SetStore,
         events: EventLog,
         rights: Authority,
     ) -> None:
         self._state = state
         self._rights = rights
-        self._reader = reader
+        self._readers = readers
         self.store = store
         self._events = events
         self.drifts = Drifts(state, store, events)
@@ -59,7 +59,7 @@ class SetKeeper:
 
     async def read(self, person: Person, bus: str, unit: int) -> UnitRows:
         """All parameters of a unit, read in the gaps of the scan. Raises Problem 504 or 503."""
-        return await self._reader.read_unit(person, bus, unit)
+        return await self._readers[bus].read_unit(person, unit)
 
     async def mark_golden(self, person: Person, set_id: int, unit: int) -> None:
         """From now on the unit ought to be as this set says. Raises Problem 404 where it does not hold it."""

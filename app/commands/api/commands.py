@@ -93,7 +93,7 @@ class Asking:
 
     def typed(self, person: Person, unit: int, deadline: Deadline) -> Typed:
         """Conversion of typed values for a unit. Raises Problem 404."""
-        return Typed(self.desk, person, self.bus, unit_or_404(self.live, self.bus, unit), deadline)
+        return Typed(self.desk, person, unit_or_404(self.live, self.bus, unit), deadline)
 
     async def ask(
         self,
@@ -106,7 +106,7 @@ class Asking:
         """The fate of ``action`` as an answer."""
         deadline = deadline or self.deadline(body)
         result = await self.desk.ask(
-            person, self.bus, action, deadline=deadline, confirm=body.confirm, id=self.key
+            person, action, deadline=deadline, confirm=body.confirm, id=self.key
         )
         secret = kind_of_command(action).is_secret(action)
         return answer(self.request, bus_or_404(self.live, self.bus), result, unit, secret=secret)
@@ -226,7 +226,7 @@ async def get_parameters(
 async def _read(person: Person, ask: Asking, unit: int, numbers: list[int], *, gaps: bool) -> None:
     """Read them from the unit. Raises Problem 503 or 504 when not all of them come."""
     action = ReadParameters(unit=unit, numbers=numbers, urgent=not gaps)
-    result = await ask.desk.ask(person, ask.bus, action)
+    result = await ask.desk.ask(person, action)
     if len(result.values) == len(numbers):
         return
     status = 503 if result.outcome in ("bus_closed", "not_sent") else 504

@@ -42,7 +42,7 @@ async def review_output(
         if live.reading is None:
             raise Problem(409, "unknown", "the state of this output is not known; nothing was sent")
         on = not output_is_on(live.reading.outputs, number)
-        desk.desk.check(person, bus, WriteOutput(unit=unit, number=number, on=on), confirm=True)
+        desk.commands(bus).check(person, WriteOutput(unit=unit, number=number, on=on), confirm=True)
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
     return desk.review(
@@ -92,7 +92,7 @@ async def review_analog(
     live = desk.unit(bus, unit)
     try:
         raw = _whole_number(value)
-        desk.desk.check(person, bus, WriteAnalogOutput(unit=unit, raw=raw), confirm=True)
+        desk.commands(bus).check(person, WriteAnalogOutput(unit=unit, raw=raw), confirm=True)
     except (CallerError, Problem) as error:
         return desk.not_so(error.text(desk.voice.t), "#analog-error")
     return desk.review(

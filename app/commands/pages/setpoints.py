@@ -49,7 +49,7 @@ def _line_of(desk: Desktop, name: str, bus: BusLive, number: int) -> dict[str, o
     live = bus.units[number]
     present = present_setpoint(bus, live)
     decimals = 4 if follower(live) else live.parameter_raw(DECIMALS)
-    allowed = setpoint_range(live, desk.guards.limits.of(name, number))
+    allowed = setpoint_range(live, desk.guards(name).limits.of(number))
     limits = {"low": shown_setpoint(allowed.lowest, live), "high": shown_setpoint(allowed.highest, live)}
     return {
         "unit": desk.shown(name, number),
@@ -101,7 +101,7 @@ async def _typed_setpoints(person: Person, desk: Desktop, live: BusLive, form: F
     setpoints = {}
     for unit, text in typed.items():
         try:
-            found = Typed(desk.desk, person, bus, live.units[unit], deadline)
+            found = Typed(desk.commands(bus), person, live.units[unit], deadline)
             setpoints[unit] = await found.setpoint(Quantity(value=text))
         except CallerError as error:
             params = {"name": live.units[unit].settings.name, "reason": error}

@@ -36,7 +36,7 @@ async def review_zero(person: Viewer, desk: Desks) -> Response:
     if not person.role.includes(SET_LINE.role):
         return desk.render("line/_zero_not_yours.html")
     now = time.time()
-    objections = {bus: desk.guards.control.objection(bus, person.account, now) for bus in desk.live.buses}
+    objections = {bus: desk.guards(bus).control.objection(person.account, now) for bus in desk.live.buses}
     plans = [plan for plan in _plans(desk) if not objections[plan.bus]]
     return desk.review(
         "line/_review_zero.html",
@@ -61,7 +61,7 @@ def _longest_s(bus: BusLive, units: int) -> float:
 def _plans(desk: Desktop) -> list[ZeroPlan]:
     now = time.time()
     return [
-        plan_zero(bus, partial(desk.guards.block_reason, name), now) for name, bus in desk.live.buses.items()
+        plan_zero(bus, desk.guards(name).block_reason, now) for name, bus in desk.live.buses.items()
     ]
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from app.live.screen.fields import Voice
 
-UnitSubscriber = Callable[[str, int], None]
-"""Called with the bus and the address of a unit of which something changed."""
+UnitSubscriber = Callable[[int], None]
+"""Called with the address of a unit of a bus of which something changed."""
 
 
 class Drifted(NamedTuple):
@@ -21,13 +21,13 @@ class Drifted(NamedTuple):
 
 
 class UnitGuards(Protocol):
-    """Which units are blocked, and who controls a bus."""
+    """Which units of a bus are blocked, and who controls it."""
 
-    def block_reason(self, bus: str, unit: int) -> str:
+    def block_reason(self, unit: int) -> str:
         """Why commands to a unit are blocked and by whom; empty when they are not."""
 
-    def holder(self, bus: str) -> str:
-        """The account that controls a bus; empty when there is none."""
+    def holder(self) -> str:
+        """The account that controls the bus; empty when there is none."""
 
     def on_block(self, subscriber: UnitSubscriber) -> None:
         """Call ``subscriber`` when a unit was blocked or released."""
@@ -55,7 +55,7 @@ class Sources:
     """The owners. ``notices``: what is wrong with the records, for a page in its language and at a Unix time;
     ``history_fault``: why no history is stored. Both return an empty text while there is nothing to say."""
 
-    guards: UnitGuards
+    guards: Mapping[str, UnitGuards]
     drift: GoldenDrift
     recipes: LoadedRecipes
     notices: Callable[[Voice, float], str]
