@@ -21,6 +21,7 @@ from app.history.store.damage import Block
 from app.history.store.inspection import damaged_blocks, pages_are_whole
 from app.settings import Settings
 from bus.contract import Update
+from bus.messages import Message
 
 FILE = "history.db"
 FIRST_INSPECTION_S = 600.0
@@ -124,7 +125,7 @@ class History:
             self._writer.report_torn()
             raise
         except ValueError as error:
-            raise StoreError(f"the store {self.path}: {error}; restore a backup of it") from error
+            raise StoreError(Message.of("store_damaged", path=str(self.path), error=str(error))) from error
 
 
 def seconds(at: int) -> float:

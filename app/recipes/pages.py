@@ -25,6 +25,7 @@ from app.web.templating import render
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError
+from bus.messages import Message
 from bus.text import Lines, OneLine
 
 router = APIRouter(include_in_schema=False)
@@ -58,11 +59,11 @@ async def save(
     bus = bus_or_404(live, str(form.get("bus", "")))
     name = name.strip()
     if not 1 <= len(name) <= 80:
-        raise Problem(422, "invalid", "a recipe has a name of 1 to 80 characters; nothing was saved")
+        raise Problem(422, "invalid", Message("recipe_name_length"))
     typed = {unit: str(form.get(f"unit-{unit}", "")).strip() for unit in bus.units}
     setpoints = {unit: _raw(bus, unit, text) for unit, text in typed.items() if text}
     if not setpoints:
-        raise Problem(422, "invalid", "no setpoint was given; nothing was saved")
+        raise Problem(422, "invalid", Message("recipe_without_setpoint"))
     saved = await book.save(person, bus.settings.name, name, comment[:1000], setpoints)
     return Response(status_code=303, headers={"Location": f"/recipes/{saved.id}"})
 
@@ -123,7 +124,7 @@ async def load(
         desk.refuse_lapsed(reviewed_at)
         setpoints = reviewed(bus, form)
         if setpoints != {one.unit: one.raw for one in recipe.setpoints if one.unit in bus.units}:
-            raise Problem(422, "invalid", "this is not what was reviewed; nothing was sent")
+            raise Problem(422, "invalid", Message("not_what_was_reviewed"))
         result = await book.load(person, recipe, desk.made_at, confirm=True, command_id=id)
     except Problem as problem:
         return desk.refused(problem, recipe.name)
@@ -154,11 +155,10 @@ def _raw(bus: BusLive, number: int, text: str) -> int:
     unit = bus.units[number]
     kind, decimals = setpoint_kind(unit), unit.parameter_raw(DECIMALS)
     if kind is None or decimals is None:
-        raise Problem(
-            422, "invalid", f"{unit.settings.name} has not told its decimals (#3) and mode (#8) yet"
-        )
+        raise Problem(422, "invalid", Message.of("decimals_and_mode_unknown", name=unit.settings.name))
     try:
         return ratio_raw(text) if kind == "ratio" else speed_raw(text, decimals)
     except CallerError as error:
-        params = {"name": unit.settings.name, "reason": error}
-        raise Problem(422, "invalid", "{name}: {reason}; nothing was saved", params=params) from error
+        raise Problem(
+            422, "invalid", Message.of("nothing_saved", name=unit.settings.name, reason=error.message)
+        ) from error

@@ -21,6 +21,7 @@ from bus.catalogue.status import StatusBits
 from bus.catalogue.values import is_follower, parameter_raw
 from bus.contract import ReadParameters, WriteParameter
 from bus.errors import CallerError
+from bus.messages import Message
 
 _OF_THE_PERSON = frozenset({"rights_withdrawn", "controlled"})
 """Refusals that hold for every other unit too."""
@@ -74,8 +75,7 @@ def refuse_moved(rows: Iterable[BatchRow], reviewed: Mapping[int, str]) -> None:
     what :attr:`BatchRow.reviewed` was then."""
     for row in rows:
         if row.changes and reviewed.get(row.unit, row.reviewed) != row.reviewed:
-            text = "{name}: the value has moved since it was reviewed; nothing was sent"
-            raise Problem(409, "moved", text, params={"name": row.name})
+            raise Problem(409, "moved", Message.of("value_moved", name=row.name))
 
 
 async def learn(desk: Desk, person: Person, bus: BusLive, number: int) -> None:
@@ -135,9 +135,7 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
     return replace(row, wanted=wanted, shown=shown, warning=warning)
 
 
-async def _write(
-    desk: Desk, person: Person, number: int, row: BatchRow, *, confirm: bool
-) -> BatchResult:
+async def _write(desk: Desk, person: Person, number: int, row: BatchRow, *, confirm: bool) -> BatchResult:
     action = WriteParameter(unit=row.unit, number=number, raw=row.wanted or 0)
     try:
         result = await desk.ask(person, action, confirm=confirm, origin="batch edit")

@@ -14,7 +14,7 @@ from app.errors import Problem, StoreError
 from app.live.state.bus_live import BusLive
 from app.sets.background import Background
 from app.sets.keeper import SetKeeper
-from app.sets.model import UnitRows
+from app.sets.model import Origin, UnitRows
 from app.sets.reading import known_rows
 from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
@@ -30,8 +30,8 @@ class Writes(Protocol):
 
 
 class FirstWrites:
-    """Stores a set before the first write of a day to a unit of one bus. ``clock`` returns the local time with its zone: a day
-    begins at its midnight."""
+    """Stores a set before the first write of a day to a unit of one bus. ``clock`` returns the local time
+    with its zone: a day begins at its midnight."""
 
     def __init__(
         self, live: BusLive, writes: Writes, keeper: SetKeeper, clock: Callable[[], datetime]
@@ -81,7 +81,8 @@ class FirstWrites:
         for rows in fresh:
             self._kept[rows.unit] = now.date()
         try:
-            await self._keeper.keep(person, self._bus, fresh, "", _gaps(fresh), "before the first write of the day")
+            origin: Origin = "before the first write of the day"
+            await self._keeper.keep(person, fresh, "", _gaps(fresh), origin)
         except (Problem, StoreError):
             for rows in fresh:
                 del self._kept[rows.unit]
@@ -103,7 +104,7 @@ class FirstWrites:
     async def _complete(self, person: Person, unit: int) -> None:
         """What was not known before the write follows in a set of its own, in the gaps of the scan."""
         try:
-            await self._keeper.take(person, self._bus, [unit], "", "", "after the first write of the day")
+            await self._keeper.take(person, [unit], "", "", "after the first write of the day")
         except (Problem, StoreError) as error:
             _log.info("the rest of a unit was not read", bus=self._bus, unit=unit, why=str(error))
 

@@ -12,7 +12,7 @@ from app.messages import Languages
 from bus.clauses import LONGEST, Clause
 from bus.contract import Frame
 from bus.errors import UnitErrorCode
-from bus.line.trace import HIDDEN
+from bus.line.statistics.trace import HIDDEN
 from bus.settings import Dialect
 from bus.wire.bodies import encode_reply, encode_request
 from bus.wire.commands import (

@@ -36,8 +36,8 @@ async def test_another_password_with_the_same_key_is_not_verified(tmp_path: Path
 
 
 async def _ask(desk: Desk, raw: int) -> Result:
-    return await desk.ask(ANNA, "dry-end", password(raw), id="mine")
+    return await desk.ask(ANNA, password(raw), id="mine")
 
 
 def _restarted(stage: Stage) -> Desk:
-    return Desk(stage.live, stage.channels, stage.events, stage.database, stage.guards, stage.rights)
+    return stage.commands_after_restart()

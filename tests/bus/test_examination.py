@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import pytest
 
-from bus.line.examination import Outcome, Question, examine, number_for_checksum_10h
-from bus.line.found import Found, conclude, settings_seen
-from bus.line.passes import silent_seconds
+from bus.line.scan.examination import Outcome, Question, examine, number_for_checksum_10h
+from bus.line.scan.found import Found, conclude, settings_seen
+from bus.line.scan.passes import silent_seconds
 from bus.settings import Dialect
 from bus.wire.bodies import encode_request
 from bus.wire.commands import Nak, ParameterReply, ReadParameter, ReadStatus, StatusReply, is_write

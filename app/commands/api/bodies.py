@@ -8,6 +8,7 @@ from typing import Annotated
 from pydantic import Field, StringConstraints, model_validator
 
 from app.web.shape import Strict
+from bus.messages import Message
 
 TimeoutS = Annotated[float, Field(ge=0.05, le=30)]
 """How long a write may wait for the wire, seconds; after that it is dropped."""
@@ -33,9 +34,9 @@ class Quantity(Strict):
     @model_validator(mode="after")
     def _is_given_once(self) -> Quantity:
         if (self.raw is None) == (self.value is None):
-            raise ValueError("give either raw (the integer on the wire) or value (as shown)")
+            raise ValueError(Message("raw_or_value"))
         if isinstance(self.value, bool):
-            raise ValueError("value is a number as shown")
+            raise ValueError(Message("value_not_a_number"))
         return self
 
     @property

@@ -63,6 +63,7 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
+from bus.messages import Message
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"], route_class=ApiRoute)
 FIRST_READ_WITHIN_S = 5.0
@@ -105,9 +106,7 @@ class Asking:
     ) -> Response:
         """The fate of ``action`` as an answer."""
         deadline = deadline or self.deadline(body)
-        result = await self.desk.ask(
-            person, action, deadline=deadline, confirm=body.confirm, id=self.key
-        )
+        result = await self.desk.ask(person, action, deadline=deadline, confirm=body.confirm, id=self.key)
         secret = kind_of_command(action).is_secret(action)
         return answer(self.request, bus_or_404(self.live, self.bus), result, unit, secret=secret)
 
@@ -177,7 +176,7 @@ async def write_output(
     """87h, proven by the bit in ST2."""
     unit_or_404(ask.live, ask.bus, unit)
     if number not in OUTPUT_NUMBERS:
-        raise Problem(404, "unknown_output", "a unit has the auxiliary outputs 1 to 6", unit=unit)
+        raise Problem(404, "unknown_output", Message("no_such_output"), unit=unit)
     return await ask.ask(person, WriteOutput(unit=unit, number=number, on=body.on), body, unit)
 
 
@@ -231,7 +230,7 @@ async def _read(person: Person, ask: Asking, unit: int, numbers: list[int], *, g
         return
     status = 503 if result.outcome in ("bus_closed", "not_sent") else 504
     code = result.outcome if status == 503 else "unverified"
-    detail = result.message or f"unit {unit} did not answer"
+    detail = result.message or Message.of("unit_did_not_answer", unit=unit)
     raise Problem(status, code, detail, outcome=code, unit=unit)
 
 
@@ -247,6 +246,6 @@ async def write_parameter(
     deadline = ask.deadline(body)
     typed = ask.typed(person, unit, deadline)
     if number not in PARAMETERS:
-        raise Problem(404, "unknown_parameter", "a unit has the parameters 1 to 40", unit=unit)
+        raise Problem(404, "unknown_parameter", Message("no_such_parameter"), unit=unit)
     raw = await typed.parameter(number, body)
     return await ask.ask(person, WriteParameter(unit=unit, number=number, raw=raw), body, unit, deadline)

@@ -16,6 +16,7 @@ from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
 from bus.catalogue.parameter import Scale
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import is_follower, parameter_raw, ratio_raw, speed_raw
+from bus.messages import Message
 
 _NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, FOLLOWER_MODE)}
 
@@ -65,8 +66,7 @@ class Typed:
             raise Problem(
                 422,
                 "invalid",
-                "unit {unit} has no decimals (#3), so it shows no such value; give the raw number",
-                params={"unit": unit},
+                Message.of("unit_without_decimals", unit=unit),
                 unit=unit,
             )
         return decimals

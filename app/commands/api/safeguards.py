@@ -17,6 +17,7 @@ from app.web.access import Engineer, Operator, Viewer, name_of
 from app.web.api_route import ApiRoute
 from app.web.services import bus_service
 from app.web.shape import Strict, iso
+from bus.messages import Message
 from bus.text import OneLine
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"], route_class=ApiRoute)
@@ -35,7 +36,7 @@ class LimitsBody(Strict):
     @model_validator(mode="after")
     def _leave_something(self) -> LimitsBody:
         if self.lowest is not None and self.highest is not None and self.lowest > self.highest:
-            raise ValueError("lowest is above highest, so no setpoint would be left")
+            raise ValueError(Message("no_setpoint_left"))
         return self
 
 
@@ -90,9 +91,7 @@ async def get_block(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> Blo
 
 
 @router.post("/units/{unit:int}/block")
-async def block(
-    person: Operator, bus: BusInPath, guards: Guards, unit: int, body: BlockBody
-) -> BlockShown:
+async def block(person: Operator, bus: BusInPath, guards: Guards, unit: int, body: BlockBody) -> BlockShown:
     """Refuse every write to this unit, on every path, until somebody lifts it."""
     unit_of_bus_or_404(bus, unit)
     await guards.block(person, unit, body.reason)
@@ -120,9 +119,7 @@ async def take_control(person: Operator, guards: Guards) -> ControlShown:
 
 
 @router.post("/control/hand-over")
-async def hand_over_control(
-    person: Operator, guards: Guards, body: HandOverBody
-) -> ControlShown:
+async def hand_over_control(person: Operator, guards: Guards, body: HandOverBody) -> ControlShown:
     """Give control to somebody else who may set the line. An admin may do so without holding it."""
     return _control_json(guards, await guards.hand_over(person, body.to))
 

@@ -31,9 +31,7 @@ class SetpointRangeShown(Strict):
 
 
 @router.get("/units/{unit:int}/setpoint-range")
-async def get_setpoint_range(
-    _: Viewer, bus: BusInPath, guards: Guards, unit: int
-) -> SetpointRangeShown:
+async def get_setpoint_range(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> SetpointRangeShown:
     """What a setpoint of this unit may be, as every page and every write holds it."""
     found = unit_of_bus_or_404(bus, unit)
     allowed = setpoint_range(found, guards.limits.of(unit))

@@ -12,6 +12,7 @@ from typing import cast
 
 from bus.contract import Clause, Direction, Frame
 from bus.errors import CallerError
+from bus.messages import Message
 
 _DIRECTIONS = ("out", "in")
 
@@ -37,4 +38,6 @@ def parse_trace_line(line: str) -> Frame:
         at = datetime.fromisoformat(time).timestamp()
         return Frame(at, cast(Direction, direction), bytes.fromhex(data), [Clause(meaning)])
     except ValueError as error:
-        raise CallerError(f"not a line of a trace ({error}): {line.strip()[:60]}") from error
+        raise CallerError(
+            Message.of("trace_line_malformed", error=str(error), line=line.strip()[:60])
+        ) from error

@@ -18,6 +18,7 @@ from app.commands.values import shown_setpoint
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, follower
 from bus.contract import Result
+from bus.messages import Message
 
 Proof = tuple[str, str, Fate]
 """A unit's name, what was asked of it, and its fate."""
@@ -31,11 +32,10 @@ def reviewed(live: BusLive, form: FormData) -> dict[int, int]:
         if not text:
             continue
         if not text.isdecimal() or len(text) > 6:
-            raise Problem(422, "invalid", "this is not what was reviewed; nothing was sent")
+            raise Problem(422, "invalid", Message("not_what_was_reviewed"))
         present = present_setpoint(live, unit)
         if str(form.get(f"was-{number}", "")) != ("" if present is None else str(present)):
-            moved = f"{unit.settings.name}: the setpoint has moved since it was reviewed; nothing was sent"
-            raise Problem(409, "moved", moved)
+            raise Problem(409, "moved", Message.of("setpoint_of_moved", name=unit.settings.name))
         setpoints[number] = int(text)
     return setpoints
 

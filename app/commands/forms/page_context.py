@@ -30,6 +30,7 @@ from app.web.deadline import Deadline
 from app.web.services import bus_service_of, service_of
 from app.web.templating import render, templates_of
 from bus.contract import Action, Result, UnitOutcome
+from bus.messages import Message
 
 REVIEW_LASTS_S = 45.0
 """Thirty seconds on the screen, and something for the way."""
@@ -96,7 +97,7 @@ class Desktop:
     def refuse_lapsed(self, reviewed_at: float) -> None:
         """Raises Problem 409 for a review that is over. Nothing is sent."""
         if not time.time() - reviewed_at <= REVIEW_LASTS_S:  # of NaN too
-            raise Problem(409, "lapsed", "the review has lapsed; nothing was sent")
+            raise Problem(409, "lapsed", Message("review_lapsed"))
 
     def deadline(self, bus: BusLive, staged_units: int = 0) -> Deadline:
         """Of the command that this request asks for. ``staged_units``: how many a change is of."""

@@ -14,6 +14,7 @@ from app.errors import Problem
 from app.web.access import Person
 from app.web.deadline import Deadline
 from bus.contract import ChangeBaud
+from bus.messages import Message
 from bus.settings import BAUDS
 
 router = APIRouter(prefix="/bus/{bus}/baud", include_in_schema=False)
@@ -26,9 +27,9 @@ async def review(_: Annotated[Person, permitted(CHANGE_BAUD)], desk: Desks, bus:
     """The second step; nothing has been sent."""
     live = desk.bus(bus)
     if baud not in BAUDS:
-        raise Problem(422, "invalid", f"a unit speaks at {', '.join(map(str, BAUDS))} baud")
+        raise Problem(422, "invalid", Message.of("baud_unknown", rates=", ".join(map(str, BAUDS))))
     if baud == live.baud:
-        raise Problem(422, "invalid", f"the line goes at {baud} baud already")
+        raise Problem(422, "invalid", Message.of("baud_unchanged", baud=baud))
     return desk.review("bus/_review_baud.html", bus=live, baud=baud)
 
 

@@ -15,6 +15,7 @@ from app.errors import Problem
 from app.web.access import Operator, Person, Role, Viewer
 from bus.contract import ScanBus, UnitFigures
 from bus.errors import unit_error_name
+from bus.messages import Message
 from bus.settings import BAUDS
 
 router = APIRouter(prefix="/bus", include_in_schema=False)
@@ -26,7 +27,7 @@ async def first_bus(_: Viewer, desk: Desks) -> Response:
     """The first of them; the page leads to the others."""
     names = list(desk.live.buses)
     if not names:
-        raise Problem(404, "unknown_bus", "no bus is configured; name one in lineside.toml")
+        raise Problem(404, "unknown_bus", Message("no_bus_configured"))
     return RedirectResponse(f"/bus/{names[0]}", SEE_OTHER)
 
 
@@ -130,7 +131,7 @@ async def _move_control(desk: Desktop, person: Person, bus: str, do: str, to: st
             await desk.guards(bus).release(person)
         case _:
             if to not in _others(desk, person, bus):
-                raise Problem(422, "invalid", "nobody of that name is here who could hold control")
+                raise Problem(422, "invalid", Message("new_holder_unknown"))
             await desk.guards(bus).hand_over(person, to)
 
 

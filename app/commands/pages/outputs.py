@@ -21,6 +21,7 @@ from bus.catalogue.status import output_is_on
 from bus.catalogue.values import analog_output_volts
 from bus.contract import WriteAnalogOutput, WriteOutput
 from bus.errors import CallerError
+from bus.messages import Message
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 Number = Annotated[int, Path(ge=1, le=6)]
@@ -40,7 +41,7 @@ async def review_output(
     live = desk.unit(bus, unit)
     try:
         if live.reading is None:
-            raise Problem(409, "unknown", "the state of this output is not known; nothing was sent")
+            raise Problem(409, "unknown", Message("output_unknown"))
         on = not output_is_on(live.reading.outputs, number)
         desk.commands(bus).check(person, WriteOutput(unit=unit, number=number, on=on), confirm=True)
     except Problem as problem:
@@ -126,7 +127,7 @@ async def set_analog(
 
 def _whole_number(text: str) -> int:
     if not text.strip().isdecimal() or len(text.strip()) > 6:
-        raise CallerError("a whole number, please; empty is not zero")
+        raise CallerError(Message("whole_number_needed"))
     return int(text)
 
 

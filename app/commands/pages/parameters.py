@@ -27,6 +27,7 @@ from bus.catalogue.parameter import Parameter, danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ReadParameters, WriteParameter
 from bus.errors import CallerError
+from bus.messages import Message
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}/parameters", include_in_schema=False)
 Number = Annotated[int, Path(ge=1, le=40)]
@@ -125,7 +126,7 @@ async def write_parameter(
     try:
         desk.refuse_lapsed(reviewed_at)
         if danger_of_writing(parameter, raw) and typed.strip() != CONFIRMING_WORD:
-            raise Problem(409, "dangerous", "the word was not typed; nothing was sent")
+            raise Problem(409, "dangerous", Message("word_not_typed"))
         return await _write(person, desk, bus, live, parameter, raw, id)
     except Problem as problem:
         return desk.refused(problem, title)

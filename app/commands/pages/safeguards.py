@@ -15,6 +15,7 @@ from app.web.access import Engineer, Operator
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import RATIO_DECIMALS, speed_raw, speed_text
 from bus.errors import CallerError
+from bus.messages import Message
 from bus.text import OneLine
 
 router = APIRouter(include_in_schema=False)
@@ -38,7 +39,7 @@ async def set_limits(
     try:
         limits = Limits(*(_raw(live, text) for text in (lowest, highest, largest_step, per_minute)))
         if limits.lowest is not None and limits.highest is not None and limits.lowest > limits.highest:
-            raise CallerError("the lowest setpoint is above the highest; nothing was changed")
+            raise CallerError(Message("limits_reversed"))
     except (CallerError, Problem) as error:
         return desk.not_so(error.text(desk.voice.t), "#limits-said")
     await desk.guards(bus).set_limits(person, unit, limits)
@@ -51,11 +52,12 @@ def _raw(live: UnitLive, text: str) -> int | None:
         return None
     decimals = RATIO_DECIMALS if follower(live) else live.parameter_raw(DECIMALS)
     if decimals is None:
-        raise CallerError("the unit's decimals (#3) are not known yet; try again when it answers")
+        raise CallerError(Message("decimals_unknown"))
     raw = speed_raw(text, decimals)
     if raw > HIGHEST_SETPOINT:
-        most = {"most": speed_text(HIGHEST_SETPOINT, decimals)}
-        raise Problem(422, "invalid", "the protocol carries {most} at most; nothing was changed", params=most)
+        raise Problem(
+            422, "invalid", Message.of("protocol_maximum", most=speed_text(HIGHEST_SETPOINT, decimals))
+        )
     return raw
 
 
@@ -70,7 +72,7 @@ async def block(
     """Refuse every write to this unit, with the reason shown on every page."""
     desk.unit(bus, unit)
     if not reason.strip():
-        raise Problem(422, "invalid", "say why: the next shift reads it")
+        raise Problem(422, "invalid", Message("block_needs_reason"))
     await desk.guards(bus).block(person, unit, reason.strip())
     return RedirectResponse(f"/units/{bus}/{unit}", SEE_OTHER)
 

@@ -28,6 +28,7 @@ from app.web.access import Person, Viewer
 from bus.catalogue.numbers import DECIMALS
 from bus.contract import SetLine
 from bus.errors import CallerError
+from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)
 
@@ -96,7 +97,7 @@ async def _typed_setpoints(person: Person, desk: Desktop, live: BusLive, form: F
     fields = {unit: str(form.get(f"new-{unit}", "")).strip() for unit in live.units}
     typed = {unit: text for unit, text in fields.items() if text}
     if not typed:
-        raise CallerError("no new setpoint is given; empty is not zero")
+        raise CallerError(Message("no_new_setpoint"))
     deadline, bus = desk.deadline(live, len(typed)), live.settings.name
     setpoints = {}
     for unit, text in typed.items():
@@ -104,8 +105,9 @@ async def _typed_setpoints(person: Person, desk: Desktop, live: BusLive, form: F
             found = Typed(desk.commands(bus), person, live.units[unit], deadline)
             setpoints[unit] = await found.setpoint(Quantity(value=text))
         except CallerError as error:
-            params = {"name": live.units[unit].settings.name, "reason": error}
-            raise CallerError("{name}: {reason}", params=params) from error
+            raise CallerError(
+                Message.of("of_unit", name=live.units[unit].settings.name, reason=error.message)
+            ) from error
     return setpoints
 
 

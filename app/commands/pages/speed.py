@@ -23,6 +23,7 @@ from app.live.state.bus_live import UnitLive, follower
 from app.web.access import Person
 from bus.contract import ExecuteSpeed, Result, SetSpeed
 from bus.errors import CallerError
+from bus.messages import Message
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 
@@ -119,8 +120,7 @@ def _done(
 def _refuse_moved(desk: Desktop, bus: str, live: UnitLive, was: str) -> None:
     present = present_setpoint(desk.bus(bus), live)
     if was != ("" if present is None else str(present)):
-        moved = "the setpoint has moved since it was reviewed; nothing was sent"
-        raise Problem(409, "moved", moved)
+        raise Problem(409, "moved", Message("setpoint_moved"))
 
 
 @router.post("/nudge")
@@ -137,11 +137,10 @@ async def nudge(
     present = present_setpoint(desk.bus(bus), live)
     try:
         if present is None:
-            raise Problem(409, "unknown", "the present setpoint is not known; nothing was sent")
+            raise Problem(409, "unknown", Message("setpoint_unknown"))
         raw = present + step
         if raw < 0:
-            reason = "the step is larger than the setpoint, which cannot go below 0; nothing was sent"
-            raise Problem(422, "invalid", reason, nearest=0)
+            raise Problem(422, "invalid", Message("step_below_zero"), nearest=0)
         if not _is_small(desk, bus, live, step):
             return await _review(person, desk, bus, live, raw, execute=True)
         result = await desk.ask(person, bus, SetSpeed(unit=unit, raw=raw), id)
@@ -166,7 +165,7 @@ async def review_execute(
     try:
         staged = live.staged
         if staged is None:
-            raise Problem(409, "nothing_staged", "this unit has nothing staged; nothing was sent")
+            raise Problem(409, "nothing_staged", Message("nothing_staged"))
         await judge(desk, person, bus, ExecuteSpeed(unit=unit))
         await know_ramps(desk, person, bus, [unit])
     except Problem as problem:
@@ -193,7 +192,7 @@ async def execute(
     try:
         desk.refuse_lapsed(reviewed_at)
         if live.staged != raw:
-            raise Problem(409, "moved", "something else is staged now; nothing was sent")
+            raise Problem(409, "moved", Message("staged_moved"))
         result = await desk.ask(person, bus, ExecuteSpeed(unit=unit), id)
     except Problem as problem:
         return desk.refused(problem, live.settings.name)

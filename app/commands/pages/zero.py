@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Form
@@ -60,9 +59,7 @@ def _longest_s(bus: BusLive, units: int) -> float:
 
 def _plans(desk: Desktop) -> list[ZeroPlan]:
     now = time.time()
-    return [
-        plan_zero(bus, desk.guards(name).block_reason, now) for name, bus in desk.live.buses.items()
-    ]
+    return [plan_zero(bus, desk.guards(name).block_reason, now) for name, bus in desk.live.buses.items()]
 
 
 @router.post("")

@@ -15,9 +15,10 @@ from app.database import Database
 from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber
 from app.web.access import Person, Role, name_of
+from bus.messages import Message, term
 
 SIGNED_OUT = "signed out, or has other rights"
-Find = Callable[[str], Awaitable[tuple[str, Role] | None]]
+AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
 """The account that somebody names, and what it may do; None when there is none."""
 
 
@@ -31,7 +32,7 @@ class Safeguards:
         events: EventLog,
         *,
         control_required: bool,
-        find: Find,
+        find: AccountLookup,
         rights: Withdrawals,
         sessions: SessionEnds,
         now: Callable[[], float] = time.time,
@@ -123,12 +124,10 @@ class Safeguards:
     async def _who_may_hold(self, person: Person, to: str) -> str:
         found = (to, person.role) if to == person.account else await self._find(to)
         if found is None:
-            detail = "there is no user {name} who may log in; control stays where it is"
-            raise Problem(422, "invalid", detail, params={"name": to})
+            raise Problem(422, "invalid", Message.of("holder_cannot_sign_in", name=to))
         account, role = found
         if not role.includes(Role.OPERATOR):
-            detail = "{name} is {role} and may set nothing; control goes to an operator or above"
-            raise Problem(422, "invalid", detail, params={"name": to, "role": role})
+            raise Problem(422, "invalid", Message.of("holder_may_not_command", name=to, role=term(role)))
         return account
 
     async def release(self, person: Person) -> None:
@@ -168,9 +167,16 @@ class Safeguards:
         new: str | None,
     ) -> None:
         await self._events.record(
-            kind=kind, who=person.name, origin=person.via, bus=self._bus, unit=unit, what=what, old=old, new=new
+            kind=kind,
+            who=person.name,
+            origin=person.via,
+            bus=self._bus,
+            unit=unit,
+            what=what,
+            old=old,
+            new=new,
         )
 
 
 def _controlled(error: ControlledError) -> Problem:
-    return Problem(409, "controlled", error.template, params=error.params, outcome="controlled")
+    return Problem(409, "controlled", error.message, outcome="controlled")

@@ -6,7 +6,6 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import msgspec
@@ -32,6 +31,7 @@ from app.live.state.bus_live import BusLive
 from app.web.access import Person
 from app.web.deadline import Deadline
 from bus.contract import Action, Command, Result
+from bus.messages import Message
 
 STATUS_OF_OBJECTION = {"invalid": 422, "dangerous": 409, "confirm_needed": 409, "blocked": 423}
 ACTED = ("verified", "acknowledged", "unverified")
@@ -172,9 +172,8 @@ class Desk:
             if action.writes:
                 self._guards.control.use(person.account, self._now())
         except ControlledError as error:
-            detail = "{reason}; nothing was sent"
             raise Problem(
-                409, "controlled", detail, params={"reason": error}, outcome="controlled"
+                409, "controlled", Message.of("nothing_sent", reason=error.message), outcome="controlled"
             ) from error
 
     def _circumstances(self, confirm: bool) -> Circumstances:
@@ -265,8 +264,7 @@ class Desk:
 
 def _refuse_other(id: str | None, same: bool) -> None:
     if not same:
-        detail = "the id '{id}' was used for another command; nothing was sent"
-        raise Problem(422, "invalid", detail, params={"id": id}, id=id)
+        raise Problem(422, "invalid", Message.of("id_used", id=str(id)), id=id)
 
 
 def _steps(action: Action, live: BusLive) -> dict[int, int]:
@@ -284,5 +282,6 @@ def _problem(objection: ObjectionError) -> Problem:
     extra: dict[str, Any] = {"outcome": objection.code, "unit": objection.unit}
     if objection.nearest is not None:
         extra["nearest"] = objection.nearest
-    detail, params = "{reason}; nothing was sent", {**(objection.params or {}), "reason": objection}
-    return Problem(STATUS_OF_OBJECTION[objection.code], objection.code, detail, params=params, **extra)
+    params = {**objection.message.params, "reason": objection.message}
+    message = Message("nothing_sent", params)
+    return Problem(STATUS_OF_OBJECTION[objection.code], objection.code, message, **extra)

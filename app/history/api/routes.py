@@ -36,6 +36,7 @@ from app.web.access import Viewer
 from app.web.api_route import ApiRoute
 from app.web.templating import templates_of
 from app.web.turns import DOWNLOAD, SEARCH
+from bus.messages import Message
 
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
 SPARK_POINTS = 120
@@ -120,7 +121,7 @@ async def get_sparks(
     """Small pictures for many units (up to 255): for each ``bus/unit/value`` the columns ``t`` (seconds
     since the epoch) and ``avg``, about 120 points."""
     if len(series) > MOST_SPARKS:
-        raise Problem(422, "invalid", f"series: at most {MOST_SPARKS}, not {len(series)}")
+        raise Problem(422, "invalid", Message.of("too_many_sparklines", most=MOST_SPARKS, count=len(series)))
     asked = [named_question(history, name, span, SPARK_POINTS) for name in series]
     found = await history.ask(asked)
     return await json_response(lambda: {name: _small(a) for name, a in zip(series, found, strict=True)})

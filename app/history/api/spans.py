@@ -18,6 +18,7 @@ from app.history.service import History
 from app.web.absent import unknown_bus, unknown_unit
 from app.web.numbers import whole_number
 from app.web.services import service
+from bus.messages import Message
 from bus.settings import BusSettings
 
 MOST_POINTS = 20_000
@@ -50,11 +51,17 @@ def moment(text: str, name: str) -> int:
     except ValueError:
         at = None
     if at is None or at.tzinfo is None:
-        detail = "{field}: write an ISO 8601 time with its zone, such as {example}, not '{text}'"
-        params = {"field": name, "example": "2026-11-21T03:12:00Z", "text": text}
-        raise Problem(422, "invalid", detail, params=params)
+        raise Problem(
+            422,
+            "invalid",
+            Message.of("time_malformed", field=name, example="2026-11-21T03:12:00Z", text=text),
+        )
     if not FIRST_YEAR <= at.year <= LAST_YEAR:
-        raise Problem(422, "invalid", f"{name}: write a year from {FIRST_YEAR} to {LAST_YEAR}, not {at.year}")
+        raise Problem(
+            422,
+            "invalid",
+            Message.of("year_out_of_range", name=name, lowest=FIRST_YEAR, highest=LAST_YEAR, year=at.year),
+        )
     return (at - _EPOCH) // _MICROSECOND
 
 
@@ -66,7 +73,7 @@ async def wanted_span(
     end = round(time.time() * SECOND) if until is None else moment(until, "to")
     start = end - HOUR if since is None else moment(since, "from")
     if start >= end:
-        raise Problem(422, "invalid", "from: the span must begin before it ends; swap from and to")
+        raise Problem(422, "invalid", Message("span_reversed"))
     return Span(start, end)
 
 
@@ -76,10 +83,7 @@ SpanOf = Annotated[Span, Depends(wanted_span)]
 async def wanted_points(points: int = 1000) -> int:
     """At most how many points."""
     if not 1 <= points <= MOST_POINTS:
-        detail = (
-            f"points: from 1 to {MOST_POINTS}; for every reading of a long span use /api/v1/history/export"
-        )
-        raise Problem(422, "invalid", detail)
+        raise Problem(422, "invalid", Message.of("points_out_of_range", most=MOST_POINTS))
     return points
 
 
@@ -92,8 +96,7 @@ def question(history: History, bus: str, unit: int, value: str, span: Span, most
     if all(known.id != unit for known in settings.unit):
         raise unknown_unit(bus, unit)
     if value not in VALUES:
-        params = {"value": value, "known": ", ".join(VALUES)}
-        raise Problem(422, "invalid", "value: there is no '{value}'; there are: {known}", params=params)
+        raise Problem(422, "invalid", Message.of("no_such_value", value=value, known=", ".join(VALUES)))
     return Question(settings, unit, VALUES[value], span.start, span.end, most)
 
 
@@ -103,15 +106,14 @@ def named_question(history: History, name: str, span: Span, most: int) -> Questi
     unit, _, value = rest.partition("/")
     number = whole_number(unit)
     if number is None:
-        detail = "series: write bus/unit/value, such as {example}, not '{text}'"
-        raise Problem(422, "invalid", detail, params={"example": "dry-end/1/actual", "text": name})
+        raise Problem(422, "invalid", Message.of("series_malformed", example="dry-end/1/actual", text=name))
     return question(history, bus, number, value, span, most)
 
 
 def questions(history: History, names: list[str], span: Span, most: int) -> list[Question]:
     """Several. Raises Problem."""
     if not 1 <= len(names) <= MOST_SERIES:
-        raise Problem(422, "invalid", f"series: name from 1 to {MOST_SERIES} values, not {len(names)}")
+        raise Problem(422, "invalid", Message.of("series_count", most=MOST_SERIES, count=len(names)))
     return [named_question(history, name, span, most) for name in names]
 
 

@@ -17,10 +17,8 @@ from app.history.query.query import Question, has_raw
 from app.history.series.runs import SECOND
 from app.history.service import History
 from app.history.store import tables
+from bus.messages import Message
 
-NO_PARQUET = (
-    "This server cannot write Parquet: pyarrow is not installed. Export CSV, or install lineside[parquet]."
-)
 Format = Literal["csv", "parquet"]
 Resolution = Literal["auto", "readings", "minutes", "hours"]
 
@@ -30,7 +28,7 @@ async def response(
 ) -> StreamingResponse:
     """Streamed, so that it takes no more memory for a year. Raises StoreError or Problem before it begins."""
     if file == "parquet" and not parquet_file.is_available():
-        raise Problem(501, "no_parquet", NO_PARQUET, params={})
+        raise Problem(501, "no_parquet", Message("no_parquet"))
     fineness = await _fineness(history, asked, resolution)
     table = Table(asked, fineness, history.time_zone)
     name = f"lineside-{_stamp(asked[0].start, table)}-{_stamp(asked[0].end, table)}.{file}"

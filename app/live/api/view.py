@@ -62,7 +62,8 @@ _NEVER_READ = dict.fromkeys(
 def line_json(
     site: str, live: LiveState, now: float, blocks: Mapping[str, BlockReason], history: str, english: Voice
 ) -> Json:
-    """Every bus with its units in floor order. ``blocks``: by bus. ``history``: why none is kept; empty while it is."""
+    """Every bus with its units in floor order. ``blocks``: by bus. ``history``: why none is kept;
+    empty while it is."""
     buses = [bus_json(bus, now, blocks[name], english) for name, bus in live.buses.items()]
     return {"site": site, "time": iso(now), "history": history, "buses": buses}
 

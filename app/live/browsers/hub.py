@@ -71,7 +71,7 @@ class Hub:
         for name, bus in live.buses.items():
             bus.subscribe(partial(self._on_updates, name))
             sources.guards[name].on_block(partial(self.refresh_unit, name))
-        sources.drift.on_change(self.refresh_unit)
+            sources.drift[name].on_change(partial(self.refresh_unit, name))
 
     @property
     def connected(self) -> int:

@@ -23,6 +23,7 @@ from app.web.access import Person, Role, Viewer
 from app.web.services import service_of
 from app.web.templating import templates_of
 from bus.bucket import Bucket
+from bus.messages import Message
 
 router = APIRouter()
 
@@ -52,7 +53,7 @@ async def live(websocket: WebSocket, person: Viewer, language: str = "") -> None
     """One page from its opening to its end. ``language``: the page's own, so that both are the same."""
     hub, address = service_of(websocket, Hub), source_of(websocket.client.host if websocket.client else "")
     if not hub.admission.enter(person.account, address, time.monotonic()):
-        raise Problem(429, "too_many", "too many pages are open; close some").with_headers(Retry_After="10")
+        raise Problem(429, "too_many", Message("too_many_pages")).with_headers(Retry_After="10")
     try:
         await _serve(websocket, person, language, hub)
     finally:

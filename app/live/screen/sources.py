@@ -34,9 +34,9 @@ class UnitGuards(Protocol):
 
 
 class GoldenDrift(Protocol):
-    """How units differ from their golden sets."""
+    """How the units of a bus differ from their golden sets."""
 
-    def summary(self, bus: str, unit: int, voice: Voice, now: float) -> Drifted:
+    def summary(self, unit: int, voice: Voice, now: float) -> Drifted:
         """The differences of a unit in the reader's language. ``now``: Unix time in seconds."""
 
     def on_change(self, subscriber: UnitSubscriber) -> None:
@@ -52,11 +52,12 @@ class LoadedRecipes(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """The owners. ``notices``: what is wrong with the records, for a page in its language and at a Unix time;
-    ``history_fault``: why no history is stored. Both return an empty text while there is nothing to say."""
+    """The owners, those of a bus by its name. ``notices``: what is wrong with the records, for a page in its
+    language and at a Unix time; ``history_fault``: why no history is stored. Both return an empty text while
+    there is nothing to say."""
 
     guards: Mapping[str, UnitGuards]
-    drift: GoldenDrift
+    drift: Mapping[str, GoldenDrift]
     recipes: LoadedRecipes
     notices: Callable[[Voice, float], str]
     history_fault: Callable[[], str]

@@ -18,7 +18,7 @@ def frame_fields(frame: Frame, voice: Voice) -> dict[str, Any]:
         "direction": frame.direction,
         "hex": frame.data.hex(" ").upper(),
         "meaning": "".join(
-            _translated(clause, voice.language.term) + clause.then for clause in frame.clauses
+            _translated(clause, voice.language.fixed) + clause.then for clause in frame.clauses
         )[:LONGEST],
         "valid": frame.valid,
     }

@@ -5,9 +5,19 @@ A text with a number of things is ``Plural``: ``n`` decides. A code stands in on
 
 from __future__ import annotations
 
-from bus.messages.texts import units
+from bus.messages.texts import accounts, commands, history, recipes, requests, sets, stores, swaps, units
 from bus.messages.texts.plural import EnglishText
 from bus.messages.texts.plural import Plural as Plural
 
-GROUPS: tuple[dict[str, EnglishText], ...] = (units.TEXTS,)
+GROUPS: tuple[dict[str, EnglishText], ...] = (
+    accounts.TEXTS,
+    commands.TEXTS,
+    history.TEXTS,
+    recipes.TEXTS,
+    requests.TEXTS,
+    sets.TEXTS,
+    stores.TEXTS,
+    swaps.TEXTS,
+    units.TEXTS,
+)
 TEXTS: dict[str, EnglishText] = {code: text for group in GROUPS for code, text in group.items()}
