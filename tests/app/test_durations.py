@@ -45,7 +45,7 @@ async def test_pages_programs_and_recipes_give_a_change_the_same_time_at_any_bau
 ) -> None:
     given: list[float] = []
 
-    async def ask(_person: Any, _bus: str, action: Any, *, deadline: Deadline, **_: Any) -> Result:
+    async def ask(_person: Any, action: Any, *, deadline: Deadline, **_: Any) -> Result:
         assert isinstance(action, SetLine)
         given.append(deadline.timeout_s)
         return Result("x", time.time(), "verified")

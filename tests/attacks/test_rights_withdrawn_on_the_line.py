@@ -87,7 +87,7 @@ async def test_a_schedule_outlives_who_made_it_and_only_reads(
     await removed(house, tmp_path)
     now = datetime.now().astimezone()
     await house.services.buses[BUS].set_schedule.look(SERVER, now - timedelta(days=1), now)
-    kept = await house.services.sets.store.summaries(BUS)
+    kept = await house.services.sets.summaries(BUS)
     assert {(one.who, one.origin) for one in kept} == {("server", "on schedule")}
     assert (line.written, line.held) == ([], [])
     refused = await client.put(f"/api/v1/buses/{BUS}/set-schedule", json={"minute_of_day": None})
@@ -146,7 +146,7 @@ async def test_a_write_that_ends_while_the_set_before_it_is_stored_is_an_event(
     """It was answered 403, and no event named the command."""
     client = await house.signed_in(Role.ENGINEER)
     await client.get(f"/api/v1/buses/{BUS}/units/1/parameters?refresh=true")
-    store = house.services.sets.store
+    store = house.services.sets
     has_set_since = store.has_set_since
 
     async def withdrawn_meanwhile(bus: str, unit: int, since: float) -> bool:
