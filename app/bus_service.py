@@ -11,9 +11,9 @@ from functools import partial
 from app.audit.log import EventLog
 from app.commands.authority import SessionEnds, Withdrawals
 from app.commands.safeguards.service import AccountLookup, Safeguards
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.commands.service.idempotency_cache import IdempotencyCache
-from app.commands.service.record import Record
+from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.feed.bus_feed import TIMEOUT_TICKS, BusFeed
 from app.feed.channel import Channel
@@ -45,7 +45,7 @@ class BusDependencies:
     find_account: AccountLookup
     control_required: bool
     local_time: Callable[[], datetime]
-    record: Record
+    record: CommandRecord
     idempotency: IdempotencyCache
 
 
@@ -76,7 +76,9 @@ class BusService:
             rights=site.rights,
             sessions=site.sessions,
         )
-        self.commands = Desk(live, self.channel, site.record, site.idempotency, self.safeguards, site.rights)
+        self.commands = CommandService(
+            live, self.channel, site.record, site.idempotency, self.safeguards, site.rights
+        )
         self.reader = ParameterReader(live, self.commands)
         self.drift = BusDrift(live, site.sets, site.events)
         self.sets = SetKeeper(live, self.reader, self.drift, site.sets, site.events, site.rights)

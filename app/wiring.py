@@ -27,7 +27,7 @@ from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
 from app.bus_service import BusDependencies, BusService
 from app.commands.service.idempotency_cache import IdempotencyCache
-from app.commands.service.record import Record
+from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.database.private import make_private
 from app.feed.workers import Workers
@@ -37,7 +37,7 @@ from app.history.status import sentence
 from app.history.status_words import status_words
 from app.live.browsers.hub import Hub
 from app.live.change_recorder import ChangeRecorder
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 from app.live.screen.sources import Sources
 from app.live.state.live_state import LiveState
 from app.live.state.onset_lookup import OnsetLookup
@@ -46,12 +46,12 @@ from app.metrics.measured import MetricSources
 from app.pipeline import record_history_faults
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore
-from app.sets.restore import RestoreDesk
+from app.sets.restore import RestoreService
 from app.sets.restore_store import RestoreStore
 from app.sets.store import SetStore
 from app.sets.taking import Takings
 from app.settings import Settings
-from app.swap.desk import SwapDesk
+from app.swap.desk import SwapService
 from app.swap.store import SwapStore
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
@@ -87,8 +87,8 @@ class Services:
     hub: Hub
     sets: SetStore
     takings: Takings
-    restores: RestoreDesk
-    swaps: SwapDesk
+    restores: RestoreService
+    swaps: SwapService
     recipes: RecipeBook
     measured: MetricSources
     onsets: OnsetLookup
@@ -124,14 +124,14 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         control_required=site.control,
         sets=sets,
         local_time=partial(datetime.now, ZoneInfo(site.zone)),
-        record=Record(events, database, time),
+        record=CommandRecord(events, database, time),
         idempotency=IdempotencyCache(),
     )
     buses = {name: BusService(bus, of_site) for name, bus in live.buses.items()}
     workers = Workers({name: bus.feed for name, bus in buses.items()}, recorder)
     commands = {name: bus.commands for name, bus in buses.items()}
     readers = {name: bus.reader for name, bus in buses.items()}
-    restores = RestoreDesk(readers, commands, events, RestoreStore(database))
+    restores = RestoreService(readers, commands, events, RestoreStore(database))
     recipes = RecipeBook(live, commands, RecipeStore(database), events)
     sources = Sources(
         guards={name: bus.safeguards for name, bus in buses.items()},
@@ -163,7 +163,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         sets=sets,
         takings=Takings(),
         restores=restores,
-        swaps=SwapDesk(events, SwapStore(database), restores, time),
+        swaps=SwapService(events, SwapStore(database), restores, time),
         recipes=recipes,
         measured=MetricSources(live, hub, Counts(events), partial(_anchor_status, anchoring)),
         onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, time),
@@ -174,7 +174,7 @@ def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
     return AnchorStatus() if anchoring is None else anchoring.status
 
 
-def _notices(history: History, anchoring: Anchoring | None, voice: Voice, now: float) -> str:
+def _notices(history: History, anchoring: Anchoring | None, voice: Translator, now: float) -> str:
     """What of the records is not well, in the reader's language; mostly nothing."""
     found = (
         sentence(history.status, voice.t, voice.formats, now),

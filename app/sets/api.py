@@ -23,7 +23,7 @@ from app.sets.shown import (
     ComparedShown,
     DriftShown,
     GoldenShown,
-    OwedShown,
+    OverdueShown,
     ScheduleShown,
     SetShown,
     SummaryShown,
@@ -34,7 +34,7 @@ from app.web.access import Engineer, Person, Role, Viewer
 from app.web.api_route import ApiRoute
 from app.web.schema_problem import problems
 from app.web.services import bus_service, bus_service_of, service
-from app.web.shape import Strict, Units
+from app.web.shape import StrictBody, UnitAddresses
 from bus.messages import Message
 from bus.text import Lines, OneLine
 
@@ -46,28 +46,28 @@ DOCUMENT: dict[int | str, dict[str, Any]] = {
 }
 
 
-class TakeSet(Strict):
+class TakeSet(StrictBody):
     """Which units to read now (all of the bus when empty)."""
 
-    units: Annotated[Units, Field(default_factory=list)]
+    units: Annotated[UnitAddresses, Field(default_factory=list)]
     name: Annotated[OneLine, Field(max_length=80)] = ""
     comment: Annotated[Lines, Field(max_length=1000)] = ""
 
 
-class GoldenMark(Strict):
+class GoldenMark(StrictBody):
     """The unit whose golden set this becomes."""
 
     unit: int
 
 
-class Schedule(Strict):
+class SaveScheduleRequest(StrictBody):
     """Minute of the local day at which all units of the bus are read; null ends it."""
 
     minute_of_day: Annotated[int, Field(ge=0, le=1439)] | None
 
 
 Sets = Annotated[SetStore, service(SetStore)]
-Keeper = Annotated[SetKeeper, bus_service(SetKeeper)]
+ParameterSets = Annotated[SetKeeper, bus_service(SetKeeper)]
 Drift = Annotated[BusDrift, bus_service(BusDrift)]
 ScheduleOfBus = Annotated[SetSchedule, bus_service(SetSchedule)]
 
@@ -87,7 +87,9 @@ async def list_sets(
 
 
 @router.post("/buses/{bus}/sets", status_code=201, responses=problems(504))
-async def take_set(person: Engineer, keeper: Keeper, live: Live, bus: str, wanted: TakeSet) -> SetShown:
+async def take_set(
+    person: Engineer, keeper: ParameterSets, live: Live, bus: str, wanted: TakeSet
+) -> SetShown:
     """Read the units now and keep what they say; nothing is kept when one does not answer."""
     known = bus_or_404(live, bus).units
     units = wanted.units or list(known)
@@ -157,12 +159,14 @@ async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -
 @router.get("/buses/{bus}/set-schedule")
 async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> ScheduleShown:
     """At which minute of the day the units of the bus are read, and which are owed since, with why."""
-    owed: list[OwedShown] = [{"unit": unit, "why": owed.why} for unit, owed in schedule.owed().items()]
+    owed: list[OverdueShown] = [{"unit": unit, "why": owed.why} for unit, owed in schedule.owed().items()]
     return {"minute_of_day": (await sets.schedule()).get(bus), "owed": owed}
 
 
 @router.put("/buses/{bus}/set-schedule")
-async def write_schedule(person: Engineer, schedule: ScheduleOfBus, wanted: Schedule) -> ScheduleShown:
+async def write_schedule(
+    person: Engineer, schedule: ScheduleOfBus, wanted: SaveScheduleRequest
+) -> ScheduleShown:
     """Read all units of the bus daily, or no longer."""
     await schedule.set(person, wanted.minute_of_day)
     return {"minute_of_day": wanted.minute_of_day, "owed": []}

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from app.sets.compare import with_unit
-from app.sets.model import ParameterSet, Row, UnitRows
-from app.web.shape import Strict
+from app.sets.model import ParameterRow, ParameterSet, UnitRows
+from app.web.shape import StrictBody
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
 from bus.messages import Message
@@ -32,7 +32,7 @@ class DocumentError(CallerError):
     """The file is not a parameter set that can be used; nothing was written to any unit."""
 
 
-class _Parameter(Strict):
+class _Parameter(StrictBody):
     name: str = ""
     raw: int | None = None
     value: str = ""
@@ -40,14 +40,14 @@ class _Parameter(Strict):
     masked: bool = False
 
 
-class _Unit(Strict):
+class _Unit(StrictBody):
     id: Annotated[int, Field(ge=1, le=255)]
     name: str = ""
     read_at: datetime | None = None
     parameters: Annotated[dict[str, _Parameter], Field(max_length=len(PARAMETERS))]
 
 
-class _Document(Strict):
+class _Document(StrictBody):
     format: Literal["lineside parameter set"]
     version: Annotated[int, Field(ge=1)]
     bus: str = ""
@@ -83,7 +83,7 @@ def _unit_lines(unit: UnitRows, with_secrets: bool) -> list[str]:
     return lines + [_row_line(row, unit, with_secrets) for _, row in sorted(unit.rows.items())]
 
 
-def _row_line(row: Row, unit: UnitRows, with_secrets: bool) -> str:
+def _row_line(row: ParameterRow, unit: UnitRows, with_secrets: bool) -> str:
     parameter = PARAMETERS[row.number]
     fields = [f"name = {_quoted(parameter.name)}"]
     if not row.available:
@@ -178,14 +178,14 @@ def _seconds(moment: datetime, source: str) -> float:
 
 def _unit_rows(unit: _Unit, source: str) -> UnitRows:
     read_at = None if unit.read_at is None else _seconds(unit.read_at, source)
-    rows: dict[int, Row] = {}
+    rows: dict[int, ParameterRow] = {}
     for key, given in unit.parameters.items():
         if key not in _KEYS:
             detail = "{source}: unit {unit}: there is no parameter '{key}'; a DIGIMAX IV has 1 to 40"
             raise DocumentError(detail, params={"source": source, "unit": unit.id, "key": key})
         number = int(key)
         _check_range(number, given.raw, unit.id, source)
-        rows[number] = Row(number, given.raw if given.available else None, given.available, read_at)
+        rows[number] = ParameterRow(number, given.raw if given.available else None, given.available, read_at)
     return UnitRows(unit.id, unit.name, rows)
 
 

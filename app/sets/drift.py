@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from app.audit.log import Event, EventLog
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 from app.live.screen.sources import Drifted, UnitSubscriber
 from app.live.state.bus_live import BusLive
 from app.sets.background import Background
@@ -20,7 +20,7 @@ from bus.contract import ParameterValue, Update
 
 
 @dataclass(frozen=True, slots=True)
-class Departure:
+class DriftedParameter:
     """One row that is not as in the golden set. ``change``: our command that made it so; None: none of us
     did, so somebody at the panel. ``traced`` False: the events have not been asked yet."""
 
@@ -38,7 +38,7 @@ class Departure:
         left, right = (None if side is None else side.raw for side in (self.row.left, self.row.right))
         return f"{self.row.number}={left}>{right}@{self.change['id'] if self.change else ''}"
 
-    def same(self, other: Departure) -> bool:
+    def same(self, other: DriftedParameter) -> bool:
         """Whether both say the same of the unit, whoever changed it."""
         return self._told == other._told
 
@@ -52,7 +52,7 @@ class BusDrift:
         self._store = store
         self._events = events
         self._golden: dict[int, UnitRows] = {}
-        self._found: dict[int, dict[int, Departure]] = {}
+        self._found: dict[int, dict[int, DriftedParameter]] = {}
         self._background = Background()
         self._subscribers: list[UnitSubscriber] = []
         live.subscribe(self._see)
@@ -80,11 +80,11 @@ class BusDrift:
         """Whether a set of this unit is its golden set."""
         return unit in self._golden
 
-    def of(self, unit: int) -> list[Departure]:
+    def of(self, unit: int) -> list[DriftedParameter]:
         """Rows in which a unit, as last read, departs from its golden set."""
         return list(self._found.get(unit, {}).values())
 
-    async def traced(self, unit: int) -> list[Departure]:
+    async def traced(self, unit: int) -> list[DriftedParameter]:
         """The same, after the events have been asked of every one now."""
         await self._trace(unit, self.of(unit))
         return self.of(unit)
@@ -94,7 +94,7 @@ class BusDrift:
         known = self._live.units[unit].parameters
         return sum(number not in known for number in PARAMETERS)
 
-    def summary(self, unit: int, voice: Voice, now: float) -> Drifted:
+    def summary(self, unit: int, voice: Translator, now: float) -> Drifted:
         """The same for the line, and what the list of them on the unit's page depends on."""
         if unit not in self._golden:
             return Drifted()
@@ -115,33 +115,33 @@ class BusDrift:
         """Compare anew; ``numbers`` were read, so who changed them is asked again."""
         before, asked = self._found.get(unit, {}), frozenset(numbers)
         rows = drift(self._golden[unit], known_rows(self._live.units[unit]))
-        found = {row.number: _known_before(Departure(row), before) for row in rows}
+        found = {row.number: _known_before(DriftedParameter(row), before) for row in rows}
         self._found[unit] = found
         ask = [one for one in found.values() if not one.traced or one.row.number in asked]
         if ask:
             self._background.begin(self._trace(unit, ask), f"who changed unit {unit} of {self._bus}")
 
-    async def _trace(self, unit: int, departures: list[Departure]) -> None:
+    async def _trace(self, unit: int, departures: list[DriftedParameter]) -> None:
         before = self.of(unit)
         for one in departures:
             change = await who_changed(self._events, self._bus, unit, one.row)
             present = self._found.get(unit, {})
             if one.row.number in present and one.same(present[one.row.number]):
-                present[one.row.number] = Departure(one.row, change, traced=True)
+                present[one.row.number] = DriftedParameter(one.row, change, traced=True)
         if self.of(unit) != before:
             for subscriber in self._subscribers:
                 subscriber(unit)
 
 
-def _known_before(departure: Departure, before: dict[int, Departure]) -> Departure:
+def _known_before(departure: DriftedParameter, before: dict[int, DriftedParameter]) -> DriftedParameter:
     """What the events said of the very same value stays said until they have been asked again."""
     earlier = before.get(departure.row.number)
     if earlier is None or not departure.same(earlier):
         return departure
-    return Departure(departure.row, earlier.change, earlier.traced)
+    return DriftedParameter(departure.row, earlier.change, earlier.traced)
 
 
-def _sentence(found: list[Departure], voice: Voice, now: float) -> str:
+def _sentence(found: list[DriftedParameter], voice: Translator, now: float) -> str:
     head = {"number": found[0].row.number, "n": len(found)}
     text = "#{number} differs from golden" if len(found) == 1 else "{n} values differ from golden"
     if not all(one.traced for one in found):
@@ -159,7 +159,7 @@ def _sentence(found: list[Departure], voice: Voice, now: float) -> str:
     return voice.t("{n} values differ from golden: {parts}", n=len(found), parts=", ".join(parts))
 
 
-def _latest_of_each(found: list[Departure]) -> list[tuple[Event, int]]:
+def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
     """The last change of every person, newest first, and how many rows are theirs."""
     by_person: dict[str, list[Event]] = {}
     for one in found:
@@ -171,5 +171,5 @@ def _latest_of_each(found: list[Departure]) -> list[tuple[Event, int]]:
     return sorted(latest, key=lambda each: -float(each[0]["time"]))
 
 
-def _by(change: Event, voice: Voice, now: float) -> dict[str, str]:
+def _by(change: Event, voice: Translator, now: float) -> dict[str, str]:
     return {"who": change["who"], "when": voice.formats.since(change["time"], now)}

@@ -14,7 +14,7 @@ from app.errors import Problem, StoreError
 from app.live.state.bus_live import BusLive
 from app.sets.background import Background
 from app.sets.keeper import SetKeeper
-from app.sets.model import Origin, UnitRows
+from app.sets.model import SetOrigin, UnitRows
 from app.sets.reading import known_rows
 from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
@@ -81,7 +81,7 @@ class FirstWrites:
         for rows in fresh:
             self._kept[rows.unit] = now.date()
         try:
-            origin: Origin = "before the first write of the day"
+            origin: SetOrigin = "before the first write of the day"
             await self._keeper.keep(person, fresh, "", _gaps(fresh), origin)
         except (Problem, StoreError):
             for rows in fresh:

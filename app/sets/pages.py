@@ -19,7 +19,7 @@ from app.sets.taking import Taking, Takings
 from app.sets.view import set_json
 from app.web.access import Engineer, Viewer
 from app.web.services import bus_service_of, service
-from app.web.shape import Units
+from app.web.shape import UnitAddresses
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
@@ -66,7 +66,7 @@ async def take(
     live: Live,
     readings: Readings,
     bus: Annotated[str, Form()],
-    unit: Annotated[Units | None, Form()] = None,
+    unit: Annotated[UnitAddresses | None, Form()] = None,
     name: Annotated[OneLine, Form(max_length=80)] = "",
     comment: Annotated[Lines, Form(max_length=1000)] = "",
 ) -> Response:

@@ -26,7 +26,7 @@ from app.sets.shown import ComparedShown
 from app.sets.sides import side
 from app.sets.store import SetStore
 from app.sets.view import compared_json
-from app.swap.desk import SwapDesk
+from app.swap.desk import SwapService
 from app.web.access import Engineer
 from app.web.services import service_of
 from app.web.templating import render
@@ -78,7 +78,7 @@ async def restore_progress(request: Request, _: Engineer, restores: Restores, re
         planned_at=restore.planned_at,
         name=restore.before.name,
         tickable=dangerous,
-        swap=service_of(request, SwapDesk).of(restore.bus, restore.unit),
+        swap=service_of(request, SwapService).of(restore.bus, restore.unit),
         proven=_proof(restore.wanted, restore.proven),
     )
     if restore.state != "running":

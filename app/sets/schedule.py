@@ -19,14 +19,14 @@ from app.web.access import Person
 
 _log = structlog.get_logger(__name__)
 
-Clock = Callable[[], datetime]
+LocalClock = Callable[[], datetime]
 LOOK_EVERY_S = 5.0
 SAID_AFTER = timedelta(seconds=15)
 """A unit that has not been heard for so long after it was due is said to be silent."""
 
 
 @dataclass(slots=True)
-class Owed:
+class OverdueSet:
     """A unit whose set of the day is not taken yet. ``since``: when that was noticed; ``why``: what was in
     the way at the last try, empty before one."""
 
@@ -37,15 +37,15 @@ class Owed:
 class SetSchedule:
     """The daily sets of one bus. ``clock`` gives the local time with its zone."""
 
-    def __init__(self, live: BusLive, keeper: SetKeeper, events: EventLog, clock: Clock) -> None:
+    def __init__(self, live: BusLive, keeper: SetKeeper, events: EventLog, clock: LocalClock) -> None:
         self._live = live
         self._bus = live.settings.name
         self._keeper = keeper
         self._events = events
         self._clock = clock
-        self._owed: dict[int, Owed] = {}
+        self._owed: dict[int, OverdueSet] = {}
 
-    def owed(self) -> Mapping[int, Owed]:
+    def owed(self) -> Mapping[int, OverdueSet]:
         """The units whose set of the day could not be taken yet."""
         return {unit: owed for unit, owed in self._owed.items() if owed.why}
 
@@ -75,7 +75,7 @@ class SetSchedule:
         minute_of_day = (await self._keeper.store.schedule()).get(self._bus)
         due = None if minute_of_day is None else due_between(minute_of_day, seen, now)
         if due is not None:
-            self._owed = {unit: Owed(now) for unit in await self._without_set(due)}
+            self._owed = {unit: OverdueSet(now) for unit in await self._without_set(due)}
         owed = self._owed
         heard = [unit for unit in owed if self._is_heard(unit)]
         if heard:
@@ -95,7 +95,7 @@ class SetSchedule:
             if not await store.has_set_since(self._bus, unit, since, "on schedule")
         ]
 
-    async def _take(self, person: Person, units: list[int], owed: dict[int, Owed]) -> None:
+    async def _take(self, person: Person, units: list[int], owed: dict[int, OverdueSet]) -> None:
         read, silent = await read_together(self._keeper, person, units)
         if read and await self._keep(person, read):
             for rows in read:
@@ -111,7 +111,7 @@ class SetSchedule:
             return False
         return True
 
-    async def _not_taken(self, person: Person, unit: int, owed: Owed, why: str) -> None:
+    async def _not_taken(self, person: Person, unit: int, owed: OverdueSet, why: str) -> None:
         """Said once; tried again as long as it is owed."""
         first, owed.why = not owed.why, why
         if first:

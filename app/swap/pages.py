@@ -8,12 +8,12 @@ from typing import Annotated
 
 from fastapi import APIRouter, Request, Response
 
-from app.commands.service.command_service import Desk
-from app.commands.service.writer import AskDesk
+from app.commands.service.command_service import CommandService
+from app.commands.service.writer import Commands
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
-from app.sets.api import Keeper, Sets
+from app.sets.api import ParameterSets, Sets
 from app.sets.form_source import Chosen, post_source
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
@@ -21,7 +21,7 @@ from app.sets.offers import offers
 from app.sets.restore_api import Restores
 from app.sets.restore_shown import LeftOutShown
 from app.sets.restore_view import restore_json
-from app.swap.desk import SwapDesk, step_text
+from app.swap.desk import SwapService, step_text
 from app.swap.looking import look
 from app.swap.record import Swap
 from app.swap.rules import FACTORY_ADDRESS, PROVEN, STEPS, Advice, advice, done_steps
@@ -34,7 +34,7 @@ from bus.messages import Message
 router = APIRouter(include_in_schema=False)
 
 
-Swaps = Annotated[SwapDesk, service(SwapDesk)]
+Swaps = Annotated[SwapService, service(SwapService)]
 
 
 @router.get("/swap/{bus}/{unit}")
@@ -70,7 +70,7 @@ async def begin(
 
 @router.get("/swap/{bus}/{unit}/look")
 async def look_again(
-    request: Request, person: Engineer, live: Live, swaps: Swaps, desk: AskDesk, bus: str, unit: int
+    request: Request, person: Engineer, live: Live, swaps: Swaps, desk: Commands, bus: str, unit: int
 ) -> Response:
     """Read the wire, and say where the swap stands and what to do."""
     unit_or_404(live, bus, unit)
@@ -93,7 +93,7 @@ async def look_again(
     )
 
 
-async def _advice(person: Person, live: Live, swaps: SwapDesk, desk: Desk, swap: Swap) -> Advice:
+async def _advice(person: Person, live: Live, swaps: SwapService, desk: CommandService, swap: Swap) -> Advice:
     try:
         sight = await swaps.look(swap, lambda: look(desk, live, person, swap))
     except Problem as problem:
@@ -125,7 +125,7 @@ async def begin_restore(
 
 @router.post("/swap/{bus}/{unit}/entered")
 async def entered(
-    person: Engineer, keeper: Keeper, live: Live, swaps: Swaps, bus: str, unit: int
+    person: Engineer, keeper: ParameterSets, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
     """All is entered from the sheet: read the unit whole and keep it as a set."""
     unit_or_404(live, bus, unit)

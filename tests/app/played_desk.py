@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from app.commands import check
-from app.commands.rules.objection import Circumstances, ObjectionError
+from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.safeguards.limits import NO_LIMITS
 from app.commands.service.command_service import WriteSubscriber
 from app.database import Database
@@ -83,7 +83,7 @@ class PlayedDesk:
     def check(self, person: Person, action: Action, *, confirm: bool = False) -> None:
         assert (person.name, confirm) == ("anna", True)
         assert isinstance(action, SetSpeed)
-        now = Circumstances(
+        now = RuleContext(
             self.live.buses["dry-end"], lambda _: NO_LIMITS, lambda _: None, lambda _: 0, confirm=confirm
         )
         try:

@@ -26,9 +26,9 @@ from app.commands.api.commands import router as commands_router
 from app.commands.api.safeguards import router as safeguards_router
 from app.commands.api.trace import router as trace_router
 from app.commands.safeguards.service import Safeguards
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.commands.service.idempotency_cache import IdempotencyCache
-from app.commands.service.record import Record
+from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.feed.bus_feed import BusFeed
 from app.feed.channel import Channel
@@ -264,10 +264,10 @@ class Stage:
         self.url = ""
         self._people: dict[str, httpx.AsyncClient] = {}
 
-    def commands_after_restart(self) -> Desk:
+    def commands_after_restart(self) -> CommandService:
         """The commands of a server that remembers nothing but what is on disk."""
-        (live,), record = self.live.buses.values(), Record(self.events, self.database, time.time)
-        return Desk(live, self.channel, record, IdempotencyCache(), self.guards, self.rights)
+        (live,), record = self.live.buses.values(), CommandRecord(self.events, self.database, time.time)
+        return CommandService(live, self.channel, record, IdempotencyCache(), self.guards, self.rights)
 
     def http(self, role: str = "admin", name: str = "") -> httpx.AsyncClient:
         """A client signed in as somebody with this role."""

@@ -6,7 +6,7 @@ is not set for the link are sent, and refused by the unit in its own words.
 
 from __future__ import annotations
 
-from app.commands.rules.objection import Circumstances, ObjectionError
+from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.safeguards.limits import HIGHEST_SETPOINT
 from app.live.state.bus_live import BusLive, UnitLive
 from bus.catalogue.parameter import IllegalValue, Parameter, check_writable_value
@@ -19,19 +19,19 @@ from bus.settings import BAUDS
 LOW_ANALOG_OUT, HIGH_ANALOG_OUT = 29, 30
 
 
-def check_line(action: SetLine, _: Circumstances) -> None:
+def check_line(action: SetLine, _: RuleContext) -> None:
     """It names at least one unit."""
     if not action.setpoints:
         raise ObjectionError("invalid", "no setpoint is given: name at least one unit")
 
 
-def check_output(action: WriteOutput, _: Circumstances) -> None:
+def check_output(action: WriteOutput, _: RuleContext) -> None:
     """A unit has six."""
     if action.number not in OUTPUT_NUMBERS:
         raise ObjectionError("invalid", "a unit has the auxiliary outputs 1 to 6", unit=action.unit)
 
 
-def check_analog_output(action: WriteAnalogOutput, now: Circumstances) -> None:
+def check_analog_output(action: WriteAnalogOutput, now: RuleContext) -> None:
     """#29 to #30, as far as they are known."""
     live = now.bus.units[action.unit]
     low, high = live.parameter_raw(LOW_ANALOG_OUT), live.parameter_raw(HIGH_ANALOG_OUT)
@@ -49,7 +49,7 @@ def check_analog_output(action: WriteAnalogOutput, now: Circumstances) -> None:
     )
 
 
-def check_parameter(action: WriteParameter, now: Circumstances) -> None:
+def check_parameter(action: WriteParameter, now: RuleContext) -> None:
     """Its range and choices (manual, the parameter list), and what the unit allows now."""
     parameter = PARAMETERS.get(action.number)
     if parameter is None:
@@ -68,7 +68,7 @@ def _check_value(parameter: Parameter, action: WriteParameter) -> None:
         raise ObjectionError("invalid", str(error), unit=action.unit, nearest=nearest) from error
 
 
-def check_baud(action: ChangeBaud, _: Circumstances) -> None:
+def check_baud(action: ChangeBaud, _: RuleContext) -> None:
     """One that a unit can be set to (#18)."""
     if action.baud not in BAUDS:
         nearest = min(BAUDS, key=lambda baud: abs(baud - action.baud))

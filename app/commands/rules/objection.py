@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from app.commands.safeguards.blocks import Block
+from app.commands.safeguards.blocks import CommandBlock
 from app.commands.safeguards.limits import Limits
 from app.live.state.bus_live import BusLive
 from bus.errors import LinesideError
@@ -33,11 +33,11 @@ class ObjectionError(LinesideError):
 
 
 @dataclass(frozen=True, slots=True)
-class Circumstances:
+class RuleContext:
     """What the rules look at. ``moved``: how far a unit's setpoint was moved within the last minute."""
 
     bus: BusLive
     limits: Callable[[int], Limits]
-    block: Callable[[int], Block | None]
+    block: Callable[[int], CommandBlock | None]
     moved: Callable[[int], int]
     confirm: bool = False

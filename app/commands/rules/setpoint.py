@@ -6,7 +6,7 @@ master's speed 0 is always allowed: no limit of ours may keep a line from being 
 
 from __future__ import annotations
 
-from app.commands.rules.objection import Circumstances, ObjectionError
+from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.rules.setpoint_range import Basis, SetpointKind, kind_of, setpoint_range
 from app.commands.safeguards.limits import Limits
 from app.live.state.bus_live import BusLive, UnitLive, follower
@@ -25,7 +25,7 @@ _OUTSIDE: dict[Basis, str] = {
 }
 
 
-def check_setpoint(unit: int, raw: int, now: Circumstances, kind: SetpointKind | None = None) -> None:
+def check_setpoint(unit: int, raw: int, now: RuleContext, kind: SetpointKind | None = None) -> None:
     """Raises ObjectionError for the first reason why ``raw`` is not sent.
 
     ``kind``: of the setpoint where it is not the unit's own, which is judged by its range alone.

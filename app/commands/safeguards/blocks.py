@@ -10,7 +10,7 @@ from app.database import Database
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class CommandBlock:
     """Why a unit is blocked, by whom, since when (seconds since the epoch)."""
 
     reason: str
@@ -24,17 +24,17 @@ class BlockStore:
     def __init__(self, database: Database, bus: str) -> None:
         self._database = database
         self._bus = bus
-        self._blocks: dict[int, Block] = {}
+        self._blocks: dict[int, CommandBlock] = {}
 
     async def load(self) -> None:
         """Read what is stored; once, before the first command."""
         self._blocks = await self._database.read(partial(_select, bus=self._bus))
 
-    def of(self, unit: int) -> Block | None:
+    def of(self, unit: int) -> CommandBlock | None:
         """The block of a unit, or None."""
         return self._blocks.get(unit)
 
-    async def put(self, unit: int, block: Block) -> None:
+    async def put(self, unit: int, block: CommandBlock) -> None:
         """Block a unit, or give another reason."""
         await self._database.write(lambda store: _replace(store, self._bus, unit, block))
         self._blocks[unit] = block
@@ -45,12 +45,12 @@ class BlockStore:
         self._blocks.pop(unit, None)
 
 
-def _select(store: sqlite3.Connection, bus: str) -> dict[int, Block]:
+def _select(store: sqlite3.Connection, bus: str) -> dict[int, CommandBlock]:
     rows = store.execute("SELECT unit, reason, set_by, set_at FROM blocks WHERE bus = ?", (bus,))
-    return {unit: Block(*block) for unit, *block in rows}
+    return {unit: CommandBlock(*block) for unit, *block in rows}
 
 
-def _replace(store: sqlite3.Connection, bus: str, unit: int, block: Block) -> None:
+def _replace(store: sqlite3.Connection, bus: str, unit: int, block: CommandBlock) -> None:
     store.execute(
         "INSERT OR REPLACE INTO blocks (bus, unit, reason, set_by, set_at) VALUES (?, ?, ?, ?, ?)",
         (bus, unit, block.reason, block.set_by, block.set_at),

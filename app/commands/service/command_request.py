@@ -16,7 +16,7 @@ SECRET_DIFFERS = "the unit reads another value, which is not shown"
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class CommandRequest:
     """``deadline``: the last moment at which a frame that writes may leave."""
 
     id: str

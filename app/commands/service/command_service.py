@@ -13,16 +13,16 @@ import msgspec
 from app.commands.authority import Authority, while_permitted
 from app.commands.catalogue import kind_of_command
 from app.commands.check import check
-from app.commands.rules.objection import Circumstances, ObjectionError
+from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.rules.setpoint import commanded_setpoint
 from app.commands.rules.setpoint_moves import Moves
 from app.commands.rules.setpoint_range import kind_of
 from app.commands.safeguards.control import ControlledError
 from app.commands.safeguards.service import Safeguards
-from app.commands.service.command_request import Wish, without_secret
+from app.commands.service.command_request import CommandRequest, without_secret
 from app.commands.service.idempotency_cache import IdempotencyCache, KeptCommand
 from app.commands.service.prior_read import UnreadError, read_ranges
-from app.commands.service.record import Record
+from app.commands.service.record import CommandRecord
 from app.errors import Problem, StoreError
 from app.feed.channel import Channel, ProgressListener
 from app.live.command_ids import new_command_id
@@ -44,14 +44,14 @@ class WriteSubscriber(Protocol):
     async def __call__(self, person: Person, units: Sequence[int], *, parameters: bool) -> None: ...
 
 
-class Desk:
+class CommandService:
     """Takes the commands of people and programs for one bus."""
 
     def __init__(
         self,
         live: BusLive,
         channel: Channel,
-        record: Record,
+        record: CommandRecord,
         cache: IdempotencyCache,
         guards: Safeguards,
         rights: Authority,
@@ -110,7 +110,9 @@ class Desk:
         if kept is None:
             timeout_s = timeout_s or kind_of_command(action).timeout_s(action, self._live)
             deadline = deadline or Deadline.within(timeout_s)
-            wish = Wish(new_command_id(id), person, self._bus, action, deadline, origin, listener, id)
+            wish = CommandRequest(
+                new_command_id(id), person, self._bus, action, deadline, origin, listener, id
+            )
             try:
                 await self._check(wish, confirm)
             except UnreadError as unread:
@@ -141,7 +143,7 @@ class Desk:
             unit_of_bus_or_404(self._live, unit)
         self._object(person, action, confirm)
 
-    async def _check(self, wish: Wish, confirm: bool) -> None:
+    async def _check(self, wish: CommandRequest, confirm: bool) -> None:
         async with self._rejection_recorded(wish):
             wish.deadline.refuse_passed()
             await self._rights.check(wish.person)
@@ -151,7 +153,7 @@ class Desk:
             self._object(wish.person, wish.action, confirm)
 
     @asynccontextmanager
-    async def _rejection_recorded(self, wish: Wish) -> AsyncIterator[None]:
+    async def _rejection_recorded(self, wish: CommandRequest) -> AsyncIterator[None]:
         """A write that a Problem ends before anything is sent is an event with its reason."""
         try:
             yield
@@ -176,8 +178,8 @@ class Desk:
                 409, "controlled", Message.of("nothing_sent", reason=error.message), outcome="controlled"
             ) from error
 
-    def _circumstances(self, confirm: bool) -> Circumstances:
-        return Circumstances(
+    def _circumstances(self, confirm: bool) -> RuleContext:
+        return RuleContext(
             bus=self._live,
             limits=self._guards.limits.of,
             block=self._guards.blocks.of,
@@ -185,7 +187,7 @@ class Desk:
             confirm=confirm,
         )
 
-    def _start(self, wish: Wish) -> KeptCommand:
+    def _start(self, wish: CommandRequest) -> KeptCommand:
         already = self._cache.find(wish.person, wish.key)
         if already is not None:
             return already
@@ -201,7 +203,7 @@ class Desk:
             self._cache.keep(wish.person, wish.key, kept)
         return kept
 
-    async def _follow(self, wish: Wish, steps: dict[int, int], at: float) -> Result:
+    async def _follow(self, wish: CommandRequest, steps: dict[int, int], at: float) -> Result:
         """Carry it out; its steps, which were noted for ``at``, count no more when no unit acted."""
         acted = False
         try:
@@ -212,7 +214,7 @@ class Desk:
             for unit, step in () if acted else steps.items():
                 self._moves.take_back(unit, step, at)
 
-    async def _carry_out(self, wish: Wish) -> Result:
+    async def _carry_out(self, wish: CommandRequest) -> Result:
         kind = kind_of_command(wish.action)
         if not kind.is_event(wish.action):
             return await self._send(wish)
@@ -226,7 +228,7 @@ class Desk:
         await self._record.conclude(intent, wish, result)
         return result
 
-    async def _send(self, wish: Wish) -> Result:
+    async def _send(self, wish: CommandRequest) -> Result:
         link = self._live.link
         if link.link == "closed":
             message = f"{link.cause or 'the port is closed'}; nothing was sent"
@@ -244,7 +246,7 @@ class Desk:
             lambda: self._channel.cancel(wish.id),
         )
 
-    async def _why_no_longer(self, wish: Wish) -> str:
+    async def _why_no_longer(self, wish: CommandRequest) -> str:
         """Why a command must not be sent, or be given up; empty while it may go on. A store that cannot be
         read now ends nothing that is half done."""
         try:

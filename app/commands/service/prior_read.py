@@ -29,14 +29,14 @@ class UnreadError(Problem):
         return Result(id, at, outcome, self.detail, units=parts)
 
 
-class Ask(Protocol):
+class CommandSender(Protocol):
     """How a read is asked for."""
 
     async def __call__(self, person: Person, action: Action, *, deadline: Deadline) -> Result: ...
 
 
 async def read_first(
-    ask: Ask, person: Person, unit: int, numbers: Sequence[int], deadline: Deadline
+    ask: CommandSender, person: Person, unit: int, numbers: Sequence[int], deadline: Deadline
 ) -> dict[int, int | None]:
     """The raw value of each, None where the unit does not have it.
 
@@ -53,7 +53,7 @@ async def read_first(
 
 
 async def read_ranges(
-    ask: Ask,
+    ask: CommandSender,
     person: Person,
     live: BusLive,
     action: Action,

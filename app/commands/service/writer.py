@@ -13,11 +13,11 @@ from fastapi import Depends
 from starlette.requests import HTTPConnection
 
 from app.commands.catalogue import CommandKind
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.web.access import Person, Requires
 from app.web.services import bus_service, bus_service_of
 
-AskDesk = Annotated[Desk, bus_service(Desk)]
+Commands = Annotated[CommandService, bus_service(CommandService)]
 """Sends commands to ``{bus}`` in the path."""
 
 
@@ -31,7 +31,7 @@ class _Writes(Requires):
     async def __call__(self, connection: HTTPConnection) -> Person:
         person = self.permitted(connection)
         if "bus" in connection.path_params:
-            await bus_service_of(connection, connection.path_params["bus"], Desk).reserve()
+            await bus_service_of(connection, connection.path_params["bus"], CommandService).reserve()
         return person
 
 

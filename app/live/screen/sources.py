@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 
 UnitSubscriber = Callable[[int], None]
 """Called with the address of a unit of a bus of which something changed."""
@@ -36,7 +36,7 @@ class UnitGuards(Protocol):
 class GoldenDrift(Protocol):
     """How the units of a bus differ from their golden sets."""
 
-    def summary(self, unit: int, voice: Voice, now: float) -> Drifted:
+    def summary(self, unit: int, voice: Translator, now: float) -> Drifted:
         """The differences of a unit in the reader's language. ``now``: Unix time in seconds."""
 
     def on_change(self, subscriber: UnitSubscriber) -> None:
@@ -59,5 +59,5 @@ class Sources:
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
     recipes: LoadedRecipes
-    notices: Callable[[Voice, float], str]
+    notices: Callable[[Translator, float], str]
     history_fault: Callable[[], str]

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 from bus.clauses import LONGEST, filled
 from bus.contract import Clause, Frame
 
 
-def frame_fields(frame: Frame, voice: Voice) -> dict[str, Any]:
+def frame_fields(frame: Frame, voice: Translator) -> dict[str, Any]:
     """``at``: seconds since the epoch; ``hex``: the bytes as they passed; ``meaning``: in the language of
     ``voice``."""
     return {
