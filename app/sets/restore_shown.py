@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
+from app.live.api.schemas import UnitAddress
 from app.sets.effects import Effect
 from app.sets.plan import Reason
 from app.sets.restore_record import RestoreState
