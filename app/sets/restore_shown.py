@@ -11,7 +11,7 @@ from app.live.api.schemas import UnitAddress
 from app.sets.effects import Effect
 from app.sets.plan import Reason
 from app.sets.restore_record import RestoreState
-from app.sets.shown import ComparedShown, Number, StoredRaw, UnitAddress
+from app.sets.shown import ComparedShown, Number, StoredRaw
 from bus.contract import Outcome
 
 MaybeReason = Annotated[
