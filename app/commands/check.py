@@ -6,6 +6,7 @@ from app.commands.catalogue import kind_of_command
 from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.rules.setpoint import check_setpoint
 from bus.contract import Action
+from bus.messages import Message, term
 
 
 def check(action: Action, now: RuleContext) -> None:
@@ -18,7 +19,7 @@ def check(action: Action, now: RuleContext) -> None:
         check_setpoint(setpoint.unit, setpoint.raw, now, setpoint.kind)
     danger = kind.danger(action)
     if danger and not now.confirm:
-        raise ObjectionError("dangerous", danger, unit=action.only_unit)
+        raise ObjectionError("dangerous", term(danger), unit=action.only_unit)
 
 
 def _check_not_blocked(unit: int, now: RuleContext) -> None:
@@ -26,7 +27,6 @@ def _check_not_blocked(unit: int, now: RuleContext) -> None:
     if block is not None:
         raise ObjectionError(
             "blocked",
-            "unit {unit} is blocked by {who}: {reason}",
+            Message.of("unit_blocked", unit=unit, who=block.set_by, reason=block.reason),
             unit=unit,
-            params={"unit": unit, "who": block.set_by, "reason": block.reason},
         )

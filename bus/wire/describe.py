@@ -80,7 +80,7 @@ class Described:
 
 
 @dataclass(frozen=True, slots=True)
-class Rubbish:
+class DescribedNoise:
     """Bytes that are no frame."""
 
     wire: bytes
@@ -99,9 +99,9 @@ class Describer:
         self._dialect = dialect
         self._asked: Request | None = None
 
-    def describe(self, received: Iterable[Received]) -> list[Described | Rubbish]:
+    def describe(self, received: Iterable[Received]) -> list[Described | DescribedNoise]:
         """Everything but the doubled checksum bytes, which belong to the frames before them."""
-        described: list[Described | Rubbish] = []
+        described: list[Described | DescribedNoise] = []
         for item in received:
             if isinstance(item, ReceivedFrame):
                 described.append(self._frame(item.body, item.wire))
@@ -114,10 +114,10 @@ class Describer:
         self._asked = described.request
         return described
 
-    def _noise(self, noise: Noise) -> Described | Rubbish:
+    def _noise(self, noise: Noise) -> Described | DescribedNoise:
         if not noise.body:
             no_frame = Clause("{count} bytes that are no frame", {"count": len(noise.data)}, ": ")
-            return Rubbish(noise.data, (no_frame, Clause(noise.reason.value)))
+            return DescribedNoise(noise.data, (no_frame, Clause(noise.reason.value)))
         described = describe_body(noise.body, noise.data, self._dialect, None)
         right = {"right": f"{checksum(noise.body):02X}"}
         wrong = Clause("checksum wrong, {right}h would be right; as it stands", right, ": ")
@@ -125,7 +125,7 @@ class Describer:
         return Described(described.uid, described.kind, described.fields, clauses, noise.data, False)
 
 
-def describe_bytes(data: bytes, dialect: Dialect | None = None) -> list[Described | Rubbish]:
+def describe_bytes(data: bytes, dialect: Dialect | None = None) -> list[Described | DescribedNoise]:
     """Whatever is in ``data``, in order."""
     dialect = dialect or Dialect()
     decoder = FrameDecoder(dialect)

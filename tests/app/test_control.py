@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.commands.safeguards.control import LAPSES_AFTER_S, Control, ControlledError
+from bus.messages import Message
 
 
 def test_control_lapses_without_use_and_use_keeps_it() -> None:
@@ -53,10 +54,10 @@ def test_nobody_holds_it_says_so() -> None:
 
 def test_a_review_is_told_who_else_holds_it_and_uses_nothing() -> None:
     control = Control(required=True)
-    assert "nobody" in control.objection("anna", 0.0)
+    assert control.objection("anna", 0.0) == Message("control_not_taken")
     control.take("anna", 0.0)
-    assert control.objection("ben", 5.0) == "anna holds control of this line"
-    assert control.objection("anna", 5.0) == ""
+    assert control.objection("ben", 5.0) == Message.of("control_held", who="anna")
+    assert control.objection("anna", 5.0) is None
     holding = control.holding(5.0)
     assert holding is not None
     assert holding.used_at == 0.0
@@ -64,4 +65,4 @@ def test_a_review_is_told_who_else_holds_it_and_uses_nothing() -> None:
 
 def test_where_it_is_not_required_everybody_may() -> None:
     Control(required=False).use("anna", 0.0)
-    assert Control(required=False).objection("anna", 0.0) == ""
+    assert Control(required=False).objection("anna", 0.0) is None

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from bus.settings import Dialect
 from bus.wire.bodies import encode_reply, encode_request
 from bus.wire.commands import Ack, Nak, ParameterReply, ReadParameter, ReadStatus, StatusReply, WriteParameter
-from bus.wire.describe import Described, Rubbish, describe_bytes, is_secret
+from bus.wire.describe import Described, DescribedNoise, describe_bytes, is_secret
 
 PLAIN = Dialect()
 FRAMES: list[dict[str, Any]] = json.loads(
@@ -108,7 +108,7 @@ def test_a_good_frame_that_means_nothing_is_unknown(body: str) -> None:
 
 def test_rubbish_is_named() -> None:
     (described,) = describe_bytes(b"\x55\xaa")
-    assert isinstance(described, Rubbish)
+    assert isinstance(described, DescribedNoise)
     assert (described.wire, described.words) == (b"\x55\xaa", "2 bytes that are no frame: outside a frame")
 
 

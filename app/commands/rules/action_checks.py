@@ -14,6 +14,7 @@ from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS, status_bits
 from bus.contract import ChangeBaud, SetLine, WriteAnalogOutput, WriteOutput, WriteParameter
 from bus.errors import CallerError
+from bus.messages import Message
 from bus.settings import BAUDS
 
 LOW_ANALOG_OUT, HIGH_ANALOG_OUT = 29, 30
@@ -22,13 +23,13 @@ LOW_ANALOG_OUT, HIGH_ANALOG_OUT = 29, 30
 def check_line(action: SetLine, _: RuleContext) -> None:
     """It names at least one unit."""
     if not action.setpoints:
-        raise ObjectionError("invalid", "no setpoint is given: name at least one unit")
+        raise ObjectionError("invalid", Message("setpoints_missing"))
 
 
 def check_output(action: WriteOutput, _: RuleContext) -> None:
     """A unit has six."""
     if action.number not in OUTPUT_NUMBERS:
-        raise ObjectionError("invalid", "a unit has the auxiliary outputs 1 to 6", unit=action.unit)
+        raise ObjectionError("invalid", Message("no_such_output"), unit=action.unit)
 
 
 def check_analog_output(action: WriteAnalogOutput, now: RuleContext) -> None:
@@ -42,8 +43,9 @@ def check_analog_output(action: WriteAnalogOutput, now: RuleContext) -> None:
     nearest = min(max(action.raw, lowest), highest)
     raise ObjectionError(
         "invalid",
-        f"unit {action.unit}: the analog output takes {lowest} (0 V, #29) to {highest} (10 V, #30); "
-        f"the nearest is {nearest}",
+        Message.of(
+            "analog_output_outside", unit=action.unit, lowest=lowest, highest=highest, nearest=nearest
+        ),
         unit=action.unit,
         nearest=nearest,
     )
@@ -53,10 +55,10 @@ def check_parameter(action: WriteParameter, now: RuleContext) -> None:
     """Its range and choices (manual, the parameter list), and what the unit allows now."""
     parameter = PARAMETERS.get(action.number)
     if parameter is None:
-        raise ObjectionError("invalid", "a unit has the parameters 1 to 40", unit=action.unit)
+        raise ObjectionError("invalid", Message("no_such_parameter"), unit=action.unit)
     _check_value(parameter, action)
     if parameter.not_while_running and _is_running(now.bus.units[action.unit], now.bus):
-        reason = f"#{parameter.number} {parameter.name} cannot be changed while the unit's run input is on"
+        reason = Message.of("parameter_not_while_running", number=parameter.number, called=parameter.name)
         raise ObjectionError("invalid", reason, unit=action.unit)
 
 
@@ -65,7 +67,7 @@ def _check_value(parameter: Parameter, action: WriteParameter) -> None:
         check_writable_value(parameter, action.raw)
     except CallerError as error:
         nearest = error.nearest if isinstance(error, IllegalValue) else None
-        raise ObjectionError("invalid", str(error), unit=action.unit, nearest=nearest) from error
+        raise ObjectionError("invalid", error.message, unit=action.unit, nearest=nearest) from error
 
 
 def check_baud(action: ChangeBaud, _: RuleContext) -> None:
@@ -73,7 +75,7 @@ def check_baud(action: ChangeBaud, _: RuleContext) -> None:
     if action.baud not in BAUDS:
         nearest = min(BAUDS, key=lambda baud: abs(baud - action.baud))
         raise ObjectionError(
-            "invalid", f"a unit speaks at {', '.join(map(str, BAUDS))} baud", nearest=nearest
+            "invalid", Message.of("baud_unknown", rates=", ".join(map(str, BAUDS))), nearest=nearest
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,23 +10,23 @@ from app.commands.safeguards.blocks import CommandBlock
 from app.commands.safeguards.limits import Limits
 from app.live.state.bus_live import BusLive
 from bus.errors import LinesideError
+from bus.messages import Message
 
 Code = Literal["invalid", "dangerous", "confirm_needed", "blocked"]
 
 
 class ObjectionError(LinesideError):
-    """A command that is not sent. The text is the reason; ``nearest`` the closest value that would do."""
+    """A command that is not sent. The message is the reason; ``nearest`` the closest value that would do."""
 
     def __init__(
         self,
         code: Code,
-        reason: str,
+        reason: Message,
         *,
-        params: Mapping[str, object] | None = None,
         unit: int | None = None,
         nearest: int | None = None,
     ) -> None:
-        super().__init__(reason, params=params)
+        super().__init__(reason)
         self.code = code
         self.unit = unit
         self.nearest = nearest

@@ -261,7 +261,7 @@ class CommandService:
             block = self._guards.blocks.of(unit)
             if block is not None:
                 return f"unit {unit} is blocked by {block.set_by}: {block.reason}"
-        return self._guards.control.objection(wish.person.account, self._now())
+        return str(self._guards.control.objection(wish.person.account, self._now()) or "")
 
 
 def _refuse_other(id: str | None, same: bool) -> None:

@@ -14,6 +14,7 @@ from app.live.state.bus_live import BusLive
 from app.web.access import Person
 from app.web.deadline import Deadline
 from bus.contract import Action, Outcome, ReadParameters, Result, UnitOutcome
+from bus.messages import Message
 
 _ROUNDS = 2
 """Which parameters bound a setpoint depends on the mode (#8), which may have to be read itself."""
@@ -85,9 +86,7 @@ def _unread(unit: int, numbers: Sequence[int]) -> UnreadError:
     return UnreadError(
         504,
         "unverified",
-        "unit {unit} did not give {numbers}, without which the command cannot be judged; nothing was sent. "
-        "Check its power and the cable",
-        params={"unit": unit, "numbers": ", ".join(f"#{number}" for number in numbers)},
+        Message.of("unit_gave_too_little", unit=unit, numbers=[f"#{number}" for number in numbers]),
         outcome="unverified",
         unit=unit,
     )

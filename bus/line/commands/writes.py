@@ -6,16 +6,16 @@ from collections.abc import Callable
 
 from bus.contract import Outcome, Result, UnitOutcome
 from bus.errors import unit_error_name
-from bus.line.commands.procedure import Answer, Ask, Fate, Procedure, Tell, Wish
+from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, send
 from bus.line.commands.readback import (
-    LOOKS_AGAIN,
-    Proof,
-    Proving,
-    ask,
-    prove_output,
-    prove_parameter,
-    prove_speed,
+    REREADS,
+    Readback,
+    Verification,
+    verify_output,
+    verify_parameter,
+    verify_speed,
 )
+from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import UnitRecord
 from bus.wire.commands import (
     ExecuteSpeed,
@@ -30,13 +30,13 @@ from bus.wire.commands import (
 NOTHING_TO_READ_BACK = "acknowledged; there is nothing to read back"
 
 
-def set_and_execute(record: UnitRecord, raw: int, wish: Wish) -> Procedure:
+def set_and_execute(record: UnitRecord, raw: int, context: CommandContext) -> Procedure:
     """84h, proven by the commanded speed of an 81h."""
     before = record.reading.commanded if record.reading is not None else None
     return write(
         record.unit,
         SetAndExecuteSpeed(record.unit, raw),
-        lambda: prove_speed(record, raw, wish.dialect, before=before),
+        lambda: verify_speed(record, raw, context.dialect, before=before),
     )
 
 
@@ -45,7 +45,7 @@ def stage(record: UnitRecord, raw: int) -> Procedure:
     return write(record.unit, StageSpeed(record.unit, raw), None)
 
 
-def execute(record: UnitRecord, wish: Wish) -> Procedure:
+def execute(record: UnitRecord, context: CommandContext) -> Procedure:
     """83h to one unit, proven where it is known what it holds staged."""
     staged = record.staged
     before = record.reading.commanded if record.reading is not None else None
@@ -54,18 +54,18 @@ def execute(record: UnitRecord, wish: Wish) -> Procedure:
     return write(
         record.unit,
         ExecuteSpeed(record.unit),
-        lambda: prove_speed(record, staged, wish.dialect, before=before),
+        lambda: verify_speed(record, staged, context.dialect, before=before),
     )
 
 
 def write_parameter(unit: int, number: int, raw: int) -> Procedure:
     """86h, proven by 85h."""
-    return write(unit, WriteParameter(unit, number, raw), lambda: prove_parameter(unit, number, raw))
+    return write(unit, WriteParameter(unit, number, raw), lambda: verify_parameter(unit, number, raw))
 
 
 def write_output(unit: int, number: int, on: bool) -> Procedure:
     """87h, proven by the bit in ST2."""
-    return write(unit, WriteOutput(unit, number, on), lambda: prove_output(unit, number, on))
+    return write(unit, WriteOutput(unit, number, on), lambda: verify_output(unit, number, on))
 
 
 def write_analog_output(unit: int, raw: int) -> Procedure:
@@ -73,87 +73,87 @@ def write_analog_output(unit: int, raw: int) -> Procedure:
     return write(unit, WriteAnalogOutput(unit, raw), None)
 
 
-def write(unit: int, request: Request, prove: Callable[[], Proving] | None) -> Procedure:
+def write(unit: int, request: Request, verify: Callable[[], Verification] | None) -> Procedure:
     """Send ``request`` and, unless refused, prove it. ``prove`` None: an ACK is all there is."""
-    answer = yield from ask(Ask(request, tells=True))
-    if not answer.may_have_acted:
-        return result_of_one(without_proof(unit, answer))
-    if answer.fate is Fate.ANSWERED and answer.refusal is None:
-        yield Tell("acknowledged", unit)
-    if prove is None:
-        return result_of_one(without_proof(unit, answer))
-    yield Tell("proving", unit)
-    proof = yield from prove()
-    return result_of_one(with_proof(unit, answer, proof))
+    sent = yield from send(Send(request, reports_sent=True))
+    if not sent.may_have_acted:
+        return result_of_one(outcome_without_readback(unit, sent))
+    if sent.status is SendStatus.RESPONDED and sent.refusal is None:
+        yield ReportProgress("acknowledged", unit)
+    if verify is None:
+        return result_of_one(outcome_without_readback(unit, sent))
+    yield ReportProgress("proving", unit)
+    readback = yield from verify()
+    return result_of_one(outcome_with_readback(unit, sent, readback))
 
 
-def without_proof(unit: int, answer: Answer) -> UnitOutcome:
+def outcome_without_readback(unit: int, sent: SendResult) -> UnitOutcome:
     """The fate of a write that is not, or cannot be, read back."""
-    outcome, message = _fate_without_proof(unit, answer)
+    outcome, message = _outcome_without_readback(unit, sent)
     return UnitOutcome(
         unit=unit,
         outcome=outcome,
         message=message,
-        unit_error=answer.refusal,
-        sent_at=answer.sent_at,
-        acknowledged_at=answer.answered_at if answer.refusal is None else None,
-        attempts=answer.attempts,
+        unit_error=sent.refusal,
+        sent_at=sent.sent_at,
+        acknowledged_at=sent.answered_at if sent.refusal is None else None,
+        attempts=sent.attempts,
     )
 
 
-def _fate_without_proof(unit: int, answer: Answer) -> tuple[Outcome, str]:
-    if answer.refusal is not None:
-        refused = f"unit {unit} refused: {unit_error_name(answer.refusal)}"
-        if answer.may_have_acted:
+def _outcome_without_readback(unit: int, sent: SendResult) -> tuple[Outcome, str]:
+    if sent.refusal is not None:
+        refused = f"unit {unit} refused: {unit_error_name(sent.refusal)}"
+        if sent.may_have_acted:
             return "unverified", f"{refused}; but an earlier try was not answered, and may have been taken"
         return "refused", refused
-    if answer.fate is Fate.ANSWERED:
+    if sent.status is SendStatus.RESPONDED:
         return "acknowledged", NOTHING_TO_READ_BACK
-    if answer.attempts == 0:
-        return not_sent(unit, answer)
-    tries = "once" if answer.attempts == 1 else f"{answer.attempts} times"
+    if sent.attempts == 0:
+        return not_sent(unit, sent)
+    tries = "once" if sent.attempts == 1 else f"{sent.attempts} times"
     return "unverified", f"unit {unit} did not acknowledge (sent {tries}): whether it acted is not known"
 
 
-def not_sent(unit: int, answer: Answer) -> tuple[Outcome, str]:
+def not_sent(unit: int, sent: SendResult) -> tuple[Outcome, str]:
     """Why nothing left for ``unit``."""
-    if answer.fate is Fate.CLOSED:
+    if sent.status is SendStatus.PORT_CLOSED:
         return "bus_closed", "there is no link to the bus: nothing was sent"
-    if answer.fate is Fate.TOO_LATE:
+    if sent.status is SendStatus.TOO_LATE:
         return "not_sent", "its time was over before it could be sent: nothing was sent"
     message = f"unit {unit} does not answer, nor did it before: nothing was sent, its state is not known"
     return "unverified", message
 
 
-def with_proof(unit: int, answer: Answer, proof: Proof) -> UnitOutcome:
+def outcome_with_readback(unit: int, sent: SendResult, readback: Readback) -> UnitOutcome:
     """The fate of a write that was read back."""
-    refused = answer.refusal is not None and not proof.shown and proof.read_back is not None
+    refused = sent.refusal is not None and not readback.shown and readback.read_back is not None
     unproven: Outcome = "refused" if refused else "unverified"
     return UnitOutcome(
         unit=unit,
-        outcome="verified" if proof.shown else unproven,
-        message=_message_of(unit, answer, proof),
-        unit_error=answer.refusal if refused else None,
-        read_back=proof.read_back,
-        sent_at=answer.sent_at,
-        acknowledged_at=answer.answered_at if answer.refusal is None else None,
-        proven_at=proof.at if proof.shown else None,
-        attempts=answer.attempts,
+        outcome="verified" if readback.shown else unproven,
+        message=_message_of(unit, sent, readback),
+        unit_error=sent.refusal if refused else None,
+        read_back=readback.read_back,
+        sent_at=sent.sent_at,
+        acknowledged_at=sent.answered_at if sent.refusal is None else None,
+        proven_at=readback.at if readback.shown else None,
+        attempts=sent.attempts,
     )
 
 
-def _message_of(unit: int, answer: Answer, proof: Proof) -> str:
-    acknowledged = answer.fate is Fate.ANSWERED and answer.refusal is None
-    if proof.shown:
+def _message_of(unit: int, sent: SendResult, readback: Readback) -> str:
+    acknowledged = sent.status is SendStatus.RESPONDED and sent.refusal is None
+    if readback.shown:
         return "" if acknowledged else "not acknowledged, but the read-back shows it"
     said = "acknowledged" if acknowledged else "did not acknowledge"
-    if answer.refusal is not None:
-        said = f"refused: {unit_error_name(answer.refusal)}"
-    looks = f" ({1 + LOOKS_AGAIN} looks)" if proof.read_back is not None else ""
-    if proof.read_back is None:
+    if sent.refusal is not None:
+        said = f"refused: {unit_error_name(sent.refusal)}"
+    looks = f" ({1 + REREADS} looks)" if readback.read_back is not None else ""
+    if readback.read_back is None:
         joined = "and" if said == "did not acknowledge" else "but"
-        return f"unit {unit} {said}, {joined} {proof.why}: its state is not known"
-    return f"unit {unit} {said}, but {proof.why}{looks}: its state is not what was asked"
+        return f"unit {unit} {said}, {joined} {readback.why}: its state is not known"
+    return f"unit {unit} {said}, but {readback.why}{looks}: its state is not what was asked"
 
 
 def result_of_one(outcome: UnitOutcome) -> Result:

@@ -9,7 +9,7 @@ import pwd
 from contextlib import suppress
 from pathlib import Path
 
-from bus.line.port.device_users import holders_of
+from bus.line.port.device_users import users_of
 
 
 def why_not(path: str, error: Exception) -> str:
@@ -30,7 +30,7 @@ def why_not(path: str, error: Exception) -> str:
 
 def in_use(path: str) -> str:
     """Another program has it, and which."""
-    return f"{path} is in use by {', '.join(holders_of(path)) or 'another program'}"
+    return f"{path} is in use by {', '.join(users_of(path)) or 'another program'}"
 
 
 def _errno_in(error: Exception) -> int | None:

@@ -8,7 +8,7 @@ import os
 from bus.line.port.port import Receiver
 
 
-class Reception(asyncio.Protocol):
+class PortProtocol(asyncio.Protocol):
     """Between an asyncio transport and a Receiver. ``gone``: what to say when the port is lost."""
 
     def __init__(self, receiver: Receiver, gone: str) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from bus.line.port import tcp
 from bus.line.port.port import EndedWhileOpening, OpenPort, PortUnavailable, Receiver
-from bus.line.port.port_protocol import Reception
+from bus.line.port.port_protocol import PortProtocol
 
 
 async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
@@ -20,7 +20,7 @@ async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
     except ImportError as error:
         raise PortUnavailable(f"{url} needs one more package: pip install 'lineside[rfc2217]'") from error
     tcp.address_of(url)
-    protocol = Reception(receiver, f"{url} closed the connection")
+    protocol = PortProtocol(receiver, f"{url} closed the connection")
     accepted = asyncio.Event()
     kind = _rfc2217_transport(accepted)
     try:

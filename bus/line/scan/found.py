@@ -46,7 +46,7 @@ class Found:
         return FoundUnit(self.unit, self.baud, self.kind, list(self.parameters), list(self.remarks))
 
 
-def remarks_on(one: Found, *, spoilt: int, questions: int, uncertain: bool) -> tuple[str, ...]:
+def remarks_on(one: Found, *, garbled: int, questions: int, uncertain: bool) -> tuple[str, ...]:
     """What a person should know of a DIGIMAX IV. ``spoilt`` of its ``questions`` were answered with noise;
     ``uncertain``: some of them not at all."""
     remarks = _on_its_address(one)
@@ -55,8 +55,8 @@ def remarks_on(one: Found, *, spoilt: int, questions: int, uncertain: bool) -> t
         remarks.append(f"has the parameters 1 to {last} only" if last else "has no parameter to read")
     if uncertain:
         remarks.append("did not answer every question, so its list may be longer")
-    if spoilt:
-        remarks.append(f"{spoilt} of {questions} answers came with noise: look at the shielding")
+    if garbled:
+        remarks.append(f"{garbled} of {questions} answers came with noise: look at the shielding")
     if one.checksum_10h == "twice":
         remarks.append('a checksum of 10h comes twice: set checksum_10h = "twice" for this bus')
     if one.estop_healthy == 0:

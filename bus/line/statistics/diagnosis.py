@@ -24,7 +24,7 @@ COLLIDED_BYTES = 20
 """What is left of a few answers that two units gave at once; units that are off leave nothing."""
 
 
-class UnitTrouble(msgspec.Struct, frozen=True):
+class UnitSymptoms(msgspec.Struct, frozen=True):
     """What one unit did in the window, units in floor order. ``spoilt``: answers with a wrong checksum.
     ``says``: the address that its #17 reads, None where that was not read."""
 
@@ -59,10 +59,10 @@ class UnitTrouble(msgspec.Struct, frozen=True):
         return self.slow and self.timeouts < FEW
 
 
-def diagnose(units: Sequence[UnitTrouble], noise_bytes: int, echoes: int) -> str:
+def diagnose(units: Sequence[UnitSymptoms], noise_bytes: int, echoes: int) -> str:
     """One or two sentences; empty when all is well."""
     found = [_in_another_name(units), _garbled(units), _collided(units, noise_bytes) or _silent(units)]
-    found += [_heard_twice(units)] if answers_for_all(units) else [_slow(units), _foreign(units)]
+    found += [_duplicated(units)] if answers_for_all(units) else [_slow(units), _foreign(units)]
     if echoes:
         found.append("The adapter hears itself: switch its echo (or two-wire mode) off.")
     if noise_bytes >= MUCH_NOISE_BYTES:
@@ -70,19 +70,19 @@ def diagnose(units: Sequence[UnitTrouble], noise_bytes: int, echoes: int) -> str
     return " ".join(sentence for sentence in found if sentence)
 
 
-def answers_for_all(units: Sequence[UnitTrouble]) -> int:
+def answers_for_all(units: Sequence[UnitSymptoms]) -> int:
     """The unit that seems to answer to every address, as all others are heard twice; 0: none."""
     heard = [each for each in units if not each.silent]
     alone = [each for each in heard if not each.twice]
     return alone[0].unit if len(alone) == 1 and len(heard) >= MANY and alone[0].answers else 0
 
 
-def _heard_twice(units: Sequence[UnitTrouble]) -> str:
+def _duplicated(units: Sequence[UnitSymptoms]) -> str:
     unit = answers_for_all(units)
     return f"The answers of every unit but unit {unit} come twice: does unit {unit} answer to every address?"
 
 
-def _in_another_name(units: Sequence[UnitTrouble]) -> str:
+def _in_another_name(units: Sequence[UnitSymptoms]) -> str:
     others = [each for each in units if each.says not in (None, each.unit) and not each.silent]
     if not others:
         return ""
@@ -94,7 +94,7 @@ def _in_another_name(units: Sequence[UnitTrouble]) -> str:
     )
 
 
-def _collided(units: Sequence[UnitTrouble], noise_bytes: int) -> str:
+def _collided(units: Sequence[UnitSymptoms], noise_bytes: int) -> str:
     alone = [each.unit for each in units if not each.silent]
     if len(alone) != 1 or len(units) < MANY or noise_bytes < COLLIDED_BYTES:
         return ""
@@ -104,7 +104,7 @@ def _collided(units: Sequence[UnitTrouble], noise_bytes: int) -> str:
     )
 
 
-def _silent(units: Sequence[UnitTrouble]) -> str:
+def _silent(units: Sequence[UnitSymptoms]) -> str:
     silent = [each for each in units if each.silent and not each.garbled]
     if not silent:
         return ""
@@ -121,7 +121,7 @@ def _silent(units: Sequence[UnitTrouble]) -> str:
     return f"Units {_names(silent)} do not answer: look at what they share, and at the power of each."
 
 
-def _garbled(units: Sequence[UnitTrouble]) -> str:
+def _garbled(units: Sequence[UnitSymptoms]) -> str:
     garbled = [each for each in units if each.garbled]
     if not garbled:
         return ""
@@ -135,7 +135,7 @@ def _garbled(units: Sequence[UnitTrouble]) -> str:
     return f"Answers of units {_names(garbled)} are spoilt: look at the shielding of their stretch of cable."
 
 
-def _noise(units: Sequence[UnitTrouble], *, named: bool) -> str:
+def _noise(units: Sequence[UnitSymptoms], *, named: bool) -> str:
     if any(each.silent and not each.garbled for each in units):
         return "Bytes come in that are no answer: another protocol, or another baud rate?"
     if named:
@@ -143,19 +143,19 @@ def _noise(units: Sequence[UnitTrouble], *, named: bool) -> str:
     return "Stray bytes come in without being asked for: look at shielding and grounding."
 
 
-def _slow(units: Sequence[UnitTrouble]) -> str:
+def _slow(units: Sequence[UnitSymptoms]) -> str:
     slow = [each for each in units if each.slow]
     if not slow:
         return ""
     return f"Answers of unit {_names(slow)} come late or twice: a longer turnaround_ms may be needed."
 
 
-def _foreign(units: Sequence[UnitTrouble]) -> str:
+def _foreign(units: Sequence[UnitSymptoms]) -> str:
     foreign = [each for each in units if each.foreign >= FEW]
     if not foreign:
         return ""
     return f"Unit {_names(foreign)} answers with what is not its own address or length: is it a DIGIMAX IV?"
 
 
-def _names(units: Sequence[UnitTrouble]) -> str:
+def _names(units: Sequence[UnitSymptoms]) -> str:
     return ", ".join(str(each.unit) for each in units)
