@@ -55,6 +55,7 @@ from app.swap.desk import SwapService
 from app.swap.store import SwapStore
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
+from app.web.turns import Turns
 
 log = structlog.get_logger()
 
@@ -92,6 +93,7 @@ class Services:
     recipes: RecipeBook
     measured: MetricSources
     onsets: OnsetLookup
+    turns: Turns
 
 
 def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -> Services:
@@ -167,6 +169,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         recipes=recipes,
         measured=MetricSources(live, hub, Counts(events), partial(_anchor_status, anchoring)),
         onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, time),
+        turns=Turns(),
     )
 
 

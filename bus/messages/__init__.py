@@ -3,7 +3,18 @@
 from __future__ import annotations
 
 from bus.messages.catalog import Catalog
-from bus.messages.message import NUMBER, TERM, Message, ParamValue, number, term
+from bus.messages.message import NUMBER, TERM, Message, ParamValue, listed, number, term
 from bus.messages.texts import TEXTS, Plural
 
-__all__ = ["NUMBER", "TERM", "TEXTS", "Catalog", "Message", "ParamValue", "Plural", "number", "term"]
+__all__ = [
+    "NUMBER",
+    "TERM",
+    "TEXTS",
+    "Catalog",
+    "Message",
+    "ParamValue",
+    "Plural",
+    "listed",
+    "number",
+    "term",
+]

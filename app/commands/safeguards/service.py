@@ -67,7 +67,9 @@ class Safeguards:
         """Replace the limits of a unit."""
         before = self.limits.of(unit)
         await self.limits.put(unit, limits, person.name, self._now())
-        await self._record("limits", person, unit, "limits of the speed", str(before), str(limits))
+        await self._record(
+            "limits", person, unit, Message("event_limits_changed"), before.message, limits.message
+        )
 
     async def block(self, person: Person, unit: int, reason: str) -> None:
         """Refuse every write to a unit from now on."""
@@ -75,7 +77,7 @@ class Safeguards:
         await self.blocks.put(unit, CommandBlock(reason, person.name, self._now()))
         self._publish_block(unit)
         old = before.reason if before is not None else None
-        await self._record("block", person, unit, "unit blocked", old, reason)
+        await self._record("block", person, unit, Message("event_unit_blocked"), old, reason)
 
     async def lift(self, person: Person, unit: int) -> None:
         """Free a unit. Nothing happens to one that is free."""
@@ -84,7 +86,7 @@ class Safeguards:
             return
         await self.blocks.lift(unit)
         self._publish_block(unit)
-        await self._record("block", person, unit, "block lifted", before.reason, None)
+        await self._record("block", person, unit, Message("event_block_lifted"), before.reason, None)
 
     def holding(self) -> Holding | None:
         """Who holds control now, if anybody."""
@@ -104,7 +106,7 @@ class Safeguards:
         except ControlledError as error:
             raise _controlled(error) from error
         if before is None:
-            await self._record("control", person, None, "control taken", None, person.account)
+            await self._record("control", person, None, Message("event_control_taken"), None, person.account)
         return holding
 
     async def hand_over(self, person: Person, to: str) -> Holding:
@@ -118,7 +120,7 @@ class Safeguards:
         except ControlledError as error:
             raise _controlled(error) from error
         old = before.holder if before is not None else None
-        await self._record("control", person, None, "control handed over", old, to)
+        await self._record("control", person, None, Message("event_control_handed_over"), old, to)
         return holding
 
     async def _who_may_hold(self, person: Person, to: str) -> str:
@@ -136,7 +138,7 @@ class Safeguards:
             self.control.release(person.account, self._now())
         except ControlledError as error:
             raise _controlled(error) from error
-        await self._record("control", person, None, "control given back", person.account, None)
+        await self._record("control", person, None, Message("event_control_given_back"), person.account, None)
 
     async def revoke_control(self, account: str) -> None:
         """The account is signed in nowhere any more, or may do less: what it held is free."""
@@ -145,7 +147,7 @@ class Safeguards:
         who, is_token = name_of(account)
         await self._events.record(
             kind="control",
-            what="control given back",
+            what=Message("event_control_given_back"),
             who=who,
             origin="token" if is_token else "",
             bus=self._bus,
@@ -162,9 +164,9 @@ class Safeguards:
         kind: EventKind,
         person: Person,
         unit: int | None,
-        what: str,
-        old: str | None,
-        new: str | None,
+        what: Message,
+        old: str | Message | None,
+        new: str | Message | None,
     ) -> None:
         await self._events.record(
             kind=kind,

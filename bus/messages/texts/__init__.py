@@ -5,13 +5,25 @@ A text with a number of things is ``Plural``: ``n`` decides. A code stands in on
 
 from __future__ import annotations
 
-from bus.messages.texts import accounts, commands, history, recipes, requests, sets, stores, swaps, units
+from bus.messages.texts import (
+    accounts,
+    commands,
+    events,
+    history,
+    recipes,
+    requests,
+    sets,
+    stores,
+    swaps,
+    units,
+)
 from bus.messages.texts.plural import EnglishText
 from bus.messages.texts.plural import Plural as Plural
 
 GROUPS: tuple[dict[str, EnglishText], ...] = (
     accounts.TEXTS,
     commands.TEXTS,
+    events.TEXTS,
     history.TEXTS,
     recipes.TEXTS,
     requests.TEXTS,
