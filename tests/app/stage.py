@@ -46,6 +46,7 @@ from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
 from app.web.services import Registry
 from app.web.templating import Templates
+from app.web.turns import Turns
 from bus.contract import (
     CONTRACT_VERSION,
     AppMessage,
@@ -250,7 +251,7 @@ class Stage:
         self.app.state.registry = Registry(
             (
                 *(configuration, _templates(), sources),
-                *(self.live, self.workers, self.events),
+                *(self.live, self.workers, self.events, Turns()),
             ),
             {settings.name: (bus, self.desk, self.guards)},
         )
