@@ -159,8 +159,10 @@ async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -
 @router.get("/buses/{bus}/set-schedule")
 async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> ScheduleShown:
     """At which minute of the day the units of the bus are read, and which are owed since, with why."""
-    owed: list[OverdueShown] = [{"unit": unit, "why": owed.why} for unit, owed in schedule.owed().items()]
-    return {"minute_of_day": (await sets.schedule()).get(bus), "owed": owed}
+    overdue: list[OverdueShown] = [
+        {"unit": unit, "why": each.why} for unit, each in schedule.overdue().items()
+    ]
+    return {"minute_of_day": (await sets.schedule()).get(bus), "owed": overdue}
 
 
 @router.put("/buses/{bus}/set-schedule")

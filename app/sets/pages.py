@@ -53,7 +53,7 @@ async def list_page(
         sets=found[:MOST_LISTED],
         older=found[MOST_LISTED - 1].id if len(found) > MOST_LISTED else None,
         schedule=await sets.schedule(),
-        owed={name: bus_service_of(request, name, SetSchedule).owed() for name in live.buses},
+        overdue={name: bus_service_of(request, name, SetSchedule).overdue() for name in live.buses},
         bus=bus,
         unit=unit,
     )

@@ -44,16 +44,16 @@ class SetSchedule:
         self._keeper = keeper
         self._events = events
         self._clock = clock
-        self._owed: dict[int, OverdueSet] = {}
+        self._overdue: dict[int, OverdueSet] = {}
 
-    def owed(self) -> Mapping[int, OverdueSet]:
+    def overdue(self) -> Mapping[int, OverdueSet]:
         """The units whose set of the day could not be taken yet."""
-        return {unit: owed for unit, owed in self._owed.items() if owed.why}
+        return {unit: owed for unit, overdue in self._overdue.items() if overdue.why}
 
     async def set(self, person: Person, minute_of_day: int | None) -> None:
         """Take the sets every day at a minute of the day, or no longer (None)."""
         await self._keeper.store.set_schedule(self._bus, minute_of_day)
-        self._owed = {}
+        self._overdue = {}
         what = Message("event_sets_not_scheduled")
         if minute_of_day is not None:
             time = f"{minute_of_day // 60:02}:{minute_of_day % 60:02}"
@@ -75,12 +75,12 @@ class SetSchedule:
         minute_of_day = (await self._keeper.store.schedule()).get(self._bus)
         due = None if minute_of_day is None else due_between(minute_of_day, seen, now)
         if due is not None:
-            self._owed = {unit: OverdueSet(now) for unit in await self._without_set(due)}
-        owed = self._owed
-        heard = [unit for unit in owed if self._is_heard(unit)]
+            self._overdue = {unit: OverdueSet(now) for unit in await self._without_set(due)}
+        overdue = self._overdue
+        heard = [unit for unit in overdue if self._is_heard(unit)]
         if heard:
-            await self._take(person, heard, owed)
-        for unit, one in tuple(owed.items()):
+            await self._take(person, heard, overdue)
+        for unit, one in tuple(overdue.items()):
             if not one.why and not self._is_heard(unit) and now - one.since >= SAID_AFTER:
                 await self._not_taken(person, unit, one, "the unit does not answer")
 
@@ -95,13 +95,13 @@ class SetSchedule:
             if not await store.has_set_since(self._bus, unit, since, "on schedule")
         ]
 
-    async def _take(self, person: Person, units: list[int], owed: dict[int, OverdueSet]) -> None:
+    async def _take(self, person: Person, units: list[int], overdue: dict[int, OverdueSet]) -> None:
         read, silent = await read_together(self._keeper, person, units)
         if read and await self._keep(person, read):
             for rows in read:
-                owed.pop(rows.unit)
+                overdue.pop(rows.unit)
         for unit, why in silent.items():
-            await self._not_taken(person, unit, owed[unit], why)
+            await self._not_taken(person, unit, overdue[unit], why)
 
     async def _keep(self, person: Person, read: list[UnitRows]) -> bool:
         try:
@@ -111,9 +111,9 @@ class SetSchedule:
             return False
         return True
 
-    async def _not_taken(self, person: Person, unit: int, owed: OverdueSet, why: str) -> None:
+    async def _not_taken(self, person: Person, unit: int, overdue: OverdueSet, why: str) -> None:
         """Said once; tried again as long as it is owed."""
-        first, owed.why = not owed.why, why
+        first, overdue.why = not overdue.why, why
         if first:
             what = Message.of("event_set_not_taken", unit=unit)
             await self._record(person, what, unit, why)
