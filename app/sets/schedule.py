@@ -48,7 +48,7 @@ class SetSchedule:
 
     def overdue(self) -> Mapping[int, OverdueSet]:
         """The units whose set of the day could not be taken yet."""
-        return {unit: owed for unit, overdue in self._overdue.items() if overdue.why}
+        return {unit: overdue for unit, overdue in self._overdue.items() if overdue.why}
 
     async def set(self, person: Person, minute_of_day: int | None) -> None:
         """Take the sets every day at a minute of the day, or no longer (None)."""
