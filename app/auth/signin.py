@@ -66,6 +66,8 @@ class SignIn:
         self._clock = clock
         self._site = site
         self._throttle = Throttle()
+        self._has_users = False
+        """Once true it stays so: the last admin cannot be removed."""
         self._hashing: FairQueue[str] = FairQueue(HASHED_AT_ONCE, 1, MOST_WAITING_OF_PLACE, MOST_WAITING)
         self._signed_out: list[AccountSubscriber] = []
 
@@ -81,6 +83,9 @@ class SignIn:
         Raises WrongSecretError, after which the caller owes `note_refusal`; Problem 429 with the time to wait
         after too many, 403 for a panel that has more rights than a panel may have.
         """
+        if not name or not secret:
+            # Nobody has an empty name or secret, so nothing is tried: it costs nothing, and is no event.
+            raise Problem(401, "unauthorized", _WRONG[panel])
         user = await self._checked(name, secret, address, device, panel)
         if user is None:
             raise WrongSecretError(401, "unauthorized", _WRONG[panel])
@@ -108,7 +113,9 @@ class SignIn:
 
     async def nobody_can_sign_in(self) -> bool:
         """Whether there is no user yet."""
-        return not await self._database.read(store.users)
+        if not self._has_users:
+            self._has_users = bool(await self._database.read(store.users))
+        return not self._has_users
 
     async def end(self, hash_: bytes, name: str) -> None:
         """End the session with this hash, of this user."""

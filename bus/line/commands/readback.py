@@ -81,9 +81,9 @@ def verify_speed(record: UnitRecord, raw: int, dialect: Dialect, *, before: int 
 
 def _compare_speed(raw: int, status: StatusReply, bits: StatusBits, sent: SendResult) -> Readback:
     if status.commanded == raw:
-        return Readback(True, raw, sent.answered_at)
+        return Readback(True, raw, sent.responded_at)
     why = f"its commanded speed reads {status.commanded}{_override(bits)}"
-    return Readback(False, status.commanded, sent.answered_at, why)
+    return Readback(False, status.commanded, sent.responded_at, why)
 
 
 def _override(bits: StatusBits) -> str:
@@ -99,13 +99,13 @@ def _verify_ratio(
 ) -> Verification:
     ratio, ratio_answer = yield from read_parameter(record.unit, RATIO_SETPOINT)
     if ratio == raw:
-        return Readback(True, ratio, ratio_answer.answered_at)
+        return Readback(True, ratio, ratio_answer.responded_at)
     if status.commanded == raw and before is not None and before != raw:
-        return Readback(True, raw, sent.answered_at)
+        return Readback(True, raw, sent.responded_at)
     if ratio is None:
         why = "it is a follower, and its ratio (#37) could not be read back"
-        return Readback(False, status.commanded, sent.answered_at, why)
-    return Readback(False, ratio, ratio_answer.answered_at, f"its ratio (#37) reads {ratio}")
+        return Readback(False, status.commanded, sent.responded_at, why)
+    return Readback(False, ratio, ratio_answer.responded_at, f"its ratio (#37) reads {ratio}")
 
 
 def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:
@@ -114,9 +114,9 @@ def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:
     if status is None:
         return Readback(False, None, None, "it did not answer the read-back")
     if before is None or status.commanded == before:
-        return Readback(True, status.commanded, sent.answered_at)
+        return Readback(True, status.commanded, sent.responded_at)
     why = f"its commanded speed went from {before} to {status.commanded} though nothing was staged from here"
-    return Readback(False, status.commanded, sent.answered_at, why)
+    return Readback(False, status.commanded, sent.responded_at, why)
 
 
 def verify_parameter(unit: int, number: int, raw: int) -> Verification:
@@ -129,7 +129,7 @@ def verify_parameter(unit: int, number: int, raw: int) -> Verification:
         if sent.reply is None:
             return Readback(False, readback.read_back, readback.at, "it did not answer the read-back")
         reads = "another value" if PARAMETERS[number].secret else shown
-        readback = Readback(shown == raw, shown, sent.answered_at, f"it reads {reads}")
+        readback = Readback(shown == raw, shown, sent.responded_at, f"it reads {reads}")
         if readback.shown:
             return readback
     return readback
@@ -146,7 +146,7 @@ def verify_output(unit: int, number: int, on: bool) -> Verification:
             return Readback(False, readback.read_back, readback.at, "it did not answer the read-back")
         shown = output_is_on(status.outputs, number)
         state = "on" if shown else "off"
-        readback = Readback(shown == on, int(shown), sent.answered_at, f"the output reads {state}")
+        readback = Readback(shown == on, int(shown), sent.responded_at, f"the output reads {state}")
         if readback.shown:
             return readback
     return readback

@@ -10,7 +10,7 @@ from bus.contract import ParameterValue, Result
 from bus.errors import unit_error_name
 from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, Wait, send
 from bus.line.exchange.send import Send, SendStatus
-from bus.line.roster import UnitRecord
+from bus.line.roster import UnitRecord, parameter_value
 from bus.wire.commands import ReadParameter
 
 MOMENT_S = 0.5
@@ -42,9 +42,10 @@ def read_parameters(record: UnitRecord, numbers: Sequence[int], context: Command
             waiting.append(number)
             yield Wait(MOMENT_S)
             continue
-        known = record.parameters.get(number)
-        if known is not None and known.at == sent.answered_at:
-            values.append(known)
+        assert sent.responded_at is not None
+        value = parameter_value(record.unit, number, sent.reply, sent.responded_at, sent.frame)
+        if value is not None:
+            values.append(value)
         else:
             refused.append(f"#{number}: {unit_error_name(sent.refusal or 0)}")
     if refused:

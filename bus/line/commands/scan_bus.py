@@ -64,7 +64,7 @@ def survey(roster: Roster, first: int, last: int, pace: ScanPace, context: Comma
             return _result(found, f"given up after {passes.done} of {of} addresses")
         yield ReportProgress("searching", unit, passes.done, of)
         try:
-            one = yield from _examine(roster, unit, pace)
+            one = yield from _examine(unit, pace)
         except _Lost:
             return _result(found, f"the link to the bus was lost after {passes.done} of {of} addresses")
         if one is None:
@@ -99,12 +99,12 @@ def _result(found: list[Found], failure: str) -> Result:
     )
 
 
-def _examine(roster: Roster, unit: int, pace: ScanPace) -> Subprocedure[Found | None]:
+def _examine(unit: int, pace: ScanPace) -> Subprocedure[Found | None]:
     examination = examine(unit, pace.baud)
     try:
         probe = next(examination)
         while True:
-            outcome = yield from _outcome(roster, probe)
+            outcome = yield from _outcome(probe)
             yield Wait(pace.rest_s(outcome))
             probe = examination.send(outcome)
     except StopIteration as end:
@@ -112,10 +112,8 @@ def _examine(roster: Roster, unit: int, pace: ScanPace) -> Subprocedure[Found | 
         return found
 
 
-def _outcome(roster: Roster, probe: Probe) -> Subprocedure[ProbeOutcome]:
-    """One question as the bus asks it. Late responses and second copies count as late frames of that unit."""
-    counts = roster[probe.request.unit].statistics.counts
-    late = counts.late
+def _outcome(probe: Probe) -> Subprocedure[ProbeOutcome]:
+    """One probe as the bus sends it."""
     dialect = _DOUBLED if probe.doubled else _PLAIN
     sent = yield from send(Send(probe.request, max_attempts=1, dialect=dialect))
     if sent.status is SendStatus.PORT_CLOSED:
@@ -124,5 +122,5 @@ def _outcome(roster: Roster, probe: Probe) -> Subprocedure[ProbeOutcome]:
         reply=sent.reply,
         garbled=sent.noise.garbled,
         unexpected=sent.noise.unexpected,
-        surplus=counts.late - late,
+        surplus=sent.noise.late,
     )
