@@ -92,7 +92,7 @@ async def scan(
     result = await desk.ask(person, bus, action, new_id())
     return desk.render(
         "bus/_found.html",
-        fate=desk.fate(result),
+        outcome=desk.outcome(result),
         found=result.found,
         remarks=[remark for remark in result.message.split("; ") if remark],
         known=desk.bus(bus).units,
