@@ -33,7 +33,7 @@ from app.database.private import make_private
 from app.feed.workers import Workers
 from app.history.pages.warming import warm
 from app.history.service import History
-from app.history.status import sentence
+from app.history.status import store_notice
 from app.history.status_words import status_words
 from app.live.browsers.hub import Hub
 from app.live.change_recorder import ChangeRecorder
@@ -192,7 +192,7 @@ def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
 def _notices(history: History, anchoring: Anchoring | None, voice: Translator, now: float) -> str:
     """What of the records is not well, in the reader's language; mostly nothing."""
     found = (
-        sentence(history.status, voice.t, voice.formats, now),
+        store_notice(history.status, voice.t, voice.formats, now),
         anchor_notice(_anchor_status(anchoring), voice.t, voice.formats, now),
     )
     return " ".join(filter(None, found))

@@ -21,15 +21,16 @@ from app.auth.store import Token, User
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.web.access import AccountSubscriber, Person, Role, account_of
+from bus.messages import Message
 
 WATCH_EVERY_S = 0.5
 FRESH_S = 1.0
 """What was read longer ago permits nothing before the store has been read again."""
 
-USER_ENDED = "rights withdrawn: the user was removed or disabled; nothing more was sent"
-TOKEN_ENDED = "rights withdrawn: the token was revoked or has expired; nothing more was sent"
-PASSWORD_CHANGED = "rights withdrawn: the password was changed; nothing more was sent"
-ROLE_LOWERED = "rights withdrawn: the role was lowered; nothing more was sent"
+USER_ENDED = Message("rights_user_ended")
+TOKEN_ENDED = Message("rights_token_ended")
+PASSWORD_CHANGED = Message("rights_password_changed")
+ROLE_LOWERED = Message("rights_role_lowered")
 
 _log = structlog.get_logger()
 
@@ -52,14 +53,14 @@ def credential_of_token(token: Token) -> str:
     return f"{token.id} {token.created_at}"
 
 
-def why_withdrawn(person: Person, standing: Standing | None) -> str:
-    """Why what a person began must stop; empty while it may go on. ``standing``: of the account now."""
+def why_withdrawn(person: Person, standing: Standing | None) -> Message | None:
+    """Why what a person began must stop; None while it may go on. ``standing``: of the account now."""
     is_token = person.via == "token"
     if standing is None:
         return TOKEN_ENDED if is_token else USER_ENDED
     if standing.credential != person.credential:
         return TOKEN_ENDED if is_token else PASSWORD_CHANGED
-    return "" if standing.role.includes(person.role) else ROLE_LOWERED
+    return None if standing.role.includes(person.role) else ROLE_LOWERED
 
 
 class AccountChanges(Protocol):
@@ -135,7 +136,7 @@ class Rights:
                 fault = str(error)
             await asyncio.sleep(WATCH_EVERY_S)
 
-    def _why_withdrawn(self, person: Person) -> str:
+    def _why_withdrawn(self, person: Person) -> Message | None:
         return why_withdrawn(person, self._standings.get(person.account))
 
     def _read(self, connection: sqlite3.Connection) -> dict[str, Standing]:

@@ -24,7 +24,7 @@ from app.web.access import AccountSubscriber, Person, Role
 from bus.errors import CallerError
 from bus.messages import Message, term
 
-_WRONG = {False: "the name or the password is not right", True: "the name or the PIN is not right"}
+_WRONG = {False: Message("name_or_password_wrong"), True: Message("name_or_pin_wrong")}
 """What a person is told, and what somebody at a panel."""
 HASHED_AT_ONCE = 2
 """As many as there are threads for it; each takes 20 ms of a core."""
