@@ -114,10 +114,13 @@ class Rights:
         before, self._standings, self._read_at = self._standings, standings, began
         if before != standings:
             self.rechecks.now()
-        for account, standing in before.items():
-            if account != kept and _is_less(standing, standings.get(account)):
-                for withdrawn in self._withdrawn:
-                    await withdrawn(account)
+        lessened = [
+            account
+            for account, standing in before.items()
+            if account != kept and _is_less(standing, standings.get(account))
+        ]
+        # Together: a store that cannot record what one subscriber did keeps no other from acting.
+        await asyncio.gather(*(withdrawn(account) for account in lessened for withdrawn in self._withdrawn))
 
     async def _on_account_change(self, kept: str) -> None:
         await self.refresh(kept)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import sqlite3
 import time
 from collections.abc import Callable
@@ -124,8 +125,7 @@ class SignIn:
             lambda connection: store.end_session(connection, hash_, name, now)
         )
         if was_last:
-            for subscriber in self._signed_out:
-                await subscriber(name)
+            await asyncio.gather(*(subscriber(name) for subscriber in self._signed_out))
 
     def lifetime_of(self, user: User) -> rules.Lifetime:
         """How long the sessions of this user last."""
