@@ -44,6 +44,9 @@ LONG_RUN = 3
 MOST_OUTSTANDING = 32
 """An answer that is late by more requests than this to one unit is not reckoned with."""
 
+MOST_FENCES_PLANNED = 4
+"""Ahead; each may double what is looked at."""
+
 _ILLEGAL_COMMAND = frozenset((UnitErrorCode.ILLEGAL_COMMAND, UnitErrorCode.ILLEGAL_COMMAND_DFS))
 _REFUSALS: dict[int, frozenset[int]] = {
     0x81: frozenset(),
@@ -129,6 +132,8 @@ class PendingResponses(msgspec.Struct, frozen=True):
     """The answer whose second copy may come into the next exchange."""
     fading: ShapedResponse | None = None
     """The answer whose second copy may come into this one."""
+    was_copy: bool = False
+    """Whether the last answer may itself have been a second copy, and so ended nothing."""
 
     def sent(self, request: Request) -> PendingResponses:
         """``request`` has gone out (a broadcast changes nothing, for it has no answer)."""
@@ -137,23 +142,22 @@ class PendingResponses(msgspec.Struct, frozen=True):
         outstanding = self.outstanding
         if not self._is_a_long_run(len(outstanding) - LONG_RUN) or outstanding[-1] != request:
             outstanding = (*outstanding, request)[-MOST_OUTSTANDING:]
-        return PendingResponses(self.unit, self.dialect, outstanding, last=None, fading=self.last)
+        was_copy = self.was_copy and self.last is not None
+        return PendingResponses(self.unit, self.dialect, outstanding, None, self.last, was_copy)
 
     def received(self, body: bytes) -> PendingResponses:
-        """A frame of this unit came in, awaited or not (rule 1). What may be a second copy ends nothing."""
+        """A frame of this unit came in, awaited or not (rule 1). What may be a second copy ends nothing; but
+        of two of them, one after the other, one is no copy, for no answer comes three times."""
         shape = shape_of(body)
         if shape is None:
             return self
         for position, request in enumerate(self.outstanding):
             if shape in possible_shapes(request, self.dialect):
-                ended = position
-                if self._may_be_a_copy(shape):
-                    ended = 0
-                elif not self._is_a_long_run(position):
-                    ended = position + 1
+                may_be_copy = self._may_be_a_copy(shape) and not self.was_copy
+                ended = 0 if may_be_copy else position + (not self._is_a_long_run(position))
                 answer = ShapedResponse(request, shape)
                 return PendingResponses(
-                    self.unit, self.dialect, self.outstanding[ended:], answer, self.fading
+                    self.unit, self.dialect, self.outstanding[ended:], answer, self.fading, may_be_copy
                 )
         return self
 
@@ -186,13 +190,35 @@ class PendingResponses(msgspec.Struct, frozen=True):
 
     def fence_before(self, request: Request) -> Request | None:
         """What to ask before ``request``; None where it may follow at once (rule 4)."""
-        misleading = self._may_be_late(request) | self._may_come_twice(request)
-        return self.fence() if misleading & ordinary_shapes(request, self.dialect) else None
+        return self._first_of_fences(request) if self._may_mislead(request) else None
 
     def fence(self) -> Request:
         """Of the two fences the one whose answer would leave less in doubt."""
-        fences: tuple[Request, ...] = (ReadStatus(self.unit), ReadParameter(self.unit, OWN_ADDRESS))
-        return min(fences, key=self._left_pending_by)
+        return min(self._fences(), key=self._left_pending_by)
+
+    def _may_mislead(self, request: Request) -> bool:
+        shapes = self._may_be_late(request) | self._may_come_twice(request)
+        return bool(shapes & ordinary_shapes(request, self.dialect))
+
+    def _first_of_fences(self, request: Request) -> Request:
+        """The first of the fewest fences after which ``request`` may follow, if each is answered."""
+        reached = {self._after(fence): fence for fence in reversed(self._fences())}
+        for _ in range(MOST_FENCES_PLANNED):
+            for pending, first in reached.items():
+                if not pending._may_mislead(request):
+                    return first
+            reached = {
+                pending._after(fence): first for pending, first in reached.items() for fence in self._fences()
+            }
+        return self.fence()
+
+    def _fences(self) -> tuple[Request, Request]:
+        return ReadStatus(self.unit), ReadParameter(self.unit, OWN_ADDRESS)
+
+    def _after(self, fence: Request) -> PendingResponses:
+        """Once ``fence`` has got its shortest acknowledgement."""
+        data = bytes(min(acknowledged_lengths(fence, self.dialect)))
+        return self.sent(fence).received(bytes((self.unit, ACK, *data)))
 
     def _may_be_late(self, request: Request) -> set[Shape]:
         """Shapes of late answers that would mislead about ``request``; the same read does not, unless
