@@ -64,4 +64,8 @@ def service(kind: type[Any]) -> Any:
 
 def bus_service(kind: type[Any]) -> Any:
     """The same for a service of ``{bus}`` in the path. Raises Problem 404."""
-    return looked_up(lambda connection: bus_service_of(connection, connection.path_params["bus"], kind))
+
+    async def look_up(connection: HTTPConnection, bus: str) -> Any:
+        return bus_service_of(connection, bus, kind)
+
+    return Depends(look_up)
