@@ -59,6 +59,11 @@ class UnitError(LinesideError):
 class WireError(LinesideError):
     """The port, the cable or an answer failed; whether the unit acted is not known."""
 
+    message: Message
+
+    def __init__(self, message: Message) -> None:
+        super().__init__(message)
+
 
 class UnitErrorCode(IntEnum):
     """[ERR] of a NAK (manual, the command pages)."""

@@ -15,7 +15,8 @@ MOST_UNITS = 255
 MOST_UPDATES = 500
 """In a batch, so that no message takes the app's loop for long."""
 MOST_FRAMES = 2_000
-MOST_CLAUSES = 30
+MOST_MEANINGS = 30
+MOST_REMARKS = 20
 LONGEST_TEXT = 4_000
 LONGEST_WORDS = 300
 LONGEST_ID = 200

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 from bus.contract import Result
 from bus.line.errand import Claim, Errand
+from bus.messages import Message
 from bus.wire.commands import Request
 from bus.wire.fence import Doubt
 
@@ -37,7 +38,7 @@ class Errands:
             if errand.id == command_id:
                 errand.wish.cancelled = True
                 if not errand.begun:
-                    errand.end(_never_begun("given up before it was sent: nothing was sent"))
+                    errand.end(_never_begun(Message("canceled_before_sending")))
 
     def next_request(
         self, now: float, doubt_of: Callable[[int], Doubt], *, slow: bool = False
@@ -93,11 +94,10 @@ class Errands:
                 return True
             if earlier.result is None and earlier.conflicts_with(errand):
                 if now > errand.deadline:
-                    why = "another change of these units took all its time: nothing was sent"
-                    errand.end(_never_begun(why))
+                    errand.end(_never_begun(Message("units_busy")))
                 return False
         return True
 
 
-def _never_begun(message: str) -> Result:
+def _never_begun(message: Message) -> Result:
     return Result(id="", at=0.0, outcome="not_sent", message=message)

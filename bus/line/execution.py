@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Sequence
 
 import msgspec
 
@@ -12,9 +12,11 @@ from bus.line.proof import Proof, ask, prove_speed, prove_unchanged
 from bus.line.roster import Roster
 from bus.line.steps import Answer, Ask, Procedure, Step, Tell, Unstage, Wish
 from bus.line.writes import with_proof
+from bus.messages import Message, joined
 from bus.wire.commands import ExecuteSpeed
 
 Part = Generator[Step, Answer | None, None]
+EXECUTED_SINGLY = Message("executed_singly")
 
 
 def prove_all(members: list[Member], broadcast: Answer, roster: Roster, wish: Wish) -> Procedure:
@@ -38,16 +40,17 @@ def prove(member: Member, broadcast: Answer, wish: Wish) -> Part:
     staging = member.answer
     member.outcome = msgspec.structs.replace(
         outcome,
-        message="" if proof.shown else _not_shown(member, proof),
+        message=None if proof.shown else _not_shown(member, proof),
         sent_at=staging.sent_at if staging is not None else broadcast.sent_at,
         acknowledged_at=staging.answered_at if staging is not None else None,
         attempts=staging.attempts if staging is not None else 1,
     )
 
 
-def _not_shown(member: Member, proof: Proof) -> str:
+def _not_shown(member: Member, proof: Proof) -> Message:
     """Whoever missed the broadcast has the value in its memory, and the next execute would find it there."""
-    return f"unit {member.unit}: {proof.why}; it may still hold {member.raw} staged"
+    assert proof.why is not None
+    return Message.of("unit_may_hold", unit=member.unit, reason=proof.why, raw=member.raw)
 
 
 def _tell_singly(member: Member, wish: Wish) -> Part:
@@ -57,45 +60,44 @@ def _tell_singly(member: Member, wish: Wish) -> Part:
         return
     yield from prove(member, answer, wish)
     if member.outcome is not None and member.outcome.outcome == "verified":
-        message = "missed the broadcast and was told singly"
-        member.outcome = msgspec.structs.replace(member.outcome, message=message)
+        member.outcome = msgspec.structs.replace(member.outcome, message=EXECUTED_SINGLY)
 
 
-def _strays(roster: Roster, members: list[Member]) -> Generator[Step, Answer | None, str]:
-    """In words, which units outside the change moved with it, staged by somebody else."""
+def _strays(roster: Roster, members: list[Member]) -> Generator[Step, Answer | None, list[Message]]:
+    """Which units outside the change moved with it, staged by somebody else."""
     inside = {member.unit for member in members}
-    moved: list[str] = []
+    moved: list[Message] = []
     for record in roster:
         if record.unit in inside or not roster.is_configured(record.unit):
             continue
         if record.link.link != "online" or record.reading is None:
             continue
         proof = yield from prove_unchanged(record, record.reading.commanded)
-        if not proof.shown and proof.read_back is not None:
-            moved.append(f"unit {record.unit}, which was not part of the change: {proof.why}")
-    return "; ".join(moved)
+        if proof.why is not None and proof.read_back is not None:
+            moved.append(Message.of("outsider_moved", unit=record.unit, reason=proof.why))
+    return moved
 
 
 def unchanged(member: Member, broadcast: Answer, proof: Proof) -> UnitOutcome:
     """The fate of one that had nothing staged from here."""
-    if proof.shown:
-        message = "nothing was staged from here, and its commanded speed is unchanged"
+    if proof.why is None:
+        message = Message("unit_unchanged")
     else:
-        message = f"unit {member.unit}: {proof.why}"
+        message = Message.of("unit_remark", unit=member.unit, remark=proof.why)
     outcome = with_proof(member.unit, broadcast, proof)
     return msgspec.structs.replace(outcome, message=message, acknowledged_at=None)
 
 
-def executed(members: list[Member], broadcast: Answer, remark: str) -> Result:
+def executed(members: list[Member], broadcast: Answer, remarks: Sequence[Message]) -> Result:
     """The fate of all whose broadcast has left."""
     outcomes = [member.outcome for member in members if member.outcome is not None]
     bad = [outcome for outcome in outcomes if outcome.outcome != "verified"]
-    words = [outcome.message for outcome in bad] or [o.message for o in outcomes if "singly" in o.message]
+    about = bad or [outcome for outcome in outcomes if outcome.message == EXECUTED_SINGLY]
     return Result(
         id="",
         at=0.0,
         outcome="unverified" if bad else "verified",
-        message="; ".join([*words, *([remark] if remark else [])]),
+        message=joined([*(outcome.message for outcome in about), *remarks]),
         units=sorted(outcomes, key=lambda outcome: outcome.unit),
         skew_s=_skew(outcomes, broadcast),
     )

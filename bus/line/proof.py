@@ -17,22 +17,24 @@ from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, output_is_on, status_bits
 from bus.line.roster import UnitRecord
 from bus.line.steps import Answer, Ask, Step, Wait
+from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.commands import ParameterReply, ReadParameter, ReadStatus, StatusReply
 
 LOOKS_AGAIN = 2
 """How often a read-back that differs is read again."""
 LOOK_AGAIN_AFTER_S = 0.1
+NO_READBACK = Message("readback_no_response")
 
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """What the read-back showed. ``read_back`` None: there was none. ``why``: when not ``shown``."""
+    """What the read-back showed. ``read_back`` None: there was none. ``why``: where not ``shown``."""
 
     shown: bool
     read_back: int | None = None
     at: float | None = None
-    why: str = ""
+    why: Message | None = None
 
 
 Proving = Generator[Step, Answer | None, Proof]
@@ -74,7 +76,7 @@ def prove_speed(record: UnitRecord, raw: int, dialect: Dialect, *, before: int |
             yield Wait(LOOK_AGAIN_AFTER_S)
         status, answer = yield from read_status(record.unit)
         if status is None:
-            return Proof(False, proof.read_back, proof.at, "it did not answer the read-back")
+            return Proof(False, proof.read_back, proof.at, NO_READBACK)
         bits = status_bits(status.outputs, status.inputs, dialect.estop_healthy)
         if dialect.follower_speed == "speed" and (yield from follows(record, bits)):
             proof = yield from _prove_ratio(record, raw, status, answer, before)
@@ -88,16 +90,26 @@ def prove_speed(record: UnitRecord, raw: int, dialect: Dialect, *, before: int |
 def _compare_speed(raw: int, status: StatusReply, bits: StatusBits, answer: Answer) -> Proof:
     if status.commanded == raw:
         return Proof(True, raw, answer.answered_at)
-    why = f"its commanded speed reads {status.commanded}{_override(bits)}"
-    return Proof(False, status.commanded, answer.answered_at, why)
+    return Proof(False, status.commanded, answer.answered_at, _speed_reads(status.commanded, bits))
 
 
-def _override(bits: StatusBits) -> str:
-    """What, at the unit's terminals, may stand above the commanded speed."""
+def _speed_reads(commanded: int, bits: StatusBits) -> Message:
+    """With what, at the unit's terminals, may stand above the commanded speed."""
     active = [name for name, on in (("preset", bits.preset), ("up", bits.up), ("down", bits.down)) if on]
+    inputs: list[int | str | Message] = [Message(f"status_{name}") for name in active]
     if not bits.remote:
-        active.append("LOCAL")
-    return f" while {' and '.join(active)} is active" if active else ""
+        inputs.append("LOCAL")
+    if not inputs:
+        return Message.of("speed_reads", value=commanded)
+    return Message.of("speed_reads_while", value=commanded, inputs=inputs)
+
+
+def _parameter_reads(number: int, shown: int | None) -> Message:
+    if shown is None:
+        return Message("parameter_unavailable")
+    return (
+        Message("secret_reads") if PARAMETERS[number].secret else Message.of("parameter_reads", value=shown)
+    )
 
 
 def _prove_ratio(
@@ -109,19 +121,18 @@ def _prove_ratio(
     if status.commanded == raw and before is not None and before != raw:
         return Proof(True, raw, answer.answered_at)
     if ratio is None:
-        why = "it is a follower, and its ratio (#37) could not be read back"
-        return Proof(False, status.commanded, answer.answered_at, why)
-    return Proof(False, ratio, ratio_answer.answered_at, f"its ratio (#37) reads {ratio}")
+        return Proof(False, status.commanded, answer.answered_at, Message("ratio_unread"))
+    return Proof(False, ratio, ratio_answer.answered_at, Message.of("ratio_reads", value=ratio))
 
 
 def prove_unchanged(record: UnitRecord, before: int | None) -> Proving:
     """That a unit to which nothing was to happen still has the commanded speed it had."""
     status, answer = yield from read_status(record.unit)
     if status is None:
-        return Proof(False, None, None, "it did not answer the read-back")
+        return Proof(False, None, None, NO_READBACK)
     if before is None or status.commanded == before:
         return Proof(True, status.commanded, answer.answered_at)
-    why = f"its commanded speed went from {before} to {status.commanded} though nothing was staged from here"
+    why = Message.of("speed_moved", before=before, value=status.commanded)
     return Proof(False, status.commanded, answer.answered_at, why)
 
 
@@ -133,9 +144,8 @@ def prove_parameter(unit: int, number: int, raw: int) -> Proving:
             yield Wait(LOOK_AGAIN_AFTER_S)
         shown, answer = yield from read_parameter(unit, number)
         if answer.reply is None:
-            return Proof(False, proof.read_back, proof.at, "it did not answer the read-back")
-        reads = "another value" if PARAMETERS[number].secret else shown
-        proof = Proof(shown == raw, shown, answer.answered_at, f"it reads {reads}")
+            return Proof(False, proof.read_back, proof.at, NO_READBACK)
+        proof = Proof(shown == raw, shown, answer.answered_at, _parameter_reads(number, shown))
         if proof.shown:
             return proof
     return proof
@@ -149,10 +159,10 @@ def prove_output(unit: int, number: int, on: bool) -> Proving:
             yield Wait(LOOK_AGAIN_AFTER_S)
         status, answer = yield from read_status(unit)
         if status is None:
-            return Proof(False, proof.read_back, proof.at, "it did not answer the read-back")
+            return Proof(False, proof.read_back, proof.at, NO_READBACK)
         shown = output_is_on(status.outputs, number)
-        state = "on" if shown else "off"
-        proof = Proof(shown == on, int(shown), answer.answered_at, f"the output reads {state}")
+        why = Message("output_reads_on" if shown else "output_reads_off")
+        proof = Proof(shown == on, int(shown), answer.answered_at, why)
         if proof.shown:
             return proof
     return proof

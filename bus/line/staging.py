@@ -17,7 +17,7 @@ from collections.abc import Generator, Mapping
 
 from bus.catalogue.status import status_bits
 from bus.contract import Outcome, Result
-from bus.errors import unit_error_name
+from bus.errors import unit_refused
 from bus.line.execution import executed, prove, prove_all, unchanged
 from bus.line.member import Member, member_of
 from bus.line.proof import ask, prove_unchanged
@@ -25,6 +25,7 @@ from bus.line.roster import Roster
 from bus.line.steps import Answer, Ask, Fate, Procedure, Step, Tell, Wish
 from bus.line.withdrawal import Shelter, stopped, withdraw_all
 from bus.line.writes import not_sent, without_proof
+from bus.messages import Message
 from bus.wire.commands import ExecuteSpeed, StageSpeed
 
 ALL_UNITS = 0
@@ -66,7 +67,7 @@ def execute_all(roster: Roster, wish: Wish) -> Procedure:
         else:
             proof = yield from prove_unchanged(member.record, member.before)
             member.outcome = unchanged(member, answer, proof)
-    return executed(members, answer, "no unit held a speed staged from here" if not knew else "")
+    return executed(members, answer, [] if knew else [Message("nothing_staged")])
 
 
 def _likely_refusals_first(roster: Roster, setpoints: Mapping[int, int], wish: Wish) -> list[tuple[int, int]]:
@@ -84,7 +85,7 @@ def _likely_refusals_first(roster: Roster, setpoints: Mapping[int, int], wish: W
 
 def _stage_all(
     members: list[Member], wish: Wish
-) -> Generator[Step, Answer | None, tuple[Outcome, str] | None]:
+) -> Generator[Step, Answer | None, tuple[Outcome, Message] | None]:
     """None when every unit acknowledged, else how the change ended and why."""
     for done, member in enumerate(members):
         yield Tell("sent", member.unit, done, len(members))
@@ -92,28 +93,30 @@ def _stage_all(
         if not member.staged:
             return _why_stopped(member)
         if wish.cancelled:
-            return "not_sent", "given up before it was executed"
+            return "not_sent", Message("canceled_before_execute")
     yield Tell("acknowledged", None, len(members), len(members))
     return None
 
 
-def _why_stopped(member: Member) -> tuple[Outcome, str]:
+def _why_stopped(member: Member) -> tuple[Outcome, Message]:
     assert member.answer is not None
     answer = member.answer
     if answer.refusal is not None:
         member.outcome = without_proof(member.unit, answer)
-        return "refused", f"unit {member.unit} refused: {unit_error_name(answer.refusal)}"
+        return "refused", unit_refused(member.unit, answer.refusal)
     if answer.fate is Fate.SILENT:
-        return "unverified", f"unit {member.unit} did not answer"
+        return "unverified", Message.of("unit_no_response", unit=member.unit)
     if answer.fate is Fate.CLOSED:
-        return "bus_closed", "the link to the bus was lost"
-    return "not_sent", "its time was over before every unit had acknowledged"
+        return "bus_closed", Message("bus_link_lost")
+    return "not_sent", Message("deadline_passed_staging")
 
 
 def _no_time(members: list[Member], wish: Wish) -> Result:
     seconds = wish.exchange_s * len(members)
-    message = (
-        f"staging {len(members)} units takes {seconds:.1f} s on this bus and "
-        f"{max(wish.time_left_s, 0):.1f} s were given: nothing was sent"
+    message = Message.of(
+        "change_too_long",
+        n=len(members),
+        seconds=round(seconds, 1),
+        allowed=round(max(wish.time_left_s, 0), 1),
     )
     return Result(id="", at=0.0, outcome="not_sent", message=message)

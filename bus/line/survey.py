@@ -15,6 +15,7 @@ from bus.line.passes import Passes, silent_seconds
 from bus.line.proof import ask
 from bus.line.roster import Roster
 from bus.line.steps import Answer, Ask, Fate, Procedure, Step, Tell, Wait, Wish
+from bus.messages import Message, joined
 from bus.settings import Dialect, wire_seconds
 
 SHARE = 1 / 3
@@ -55,12 +56,12 @@ def survey(roster: Roster, first: int, last: int, pace: Pace, wish: Wish) -> Pro
     of = last - first + 1
     for unit in passes:
         if wish.cancelled:
-            return _result(found, f"given up after {passes.done} of {of} addresses")
+            return _result(found, Message.of("scan_canceled", done=passes.done, all=of))
         yield Tell("searching", unit, passes.done, of)
         try:
             one = yield from _examine(roster, unit, pace)
         except _Lost:
-            return _result(found, f"the link to the bus was lost after {passes.done} of {of} addresses")
+            return _result(found, Message.of("scan_link_lost", done=passes.done, all=of))
         if one is None:
             passes.silent()
         else:
@@ -68,7 +69,7 @@ def survey(roster: Roster, first: int, last: int, pace: Pace, wish: Wish) -> Pro
             found.append(one)
     if _overdue(roster) - overdue >= OVERDUE:
         found = [_doubted(one) for one in found]
-    return _result(found, "")
+    return _result(found, None)
 
 
 def _overdue(roster: Roster) -> int:
@@ -82,13 +83,13 @@ def _doubted(one: Found) -> Found:
     return replace(one, kind="late", remarks=(), late=True)
 
 
-def _result(found: list[Found], trouble: str) -> Result:
+def _result(found: list[Found], fault: Message | None) -> Result:
     found.sort(key=lambda one: one.unit)
     return Result(
         id="",
         at=0.0,
-        outcome="unverified" if trouble else "verified",
-        message="; ".join(conclude(found) + ([trouble] if trouble else [])),
+        outcome="unverified" if fault else "verified",
+        message=joined([*conclude(found), fault]),
         found=[one.for_contract() for one in found],
     )
 

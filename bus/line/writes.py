@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from bus.contract import Outcome, Result, UnitOutcome
-from bus.errors import unit_error_name
+from bus.errors import unit_error, unit_refused
 from bus.line.proof import (
     LOOKS_AGAIN,
     Proof,
@@ -17,6 +17,7 @@ from bus.line.proof import (
 )
 from bus.line.roster import UnitRecord
 from bus.line.steps import Answer, Ask, Fate, Procedure, Tell, Wish
+from bus.messages import Message
 from bus.wire.commands import (
     ExecuteSpeed,
     Request,
@@ -26,8 +27,6 @@ from bus.wire.commands import (
     WriteOutput,
     WriteParameter,
 )
-
-NOTHING_TO_READ_BACK = "acknowledged; there is nothing to read back"
 
 
 def set_and_execute(record: UnitRecord, raw: int, wish: Wish) -> Procedure:
@@ -101,28 +100,26 @@ def without_proof(unit: int, answer: Answer) -> UnitOutcome:
     )
 
 
-def _fate_without_proof(unit: int, answer: Answer) -> tuple[Outcome, str]:
+def _fate_without_proof(unit: int, answer: Answer) -> tuple[Outcome, Message]:
     if answer.refusal is not None:
-        refused = f"unit {unit} refused: {unit_error_name(answer.refusal)}"
+        refusal = unit_refused(unit, answer.refusal)
         if answer.may_have_acted:
-            return "unverified", f"{refused}; but an earlier try was not answered, and may have been taken"
-        return "refused", refused
+            return "unverified", Message.of("unit_refused_retry", refusal=refusal)
+        return "refused", refusal
     if answer.fate is Fate.ANSWERED:
-        return "acknowledged", NOTHING_TO_READ_BACK
+        return "acknowledged", Message("nothing_to_read_back")
     if answer.attempts == 0:
         return not_sent(unit, answer)
-    tries = "once" if answer.attempts == 1 else f"{answer.attempts} times"
-    return "unverified", f"unit {unit} did not acknowledge (sent {tries}): whether it acted is not known"
+    return "unverified", Message.of("write_unacknowledged", unit=unit, n=answer.attempts)
 
 
-def not_sent(unit: int, answer: Answer) -> tuple[Outcome, str]:
+def not_sent(unit: int, answer: Answer) -> tuple[Outcome, Message]:
     """Why nothing left for ``unit``."""
     if answer.fate is Fate.CLOSED:
-        return "bus_closed", "there is no link to the bus: nothing was sent"
+        return "bus_closed", Message("bus_not_linked")
     if answer.fate is Fate.TOO_LATE:
-        return "not_sent", "its time was over before it could be sent: nothing was sent"
-    message = f"unit {unit} does not answer, nor did it before: nothing was sent, its state is not known"
-    return "unverified", message
+        return "not_sent", Message("deadline_passed")
+    return "unverified", Message.of("unit_unresponsive", unit=unit)
 
 
 def with_proof(unit: int, answer: Answer, proof: Proof) -> UnitOutcome:
@@ -142,18 +139,19 @@ def with_proof(unit: int, answer: Answer, proof: Proof) -> UnitOutcome:
     )
 
 
-def _message_of(unit: int, answer: Answer, proof: Proof) -> str:
+def _message_of(unit: int, answer: Answer, proof: Proof) -> Message | None:
     acknowledged = answer.fate is Fate.ANSWERED and answer.refusal is None
     if proof.shown:
-        return "" if acknowledged else "not acknowledged, but the read-back shows it"
-    said = "acknowledged" if acknowledged else "did not acknowledge"
+        return None if acknowledged else Message("verified_unacknowledged")
+    response = Message("response_acknowledged" if acknowledged else "response_missing")
     if answer.refusal is not None:
-        said = f"refused: {unit_error_name(answer.refusal)}"
-    looks = f" ({1 + LOOKS_AGAIN} looks)" if proof.read_back is not None else ""
+        response = Message.of("response_refused", error=unit_error(answer.refusal))
+    assert proof.why is not None
     if proof.read_back is None:
-        joined = "and" if said == "did not acknowledge" else "but"
-        return f"unit {unit} {said}, {joined} {proof.why}: its state is not known"
-    return f"unit {unit} {said}, but {proof.why}{looks}: its state is not what was asked"
+        return Message.of("readback_missing", unit=unit, response=response, reason=proof.why)
+    return Message.of(
+        "readback_differs", unit=unit, response=response, reason=proof.why, reads=1 + LOOKS_AGAIN
+    )
 
 
 def result_of_one(outcome: UnitOutcome) -> Result:

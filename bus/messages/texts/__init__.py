@@ -5,9 +5,15 @@ A text with a number of things is ``Plural``: ``n`` decides. A code stands in on
 
 from __future__ import annotations
 
-from bus.messages.texts import units
+from bus.messages.texts import commands, findings, frames, ports, units
 from bus.messages.texts.plural import EnglishText
 from bus.messages.texts.plural import Plural as Plural
 
-GROUPS: tuple[dict[str, EnglishText], ...] = (units.TEXTS,)
+GROUPS: tuple[dict[str, EnglishText], ...] = (
+    units.TEXTS,
+    commands.TEXTS,
+    findings.TEXTS,
+    frames.TEXTS,
+    ports.TEXTS,
+)
 TEXTS: dict[str, EnglishText] = {code: text for group in GROUPS for code, text in group.items()}
