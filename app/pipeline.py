@@ -21,6 +21,7 @@ from app.errors import StoreError
 from app.live.changes import Change, Changes
 from app.live.state import LiveState
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
+from bus.messages import Message
 
 AGAIN_AFTER_S = 1.0
 KEPT = (Reading, ParameterValue, UnitLink, BusLink)
@@ -107,10 +108,10 @@ class Pipeline:
         what = "updates of the bus worker refused"
         self._note(bus, Change("worker", None, at, what, "", str(count), IMPLAUSIBLE, series=what))
 
-    def worker_went(self, bus: str, at: float, cause: str) -> None:
+    def worker_went(self, bus: str, at: float, cause: Message) -> None:
         """A worker's connection ended."""
         self._live.worker_went(bus, at, cause)
-        self._note(bus, Change("worker", None, at, cause, "connected", "gone"))
+        self._note(bus, Change("worker", None, at, str(cause), "connected", "gone"))
 
     def clock_stepped(self, bus: str | None, step_s: float, at: float) -> None:
         """A clock was set: a worker's, or with no bus the app's own."""

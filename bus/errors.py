@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from enum import Enum, IntEnum
 
-from bus.messages import Message
+from bus.messages import Message, term
 
 
 class LinesideError(Exception):
@@ -22,6 +22,11 @@ class LinesideError(Exception):
         self.template = str(message)
         self.params: Mapping[str, object] | None = self.message.params if self.message else params
         super().__init__(self.template if self.message or params is None else self.template.format(**params))
+
+    @property
+    def reason(self) -> Message:
+        """Its message; of a text, the one that shows it."""
+        return self.message or term(str(self))
 
     def text(self, t: Callable[..., str]) -> str:
         """The text in the language whose translation function is ``t``."""

@@ -15,7 +15,7 @@ from app.commands.trace_file import is_trace_line, parse_trace_line
 from bus.contract import Frame
 from bus.errors import CallerError
 from bus.settings import Dialect
-from bus.wire.describe import Described, Describer, Rubbish, describe_bytes
+from bus.wire.describe import Described, DescribedNoise, Describer, describe_bytes
 from bus.wire.framing import FrameDecoder
 
 _SEPARATORS = re.compile(r"[\s,;:\[\]]+|0[xX]|\\x")
@@ -43,13 +43,13 @@ def decode(
         typer.echo(json.dumps([frame.as_json() for frame in frames]))
     else:
         for item in found:
-            typer.echo(f"{item.wire.hex(' ').upper()}\n    {item.words}")
+            typer.echo(f"{item.wire.hex(' ').upper()}\n    {item.meaning}")
     if not any(frame.checksum_ok for frame in frames):
         typer.echo("lineside: no valid frame in these bytes; a frame is 10 02 … 10 03 checksum.", err=True)
         raise typer.Exit(1)
 
 
-def decode_text(text: str) -> list[Described | Rubbish]:
+def decode_text(text: str) -> list[Described | DescribedNoise]:
     """What a trace or a run of hex says. Raises CallerError when it is neither."""
     lines = [line for line in text.splitlines() if line.strip()]
     if any(is_trace_line(line) for line in lines):
@@ -71,7 +71,7 @@ def parse_hex(text: str) -> bytes:
     return bytes.fromhex("".join(tokens))
 
 
-def _decode_trace(traced: list[Frame]) -> list[Described | Rubbish]:
+def _decode_trace(traced: list[Frame]) -> list[Described | DescribedNoise]:
     """Each direction is a stream of its own; an answer is read in the light of the request before it."""
     dialect = Dialect()
     describer = Describer(dialect)

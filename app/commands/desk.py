@@ -35,6 +35,7 @@ from app.live.state import BusLive, LiveState
 from app.web.access import Person
 from app.web.deadline import Deadline
 from bus.contract import Action, Command, Result
+from bus.messages import Message, term
 
 REMEMBERED = 1000
 """Fates kept for whoever asks with the same id again."""
@@ -264,11 +265,11 @@ class Desk:
 
     async def _send(self, wish: Wish, live: BusLive) -> Result:
         if live.link.link == "closed":
-            message = f"{live.link.cause or 'the port is closed'}; nothing was sent"
-            return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=message)
+            refusal = live.link.refusal
+            return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=refusal)
         # Storing the intent and what the unit was may have taken a while on a slow disk.
         reason = await self._why_no_longer(wish, live)
-        if reason:
+        if reason is not None:
             return Result(id=wish.id, at=self._now(), outcome="not_sent", message=reason)
         # This clock first: whatever stops this process between the two makes the deadline earlier.
         deadline = self._now() + wish.deadline.left_s
@@ -280,22 +281,23 @@ class Desk:
             lambda: channel.cancel(wish.id),
         )
 
-    async def _why_no_longer(self, wish: Wish, live: BusLive) -> str:
-        """Why a command must not be sent, or be given up; empty while it may go on. A store that cannot be
+    async def _why_no_longer(self, wish: Wish, live: BusLive) -> Message | None:
+        """Why a command must not be sent, or be given up; None while it may go on. A store that cannot be
         read now ends nothing that is half done."""
         try:
             await self._rights.check(wish.person)
         except Problem as problem:
-            return problem.detail
+            return problem.reason
         except StoreError:
-            return ""
+            return None
         if not wish.action.writes:
-            return ""
+            return None
         for unit in kind_of_command(wish.action).units_written(wish.action, live):
             block = self._guards.blocks.of(wish.bus, unit)
             if block is not None:
-                return f"unit {unit} is blocked by {block.set_by}: {block.reason}"
-        return self._guards.control.objection(wish.bus, wish.person.account, self._now())
+                return Message.of("unit_blocked", unit=unit, who=block.set_by, reason=block.reason)
+        objection = self._guards.control.objection(wish.bus, wish.person.account, self._now())
+        return term(objection) if objection else None
 
 
 def _refuse_other(id: str | None, same: bool) -> None:

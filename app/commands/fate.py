@@ -9,7 +9,8 @@ from typing import Literal
 from app.errors import Problem
 from app.live.fields import Voice
 from bus.contract import Outcome, Result, UnitOutcome
-from bus.errors import unit_error_name
+from bus.errors import unit_error
+from bus.messages import Message
 
 Tone = Literal["good", "bad", "doubt"]
 Shown = Callable[[int], str]
@@ -55,13 +56,13 @@ def fate_of_problem(problem: Problem, voice: Voice) -> Fate:
 
 def _reason(result: Result | UnitOutcome, voice: Voice) -> str:
     if result.unit_error is not None:
-        return voice.t(unit_error_name(result.unit_error))
-    return voice.t(result.message)
+        return voice.t(unit_error(result.unit_error))
+    return voice.t(result.message or "")
 
 
-def _not_sent(outcome: Outcome, message: str, voice: Voice) -> str:
+def _not_sent(outcome: Outcome, message: Message | None, voice: Voice) -> str:
     if outcome == "not_sent":
         return voice.t("not sent: the wire was not free in time")
     if outcome == "bus_closed":
         return voice.t("not sent: there is no link to the bus")
-    return voice.t(message)
+    return voice.t(message or "")

@@ -23,6 +23,7 @@ from app.database import Database
 from app.errors import Problem, StoreError
 from app.live.state import BusLive
 from bus.contract import Action, Outcome, Result
+from bus.messages import in_english
 
 log = structlog.get_logger()
 
@@ -72,7 +73,8 @@ class Record:
             if intent.parts:
                 await self._events.conclude_together(_fates(intent, result))
             remember = partial(idempotency.end, wish=wish, result=result)
-            await self._events.conclude(intent.event, result.outcome, result.message, result.frames, remember)
+            message = in_english(result.message)
+            await self._events.conclude(intent.event, result.outcome, message, result.frames, remember)
         except StoreError as error:
             log.error("fate not stored", command=wish.id, outcome=result.outcome, error=str(error))
 
@@ -97,6 +99,6 @@ def _entry(wish: Wish, unit: int | None, words: Wording) -> dict[str, Any]:
 
 
 def _fates(intent: Intent, result: Result) -> dict[int, tuple[Outcome, str]]:
-    said: dict[int, tuple[Outcome, str]] = {fate.unit: (fate.outcome, fate.message) for fate in result.units}
-    whole = (result.outcome, result.message)
+    said = {fate.unit: (fate.outcome, in_english(fate.message)) for fate in result.units}
+    whole = (result.outcome, in_english(result.message))
     return {event: said.get(unit, whole) for unit, event in intent.parts.items()}

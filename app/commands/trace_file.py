@@ -10,8 +10,9 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import cast
 
-from bus.contract import Clause, Direction, Frame
+from bus.contract import Direction, Frame
 from bus.errors import CallerError
+from bus.messages import Message
 
 _DIRECTIONS = ("out", "in")
 
@@ -35,6 +36,7 @@ def parse_trace_line(line: str) -> Frame:
         if direction not in _DIRECTIONS:
             raise ValueError(f"direction {direction!r}")
         at = datetime.fromisoformat(time).timestamp()
-        return Frame(at, cast(Direction, direction), bytes.fromhex(data), [Clause(meaning)])
+        recorded = Message.of("frame_recorded", text=meaning)
+        return Frame(at, cast(Direction, direction), bytes.fromhex(data), [recorded])
     except ValueError as error:
         raise CallerError(f"not a line of a trace ({error}): {line.strip()[:60]}") from error

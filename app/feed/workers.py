@@ -19,11 +19,12 @@ from app.live.state import NO_WORKER
 from app.pipeline import Pipeline
 from bus.bucket import Bucket
 from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome, decode_from_worker
+from bus.messages import Message
 
 _log = structlog.get_logger()
 
-SILENT = "the bus worker is connected and says nothing"
-MALFORMED = "the bus worker was disconnected: it sent a malformed message"
+SILENT = Message("worker_silent")
+MALFORMED = Message("worker_malformed")
 REPLACED = "another worker connected for this bus"
 TOO_OFTEN = "this bus was connected to too often; wait a minute"
 HELLO_WITHIN_S = 10.0
@@ -150,7 +151,7 @@ class Workers:
             await socket.close(str(error))
         except WorkerSilent:
             self._release(hello.bus, socket, SILENT, Ending.CUT)
-            await socket.close(SILENT)
+            await socket.close(str(SILENT))
         except WorkerLeft:
             self._release(hello.bus, socket, NO_WORKER, Ending.LEFT)
 
@@ -178,9 +179,9 @@ class Workers:
         while ingest.silent_ticks < self._silent_ticks:
             await ingest.tick()
             await asyncio.sleep(TICK_S)
-        raise WorkerSilent(SILENT)
+        raise WorkerSilent(str(SILENT))
 
-    def _release(self, bus: str, socket: Socket, cause: str, ending: Ending) -> None:
+    def _release(self, bus: str, socket: Socket, cause: Message, ending: Ending) -> None:
         """This connection has ended. Nothing where it was released already, or another has its place."""
         self.channels[bus].closed(socket)
         if self._sockets.get(bus) is socket:

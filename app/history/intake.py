@@ -10,6 +10,7 @@ from app.history.runs import Run, micros, run_of
 from app.history.scaling import DECIDING, ParameterStep
 from app.history.tail import Tail
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update
+from bus.messages import in_english
 
 BUS = 0
 """The number under which a bus itself has its key."""
@@ -83,7 +84,7 @@ class Intake:
             self._links[key] = (at, update.link)
             if state == update.link:
                 return
-        store.write_link(connection, key, at, update.link, update.cause)
+        store.write_link(connection, key, at, update.link, in_english(update.cause))
         if update.link in store.LOST_STATES:
             units = store.units_of(connection, bus) if isinstance(update, BusLink) else [key]
             taken.lost += [(unit, at) for unit in units]

@@ -11,6 +11,7 @@ from app.live.onset import Onset, Onsets
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.values import MOST_DECIMALS, RATIO_DECIMALS, is_follower
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink
+from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
 
 
@@ -90,7 +91,7 @@ def speed_decimals(bus: BusLive, unit: UnitLive) -> int | None:
     return RATIO_DECIMALS if reads_ratio(bus, unit) else unit.parameter_raw(DECIMALS)
 
 
-def never_seen(settings: BusSettings, at: float, cause: str) -> BusLive:
+def never_seen(settings: BusSettings, at: float, cause: Message) -> BusLive:
     """A bus of which nothing is known, for ``cause``; first seen so at ``at``."""
     units = {
         unit.id: UnitLive(settings=unit, link=UnitLink(unit=unit.id, at=at, link="unknown"))

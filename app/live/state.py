@@ -15,13 +15,14 @@ from app.live.bus_live import BusLive, UnitLive, follower, never_seen
 from app.live.onset import Onset
 from app.live.snapshot import updates_of
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, Snapshot, Staged, UnitLink, Update
+from bus.messages import Message
 from bus.settings import BusSettings
 
 __all__ = ["NO_WORKER", "BusLive", "LiveState", "Subscriber", "UnitLive", "follower"]
 
 log = structlog.get_logger()
 
-NO_WORKER = "the bus worker is not connected"
+NO_WORKER = Message("worker_not_connected")
 
 Subscriber = Callable[[str, Sequence[Update]], None]
 
@@ -64,7 +65,7 @@ class LiveState:
         self.apply(bus, updates)
         return updates
 
-    def worker_went(self, bus: str, at: float, cause: str = NO_WORKER) -> list[Update]:
+    def worker_went(self, bus: str, at: float, cause: Message = NO_WORKER) -> list[Update]:
         """The worker's connection ended: the port counts as closed, nothing counts as fresh."""
         live = self.buses[bus]
         live.worker_lost = Onset(at)

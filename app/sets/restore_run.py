@@ -15,6 +15,7 @@ from app.sets.restore_store import ENDED_MEANWHILE, RestoreStore
 from app.web.access import Person
 from bus.contract import WriteParameter
 from bus.errors import unit_error_name
+from bus.messages import in_english
 
 MOVED = "the unit has changed since the review; nothing was written, review it again"
 STARTED = "the unit was started after the review; the rest was not written, review it again"
@@ -86,7 +87,7 @@ class RestoreRun:
             if problem.code not in _OF_ITS_ROW:
                 raise
             return replace(row, outcome="invalid", message=problem.detail)
-        message = result.message
+        message = in_english(result.message)
         if result.outcome == "refused" and result.unit_error is not None:
             message = f"refused: {unit_error_name(result.unit_error)}"
         return replace(row, outcome=result.outcome, message=message, read_back=result.read_back)

@@ -26,7 +26,7 @@ from bus.contract.actions import (
     WriteOutput,
     WriteParameter,
 )
-from bus.contract.bounds import LONGEST_FRAME, MOST_MEANINGS, MOST_UPDATES
+from bus.contract.bounds import LONGEST_FRAME, LONGEST_MEANING, MOST_MEANINGS, MOST_UPDATES
 from bus.contract.fates import (
     FoundUnit,
     Progress,
@@ -81,6 +81,7 @@ __all__ = [
     "BUFFER_AGE_S",
     "CONTRACT_VERSION",
     "LONGEST_FRAME",
+    "LONGEST_MEANING",
     "MOST_MEANINGS",
     "MOST_UPDATES",
     "Action",

@@ -7,6 +7,7 @@ from typing import Annotated
 from msgspec import Meta, Struct, field
 
 from bus.contract.bounds import (
+    LONGEST_MEANING,
     MOST_FRAMES,
     MOST_MEANINGS,
     MOST_REMARKS,
@@ -68,6 +69,13 @@ class BusLink(TaggedStruct, frozen=True, tag="bus_link"):
     cause: Message | None = None
     baud: Annotated[int, Meta(ge=0, le=9600)] = 0
     """The rate that the port goes at now, which a change of #18 may have moved; 0 from an older worker."""
+
+    @property
+    def refusal(self) -> Message:
+        """Why nothing is sent while it is closed."""
+        if self.cause is None:
+            return Message("bus_not_linked")
+        return Message.of("bus_closed", reason=self.cause)
 
 
 class Staged(TaggedStruct, frozen=True, tag="staged"):
@@ -143,7 +151,7 @@ class Frame(TaggedStruct, frozen=True, tag="frame"):
     @property
     def meaning(self) -> str:
         """What it says, in English."""
-        return "; ".join(map(str, self.meanings))
+        return "; ".join(map(str, self.meanings))[:LONGEST_MEANING]
 
 
 class Frames(TaggedStruct, frozen=True, tag="frames"):

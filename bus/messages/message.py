@@ -77,6 +77,11 @@ class Message(msgspec.Struct, frozen=True):
         return found[0] if value is None else _shown(value, catalog)
 
 
+def in_english(message: Message | None) -> str:
+    """Its text in English; empty where there is none."""
+    return "" if message is None else str(message)
+
+
 def joined(messages: Iterable[Message | None]) -> Message | None:
     """One message of several, those that are None left out; None where there is none."""
     several: list[int | str | Message] = [each for each in messages if each is not None]

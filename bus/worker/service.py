@@ -32,7 +32,7 @@ from bus.line.opener import Opener, OpenFunction
 from bus.line.poller import Poller
 from bus.line.trace import Interpreter, Passed
 from bus.line.transport import open_port
-from bus.messages import Message
+from bus.messages import Message, in_english
 from bus.settings import BusSettings
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
@@ -173,7 +173,7 @@ class BusWorker:
         if len(self.poller.errands) >= MOST_COMMANDS:
             return Result("", 0.0, "not_sent", TOO_MANY)
         if not self.poller.link.open:
-            return Result("", 0.0, "bus_closed", _bus_closed(self.poller.state.cause))
+            return Result("", 0.0, "bus_closed", self.poller.state.refusal)
         if time_left_s < 0 and command.action.writes:
             message = Message.of("arrived_late", seconds=round(-time_left_s, 1))
             return Result("", 0.0, "not_sent", message)
@@ -191,11 +191,11 @@ class BusWorker:
             if isinstance(update, Result):
                 if update.id in self._fates:
                     self._remember(update.id, msgspec.structs.replace(update, frames=[]))
-                _log.info("fate", id=update.id, outcome=update.outcome, message=_text(update.message))
+                _log.info("fate", id=update.id, outcome=update.outcome, message=in_english(update.message))
             elif isinstance(update, UnitLink):
-                _log.info("unit", unit=update.unit, link=update.link, cause=_text(update.cause))
+                _log.info("unit", unit=update.unit, link=update.link, cause=in_english(update.cause))
             elif isinstance(update, BusLink):
-                _log.debug("bus", link=update.link, cause=_text(update.cause))
+                _log.debug("bus", link=update.link, cause=in_english(update.cause))
         self.outbox.put(updates)
 
     async def _tell_figures(self) -> None:
@@ -231,14 +231,6 @@ class BusWorker:
 
     def _epoch(self) -> float:
         return self.clock.epoch(self.clock.now())
-
-
-def _bus_closed(cause: Message | None) -> Message:
-    return Message("bus_not_linked") if cause is None else Message.of("bus_closed", reason=cause)
-
-
-def _text(message: Message | None) -> str:
-    return "" if message is None else str(message)
 
 
 async def _wait_while(holds: Callable[[], bool], most_s: float) -> None:

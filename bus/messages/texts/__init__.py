@@ -5,7 +5,7 @@ A text with a number of things is ``Plural``: ``n`` decides. A code stands in on
 
 from __future__ import annotations
 
-from bus.messages.texts import commands, findings, frames, ports, units
+from bus.messages.texts import commands, findings, frames, ports, units, workers
 from bus.messages.texts.plural import EnglishText
 from bus.messages.texts.plural import Plural as Plural
 
@@ -15,5 +15,6 @@ GROUPS: tuple[dict[str, EnglishText], ...] = (
     findings.TEXTS,
     frames.TEXTS,
     ports.TEXTS,
+    workers.TEXTS,
 )
 TEXTS: dict[str, EnglishText] = {code: text for group in GROUPS for code, text in group.items()}

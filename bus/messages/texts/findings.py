@@ -8,6 +8,8 @@ TEXTS: dict[str, EnglishText] = {
     # A scan.
     "scan_canceled": "canceled after {done} of {all} addresses",
     "scan_link_lost": "the link to the bus was lost after {done} of {all} addresses",
+    "scan_echo": "the adapter receives what it sends (half duplex): its echo is recognized",
+    "scan_turnaround": "units respond late: set turnaround_ms = {value} for this bus",
     "bytes_unrequested": "{count} bytes arrived in {seconds} s without a request: is another host on this"
     " line, or is the cable open? Remove the cause and scan again",
     "found_two_units": "its responses are garbled or come twice: two units at this address? Switch one off"
