@@ -16,7 +16,7 @@ from app.cli.counted import counted
 from app.cli.finding import Finding, is_visible, user
 from app.cli.listening import ListenError, listen
 from app.settings import Server, Settings
-from bus.line.ports.refusal import why_not
+from bus.line.port.open_error import why_not
 from bus.settings import BusSettings
 
 NO_BUS = (

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 import typer
 
 from app.cli.ending import ending
-from bus.line.found import Found, conclude, settings_seen
-from bus.line.passes import PASSES, silent_seconds
-from bus.line.scanner import BaudScan, scan_baud
+from bus.line.scan.found import Found, conclude, settings_seen
+from bus.line.scan.passes import PASSES, silent_seconds
+from bus.line.scan.scanner import BaudScan, scan_baud
 from bus.messages import Message
 from bus.settings import BAUDS, check_port
 

@@ -3,7 +3,7 @@
 A row says what the app needs to know of a kind: who may send it, what it changes, how it is checked, worded
 and recorded, how long it may take. What is sent is the request in ``bus.contract.actions``, which says too
 whether it writes and which units it addresses; how a worker carries it out and proves it is a row in
-``bus.line.commands``.
+``bus.line.commands.catalogue``.
 """
 
 from __future__ import annotations

@@ -27,12 +27,6 @@ from bus.contract.actions import (
     WriteParameter,
 )
 from bus.contract.bounds import LONGEST_FRAME, LONGEST_MEANING, MOST_MEANINGS, MOST_UPDATES
-from bus.contract.fates import (
-    FoundUnit,
-    Progress,
-    Result,
-    UnitOutcome,
-)
 from bus.contract.readings import (
     BusFigures,
     BusLink,
@@ -46,7 +40,13 @@ from bus.contract.readings import (
     UnitLink,
     UnitState,
 )
-from bus.contract.speech import (
+from bus.contract.results import (
+    FoundUnit,
+    Progress,
+    Result,
+    UnitOutcome,
+)
+from bus.contract.session import (
     AppMessage,
     Batch,
     Cancel,

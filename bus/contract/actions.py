@@ -1,7 +1,7 @@
 """What the app can ask of a bus: from the app to the worker.
 
-A new one needs a class here, a row in ``bus.line.commands`` for how it is carried out and proven, and a row
-in ``app.commands.catalogue`` for everything else.
+A new one needs a class here, a row in ``bus.line.commands.catalogue`` for how it is carried out and verified,
+and a row in ``app.commands.catalogue`` for everything else.
 """
 
 from __future__ import annotations

@@ -9,11 +9,11 @@ from collections.abc import Awaitable, Callable
 import structlog
 
 from bus.errors import WireError
-from bus.line.backoff import STABLE_S, Backoff, is_worth_a_line
 from bus.line.poller import Poller
-from bus.line.port import EndedWhileOpening, OpenPort, Receiver
-from bus.line.transport import open_port
+from bus.line.port.open_port import open_port
+from bus.line.port.port import EndedWhileOpening, OpenPort, Receiver
 from bus.messages import Message
+from bus.reconnect_delay import STABLE_S, Backoff, is_worth_a_line
 
 RETRY_S = 0.5
 CHECK_S = 0.5

@@ -1,4 +1,4 @@
-"""The master of one bus: one exchange at a time, in the order of ``bus.line.turns``.
+"""The master of one bus: one exchange at a time, in the order of ``bus.line.schedule.arbiter``.
 
 An answer's last byte and the next request's first byte are handled in the same breath: what follows a poll
 is prepared while its answer is still under way (``_foresee``), and whatever else there is to do about an
@@ -13,19 +13,19 @@ import msgspec
 
 from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Result, Update, Watch
 from bus.errors import CallerError, WireError
-from bus.line.asking import Heard
 from bus.line.clock import Alarm, Clock
-from bus.line.errand import Errand
-from bus.line.errands import Errands
-from bus.line.figures import Figures
-from bus.line.link import Link
-from bus.line.other_rate import OtherRate
-from bus.line.port import OpenPort, PartlySent
+from bus.line.commands.command_run import Errand
+from bus.line.commands.procedure import Expect, Note, Retune, Tell, Unstage
+from bus.line.exchange.attempts import Heard
+from bus.line.exchange.link import Link
+from bus.line.port.port import OpenPort, PartlySent
 from bus.line.roster import Roster
-from bus.line.schedule import Schedule
-from bus.line.steps import Expect, Note, Retune, Tell, Unstage
-from bus.line.trace import Interpreter, Trace
-from bus.line.turns import Turns
+from bus.line.schedule.arbiter import Turns
+from bus.line.schedule.baud_search import OtherRate
+from bus.line.schedule.command_queue import Errands
+from bus.line.schedule.poll_schedule import Schedule
+from bus.line.statistics.figures import Figures
+from bus.line.statistics.trace import Interpreter, Trace
 from bus.messages import Message
 from bus.settings import BusSettings, wire_seconds
 from bus.wire.commands import Nak, ReadStatus, Request, WriteParameter

@@ -20,7 +20,7 @@ from bus.contract import (
     Update,
 )
 from bus.errors import UnitErrorCode
-from bus.line.statistics import UnitStatistics
+from bus.line.statistics.unit_statistics import UnitStatistics
 from bus.messages import Message
 from bus.wire.commands import (
     Ack,

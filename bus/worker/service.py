@@ -27,11 +27,11 @@ from bus.contract import (
 )
 from bus.contract.clock_offset import ClockOffset
 from bus.line.clock import Clock, RealClock
-from bus.line.commands import errand_of
+from bus.line.commands.catalogue import errand_of
 from bus.line.opener import Opener, OpenFunction
 from bus.line.poller import Poller
-from bus.line.trace import Interpreter, Passed
-from bus.line.transport import open_port
+from bus.line.port.open_port import open_port
+from bus.line.statistics.trace import Interpreter, Passed
 from bus.messages import Message, in_english
 from bus.settings import BusSettings
 from bus.worker.outbox import Outbox

@@ -36,7 +36,7 @@ from bus.contract import (
     encode,
 )
 from bus.contract.clock_offset import ClockOffset
-from bus.line.backoff import Backoff
+from bus.reconnect_delay import Backoff
 from bus.worker.outbox import Outbox
 
 SHORTEST_PAUSE_S = 0.1

@@ -17,8 +17,8 @@ from app.cli import scan
 from app.cli.scan import announcement, bauds_to_try
 from bus.catalogue import numbers
 from bus.errors import WireError
-from bus.line.found import Found
-from bus.line.prober import Prober
+from bus.line.scan.found import Found
+from bus.line.scan.prober import Prober
 from bus.settings import Dialect
 from bus.simulator.faults import Faults, Kind
 from bus.simulator.line import SimulatedLine

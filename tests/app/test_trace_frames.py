@@ -6,13 +6,13 @@ import re
 from collections.abc import Iterable
 
 import pytest
+from bus.clauses import LONGEST, Clause
 
 from app.live.trace_frames import frame_fields
 from app.messages import Languages
-from bus.clauses import LONGEST, Clause
 from bus.contract import Frame
 from bus.errors import UnitErrorCode
-from bus.line.trace import HIDDEN
+from bus.line.statistics.trace import HIDDEN
 from bus.settings import Dialect
 from bus.wire.bodies import encode_reply, encode_request
 from bus.wire.commands import (

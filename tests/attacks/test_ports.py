@@ -16,14 +16,14 @@ from typing import Any
 import pytest
 
 from bus.errors import WireError
-from bus.line.port import EndedWhileOpening, OpenPort, PortUnavailable
-from bus.line.transport import open_port
+from bus.line.port.open_port import open_port
+from bus.line.port.port import EndedWhileOpening, OpenPort, PortUnavailable
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
 from bus.simulator.serve import LineServer
 from tests.bus.rfc2217_server import DeviceServer
-from tests.bus.test_transport import POLL, Ear, on_both_loops
+from tests.bus.test_open_port import POLL, Ear, on_both_loops
 
 PATIENCE_S = 20.0
 MODEM_STATE_WITHOUT_STATE = b"\xff\xfa\x2c\x6b\xff\xf0"

@@ -10,8 +10,8 @@ from contextlib import asynccontextmanager
 import pytest
 
 from bus.contract import BusLink, SetSpeed
-from bus.line.ports.tcp import TCP_LOST_AFTER_MS
-from bus.line.transport import open_port
+from bus.line.port.open_port import open_port
+from bus.line.port.tcp import TCP_LOST_AFTER_MS
 from bus.settings import BusSettings, UnitSettings
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
@@ -20,7 +20,7 @@ from bus.simulator.record import Happened
 from bus.simulator.serve import LineServer
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
-from tests.bus.test_transport import Ear
+from tests.bus.test_open_port import Ear
 
 TCP_USER_TIMEOUT = 18
 """Linux, which names it only from Python 3.12 on."""

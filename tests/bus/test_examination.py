@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import pytest
 
-from bus.line.examination import Outcome, Question, examine, number_for_checksum_10h
-from bus.line.found import TWO_UNITS, Found, conclude, settings_seen
-from bus.line.passes import silent_seconds
+from bus.line.scan.examination import Outcome, Question, examine, number_for_checksum_10h
+from bus.line.scan.found import Found, conclude, settings_seen
+from bus.line.scan.passes import silent_seconds
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.bodies import encode_request
@@ -127,7 +127,7 @@ def test_a_unit_that_sends_a_checksum_of_10h_twice() -> None:
 def test_two_units_that_garble_every_answer() -> None:
     one = found(lambda _: GARBAGE)
     assert one.kind == "garbled"
-    assert one.remarks[0] == TWO_UNITS
+    assert one.remarks[0] == Message("found_two_units")
 
 
 def test_two_units_that_let_some_answers_through() -> None:

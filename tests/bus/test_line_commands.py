@@ -21,8 +21,8 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.line.clock import RealClock
-from bus.line.commands import COMMANDS, errand_of
-from bus.line.errand import EVERY_UNIT, NO_UNIT, Claim
+from bus.line.commands.catalogue import COMMANDS, errand_of
+from bus.line.commands.command_run import EVERY_UNIT, NO_UNIT, Claim
 from bus.line.poller import Poller
 from bus.settings import BusSettings, UnitSettings
 

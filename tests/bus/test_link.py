@@ -9,12 +9,12 @@ from msgspec.structs import replace
 
 from bus.contract import LONGEST_FRAME, MOST_MEANINGS
 from bus.errors import WireError
-from bus.line.asking import Heard
-from bus.line.link import SECRET_LINGERS_S, Link
-from bus.line.port_pace import PortPace
+from bus.line.exchange.attempts import Heard
+from bus.line.exchange.link import SECRET_LINGERS_S, Link
+from bus.line.exchange.port_pace import PortPace
+from bus.line.exchange.window import MARGIN_S
 from bus.line.roster import Roster
-from bus.line.trace import HIDDEN, Interpreter, Passed, Trace
-from bus.line.window import MARGIN_S
+from bus.line.statistics.trace import HIDDEN, Interpreter, Passed, Trace
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.bodies import encode_reply

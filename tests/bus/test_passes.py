@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus.line.passes import Passes
+from bus.line.scan.passes import Passes
 
 
 def asked(addresses: range, answers: dict[int, int]) -> tuple[list[int], list[int]]:

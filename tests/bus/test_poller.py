@@ -27,9 +27,9 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from bus.line.other_rate import LOOK_ELSEWHERE_S
-from bus.line.port import OpenPort, Receiver
-from bus.line.turns import RESERVED_S
+from bus.line.port.port import OpenPort, Receiver
+from bus.line.schedule.arbiter import RESERVED_S
+from bus.line.schedule.baud_search import LOOK_ELSEWHERE_S
 from bus.messages import Message
 from bus.simulator.faults import Kind
 from bus.simulator.record import Happened

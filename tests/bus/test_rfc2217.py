@@ -9,8 +9,8 @@ import pytest
 
 from bus.contract import Reading, SetSpeed
 from bus.errors import WireError
-from bus.line.port import PortUnavailable
-from bus.line.transport import open_port
+from bus.line.port.open_port import open_port
+from bus.line.port.port import PortUnavailable
 from bus.settings import BusSettings, Dialect, UnitSettings
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
@@ -21,7 +21,7 @@ from bus.wire.commands import SetAndExecuteSpeed
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
 from tests.bus.rfc2217_server import DeviceServer
-from tests.bus.test_transport import POLL, Ear, on_both_loops
+from tests.bus.test_open_port import POLL, Ear, on_both_loops
 
 pytest.importorskip("serialx", reason="the extra 'rfc2217' is not installed")
 

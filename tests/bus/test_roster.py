@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from bus.contract import ParameterValue, Reading, Staged, UnitLink
 from bus.line.roster import Roster
-from bus.line.statistics import AnswerTimes
+from bus.line.statistics.unit_statistics import AnswerTimes
 from bus.messages import Message
 from bus.wire.commands import (
     Ack,

@@ -23,7 +23,7 @@ from bus.contract import (
     Watch,
     encode,
 )
-from bus.line.diagnosis import UnitTrouble, answers_for_all, diagnose
+from bus.line.statistics.diagnosis import UnitTrouble, answers_for_all, diagnose
 from bus.messages import Message
 from bus.simulator.faults import Kind
 from tests.bus.virtual_line import EPOCH, VirtualLine, run

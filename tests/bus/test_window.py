@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus.line.window import LATE_S, LEAST_FRAME_GAP_S, LOOK_ONCE_MORE_S, Window
+from bus.line.exchange.window import LATE_S, LEAST_FRAME_GAP_S, LOOK_ONCE_MORE_S, Window
 from tests.bus.played_clock import PlayedClock
 
 BYTE_S = 0.001

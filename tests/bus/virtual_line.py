@@ -22,7 +22,7 @@ from bus.contract import (
 )
 from bus.errors import WireError
 from bus.line.clock import Alarm
-from bus.line.transport import OpenPort, Receiver
+from bus.line.port.open_port import OpenPort, Receiver
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
 from bus.simulator.demo import demo_line

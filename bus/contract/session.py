@@ -1,0 +1,149 @@
+"""The order of speech between worker and app, and its bytes; it stands at the head of ``bus.contract``."""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from bus.contract.actions import Action
+from bus.contract.bounds import MOST_UNITS, MOST_UPDATES, Id, Sequence, Stamp, Text, UnitId, Words
+from bus.contract.readings import (
+    BusFigures,
+    BusLink,
+    Frames,
+    ParameterValue,
+    Reading,
+    Staged,
+    UnitLink,
+    UnitState,
+)
+from bus.contract.results import Progress, Result
+from bus.contract.tagged import TaggedStruct
+
+Update = Reading | ParameterValue | UnitLink | BusLink | Staged | BusFigures | Progress | Result | Frames
+
+
+class Hello(TaggedStruct, frozen=True, tag="hello"):
+    """First word of a worker. ``worker`` is new at every start, so sequence numbers belong to it."""
+
+    version: int
+    bus: Words
+    worker: Id
+    started_at: Stamp
+    software: Words
+    port: Text
+    sent_at: Stamp
+
+
+class Snapshot(TaggedStruct, frozen=True, tag="snapshot"):
+    """The whole present state; ``seq`` is the number of the last update it includes."""
+
+    seq: Sequence
+    sent_at: Stamp
+    bus: BusLink
+    units: Annotated[list[UnitState], Meta(max_length=MOST_UNITS)]
+    figures: BusFigures | None = None
+
+
+class Batch(TaggedStruct, frozen=True, tag="batch"):
+    """Updates in order. ``live`` False: kept while the app was away; they belong to history only."""
+
+    seq: Sequence
+    sent_at: Stamp
+    updates: Annotated[list[Update], Meta(max_length=MOST_UPDATES)]
+    live: bool = True
+
+
+WorkerMessage = Hello | Snapshot | Batch
+
+
+class Command(TaggedStruct, frozen=True, tag="command"):
+    """A wish with an identity and a last moment. ``deadline``: on the app's clock, the last instant at
+    which a frame that writes may leave (the worker knows that clock by ``Clock``).
+    A worker carries out an id once; asked again, it repeats the fate."""
+
+    id: Id
+    deadline: Stamp
+    action: Action
+
+
+class Reserve(TaggedStruct, frozen=True, tag="reserve"):
+    """A write is about to be asked for: the next turn of the wire is left to it, for a moment."""
+
+
+class Cancel(TaggedStruct, frozen=True, tag="cancel"):
+    """Give up a command at the next point where nothing is half done."""
+
+    id: Id
+
+
+class Welcome(TaggedStruct, frozen=True, tag="welcome"):
+    """The app's answer to Hello. ``seq``: the last batch it has of this very worker (0: none)."""
+
+    version: int
+    seq: Sequence
+    app_time: Stamp
+    refused: Text = ""
+
+
+class Delivered(TaggedStruct, frozen=True, tag="delivered"):
+    """Everything up to ``seq`` is safe with the app; the worker may forget it."""
+
+    seq: Sequence
+
+
+class Clock(TaggedStruct, frozen=True, tag="clock"):
+    """The app's time, about once a second: the worker keeps the least delay it has seen, so that a
+    command held up on the way is known to be late."""
+
+    app_time: Stamp
+
+
+class Watch(TaggedStruct, frozen=True, tag="watch"):
+    """The units on a page that someone has open, and whether someone follows the trace."""
+
+    units: Annotated[list[UnitId], Meta(max_length=MOST_UNITS)]
+    trace: bool = False
+
+
+class WantSnapshot(TaggedStruct, frozen=True, tag="want_snapshot"):
+    """A number was missing: say everything again."""
+
+
+AppMessage = Welcome | Delivered | Clock | Watch | WantSnapshot | Reserve | Command | Cancel
+
+M = TypeVar("M")
+
+
+class MalformedMessageError(Exception):
+    """What came is no message of the other side. The text may quote what came: it is for a log only."""
+
+
+_encoder = msgspec.msgpack.Encoder()
+_worker_decoder: msgspec.msgpack.Decoder[WorkerMessage] = msgspec.msgpack.Decoder(WorkerMessage)
+_app_decoder: msgspec.msgpack.Decoder[AppMessage] = msgspec.msgpack.Decoder(AppMessage)
+
+
+def encode(message: WorkerMessage | AppMessage) -> bytes:
+    """One binary WebSocket message."""
+    return _encoder.encode(message)
+
+
+def decode_from_worker(data: bytes) -> WorkerMessage:
+    """The message. Raises MalformedMessageError when it is none of a worker, or outside the bounds."""
+    return _decoded(_worker_decoder, data)
+
+
+def decode_from_app(data: bytes) -> AppMessage:
+    """The message. Raises MalformedMessageError when it is none of the app, or outside the bounds."""
+    return _decoded(_app_decoder, data)
+
+
+def _decoded(decoder: msgspec.msgpack.Decoder[M], data: bytes) -> M:
+    try:
+        return decoder.decode(data)
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:
+        # Text that is no UTF-8 is a ValueError; arrays within arrays without end a RecursionError.
+        raise MalformedMessageError(str(error)) from error

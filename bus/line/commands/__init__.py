@@ -1,0 +1,1 @@
+"""What carries out a command and reads it back, as pure procedures."""

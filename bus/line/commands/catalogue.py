@@ -1,0 +1,125 @@
+"""How a worker carries out each kind of command: one row each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from bus.contract import (
+    Action,
+    ChangeBaud,
+    ExecuteAll,
+    ExecuteSpeed,
+    ReadParameters,
+    ScanBus,
+    SetLine,
+    SetSpeed,
+    UnitAction,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.contract.durations import stage_s
+from bus.line.commands import change_baud, reads, scan_bus, staging, writes
+from bus.line.commands.command_run import EVERY_UNIT, NO_UNIT, Claim, Errand
+from bus.line.commands.procedure import Procedure, Wish
+from bus.line.poller import Poller
+
+A = TypeVar("A", bound=Action)
+
+
+@dataclass(frozen=True, slots=True)
+class LineCommand(Generic[A]):
+    """``procedure`` carries it out and proves it; it is made when its turn has come."""
+
+    procedure: Callable[[Poller, A, Wish], Procedure]
+    claim: Callable[[A], Claim] = lambda _: Claim.WRITE
+
+
+def _set_speed(poller: Poller, action: SetSpeed, command: Wish) -> Procedure:
+    record = poller.roster[action.unit]
+    if action.execute:
+        return writes.set_and_execute(record, action.raw, command)
+    return writes.stage(record, action.raw)
+
+
+def _execute_speed(poller: Poller, action: ExecuteSpeed, command: Wish) -> Procedure:
+    return writes.execute(poller.roster[action.unit], command)
+
+
+def _execute_all(poller: Poller, _: ExecuteAll, command: Wish) -> Procedure:
+    return staging.execute_all(poller.roster, command)
+
+
+def _set_line(poller: Poller, action: SetLine, command: Wish) -> Procedure:
+    return staging.set_line(poller.roster, action.setpoints, command)
+
+
+def _write_output(_: Poller, action: WriteOutput, _command: Wish) -> Procedure:
+    return writes.write_output(action.unit, action.number, action.on)
+
+
+def _write_analog_output(_: Poller, action: WriteAnalogOutput, _command: Wish) -> Procedure:
+    return writes.write_analog_output(action.unit, action.raw)
+
+
+def _write_parameter(_: Poller, action: WriteParameter, _command: Wish) -> Procedure:
+    return writes.write_parameter(action.unit, action.number, action.raw)
+
+
+def _read_parameters(poller: Poller, action: ReadParameters, command: Wish) -> Procedure:
+    return reads.read_parameters(poller.roster[action.unit], action.numbers, command)
+
+
+def _change_baud(poller: Poller, action: ChangeBaud, command: Wish) -> Procedure:
+    own_rate = "://" not in poller.bus.port
+    return change_baud.change_baud(poller.roster, poller.baud, action.baud, command, own_rate=own_rate)
+
+
+def _scan_bus(poller: Poller, action: ScanBus, command: Wish) -> Procedure:
+    pace = scan_bus.Pace(poller.baud, poller.bus.turnaround_s)
+    return scan_bus.survey(poller.roster, action.first, action.last, pace, command)
+
+
+COMMANDS: dict[type[Action], LineCommand[Any]] = {
+    SetSpeed: LineCommand(_set_speed),
+    ExecuteSpeed: LineCommand(_execute_speed),
+    ExecuteAll: LineCommand(_execute_all),
+    SetLine: LineCommand(_set_line),
+    WriteOutput: LineCommand(_write_output),
+    WriteAnalogOutput: LineCommand(_write_analog_output),
+    WriteParameter: LineCommand(_write_parameter),
+    ReadParameters: LineCommand(_read_parameters, lambda read: Claim.READ if read.urgent else Claim.SLOW),
+    ChangeBaud: LineCommand(_change_baud),
+    ScanBus: LineCommand(_scan_bus, lambda _: Claim.SLOW),
+}
+
+
+def errand_of(poller: Poller, command_id: str, action: Action, deadline: float) -> Errand | None:
+    """A command with its claim on the wire and its procedure; None for an action that is not for the wire.
+    ``deadline`` on the line's clock."""
+    row = COMMANDS.get(type(action))
+    if row is None:
+        return None
+    command = Wish(
+        poller.bus.dialect,
+        time_left_s=deadline - poller.clock.now(),
+        exchange_s=stage_s(poller.baud),
+    )
+    return Errand(
+        command_id,
+        row.claim(action),
+        _units_claimed(action),
+        deadline,
+        command,
+        lambda: row.procedure(poller, action, command),
+        lambda step: poller.note(command_id, step),
+    )
+
+
+def _units_claimed(action: Action) -> frozenset[int]:
+    """Those that nobody else may write to meanwhile; a broadcast reaches every unit."""
+    if not action.writes:
+        return NO_UNIT
+    return frozenset(action.units) if isinstance(action, UnitAction) else EVERY_UNIT

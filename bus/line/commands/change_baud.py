@@ -1,0 +1,173 @@
+"""#18 of every unit as one guarded act. Pure procedures (``bus.line.commands.procedure``).
+
+Whether a unit changes its rate at once or at its next power-up is not known (protocol, 4): after the
+writes each unit is looked for at both rates. All at the new one: the host stays there. All at the old one:
+every #18 is read back, and the host follows when the units have been switched off and on. Anything else:
+every unit is written its old rate at whichever rate it answers, and what must be done at which panel is
+said where even that fails.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+
+from bus.catalogue.numbers import BAUD_RATE
+from bus.contract import Outcome, Result, UnitOutcome
+from bus.errors import unit_refused
+from bus.line.commands.procedure import Answer, Ask, Expect, Fate, Procedure, Retune, Step, Tell, Wish
+from bus.line.commands.readback import ask, read_parameter
+from bus.line.roster import Roster
+from bus.messages import Message
+from bus.settings import BAUDS
+from bus.wire.commands import ReadStatus, WriteParameter
+
+HUNDREDS = 100
+LOOKS = 2
+
+Units = Generator[Step, Answer | None, set[int]]
+
+
+def change_baud(roster: Roster, old: int, new: int, wish: Wish, *, own_rate: bool = True) -> Procedure:
+    """From ``old``, the present rate, to ``new``. ``own_rate``: the port's rate can be set from here."""
+    if not own_rate:
+        return _result("invalid", Message("baud_of_device_server"))
+    if new not in BAUDS or new == old:
+        rates: list[int | str | Message] = [rate for rate in BAUDS if rate != old]
+        return _result("invalid", Message.of("baud_not_possible", baud=old, rates=rates))
+    units = roster.configured
+    change = _Change(roster, units, old, new, wish)
+    return (yield from change.run())
+
+
+class _Change:
+    def __init__(self, roster: Roster, units: Sequence[int], old: int, new: int, wish: Wish) -> None:
+        self._roster = roster
+        self._units = units
+        self._old = old
+        self._new = new
+        self._wish = wish
+
+    def run(self) -> Procedure:
+        trouble = yield from self._write_all()
+        if trouble is not None:
+            return (yield from self._go_back(*trouble))
+        yield Tell("proving", None, 0, len(self._units))
+        at_old = yield from self._answering(self._units)
+        if at_old == set(self._units):
+            return (yield from self._at_power_up())
+        yield Retune(self._new)
+        at_new = yield from self._answering([unit for unit in self._units if unit not in at_old])
+        if at_new == set(self._units):
+            return (yield from self._at_once())
+        lost = sorted(set(self._units) - at_old - at_new)
+        if lost:
+            reason = Message.of("baud_no_response", units=_listed(lost))
+        else:
+            reason = Message.of("baud_not_followed", units=_listed(sorted(at_old)), baud=self._old)
+        return (yield from self._go_back("unverified", reason))
+
+    # --- forth ---------------------------------------------------------------------------------
+
+    def _write_all(self) -> Generator[Step, Answer | None, tuple[Outcome, Message] | None]:
+        for done, unit in enumerate(self._likely_refusals_first()):
+            yield Tell("sent", unit, done, len(self._units))
+            answer = yield from ask(Ask(WriteParameter(unit, BAUD_RATE, self._new // HUNDREDS)))
+            if answer.refusal is not None:
+                return "refused", unit_refused(unit, answer.refusal)
+            if answer.fate is not Fate.ANSWERED and not (yield from self._took_it_unheard(unit, answer)):
+                return "unverified", Message.of("unit_no_acknowledgement", unit=unit)
+            if self._wish.cancelled:
+                return "not_sent", Message("canceled")
+        return None
+
+    def _took_it_unheard(self, unit: int, answer: Answer) -> Generator[Step, Answer | None, bool]:
+        """A unit that changes at once may say its ACK at the new rate already."""
+        if answer.attempts == 0:
+            return False
+        yield Retune(self._new)
+        found = yield from self._answering([unit])
+        yield Retune(self._old)
+        return unit in found
+
+    def _likely_refusals_first(self) -> list[int]:
+        return sorted(self._units, key=lambda unit: self._roster[unit].link.link == "online")
+
+    def _answering(self, units: Sequence[int]) -> Units:
+        """Which of ``units`` answer at the present rate."""
+        found: set[int] = set()
+        for unit in units:
+            answer = yield from ask(Ask(ReadStatus(unit), proves=True, most_tries=LOOKS))
+            if answer.fate is Fate.ANSWERED:
+                found.add(unit)
+        return found
+
+    def _at_once(self) -> Procedure:
+        missing = yield from self._not_holding(self._units, self._new)
+        if missing:
+            message = Message.of("baud_readback_differs", units=_listed(missing), baud=self._new)
+            return _result("unverified", message, self._outcomes(missing))
+        yield Expect(self._new)
+        return _result("verified", Message.of("baud_changed", baud=self._new), self._outcomes([]))
+
+    def _at_power_up(self) -> Procedure:
+        missing = yield from self._not_holding(self._units, self._new)
+        if missing:
+            reason = Message.of("baud_not_held", units=_listed(missing))
+            return (yield from self._go_back("unverified", reason))
+        yield Expect(self._new)
+        message = Message.of("baud_at_power_up", baud=self._new, present=self._old)
+        return _result("verified", message, self._outcomes([]))
+
+    def _not_holding(self, units: Sequence[int], baud: int) -> Generator[Step, Answer | None, list[int]]:
+        missing = []
+        for unit in units:
+            raw, _ = yield from read_parameter(unit, BAUD_RATE)
+            if raw != baud // HUNDREDS:
+                missing.append(unit)
+        return missing
+
+    # --- back ----------------------------------------------------------------------------------
+
+    def _go_back(self, outcome: Outcome, reason: Message) -> Procedure:
+        """Write every unit its old rate at whichever rate it answers; prove all at the old one."""
+        yield Retune(self._new)
+        yield from self._write_old(self._units)
+        yield Retune(self._old)
+        yield from self._write_old(self._units)
+        answering = yield from self._answering(self._units)
+        missing = yield from self._not_holding(sorted(answering), self._old)
+        lost = sorted({*missing, *(set(self._units) - answering)})
+        yield Expect(self._old)
+        if not lost:
+            message = Message.of("baud_restored", reason=reason, baud=self._old)
+        else:
+            outcome = "unverified"
+            message = Message.of(
+                "baud_not_restored",
+                reason=reason,
+                baud=self._old,
+                units=_listed(lost),
+                value=self._old // HUNDREDS,
+            )
+        return _result(outcome, message, self._outcomes(lost))
+
+    def _write_old(self, units: Sequence[int]) -> Generator[Step, Answer | None, None]:
+        for unit in units:
+            here = yield from self._answering([unit])
+            if here:
+                request = WriteParameter(unit, BAUD_RATE, self._old // HUNDREDS)
+                yield from ask(Ask(request, withdraws=True, most_tries=LOOKS))
+
+    def _outcomes(self, bad: Sequence[int]) -> list[UnitOutcome]:
+        return [
+            UnitOutcome(unit=unit, outcome="unverified" if unit in bad else "verified")
+            for unit in self._units
+        ]
+
+
+def _result(outcome: Outcome, message: Message, units: list[UnitOutcome] | None = None) -> Result:
+    return Result(id="", at=0.0, outcome=outcome, message=message, units=units or [])
+
+
+def _listed(units: Sequence[int]) -> list[int | str | Message]:
+    return list(units)

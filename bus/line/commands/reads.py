@@ -1,0 +1,74 @@
+"""Reads that somebody asked for, one after the other. Pure procedures (``bus.line.commands.procedure``)."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import ParameterValue, Result
+from bus.errors import unit_error
+from bus.line.commands.procedure import Ask, Fate, Procedure, Tell, Wait, Wish
+from bus.line.commands.readback import ask
+from bus.line.roster import UnitRecord
+from bus.messages import Message, joined
+from bus.wire.commands import ReadParameter
+
+MOMENT_S = 0.5
+"""How long a unit that missed a question is left alone: its three tries pass in a tenth of a second."""
+
+
+def read_parameters(record: UnitRecord, numbers: Sequence[int], wish: Wish) -> Procedure:
+    """85h for each of ``numbers``, all of the list when empty.
+
+    The first that is not answered is asked again at the end, and the rest a moment later: noise does not
+    cost a whole list. A second one is a unit that has fallen silent, and ends it.
+    """
+    wanted = tuple(numbers) or tuple(PARAMETERS)
+    waiting, missed = deque(wanted), False
+    values: list[ParameterValue] = []
+    refused: list[Message] = []
+    while waiting:
+        if wish.cancelled:
+            return _partly(record, values, wanted, Message("canceled"))
+        number = waiting.popleft()
+        yield Tell("sent", record.unit, len(values), len(wanted))
+        answer = yield from ask(Ask(ReadParameter(record.unit, number), proves=True))
+        if answer.fate is Fate.CLOSED:
+            return _partly(record, values, wanted, Message("bus_link_lost"), closed=True)
+        if answer.fate is not Fate.ANSWERED:
+            if missed or len(wanted) == 1:
+                return _partly(record, values, wanted, Message.of("parameter_no_response", number=number))
+            missed = True
+            waiting.append(number)
+            yield Wait(MOMENT_S)
+            continue
+        known = record.parameters.get(number)
+        if known is not None and known.at == answer.answered_at:
+            values.append(known)
+        else:
+            error = unit_error(answer.refusal or 0)
+            refused.append(Message.of("parameter_refused", number=number, error=error))
+    if (reason := joined(refused)) is not None:
+        return _partly(record, values, wanted, reason)
+    return Result(id="", at=0.0, outcome="verified", values=values)
+
+
+def _partly(
+    record: UnitRecord,
+    values: list[ParameterValue],
+    wanted: Sequence[int],
+    reason: Message,
+    *,
+    closed: bool = False,
+) -> Result:
+    nothing = closed and not values
+    return Result(
+        id="",
+        at=0.0,
+        outcome="bus_closed" if nothing else "unverified",
+        message=Message.of(
+            "parameters_partly_read", unit=record.unit, count=len(values), all=len(wanted), reason=reason
+        ),
+        values=values,
+    )

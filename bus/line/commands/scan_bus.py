@@ -1,0 +1,123 @@
+"""A scan of addresses on a bus that is at work, between its polls. A pure procedure.
+
+The questions and the conclusions are those of ``bus.line.scan.examination``; they are only asked another way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, replace
+
+from bus.contract import Result
+from bus.line.commands.procedure import Answer, Ask, Fate, Procedure, Step, Tell, Wait, Wish
+from bus.line.commands.readback import ask
+from bus.line.roster import Roster
+from bus.line.scan.examination import Outcome, Question, examine
+from bus.line.scan.found import Found, conclude
+from bus.line.scan.passes import Passes, silent_seconds
+from bus.messages import Message, joined
+from bus.settings import Dialect, wire_seconds
+
+SHARE = 1 / 3
+"""Of the wire, at most: a unit that is polled keeps two thirds of its rate."""
+OVERDUE = 3
+"""So many overdue responses during a scan, and what is garbled may be one of them beside another's."""
+ANSWERED_BYTES = 25
+"""An 81h and its answer."""
+
+_PLAIN = Dialect()
+_DOUBLED = Dialect(checksum_10h="twice")
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How fast the line goes, and how much of it a scan may take from the units that are polled."""
+
+    baud: int
+    turnaround_s: float
+
+    def rest_s(self, outcome: Outcome) -> float:
+        """Seconds without a question after one that ended so."""
+        took_s = silent_seconds(self.baud, self.turnaround_s)
+        if outcome.reply is not None:
+            took_s = wire_seconds(ANSWERED_BYTES, self.baud)
+        return took_s * (1 / SHARE - 1)
+
+
+class _Lost(Exception):
+    """There is no link to the bus any more."""
+
+
+def survey(roster: Roster, first: int, last: int, pace: Pace, wish: Wish) -> Procedure:
+    """Which of the addresses ``first`` to ``last`` answer at the bus's present rate."""
+    found: list[Found] = []
+    overdue = _overdue(roster)
+    passes = Passes(range(first, last + 1))
+    of = last - first + 1
+    for unit in passes:
+        if wish.cancelled:
+            return _result(found, Message.of("scan_canceled", done=passes.done, all=of))
+        yield Tell("searching", unit, passes.done, of)
+        try:
+            one = yield from _examine(roster, unit, pace)
+        except _Lost:
+            return _result(found, Message.of("scan_link_lost", done=passes.done, all=of))
+        if one is None:
+            passes.silent()
+        else:
+            passes.found()
+            found.append(one)
+    if _overdue(roster) - overdue >= OVERDUE:
+        found = [_doubted(one) for one in found]
+    return _result(found, None)
+
+
+def _overdue(roster: Roster) -> int:
+    return sum(record.statistics.overdue for record in roster)
+
+
+def _doubted(one: Found) -> Found:
+    """What is left of a finding where responses come into the windows of other requests."""
+    if one.kind == "digimax":
+        return replace(one, late=True)
+    return replace(one, kind="late", remarks=(), late=True)
+
+
+def _result(found: list[Found], fault: Message | None) -> Result:
+    found.sort(key=lambda one: one.unit)
+    return Result(
+        id="",
+        at=0.0,
+        outcome="unverified" if fault else "verified",
+        message=joined([*conclude(found), fault]),
+        found=[one.for_contract() for one in found],
+    )
+
+
+def _examine(roster: Roster, unit: int, pace: Pace) -> Generator[Step, Answer | None, Found | None]:
+    examination = examine(unit, pace.baud)
+    try:
+        question = next(examination)
+        while True:
+            outcome = yield from _outcome(roster, question)
+            yield Wait(pace.rest_s(outcome))
+            question = examination.send(outcome)
+    except StopIteration as end:
+        found: Found | None = end.value
+        return found
+
+
+def _outcome(roster: Roster, question: Question) -> Generator[Step, Answer | None, Outcome]:
+    """One question as the bus asks it. Late responses and second copies count as late frames of that unit."""
+    counts = roster[question.request.unit].statistics.counts
+    late = counts.late
+    dialect = _DOUBLED if question.doubled else _PLAIN
+    answer = yield from ask(Ask(question.request, most_tries=1, dialect=dialect))
+    if answer.fate is Fate.CLOSED:
+        raise _Lost
+    return Outcome(
+        reply=answer.reply,
+        spoilt=answer.rubbish.spoilt,
+        strange=answer.rubbish.strange,
+        surplus=counts.late - late,
+    )

@@ -1,0 +1,101 @@
+"""Nobody may be surprised by a staged speed: the withdrawal of a change, and the shelter of those outside it.
+
+Whoever may hold a staged speed is given its present one (82h), so that no stray execute changes anything.
+Pure procedures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping
+
+from bus.contract import Outcome, Result, UnitOutcome
+from bus.line.commands.member import Member
+from bus.line.commands.procedure import Answer, Ask, Fate, Step, Unstage, Wish
+from bus.line.commands.readback import ask, present_setpoint
+from bus.line.roster import Roster, UnitRecord
+from bus.messages import Message
+from bus.wire.commands import StageSpeed
+
+Part = Generator[Step, Answer | None, None]
+
+
+def _put_back(record: UnitRecord, wish: Wish) -> Generator[Step, Answer | None, int | None]:
+    """Stage the present speed; that speed, or None where the unit did not take it."""
+    present = yield from present_setpoint(record, wish.dialect)
+    if present is None:
+        return None
+    answer = yield from ask(Ask(StageSpeed(record.unit, present), withdraws=True))
+    if answer.fate is not Fate.ANSWERED or answer.refusal is not None:
+        return None
+    yield Unstage(record.unit)
+    return present
+
+
+def withdraw_all(members: list[Member], wish: Wish) -> Part:
+    """Instead of the broadcast."""
+    for member in members:
+        if member.may_hold:
+            present = yield from _put_back(member.record, wish)
+            member.outcome = _withdrawn(member, present)
+
+
+def _withdrawn(member: Member, present: int | None) -> UnitOutcome:
+    assert member.answer is not None
+    if present is not None:
+        message = Message.of("staged_withdrawn", present=present)
+    else:
+        message = Message.of("staged_left", raw=member.raw)
+    return UnitOutcome(
+        unit=member.unit,
+        outcome="not_sent" if present is not None else "unverified",
+        message=message,
+        unit_error=member.answer.refusal,
+        sent_at=member.answer.sent_at,
+        acknowledged_at=member.answer.answered_at if member.staged else None,
+        attempts=member.answer.attempts,
+    )
+
+
+def stopped(members: list[Member], outcome: Outcome, reason: Message) -> Result:
+    """The fate of a change that ended before its broadcast, and which units may hold what was staged."""
+    units = [member.outcome or _untouched(member) for member in members]
+    left: list[int | str | Message] = [each.unit for each in units if each.outcome == "unverified"]
+    refusals = [each.unit_error for each in units if each.unit_error is not None]
+    return Result(
+        id="",
+        at=0.0,
+        outcome=outcome,
+        message=Message.of("no_unit_changed_staged_left", reason=reason, units=left)
+        if left
+        else Message.of("no_unit_changed", reason=reason),
+        unit_error=refusals[0] if refusals else None,
+        units=sorted(units, key=lambda each: each.unit),
+    )
+
+
+def _untouched(member: Member) -> UnitOutcome:
+    return UnitOutcome(unit=member.unit, outcome="not_sent", message=Message("unit_untouched"))
+
+
+class Shelter:
+    """Units outside a change that hold a staged speed, kept from executing it with the others."""
+
+    def __init__(self, roster: Roster, setpoints: Mapping[int, int], wish: Wish) -> None:
+        outside = [record for record in roster if record.unit not in setpoints]
+        self._waiting = {each.unit: (each, each.staged) for each in outside if each.staged is not None}
+        self._sheltered: dict[int, int] = {}
+        self._wish = wish
+
+    def enter(self) -> Generator[Step, Answer | None, tuple[Outcome, Message] | None]:
+        """None when no unit outside the change can move with it."""
+        for unit, (record, staged) in self._waiting.items():
+            present = yield from _put_back(record, self._wish)
+            if present is None:
+                return "not_sent", Message.of("outsider_staged", unit=unit, staged=staged)
+            self._sheltered[unit] = staged
+        return None
+
+    def leave(self) -> Part:
+        """Give each its staged speed back."""
+        for unit, staged in self._sheltered.items():
+            yield from ask(Ask(StageSpeed(unit, staged), withdraws=True))

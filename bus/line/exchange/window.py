@@ -1,0 +1,114 @@
+"""When one exchange ends without an answer, and from when on its port is heard.
+
+The window ends when a unit's turnaround is over and nothing is coming in any more, or at the latest when
+the longest answer would be through; so bytes without end cannot hold it open.
+
+Before the answer can be complete bytes may be left to gather: one awakening instead of one for every few
+bytes. And a process that was kept from running looks once more before it calls a unit silent, for the
+answer may be waiting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from bus.line.clock import Alarm, Clock
+from bus.line.port.port import OpenPort
+
+QUIET_BYTES = 4
+"""An answer that pauses for so many byte times is over."""
+LEAST_QUIET_S = 0.005
+LEAST_FRAME_GAP_S = 0.020
+"""Inside a frame. An FTDI adapter hands over what it received every 16 ms where its latency timer cannot be
+set (FTDI AN232B-04, 3.3)."""
+MARGIN_S = 0.010
+"""What the machine and the adapter may add to a unit's turnaround."""
+TIMER_SLACK_S = 0.0005
+LATE_S = 0.002
+"""An alarm later than this means that the process was kept from running."""
+LOOK_ONCE_MORE_S = 0.001
+
+
+class Window:
+    """``over`` is called once for each ``open``, with the present moment, unless ``close`` comes before.
+
+    Times in seconds on the line's own clock.
+    """
+
+    def __init__(self, clock: Clock, over: Callable[[float], None]) -> None:
+        self._clock = clock
+        self._over = over
+        self._port: OpenPort | None = None
+        self._alarm: Alarm | None = None
+        self._alarm_at = 0.0
+        self._ends: float | None = None
+        self._last_moment = 0.0
+        self._hears_at: float | None = None
+        self._looked = False
+        self._quiet_s = LEAST_QUIET_S
+        self._quiet_at = 0.0
+
+    def attach(self, port: OpenPort | None, byte_s: float) -> None:
+        """Another port, or none; ``byte_s``: what a byte takes on it."""
+        self._port = port
+        self._ends = self._hears_at = None
+        self._quiet_s = max(QUIET_BYTES * byte_s, LEAST_QUIET_S)
+
+    def open(self, ends: float, last_moment: float, hears_at: float | None = None) -> None:
+        """An exchange began. Until ``hears_at`` nothing need be heard."""
+        self._ends, self._last_moment, self._looked = ends, last_moment, False
+        self._hear_from(hears_at)
+        self._ring_at(ends if hears_at is None else hears_at)
+
+    def heard(self, now: float, *, inside_frame: bool) -> None:
+        """Bytes came in; ``inside_frame``: they end in the middle of what may be a frame."""
+        self._quiet_at = now + (max(self._quiet_s, LEAST_FRAME_GAP_S) if inside_frame else self._quiet_s)
+
+    def shorten(self, ends: float) -> None:
+        """Only quiet is waited for any more."""
+        if self._ends is not None and ends < self._ends:
+            self._ends = ends
+            self._ring_at(ends)
+
+    def close(self) -> None:
+        """The exchange is over. Its alarm is let come in vain: most are set again before."""
+        self._ends = None
+        self._hear_from(None)
+
+    def _hear_from(self, when: float | None) -> None:
+        if self._port is not None and (when is None) != (self._hears_at is None):
+            self._port.listen(now=when is None)
+        self._hears_at = when
+
+    def _ring_at(self, when: float) -> None:
+        if self._alarm is not None:
+            if self._alarm_at <= when:
+                return
+            self._alarm.cancel()
+        self._alarm, self._alarm_at = self._clock.call_at(when, self._ring), when
+
+    def _ring(self) -> None:
+        self._alarm = None
+        if self._ends is None:
+            return
+        now = self._clock.now()
+        if self._hears_at is not None:
+            self._ring_again(now, self._ends)
+            return
+        ends = max(self._ends, min(self._quiet_at, self._last_moment))
+        if now < ends - TIMER_SLACK_S:
+            self._ends = ends
+            self._ring_at(ends)
+        elif now > ends + LATE_S and not self._looked:
+            self._looked = True
+            self._ring_at(now + LOOK_ONCE_MORE_S)
+        else:
+            self._over(now)
+
+    def _ring_again(self, now: float, ends: float) -> None:
+        assert self._hears_at is not None
+        if now < self._hears_at - TIMER_SLACK_S:
+            self._ring_at(self._hears_at)
+            return
+        self._hear_from(None)
+        self._ring_at(max(ends, now + LOOK_ONCE_MORE_S))

@@ -1,0 +1,91 @@
+"""A device server whose serial settings are sent to it (RFC 2217), through serialx, an extra."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+from collections.abc import Callable
+from typing import Any
+
+from bus.line.port import tcp
+from bus.line.port.port import EndedWhileOpening, OpenPort, PortUnavailable, Receiver
+from bus.line.port.port_protocol import Reception
+from bus.messages import Message
+
+
+async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
+    """Open ``rfc2217://host:port`` at ``baud``. Raises PortUnavailable."""
+    try:
+        import serialx
+    except ImportError as error:
+        raise PortUnavailable(Message.of("rfc2217_not_installed", port=url)) from error
+    tcp.address_of(url)
+    protocol = Reception(receiver, Message.of("connection_closed", port=url))
+    accepted = asyncio.Event()
+    kind = _rfc2217_transport(accepted)
+    try:
+        async with asyncio.timeout(tcp.CONNECT_TIMEOUT_S):
+            transport, _ = await serialx.create_serial_connection(
+                asyncio.get_running_loop(), lambda: protocol, url, baudrate=baud, transport_cls=kind
+            )
+            await protocol.made
+    except TimeoutError as error:
+        raise PortUnavailable(Message.of("rfc2217_no_response", port=url)) from error
+    except UnicodeError as error:
+        raise PortUnavailable(Message.of("port_no_host", port=url)) from error
+    except (OSError, ValueError) as error:
+        fault = EndedWhileOpening if accepted.is_set() else PortUnavailable
+        raise fault(Message.of("port_not_opened_error", port=url, error=str(error))) from error
+    return tcp.TcpPort(transport, protocol, url)
+
+
+def _parsed(feed: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
+    """``feed`` of the parser, raising OSError for what is not RFC 2217."""
+
+    def parse(data: bytes) -> Any:
+        try:
+            return feed(data)
+        except (ValueError, IndexError) as error:
+            raise OSError(errno.EPROTO, os.strerror(errno.EPROTO)) from error
+
+    return parse
+
+
+def _rfc2217_transport(accepted: asyncio.Event) -> Any:
+    """serialx's own, which takes servers as they are. ``accepted``: set once one has taken the connection.
+
+    Many never acknowledge the masks of line and modem states (RFC 2217, 3), which mean nothing on RS-422, and
+    many speak first: what they say before the connection is known to be there would be an error. A command
+    that cannot be parsed is the fault of the server: it is raised as OSError, as asyncio prints any other
+    with its traceback. serialx has neither a setting nor a public method for all that, so inner ones are
+    overridden, and its version is bounded.
+    """
+    from serialx.platforms.serial_rfc2217 import RFC2217SerialTransport
+    from serialx.platforms.serial_rfc2217.types import SetLinestateMaskCmd, SetModemstateMaskCmd
+
+    class Transport(RFC2217SerialTransport):  # type: ignore[misc, unused-ignore]
+        _said_first = b""
+
+        def _data_received(self, data: bytes) -> None:
+            if self._tcp_transport is None:
+                self._said_first += data
+            else:
+                super()._data_received(data)
+
+        async def _negotiate(self) -> None:
+            assert self._tcp_transport is not None
+            assert self._serial is not None
+            accepted.set()
+            tcp.be_quick_to_notice(self._tcp_transport.get_extra_info("socket"))
+            self._serial._engine.feed = _parsed(self._serial._engine.feed)  # type: ignore[assignment, method-assign, unused-ignore]
+            super()._data_received(self._said_first)
+            await super()._negotiate()
+
+        async def _send_and_wait(self, command: Any) -> Any:
+            if isinstance(command, SetLinestateMaskCmd | SetModemstateMaskCmd):
+                self._send_command(command)
+                return command
+            return await super()._send_and_wait(command)
+
+    return Transport

@@ -1,0 +1,99 @@
+"""A device server that carries the bytes as they are, through asyncio's own transport."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from contextlib import suppress
+from typing import Any
+from urllib.parse import urlsplit
+
+from bus.errors import WireError
+from bus.line.port.port import OpenPort, PortUnavailable, Receiver
+from bus.line.port.port_protocol import Reception
+from bus.messages import Message
+
+CONNECT_TIMEOUT_S = 3.0
+TCP_LOST_AFTER_MS = 800
+"""Unacknowledged bytes for so long mean that the device server is gone."""
+_TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", 18)
+
+
+class TcpPort:
+    """An open one."""
+
+    def __init__(self, transport: Any, protocol: Reception, name: str) -> None:
+        self._transport = transport
+        self._protocol = protocol
+        self._name = name
+
+    def write(self, data: bytes) -> None:
+        if self._transport.is_closing():
+            raise WireError(Message.of("port_gone", port=self._name))
+        if self._transport.get_write_buffer_size() > 0:
+            raise WireError(Message.of("port_full", port=self._name))
+        self._transport.write(data)
+
+    def listen(self, *, now: bool) -> None:
+        """A packet is no single byte: it is heard when it comes."""
+
+    def drop_output(self) -> None:
+        """The kernel's buffer cannot be emptied; a server that takes nothing is lost by its timeout."""
+
+    def retune(self, baud: int) -> None:
+        raise WireError(Message.of("port_own_baud", port=self._name, baud=baud))
+
+    def check(self) -> None:
+        if self._transport.is_closing():
+            raise WireError(Message.of("port_gone", port=self._name))
+
+    def close(self) -> None:
+        if not self._protocol.closed:
+            self._protocol.closed = True
+            self._transport.abort()
+
+
+async def open_socket(url: str, receiver: Receiver) -> OpenPort:
+    """Open ``socket://host:port``. Raises PortUnavailable."""
+    host, number = address_of(url)
+    loop = asyncio.get_running_loop()
+    protocol = Reception(receiver, Message.of("connection_closed", port=url))
+    try:
+        async with asyncio.timeout(CONNECT_TIMEOUT_S):
+            transport, _ = await loop.create_connection(lambda: protocol, host, number)
+    except TimeoutError as error:
+        raise PortUnavailable(Message.of("device_server_no_response", port=url)) from error
+    except ConnectionRefusedError as error:
+        raise PortUnavailable(Message.of("connection_refused", port=url)) from error
+    except UnicodeError as error:
+        raise PortUnavailable(Message.of("port_no_host", port=url)) from error
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise PortUnavailable(Message.of("port_unreachable", port=url, error=reason)) from error
+    be_quick_to_notice(transport.get_extra_info("socket"))
+    return TcpPort(transport, protocol, url)
+
+
+def be_quick_to_notice(connection: socket.socket | None) -> None:
+    """Send each request at once, and find out soon that the other end is gone."""
+    if connection is None:
+        return
+    with suppress(OSError):
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option in ("TCP_KEEPIDLE", "TCP_KEEPINTVL", "TCP_KEEPCNT"):
+            if hasattr(socket, option):
+                connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), 1)
+        connection.setsockopt(socket.IPPROTO_TCP, _TCP_USER_TIMEOUT, TCP_LOST_AFTER_MS)
+
+
+def address_of(url: str) -> tuple[str, int]:
+    """Host and port number. Raises PortUnavailable where one is missing."""
+    parts = urlsplit(url)
+    try:
+        number = parts.port
+    except ValueError:
+        number = None
+    if not parts.hostname or number is None:
+        raise PortUnavailable(Message.of("port_no_number", port=url, example="socket://192.168.1.20:4001"))
+    return parts.hostname, number

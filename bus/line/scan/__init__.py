@@ -1,0 +1,1 @@
+"""Which addresses respond, found out by reading only."""

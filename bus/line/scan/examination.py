@@ -1,0 +1,266 @@
+"""What answers at an address of a scan, found out by reading only. Pure: questions out, outcomes in.
+
+An address is asked 81h. Silence ends it there, which makes a scan as quick as the wire allows. What
+answers is asked more, always 81h and 85h in turn, so that no late or doubled answer can pass for another:
+its own address (#17, which also shows whether it counts parameters in BCD), the last parameter that it
+has (the older list ends at #20), how wide a value comes, and how it takes and sends a checksum of 10h.
+A unit that turns at speed meanwhile shows what its e-stop bit is when all is well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple
+
+from bus.catalogue.numbers import OWN_ADDRESS
+from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.status import status_bits
+from bus.line.scan.found import STRANGE, TWO_UNITS, TWO_UNITS_OR_ELSE, Checksum10h, Found, remarks_on
+from bus.messages import Message
+from bus.settings import Dialect
+from bus.wire.commands import (
+    Nak,
+    ParameterReply,
+    ReadParameter,
+    ReadStatus,
+    Reply,
+    Request,
+    StatusReply,
+)
+from bus.wire.framing import DLE, checksum
+
+LOOKS = 4
+"""How often an address is asked that answers, but not as a unit does."""
+TRIES = 2
+"""How often a read is asked of a unit before it counts as not answered."""
+GARBLED_SHARE = 0.25
+"""Above this part of spoilt or doubled answers more than noise is at work."""
+OWN_ADDRESS_IN_BCD = 0x17
+FIRST_OF_EACH_TYPE = tuple({row.type: number for number, row in reversed(list(PARAMETERS.items()))}.values())
+_READABLE = [number for number, parameter in PARAMETERS.items() if not parameter.secret]
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One read. ``doubled``: a checksum of 10h is sent twice."""
+
+    request: Request
+    doubled: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came within one window."""
+
+    reply: Reply | None = None
+    spoilt: bool = False
+    """Bytes that are no frame."""
+    strange: bool = False
+    """Good frames that no unit gives as this answer."""
+    surplus: int = 0
+    """Good frames of this unit beside the response: responses to earlier requests, or a second copy."""
+    checksum_10h: Checksum10h | None = None
+    """How the answer's checksum came, where it was 10h."""
+    answered_after_s: float | None = None
+    """From the request's last byte to the answer's first."""
+
+    @property
+    def silent(self) -> bool:
+        """Nothing came at all."""
+        return self.reply is None and not (self.spoilt or self.strange or self.surplus)
+
+
+class Responses(NamedTuple):
+    """How many responses came after their window, and how many that no request explains."""
+
+    late: int
+    doubled: int
+
+
+Examining = Generator[Question, Outcome, Found | None]
+Asking = Generator[Question, Outcome, Outcome]
+
+
+def examine(unit: int, baud: int) -> Examining:
+    """Everything about one address; None where nobody is. The questions are in the plain dialect."""
+    examination = _Examination(unit, baud)
+    return (yield from examination.run())
+
+
+@dataclass
+class _Examination:
+    unit: int
+    baud: int
+    outcomes: list[Outcome] = field(default_factory=list)
+    uncertain: bool = False
+    doubles: bool = False
+    """It takes a checksum of 10h twice only, so that is how it is asked."""
+
+    def run(self) -> Examining:
+        status = yield from self._first_status()
+        if status is None:
+            return self._no_unit()
+        takes = yield from self._takes_checksum_10h()
+        self.doubles = takes == "twice"
+        own, counts_in_bcd = yield from self._own_address()
+        last = yield from self._last_parameter(counts_in_bcd)
+        yield from self._one_of_each_type(counts_in_bcd, last)
+        if self._garbled_share() > GARBLED_SHARE:
+            return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS,))
+        one = Found(
+            self.unit,
+            self.baud,
+            "digimax",
+            parameters=tuple(range(1, last + 1)),
+            remote=status_bits(status.outputs, status.inputs).remote,
+            own_address=own,
+            counts_in_bcd=counts_in_bcd,
+            checksum_10h=self._sends_checksum_10h() or takes,
+            reply_bytes=self._reply_bytes(),
+            estop_healthy=self._estop_healthy(),
+            late=self._responses().late > 0,
+            answered_within_s=max(
+                (o.answered_after_s for o in self.outcomes if o.answered_after_s is not None), default=None
+            ),
+        )
+        spoilt, questions = sum(outcome.spoilt for outcome in self.outcomes), len(self.outcomes)
+        remarks = remarks_on(one, spoilt=spoilt, questions=questions, uncertain=self.uncertain)
+        return replace(one, remarks=remarks)
+
+    # --- questions -----------------------------------------------------------------------------
+
+    def _ask(self, request: Request) -> Asking:
+        outcome = yield Question(request, self.doubles)
+        self.outcomes.append(outcome)
+        return outcome
+
+    def _first_status(self) -> Generator[Question, Outcome, StatusReply | None]:
+        """The 81h to unit 111 has the checksum 10h itself: a unit that takes it twice is found so only."""
+        status = yield from self._status(LOOKS)
+        if self.outcomes[-1].silent and checksum(bytes((self.unit, ReadStatus.COMMAND))) == DLE:
+            self.doubles = True
+            status = yield from self._status(LOOKS)
+        return status
+
+    def _status(self, looks: int) -> Generator[Question, Outcome, StatusReply | None]:
+        """81h until it is answered as a unit answers; an address that is silent at first is left."""
+        for look in range(looks):
+            outcome = yield from self._ask(ReadStatus(self.unit))
+            if isinstance(outcome.reply, StatusReply):
+                return outcome.reply
+            if look == 0 and outcome.silent:
+                return None
+        return None
+
+    def _read(self, number: int) -> Generator[Question, Outcome, Reply | None]:
+        """85h, with 81h before it as the fence."""
+        for _ in range(TRIES):
+            yield from self._status(TRIES)
+            outcome = yield from self._ask(ReadParameter(self.unit, number))
+            if outcome.reply is not None:
+                return outcome.reply
+        return None
+
+    def _own_address(self) -> Generator[Question, Outcome, tuple[int | None, bool]]:
+        reply = yield from self._read(OWN_ADDRESS)
+        if not isinstance(reply, ParameterReply):
+            return None, False
+        if reply.raw == self.unit:
+            return reply.raw, False
+        in_bcd = yield from self._read(OWN_ADDRESS_IN_BCD)
+        if isinstance(in_bcd, ParameterReply) and in_bcd.raw == self.unit:
+            return in_bcd.raw, True
+        return reply.raw, False
+
+    def _last_parameter(self, counts_in_bcd: bool) -> Generator[Question, Outcome, int]:
+        """By halving: which exist is taken to be a run from #1 on. The password is not asked for."""
+        dialect = Dialect(parameter_numbers="bcd" if counts_in_bcd else "binary")
+        low, high = -1, len(_READABLE)
+        probe = high - 1
+        while high - low > 1:
+            reply = yield from self._read(encode_number(_READABLE[probe], dialect))
+            if isinstance(reply, ParameterReply):
+                low = probe
+            else:
+                high = probe
+                self.uncertain = self.uncertain or reply is None
+            probe = (low + high) // 2
+        return _READABLE[low] if low >= 0 else 0
+
+    def _one_of_each_type(self, counts_in_bcd: bool, last: int) -> Generator[Question, Outcome, None]:
+        """How wide a value comes shows only where the types have different widths."""
+        dialect = Dialect(parameter_numbers="bcd" if counts_in_bcd else "binary")
+        for number in FIRST_OF_EACH_TYPE:
+            if number <= last:
+                yield from self._read(encode_number(number, dialect))
+
+    def _takes_checksum_10h(self) -> Generator[Question, Outcome, Checksum10h | None]:
+        """A read whose own checksum is 10h, sent once and, if nobody hears it, twice."""
+        number = number_for_checksum_10h(self.unit)
+        if number == 0 or (number not in _READABLE and number in PARAMETERS):
+            return None
+        if not self.doubles and (yield from self._read(number)) is not None:
+            return "once"
+        self.doubles = True
+        heard = yield from self._read(number)
+        return None if heard is None else "twice"
+
+    # --- conclusions ---------------------------------------------------------------------------
+
+    def _no_unit(self) -> Found | None:
+        heard = [outcome for outcome in self.outcomes if not outcome.silent]
+        if len(heard) < min(2, LOOKS):
+            return None
+        refused = [outcome.reply.code for outcome in heard if isinstance(outcome.reply, Nak)]
+        if refused:
+            refuses = Message.of("found_refuses", error=f"{refused[0]:02X}")
+            return Found(self.unit, self.baud, "foreign", remarks=(refuses,))
+        if all(outcome.strange for outcome in heard):
+            return Found(self.unit, self.baud, "foreign", remarks=(STRANGE,))
+        return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS_OR_ELSE,))
+
+    def _garbled_share(self) -> float:
+        spoilt = sum(outcome.spoilt for outcome in self.outcomes)
+        return (spoilt + self._responses().doubled) / len(self.outcomes)
+
+    def _responses(self) -> Responses:
+        """A unit owes one response to each request: one that comes after its window is late, not doubled."""
+        owed = late = doubled = 0
+        for outcome in self.outcomes:
+            paid = min(owed, outcome.surplus)
+            late, doubled = late + paid, doubled + outcome.surplus - paid
+            owed += (outcome.reply is None and not outcome.spoilt) - paid
+        return Responses(late, doubled)
+
+    def _reply_bytes(self) -> tuple[int, ...]:
+        replies = [outcome.reply for outcome in self.outcomes]
+        return tuple(sorted({reply.width for reply in replies if isinstance(reply, ParameterReply)}))
+
+    def _sends_checksum_10h(self) -> Checksum10h | None:
+        seen = {outcome.checksum_10h for outcome in self.outcomes}
+        return "twice" if "twice" in seen else "once" if "once" in seen else None
+
+    def _estop_healthy(self) -> Literal[0, 1] | None:
+        """A motor that turns at speed, whenever it is looked at, has a healthy e-stop chain."""
+        replies = [outcome.reply for outcome in self.outcomes]
+        statuses = [reply for reply in replies if isinstance(reply, StatusReply)]
+        if not all(_turns_at_speed(status) for status in statuses):
+            return None
+        bits = {status_bits(each.outputs, each.inputs, estop_healthy=0).estop_active for each in statuses}
+        return None if len(bits) > 1 else 1 if True in bits else 0
+
+
+def _turns_at_speed(status: StatusReply) -> bool:
+    bits = status_bits(status.outputs, status.inputs)
+    return bits.run and bits.at_speed and status.actual > 0
+
+
+def encode_number(number: int, dialect: Dialect) -> int:
+    """The PRM byte for ``number``, to be sent in the plain dialect."""
+    return number // 10 * 16 + number % 10 if dialect.parameter_numbers == "bcd" else number
+
+
+def number_for_checksum_10h(unit: int) -> int:
+    """The PRM byte that gives an 85h to ``unit`` the checksum 10h; 0, which cannot be asked, for unit 107."""
+    return (checksum(bytes((unit, ReadParameter.COMMAND))) - DLE) & 0xFF

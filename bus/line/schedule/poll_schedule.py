@@ -1,0 +1,167 @@
+"""What leaves next when no operator is waiting. Pure: time in seconds is passed in.
+
+Order of claims on the wire, the first that may use it wins:
+
+1. the first 81h of every unit, in floor order;
+2. a silent unit whose back-off is over, all of them within a twentieth of the wire;
+3. parameters needed to show a unit right, within a share that is large only while they are missing;
+4. a slow read that someone asked for (a backup, a scan), within a tenth of the wire while watched;
+5. the slow circle of the other parameters, within a hundredth;
+6. the round of 81h, where watched units have more turns than the others.
+
+When nobody takes part in the round, 3 to 5 may use all of it. Operators' writes do not pass through
+here: they come before everything (``bus.line.poller``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from enum import StrEnum
+
+import msgspec
+
+from bus.catalogue.numbers import OWN_ADDRESS
+from bus.catalogue.parameters import NEEDED_TO_JUDGE, NEEDED_TO_SHOW, PARAMETERS
+from bus.line.schedule.parameter_queue import Gaps
+from bus.line.schedule.poll_order import Round
+from bus.line.schedule.probe_backoff import Silence
+from bus.line.schedule.wire_share import Share
+
+NEEDED_SHARE = 0.8
+NEEDED_SHARE_OF_MANY = 0.5
+MANY_UNITS = 12
+"""With more units than this the first seconds are shared evenly, or readings would look stale."""
+SLOW_SHARE_WATCHED = 0.08
+"""With fences and the circle beside it the scan then keeps nine tenths of its rate."""
+SLOW_SHARE_UNWATCHED = 0.95
+CIRCLE_SHARE = 0.01
+BURST_POLLS = 2
+"""Short reads between long polls come to their share by saving up the time of so many polls."""
+
+
+class Kind(StrEnum):
+    """Why a frame leaves."""
+
+    FIRST = "first"
+    POLL = "poll"
+    PROBE = "probe"
+    PARAMETER = "parameter"
+    SLOW = "slow"
+
+
+class Task(msgspec.Struct, frozen=True):
+    """The next use of the wire. ``number``: the parameter, where one is read; SLOW has no unit."""
+
+    kind: Kind
+    unit: int = 0
+    number: int = 0
+    needed: bool = False
+
+
+class Schedule:
+    """The whole claim list of one bus."""
+
+    def __init__(self, units: Iterable[int], poll_s: float, seed: int = 0) -> None:
+        order = tuple(units)
+        self._unseen = list(reversed(order))
+        self.round = Round(order, poll_s)
+        self.silence = Silence(seed)
+        self.gaps = Gaps(tuple(PARAMETERS), (*NEEDED_TO_SHOW, *NEEDED_TO_JUDGE, OWN_ADDRESS))
+        self._needed = Share(NEEDED_SHARE, BURST_POLLS * poll_s)
+        self._slow = Share(SLOW_SHARE_UNWATCHED, BURST_POLLS * poll_s)
+        self._circle = Share(CIRCLE_SHARE)
+        self._poll_s = poll_s
+        self._poll_fraction = 1.0
+
+    # --- what happened -------------------------------------------------------------------------
+
+    def watch(self, units: Collection[int], *, anybody: bool) -> None:
+        """``units`` are on an open page; ``anybody``: some page is open at all."""
+        self.round.watch(units)
+        self._slow.fraction = SLOW_SHARE_WATCHED if anybody else SLOW_SHARE_UNWATCHED
+
+    def answers(self, unit: int, now: float) -> None:
+        """``unit`` answered for the first time, or again after a silence."""
+        self.silence.returned(unit, now)
+        if unit in self.round:
+            return
+        self.round.join(unit)
+        self.gaps.learn_all(unit)
+        self._adapt()
+
+    def fell_silent(self, unit: int, now: float) -> None:
+        """``unit`` missed so often that it is out of the round."""
+        self.round.leave(unit)
+        self.gaps.forget(unit)
+        if unit not in self.silence:
+            self.silence.fell(unit, now)
+        self._adapt()
+
+    def port_opened(self, now: float) -> None:
+        """The port is open again: silent units are worth a question."""
+        self.silence.forgive(now)
+
+    def spent(self, task: Task, began: float, ended: float, *, answered: bool) -> None:
+        """``task`` used the wire between these moments; settles the shares and the averages."""
+        seconds = ended - began
+        match task.kind:
+            case Kind.PROBE if not answered:
+                self.silence.unanswered(task.unit, ended, seconds)
+            case Kind.PARAMETER:
+                (self._needed if task.needed else self._circle).spend(began, seconds)
+            case Kind.SLOW:
+                self._slow.spend(began, seconds)
+            case Kind.POLL if answered:
+                self._poll_s += (seconds - self._poll_s) * 0.05
+        polled = 1.0 if task.kind is Kind.POLL else 0.0
+        weight = min(1.0, seconds / 5.0)
+        self._poll_fraction += (polled - self._poll_fraction) * weight
+
+    # --- what is next --------------------------------------------------------------------------
+
+    def next(self, now: float, *, slow_waits: bool = False) -> Task | None:
+        """The next use of the wire; None: nothing before ``wake_at``."""
+        if self._unseen:
+            return Task(Kind.FIRST, self._unseen.pop())
+        silent = self.silence.due(now)
+        if silent is not None:
+            return Task(Kind.PROBE, silent)
+        task = self._gap(now, slow_waits=slow_waits)
+        if task is not None:
+            return task
+        return self.next_poll() or self._gap(None, slow_waits=slow_waits)
+
+    def next_poll(self) -> Task | None:
+        """The unit whose turn it is, whatever else would be due."""
+        unit = self.round.take()
+        return Task(Kind.POLL, unit) if unit is not None else None
+
+    def wake_at(self) -> float | None:
+        """When something becomes due, after ``next`` had nothing; None: only when something happens."""
+        return self.silence.wake_at()
+
+    def _gap(self, now: float | None, *, slow_waits: bool) -> Task | None:
+        """What may use a gap now; ``now`` None: the wire is free anyhow."""
+        if (now is None or self._needed.ready(now)) and (wanted := self.gaps.next_needed()):
+            return Task(Kind.PARAMETER, *wanted, needed=True)
+        if slow_waits and (now is None or self._slow.ready(now)):
+            return Task(Kind.SLOW)
+        if (now is None or self._circle.ready(now)) and (wanted := self.gaps.next_of_circle()):
+            return Task(Kind.PARAMETER, *wanted)
+        return None
+
+    def _adapt(self) -> None:
+        self.silence.alone = len(self.round) == 0
+        self._needed.fraction = NEEDED_SHARE if len(self.round) <= MANY_UNITS else NEEDED_SHARE_OF_MANY
+
+    # --- what it costs -------------------------------------------------------------------------
+
+    @property
+    def poll_s(self) -> float:
+        """Seconds that one answered poll takes, averaged, the unit's own time included."""
+        return self._poll_s
+
+    def scan_s(self, more_units: int = 0) -> float:
+        """Seconds in which every answering unit is polled once, with ``more_units`` more of them."""
+        units = len(self.round) + more_units
+        return units * self._poll_s / max(self._poll_fraction, 0.05)

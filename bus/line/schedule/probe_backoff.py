@@ -1,0 +1,105 @@
+"""When a silent unit is asked again, so that the dead cost the living next to nothing. Pure."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+
+from bus.line.schedule.wire_share import Share
+
+STEPS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 10.0)
+"""Back-off after each unanswered probe."""
+ALONE_STEP_S = 1.0
+"""The longest back-off while no unit answers at all: then there is nobody to be kept waiting."""
+JITTER = 0.2
+"""A step is shortened by up to this part, so that units lost together do not stay in step."""
+WIRE_SHARE = 0.05
+"""What all silent units together may cost of the wire."""
+WIRE_SHARE_ALONE = 0.5
+"""The same while no unit answers: a line that is switched on again is found at once, however long it may take
+to begin an answer."""
+
+
+@dataclass(slots=True)
+class _Silent:
+    step: int
+    due: float
+
+
+class Silence:
+    """The units that do not answer, and when each is probed next.
+
+    One probe costs one timeout; the timeouts of all are rationed to ``WIRE_SHARE``. An answered probe
+    costs nothing, so a whole line that comes back is found as fast as it answers.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self._units: dict[int, _Silent] = {}
+        self._rations = _rations()
+        self._random = random.Random(seed)
+        self.alone = True
+        """Whether no unit answers; set by the schedule."""
+
+    def __len__(self) -> int:
+        return len(self._units)
+
+    def __contains__(self, unit: int) -> bool:
+        return unit in self._units
+
+    def fell(self, unit: int, now: float) -> None:
+        """``unit`` stopped answering, or did not answer its first question."""
+        self._units[unit] = _Silent(0, now + self._wait(0))
+
+    def unanswered(self, unit: int, now: float, cost_s: float) -> None:
+        """A probe of ``unit`` cost a timeout of ``cost_s`` seconds that ended at ``now``."""
+        self._rations[self.alone].spend(now, cost_s)
+        silent = self._units.get(unit)
+        if silent is not None:
+            silent.step = min(silent.step + 1, len(STEPS_S) - 1)
+            silent.due = now + self._wait(silent.step)
+
+    def returned(self, unit: int, now: float) -> None:
+        """``unit`` answers again; what silenced it may have silenced others, so they are due now."""
+        if self._units.pop(unit, None) is not None:
+            for other in self._units.values():
+                other.due = min(other.due, now)
+
+    def forgive(self, now: float) -> None:
+        """The port was opened anew, or goes at another rate: everybody is worth asking at once, whoever has
+        waited longest first, and the first one whatever was spent before."""
+        self._rations = _rations()
+        for silent in self._units.values():
+            silent.step, silent.due = 0, min(silent.due, now)
+
+    def due(self, now: float) -> int | None:
+        """The unit to probe now, the longest overdue first; None when none is due or the ration is used."""
+        if not self._units or not self._rations[self.alone].ready(now):
+            return None
+        unit = min(self._units, key=lambda each: self._due_of(self._units[each]))
+        return unit if self._due_of(self._units[unit]) <= now else None
+
+    def wake_at(self) -> float | None:
+        """When the next probe may leave; None when nobody is silent."""
+        if not self._units:
+            return None
+        first_due = min(self._due_of(silent) for silent in self._units.values())
+        return max(self._rations[self.alone].ready_at, first_due)
+
+    def back_off_s(self, unit: int) -> float:
+        """The present back-off step of ``unit`` in seconds, 0 when it is not silent."""
+        silent = self._units.get(unit)
+        return STEPS_S[silent.step] if silent is not None else 0.0
+
+    def _wait(self, step: int) -> float:
+        return STEPS_S[step] * (1.0 - JITTER * self._random.random())
+
+    def _due_of(self, silent: _Silent) -> float:
+        if not self.alone:
+            return silent.due
+        late = max(0.0, STEPS_S[silent.step] - ALONE_STEP_S)
+        return silent.due - late
+
+
+def _rations() -> dict[bool, Share]:
+    """By whether no unit answers."""
+    return {False: Share(WIRE_SHARE), True: Share(WIRE_SHARE_ALONE)}

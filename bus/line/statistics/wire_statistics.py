@@ -1,0 +1,94 @@
+"""What became of every byte and every exchange, counted for the bus and for each unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bus.line.exchange.current_exchange import UnderWay
+from bus.line.roster import Roster
+from bus.wire.commands import Nak, ReadStatus
+from bus.wire.exchange import Doubled, Echo, Foreign, Late, Unexpected
+from bus.wire.fence import Doubts
+from bus.wire.framing import Fault, Noise
+
+NoAnswer = Echo | Foreign | Doubled | Late | Unexpected
+
+
+@dataclass(slots=True)
+class WireCounts:
+    """What the whole bus carried since the worker started."""
+
+    busy_s: float = 0.0
+    noise_bytes: int = 0
+    echoes: int = 0
+    broadcasts: int = 0
+    answers: int = 0
+
+
+class Tally:
+    """Counts into ``wire`` and into the statistics of the roster's units."""
+
+    def __init__(self, roster: Roster) -> None:
+        self.wire = WireCounts()
+        self._roster = roster
+        self._last_answer = b""
+
+    def noise(self, noise: Noise, asked: int) -> None:
+        """Bytes that are no frame, while ``asked`` was asked."""
+        self.wire.noise_bytes += len(noise.data)
+        if noise.reason is Fault.CHECKSUM:
+            self._roster[asked].statistics.counts.checksum_errors += 1
+
+    def no_answer(self, event: NoAnswer, asked: int, doubts: Doubts) -> None:
+        """A good frame that is not the answer of ``asked``."""
+        match event:
+            case Echo():
+                self.wire.echoes += 1
+            case Foreign():
+                self._foreign(event, asked, doubts)
+            case Doubled() | Late():
+                self.heard_twice(asked)
+            case Unexpected():
+                self._roster[asked].statistics.counts.foreign += 1
+
+    def heard_twice(self, unit: int) -> None:
+        """An answer of an earlier exchange, or the last one once more."""
+        self._roster[unit].statistics.counts.late += 1
+
+    def ended(self, exchange: UnderWay, now: float, byte_s: float) -> None:
+        """An exchange is over, with its answer or without; a byte takes ``byte_s``."""
+        request, reply = exchange.exchange.request, exchange.exchange.reply
+        self.wire.busy_s += (len(exchange.exchange.sent) + len(exchange.frame)) * byte_s
+        if request.unit == 0:
+            self.wire.broadcasts += 1
+            return
+        statistics = self._roster[request.unit].statistics
+        statistics.counts.polls += isinstance(request, ReadStatus)
+        if reply is None:
+            statistics.counts.timeouts += 1
+            return
+        self._last_answer = exchange.frame
+        statistics.counts.answers += 1
+        self.wire.answers += 1
+        statistics.times.add(_begins(exchange, now, byte_s) - exchange.ends_sending)
+        if isinstance(reply, Nak):
+            statistics.refused(reply.code)
+
+    def _foreign(self, event: Foreign, asked: int, doubts: Doubts) -> None:
+        """Another unit's frame: late where that unit owes one or says its last once more, else a mistake.
+
+        It ends no doubt about that unit, for it may be of a third one that answers to a wrong address.
+        """
+        overdue = bool(doubts.about(event.unit).outstanding)
+        self._roster[event.unit].statistics.overdue += overdue
+        if overdue or event.frame.wire == self._last_answer:
+            self.heard_twice(event.unit)
+        elif asked:
+            self._roster[asked].statistics.counts.foreign += 1
+
+
+def _begins(exchange: UnderWay, now: float, byte_s: float) -> float:
+    """When the answer began: a first byte that was left to gather came earlier than it was heard."""
+    begins = now - len(exchange.frame) * byte_s
+    first = exchange.exchange.first_byte_at
+    return begins if first is None else min(begins, first - byte_s)

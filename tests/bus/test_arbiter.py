@@ -1,0 +1,137 @@
+"""Whose request is next, and what is known of it before the answer under way is there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bus.contract import Result
+from bus.line.commands.command_run import Claim, Errand
+from bus.line.commands.procedure import Ask, Procedure, Wish
+from bus.line.exchange.attempts import Heard
+from bus.line.schedule.arbiter import Turns
+from bus.line.schedule.poll_schedule import Schedule
+from bus.settings import Dialect
+from bus.wire.commands import Ack, ReadStatus, Reply, Request, SetAndExecuteSpeed, StatusReply
+from bus.wire.fence import Doubt
+
+PLAIN = Dialect()
+POLL_S = 0.026
+
+
+class Line:
+    """Turns of a line whose units all answer; time goes on by a poll for each."""
+
+    def __init__(self, units: int) -> None:
+        self.time = 100.0
+        self.schedule = Schedule(range(1, units + 1), POLL_S)
+        self.turns = Turns(self.schedule, lambda unit: Doubt(unit, PLAIN), lambda _request: POLL_S)
+        self.schedule.next(self.time)
+        for _ in range(units - 1):
+            self.schedule.next(self.time)
+        for unit in range(1, units + 1):
+            self.schedule.answers(unit, self.time)
+        while self.schedule.gaps.next_needed():
+            """All that is needed is known."""
+
+    def poll(self) -> Request:
+        """The next request; a poll, when nothing else is due."""
+        self.time += POLL_S
+        request = self.turns.next_request(self.time)
+        while not isinstance(request, ReadStatus):
+            assert request is not None
+            self.settle(request, None)
+            self.time += POLL_S
+            request = self.turns.next_request(self.time)
+        return request
+
+    def settle(self, request: Request, reply: Reply | None) -> bool:
+        """It was answered, or not."""
+        return self.turns.settle(Heard(request, reply, self.time), self.time - POLL_S, self.time)
+
+
+def _answer(request: Request) -> StatusReply:
+    return StatusReply(request.unit, 1, 1, 0, 0, 0)
+
+
+def _write(unit: int) -> Errand:
+    def procedure() -> Procedure:
+        yield Ask(SetAndExecuteSpeed(unit, 500))
+        return Result(id="", at=0.0, outcome="acknowledged")
+
+    return Errand("c1", Claim.WRITE, frozenset({unit}), 200.0, Wish(PLAIN), procedure, lambda _note: None)
+
+
+def _foreseen(line: Line, times: int) -> Iterator[tuple[Request, Request]]:
+    request = line.poll()
+    for _ in range(times):
+        following = line.turns.foresee(request, line.time)
+        if following is None:
+            line.settle(request, _answer(request))
+            request = line.poll()
+            continue
+        line.time += POLL_S
+        line.settle(request, _answer(request))
+        assert line.turns.followed(line.time) == following
+        yield request, following
+        request = following if isinstance(following, ReadStatus) else line.poll()
+
+
+def test_what_was_foreseen_has_its_turn_and_every_unit_keeps_its_own() -> None:
+    line = Line(4)
+    pairs = list(_foreseen(line, 200))
+    assert len(pairs) > 150
+    polled = [following.unit for _, following in pairs if isinstance(following, ReadStatus)]
+    counts = [polled.count(unit) for unit in range(1, 5)]
+    assert max(counts) - min(counts) <= 4
+
+
+def test_an_errand_goes_first_and_what_was_foreseen_after_it() -> None:
+    line = Line(3)
+    request = line.poll()
+    following = line.turns.foresee(request, line.time)
+    assert following is not None
+    line.turns.errands.add(_write(request.unit))
+    line.settle(request, _answer(request))
+    line.time += POLL_S
+    assert line.turns.next_request(line.time) == SetAndExecuteSpeed(request.unit, 500)
+    assert line.turns.foresee(SetAndExecuteSpeed(request.unit, 500), line.time) is None
+    line.turns.errands.cancel("c1")
+    line.turns.owner = None
+    for errand in line.turns.errands:
+        errand.end(Result(id="c1", at=0.0, outcome="not_sent"))
+    line.turns.errands.take_finished()
+    assert line.turns.next_request(line.time + POLL_S) == following
+
+
+def test_a_poll_without_an_answer_is_tried_again_before_what_was_foreseen() -> None:
+    line = Line(3)
+    request = line.poll()
+    following = line.turns.foresee(request, line.time)
+    assert following is not None
+    assert line.settle(request, None), "it is tried again"
+    line.time += POLL_S
+    assert line.turns.next_request(line.time) == request
+    line.settle(request, _answer(request))
+    line.time += POLL_S
+    assert line.turns.next_request(line.time) == following
+
+
+def test_a_write_without_an_answer_is_tried_again_too() -> None:
+    line = Line(2)
+    polled = line.poll()
+    line.turns.errands.add(_write(2))
+    line.settle(polled, _answer(polled))
+    write = SetAndExecuteSpeed(2, 500)
+    assert line.turns.next_request(line.time) == write
+    assert line.settle(write, None), "it is tried again"
+    assert line.turns.next_request(line.time) == write
+    assert not line.settle(write, Ack(2)), "it was answered"
+
+
+def test_of_a_line_with_one_unit_nothing_is_foreseen() -> None:
+    """What the unit answers twice must not be taken for the next answer, so the answer is pondered first."""
+    line = Line(1)
+    for _ in range(20):
+        request = line.poll()
+        assert line.turns.foresee(request, line.time) is None
+        line.settle(request, _answer(request))

@@ -1,0 +1,280 @@
+"""Ports: pseudo-terminals and TCP, opened, used, lost; and what is said when one cannot be opened."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import inspect
+import os
+import pty
+import socket
+import sys
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import serial
+import uvloop
+
+from bus.errors import WireError
+from bus.line.port import tcp
+from bus.line.port.device_users import holders_of
+from bus.line.port.open_error import why_not
+from bus.line.port.open_port import open_port
+from bus.line.port.port import OpenPort, PartlySent, PortUnavailable
+from bus.messages import Message
+from bus.settings import Dialect
+from bus.simulator.demo import demo_line
+from bus.simulator.line import SimulatedLine
+from bus.simulator.ports import Port, PtyPort, TcpPort
+from bus.simulator.serve import LineServer
+from bus.wire.bodies import encode_request
+from bus.wire.commands import ReadStatus
+
+PATIENCE_S = 20.0
+POLL = encode_request(ReadStatus(1), Dialect())
+
+
+class Ear:
+    """Hears a port."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.lost: list[Message] = []
+        self._news = asyncio.Event()
+
+    def data_received(self, data: bytes) -> None:
+        self.data += data
+        self._news.set()
+
+    def connection_lost(self, cause: Message) -> None:
+        self.lost.append(cause)
+        self._news.set()
+
+    async def until(self, count: int = 0, *, lost: bool = False) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            while len(self.data) < count or (lost and not self.lost):
+                self._news.clear()
+                await self._news.wait()
+
+
+def on_both_loops(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
+    """Run an async test on asyncio's loop and on uvloop, which the worker uses."""
+
+    def played(loop: Callable[[], asyncio.AbstractEventLoop], **fixtures: Any) -> None:
+        with asyncio.Runner(loop_factory=loop) as runner:
+            runner.run(test(**fixtures))
+
+    parameters = [inspect.Parameter("loop", inspect.Parameter.POSITIONAL_OR_KEYWORD)]
+    parameters += inspect.signature(test).parameters.values()
+    played.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    loops = [asyncio.new_event_loop, uvloop.new_event_loop]
+    return pytest.mark.parametrize("loop", loops, ids=["asyncio", "uvloop"])(played)
+
+
+@pytest.fixture(params=["pty", "tcp"])
+def line(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[LineServer]:
+    port: Port = PtyPort(tmp_path / "by-id") if request.param == "pty" else TcpPort()
+    with LineServer(SimulatedLine(demo_line(2, script=False).plant, speedup=20), port) as server:
+        yield server
+
+
+@contextmanager
+def terminal() -> Iterator[str]:
+    """The name of a pseudo-terminal at whose other end nobody reads."""
+    master, slave = pty.openpty()
+    try:
+        yield os.ttyname(slave)
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+@on_both_loops
+async def test_bytes_go_and_come(line: LineServer) -> None:
+    ear = Ear()
+    port = await open_port(line.port.name, 9600, ear)
+    for count in (18, 36):
+        port.write(POLL)
+        await ear.until(count)
+    port.check()
+    port.drop_output()
+    port.close()
+    await asyncio.sleep(0)
+    assert not ear.lost, "who closes a port is not told that it was lost"
+
+
+@on_both_loops
+async def test_a_pulled_port_is_told_once_and_found_again(line: LineServer) -> None:
+    ear = Ear()
+    port = await open_port(line.port.name, 9600, ear)
+    port.write(POLL)
+    await ear.until(18)
+    line.unplug()
+    async with asyncio.timeout(PATIENCE_S):
+        while not ear.lost:
+            try:
+                port.check()
+                port.write(POLL)
+            except WireError as error:
+                ear.connection_lost(error.message)
+            await asyncio.sleep(0.05)
+    assert line.port.name in str(ear.lost[0])
+    port.close()
+    with pytest.raises(PortUnavailable) as absent:
+        await open_port(line.port.name, 9600, Ear())
+    assert line.port.name in str(absent.value)
+    line.plug()
+    again = Ear()
+    port = await open_port(line.port.name, 9600, again)
+    port.write(POLL)
+    await again.until(18)
+    port.close()
+    await asyncio.sleep(0.01)
+
+
+@on_both_loops
+async def test_closing_never_waits_for_bytes_nobody_takes() -> None:
+    with terminal() as name:
+        port = await open_port(name, 300, Ear())
+        with pytest.raises(WireError, match=r"handshake|took"):
+            _fill(port)
+        began = asyncio.get_running_loop().time()
+        port.close()
+        await asyncio.sleep(0.01)
+        assert asyncio.get_running_loop().time() - began < 1.0
+
+
+@on_both_loops
+async def test_what_comes_while_nobody_listens_gathers_and_a_lost_port_is_noticed_all_the_same() -> None:
+    master, slave = pty.openpty()
+    ear = Ear()
+    port = await open_port(os.ttyname(slave), 9600, ear)
+    port.listen(now=False)
+    for byte in (b"a", b"b", b"c"):
+        os.write(master, byte)
+        await asyncio.sleep(0.01)
+    assert not ear.data
+    port.listen(now=True)
+    await ear.until(3)
+    assert ear.data == b"abc"
+    port.listen(now=False)
+    os.close(slave)
+    os.close(master)
+    await ear.until(3, lost=True)
+    assert ear.data == b"abc"
+    port.listen(now=True)
+    port.close()
+
+
+@on_both_loops
+async def test_a_port_that_takes_half_a_request_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    with terminal() as name:
+        port = await open_port(name, 9600, Ear())
+        monkeypatch.setattr(os, "write", lambda _fd, data: len(data) // 2)
+        with pytest.raises(PartlySent, match="3 of 7"):
+            port.write(POLL)
+        monkeypatch.undo()
+        port.close()
+        await asyncio.sleep(0.01)
+
+
+@on_both_loops
+async def test_another_baud_rate_without_opening_anew() -> None:
+    with terminal() as name:
+        port = await open_port(name, 9600, Ear())
+        port.retune(4800)
+        with serial.Serial(name) as other:
+            assert other.is_open
+        port.close()
+        await asyncio.sleep(0.01)
+
+
+@on_both_loops
+async def test_a_taken_port_is_named_with_its_holder() -> None:
+    with terminal() as name:
+        holder = await asyncio.create_subprocess_exec(
+            *(
+                sys.executable,
+                "-c",
+                f"import serial\nheld = serial.Serial({name!r}, exclusive=True)\ninput('held')",
+            ),
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+        )
+        try:
+            assert holder.stdout is not None
+            await holder.stdout.readexactly(4)
+            assert [pid for pid, _ in holders_of(name) if pid == holder.pid]
+            with pytest.raises(PortUnavailable, match=rf"in use by .*\(process {holder.pid}\)"):
+                await open_port(name, 9600, Ear())
+        finally:
+            holder.kill()
+            await holder.communicate()
+
+
+@pytest.mark.parametrize(
+    ("port", "words"),
+    [
+        ("/dev/ttyNOSUCH0", "is not there: is the adapter plugged in?"),
+        ("/dev/null", "is not a serial port"),
+        ("socket://127.0.0.1:1", "refuses the connection"),
+        ("socket://127.0.0.1", "needs a host and a port number"),
+        ("rfc2217://127.0.0.1:1", "lineside[rfc2217]"),
+    ],
+)
+@on_both_loops
+async def test_why_a_port_cannot_be_opened(port: str, words: str) -> None:
+    if port.startswith("rfc2217") and _has_serialx():
+        pytest.skip("the extra is installed here")
+    with pytest.raises(PortUnavailable) as told:
+        await open_port(port, 9600, Ear())
+    assert words in str(told.value)
+    assert port in str(told.value)
+
+
+def test_a_missing_right_is_said_with_the_group_that_has_it() -> None:
+    denied = serial.SerialException(errno.EACCES, "could not open port")
+    assert "usermod -aG root" in str(why_not("/dev/null", denied))
+
+
+@on_both_loops
+async def test_a_server_that_never_answers_does_not_stop_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tcp, "CONNECT_TIMEOUT_S", 0.2)
+    full = socket.socket()
+    full.bind(("127.0.0.1", 0))
+    full.listen(0)
+    waiting = [socket.socket() for _ in range(4)]
+    try:
+        for each in waiting:
+            each.setblocking(False)
+            each.connect_ex(full.getsockname())
+        with pytest.raises(PortUnavailable, match=r"does not respond|refuses"):
+            await open_port(f"socket://127.0.0.1:{full.getsockname()[1]}", 9600, Ear())
+    finally:
+        for each in (*waiting, full):
+            each.close()
+
+
+@on_both_loops
+async def test_a_device_servers_rate_is_not_ours_to_set() -> None:
+    with LineServer(SimulatedLine(demo_line(1, script=False).plant, speedup=20), TcpPort()) as line:
+        port = await open_port(line.port.name, 9600, Ear())
+        with pytest.raises(WireError, match="device server"):
+            port.retune(4800)
+        port.close()
+
+
+def _fill(port: OpenPort) -> None:
+    for _ in range(20_000):
+        port.write(bytes(100))
+
+
+def _has_serialx() -> bool:
+    try:
+        import serialx  # noqa: F401
+    except ImportError:
+        return False
+    return True

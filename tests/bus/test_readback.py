@@ -1,0 +1,327 @@
+"""Procedures played with made-up answers: when a write is verified, and what is said when it is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from bus.contract import Reading, Result
+from bus.line.commands import writes
+from bus.line.commands.procedure import Answer, Ask, Fate, Procedure, Wait, Wish
+from bus.line.exchange.attempts import Asking, Heard
+from bus.line.roster import Roster, UnitRecord
+from bus.settings import Dialect
+from bus.wire.commands import (
+    Ack,
+    Nak,
+    ParameterReply,
+    ReadParameter,
+    ReadStatus,
+    Reply,
+    Request,
+    SetAndExecuteSpeed,
+    StatusReply,
+)
+from bus.wire.fence import Doubt
+
+REMOTE = 0x40
+MASTER, FOLLOWER, PRESET = 0x03, 0x43, 0x07
+PLAIN = Dialect()
+TAKEN = Ack(1)
+
+Brain = Callable[[Request], Reply | Fate]
+
+
+def play(procedure: Procedure, brain: Brain) -> tuple[Result, list[Request]]:
+    """Run it against ``brain``; the result and what was asked."""
+    asked: list[Request] = []
+    answer: Answer | None = None
+    try:
+        while True:
+            step = procedure.send(answer)
+            answer = None
+            if isinstance(step, Ask):
+                asked.append(step.request)
+                answer = answer_of(brain(step.request), float(len(asked)))
+    except StopIteration as end:
+        return end.value, asked
+
+
+def answer_of(said: Reply | Fate, at: float) -> Answer:
+    if isinstance(said, Fate):
+        return Answer(said, attempts=0 if said in (Fate.TOO_LATE, Fate.CLOSED) else 1, sent_at=at)
+    return Answer(Fate.ANSWERED, said, attempts=1, sent_at=at, answered_at=at + 0.5)
+
+
+def status(commanded: int, inputs: int = MASTER, outputs: int = REMOTE) -> StatusReply:
+    return StatusReply(1, commanded, commanded, 0, outputs, inputs)
+
+
+@pytest.fixture
+def record() -> UnitRecord:
+    roster = Roster([1], 0.0)
+    roster.heard(ReadParameter(1, 8), ParameterReply(1, 0), 0.0, b"")
+    roster[1].reading = Reading(1, 0.0, 100, 100, 0, REMOTE, MASTER)
+    return roster[1]
+
+
+def follower(record: UnitRecord) -> UnitRecord:
+    Roster.heard(_of(record), ReadParameter(1, 8), ParameterReply(1, 1), 0.0, b"")
+    return record
+
+
+def _of(record: UnitRecord) -> Roster:
+    roster = Roster([1], 0.0)
+    roster._records[1] = record
+    return roster
+
+
+def set_speed(record: UnitRecord, dialect: Dialect = PLAIN) -> Procedure:
+    return writes.set_and_execute(record, 640, Wish(dialect))
+
+
+def brain_of(
+    *, write: Reply | Fate = TAKEN, reads: list[Reply | Fate], ratio: Reply | Fate = Fate.SILENT
+) -> Brain:
+    left = list(reads)
+
+    def brain(request: Request) -> Reply | Fate:
+        if isinstance(request, ReadStatus):
+            return left.pop(0) if len(left) > 1 else left[0]
+        return ratio if isinstance(request, ReadParameter) else write
+
+    return brain
+
+
+def test_verified_only_by_a_later_exchange_that_shows_it(record: UnitRecord) -> None:
+    result, asked = play(set_speed(record), brain_of(reads=[status(640)]))
+    assert asked == [SetAndExecuteSpeed(1, 640), ReadStatus(1)]
+    assert (result.outcome, result.read_back) == ("verified", 640)
+    unit = result.units[0]
+    assert (unit.sent_at, unit.acknowledged_at, unit.proven_at) == (1.0, 1.5, 2.5)
+
+
+def test_a_refusal_is_not_read_back(record: UnitRecord) -> None:
+    result, asked = play(set_speed(record), brain_of(write=Nak(1, 0x80), reads=[status(640)]))
+    assert len(asked) == 1
+    assert (result.outcome, result.unit_error) == ("refused", 0x80)
+
+
+def test_a_lost_acknowledgement_is_made_good_by_the_read_back(record: UnitRecord) -> None:
+    result, _ = play(set_speed(record), brain_of(write=Fate.SILENT, reads=[status(640)]))
+    assert result.outcome == "verified"
+    assert "not acknowledged" in str(result.message)
+
+
+def test_a_unit_that_takes_a_moment_is_looked_at_again(record: UnitRecord) -> None:
+    result, asked = play(set_speed(record), brain_of(reads=[status(100), status(100), status(640)]))
+    assert result.outcome == "verified"
+    assert asked.count(ReadStatus(1)) == 3
+
+
+def test_it_waits_between_its_looks_so_that_others_may_go(record: UnitRecord) -> None:
+    procedure = set_speed(record)
+    steps, answer = [], None
+    for said in (None, TAKEN, None, None, status(100)):
+        answer = answer_of(said, 1.0) if said is not None else None
+        steps.append(procedure.send(answer))
+    assert isinstance(steps[-1], Wait)
+
+
+def test_a_read_back_that_differs_is_unverified_with_what_was_read(record: UnitRecord) -> None:
+    result, asked = play(set_speed(record), brain_of(reads=[status(100)]))
+    assert (result.outcome, result.read_back) == ("unverified", 100)
+    assert "reads 100" in str(result.message)
+    assert len(asked) == 4, "and the looking ends"
+
+
+def test_what_stands_above_the_setpoint_is_named(record: UnitRecord) -> None:
+    result, _ = play(set_speed(record), brain_of(reads=[status(200, PRESET)]))
+    assert "(active: preset)" in str(result.message)
+
+
+def test_no_read_back_is_unverified(record: UnitRecord) -> None:
+    result, _ = play(set_speed(record), brain_of(reads=[Fate.SILENT]))
+    assert (result.outcome, result.read_back) == ("unverified", None)
+    assert str(result.message).endswith("it did not respond to the read-back: its state is not known")
+
+
+def test_nothing_sent_is_never_more_than_not_sent(record: UnitRecord) -> None:
+    for fate, outcome in ((Fate.TOO_LATE, "not_sent"), (Fate.CLOSED, "bus_closed")):
+        result, asked = play(set_speed(record), brain_of(write=fate, reads=[status(640)]))
+        assert result.outcome == outcome
+        assert len(asked) == 1, "a read-back by chance would prove nothing"
+
+
+# --- followers -----------------------------------------------------------------------------------
+
+
+def test_a_follower_is_proven_by_its_ratio(record: UnitRecord) -> None:
+    brain = brain_of(reads=[status(1200, FOLLOWER)], ratio=ParameterReply(1, 640))
+    result, asked = play(set_speed(follower(record)), brain)
+    assert result.outcome == "verified"
+    assert asked[-1] == ReadParameter(1, 37)
+
+
+def test_a_followers_speed_that_happens_to_be_the_number_is_no_proof(record: UnitRecord) -> None:
+    follower(record).reading = Reading(1, 0.0, 640, 640, 0, REMOTE, FOLLOWER)
+    brain = brain_of(reads=[status(640, FOLLOWER)], ratio=ParameterReply(1, 10000))
+    result, _ = play(set_speed(record), brain)
+    assert (result.outcome, result.read_back) == ("unverified", 10000)
+
+
+def test_a_followers_speed_that_became_the_number_is_proof_where_it_has_no_ratio(record: UnitRecord) -> None:
+    brain = brain_of(reads=[status(640, FOLLOWER)], ratio=Nak(1, 0x82))
+    assert play(set_speed(follower(record)), brain)[0].outcome == "verified"
+
+
+def test_where_a_followers_cs_is_the_ratio_it_is_compared(record: UnitRecord) -> None:
+    dialect = Dialect(follower_speed="ratio")
+    result, asked = play(set_speed(follower(record), dialect), brain_of(reads=[status(640, FOLLOWER)]))
+    assert result.outcome == "verified"
+    assert len(asked) == 2
+
+
+def test_a_mode_changed_at_the_panel_is_noticed(record: UnitRecord) -> None:
+    def brain(request: Request) -> Reply | Fate:
+        match request:
+            case ReadStatus():
+                return status(640, FOLLOWER)
+            case ReadParameter(number=8):
+                return ParameterReply(1, 1)
+            case ReadParameter(number=37):
+                return ParameterReply(1, 9999)
+            case _:
+                return TAKEN
+
+    record.reading = Reading(1, 0.0, 640, 640, 0, REMOTE, FOLLOWER)
+    assert play(set_speed(record), brain)[0].outcome == "unverified"
+
+
+# --- the other writes ----------------------------------------------------------------------------
+
+
+def test_a_staged_speed_is_acknowledged_at_best(record: UnitRecord) -> None:
+    result, asked = play(writes.stage(record, 640), brain_of(reads=[]))
+    assert (result.outcome, len(asked)) == ("acknowledged", 1)
+
+
+def test_execute_is_verified_only_where_it_is_known_what_was_staged(record: UnitRecord) -> None:
+    result, asked = play(writes.execute(record, Wish(PLAIN)), brain_of(reads=[status(640)]))
+    assert (result.outcome, len(asked)) == ("acknowledged", 1)
+    record.staged = 640
+    result, _ = play(writes.execute(record, Wish(PLAIN)), brain_of(reads=[status(640)]))
+    assert (result.outcome, result.read_back) == ("verified", 640)
+    result, _ = play(writes.execute(record, Wish(PLAIN)), brain_of(reads=[status(630)]))
+    assert result.outcome == "unverified"
+
+
+@pytest.mark.parametrize(("bits", "outcome"), [(0x44, "verified"), (0x40, "unverified"), (0x04, "verified")])
+def test_an_output_is_proven_by_its_bit(bits: int, outcome: str) -> None:
+    brain = brain_of(reads=[status(0, outputs=bits)])
+    assert play(writes.write_output(1, 3, True), brain)[0].outcome == outcome
+
+
+def test_a_parameter_is_proven_by_its_value() -> None:
+    brain = brain_of(reads=[], ratio=ParameterReply(1, 77))
+    assert play(writes.write_parameter(1, 6, 77), brain)[0].outcome == "verified"
+    result, asked = play(writes.write_parameter(1, 6, 78), brain)
+    assert (result.outcome, result.read_back) == ("unverified", 77)
+    assert len(asked) == 4
+
+
+def test_an_analog_output_is_acknowledged_at_best() -> None:
+    result, _ = play(writes.write_analog_output(1, 77), brain_of(reads=[]))
+    assert result.outcome == "acknowledged"
+
+
+# --- one question through its tries --------------------------------------------------------------
+
+
+def miss(request: Request) -> Heard:
+    return Heard(request, None, 1.0)
+
+
+def ask_until_over(asking: Asking, answers: Callable[[Request], bool], now: float = 0.0) -> list[Request]:
+    """Play it; ``answers`` says whether a request is answered. Every timeout leaves its doubt."""
+    doubt, sent = Doubt(1, PLAIN), []
+    while (request := asking.next_request(now, doubt)) is not None:
+        sent.append(request)
+        doubt = doubt.sent(request)
+        if answers(request):
+            asking.settle(Heard(request, status(1) if request == ReadStatus(1) else Ack(1), 1.0, 1.5))
+            doubt = Doubt(1, PLAIN)
+        else:
+            asking.settle(miss(request))
+    return sent
+
+
+def test_a_read_is_tried_three_times() -> None:
+    asking = Asking(Ask(ReadStatus(1)))
+    assert ask_until_over(asking, lambda _: False) == [ReadStatus(1)] * 3
+    assert asking.answer is not None
+    assert (asking.answer.fate, asking.answer.attempts) == (Fate.SILENT, 3)
+
+
+def test_a_write_is_tried_four_times_with_a_fence_before_each_try() -> None:
+    write = SetAndExecuteSpeed(1, 640)
+    asking = Asking(Ask(write))
+    sent = ask_until_over(asking, lambda request: request != write)
+    assert sent == [write, ReadStatus(1)] * 3 + [write]
+    assert asking.answer is not None
+    assert asking.answer.attempts == 4
+
+
+def test_a_dead_unit_gets_the_write_once_and_then_only_reads() -> None:
+    write = SetAndExecuteSpeed(1, 640)
+    asking = Asking(Ask(write))
+    sent = ask_until_over(asking, lambda _: False)
+    assert sent.count(write) == 1
+    assert len(sent) == 4
+
+
+def test_a_write_never_leaves_after_its_deadline() -> None:
+    asking = Asking(Ask(SetAndExecuteSpeed(1, 640)), deadline=5.0)
+    assert asking.next_request(5.1, Doubt(1, PLAIN)) is None
+    assert asking.answer is not None
+    assert (asking.answer.fate, asking.answer.attempts) == (Fate.TOO_LATE, 0)
+
+
+def test_its_retries_do_not_either() -> None:
+    write = SetAndExecuteSpeed(1, 640)
+    asking = Asking(Ask(write), deadline=5.0)
+    assert asking.next_request(4.9, Doubt(1, PLAIN)) == write
+    asking.settle(miss(write))
+    assert asking.next_request(5.1, Doubt(1, PLAIN)) is None
+    assert asking.answer is not None
+    assert (asking.answer.fate, asking.answer.attempts) == (Fate.TOO_LATE, 1)
+
+
+def test_a_read_back_may_follow_the_deadline() -> None:
+    asking = Asking(Ask(ReadStatus(1), proves=True), deadline=5.0)
+    assert asking.next_request(9.0, Doubt(1, PLAIN)) == ReadStatus(1)
+
+
+def test_a_proof_is_fenced_from_an_older_answer_of_its_own_kind() -> None:
+    doubt = Doubt(1, PLAIN).sent(ReadStatus(1))
+    fence = Asking(Ask(ReadStatus(1), proves=True)).next_request(0.0, doubt)
+    assert isinstance(fence, ReadParameter)
+
+
+def test_a_later_poll_is_fenced_too_and_its_retry_is_not() -> None:
+    doubt = Doubt(1, PLAIN).sent(ReadStatus(1))
+    asking = Asking(Ask(ReadStatus(1)))
+    fence = asking.next_request(0.0, doubt)
+    assert isinstance(fence, ReadParameter)
+    assert not asking.settle(Heard(fence, Ack(1), 1.0, 1.5)), "a fence that was answered is no retry"
+    assert asking.next_request(0.0, Doubt(1, PLAIN)) == ReadStatus(1)
+    assert asking.settle(miss(ReadStatus(1))), "now it is tried again"
+    assert asking.next_request(0.0, doubt) == ReadStatus(1)
+
+
+def test_a_closed_port_ends_it() -> None:
+    asking = Asking(Ask(ReadStatus(1)))
+    asking.close()
+    assert asking.answer is not None
+    assert asking.answer.fate is Fate.CLOSED

@@ -1,0 +1,234 @@
+"""What ends soon after it begins is tried and told ever more seldom; what worked is tried again at once."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from types import SimpleNamespace
+
+import pytest
+from structlog.testing import capture_logs
+
+from bus.contract.clock_offset import ClockOffset
+from bus.errors import WireError
+from bus.line.opener import Opener
+from bus.line.port.port import EndedWhileOpening, OpenPort, Receiver
+from bus.messages import Message
+from bus.reconnect_delay import (
+    JITTER,
+    LONGEST_PAUSE_S,
+    LONGEST_USEFUL_PAUSE_S,
+    STABLE_S,
+    Backoff,
+)
+from bus.worker.outbox import Outbox
+from bus.worker.uplink import REFUSED_PAUSE_S, Refused, Uplink
+from tests.bus.test_uplink import Desk
+from tests.bus.virtual_line import run_virtually
+
+DAY_S = 86_400.0
+CAUSES = ("connection_refused", "connection_closed")
+
+
+def middle() -> float:
+    """No jitter."""
+    return 0.5
+
+
+def test_the_pause_doubles_up_to_its_longest() -> None:
+    backoff = Backoff(middle)
+    assert [backoff.ended(0.0) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
+
+
+def test_what_is_of_use_in_between_is_tried_again_soon() -> None:
+    backoff = Backoff(middle)
+    assert [backoff.ended(1.0, useful=True) for _ in range(4)] == [0.5] * 4
+
+
+def test_what_lasted_has_worked() -> None:
+    backoff = Backoff(middle)
+    for _ in range(9):
+        backoff.ended(0.0)
+    assert backoff.ended(STABLE_S) == 0.0
+    assert backoff.ended(0.0) == 0.5
+
+
+@pytest.mark.parametrize("random", [0.0, 1.0])
+def test_many_do_not_come_back_together(random: float) -> None:
+    backoff = Backoff(lambda: random)
+    assert backoff.ended(0.0) == pytest.approx(0.5 * (1 - JITTER + 2 * JITTER * random))
+
+
+def test_a_million_ends_are_worth_two_dozen_lines() -> None:
+    backoff = Backoff(middle)
+    lines = 0
+    for _ in range(1_000_000):
+        backoff.ended(0.0)
+        lines += backoff.is_worth_a_line
+    assert lines < 25
+
+
+# --- the port ------------------------------------------------------------------------------------
+
+
+class Port:
+    """Open until it is dropped."""
+
+    def check(self) -> None:
+        """It is always there."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+class Poller:
+    """What the opener needs of it. Each opening lasts as ``lasts`` says and brings ``answers``."""
+
+    def __init__(
+        self,
+        lasts: Callable[[int], float | None],
+        answers: int = 0,
+        failure: Callable[[int], WireError] = lambda _: WireError(Message("port_missing")),
+    ) -> None:
+        self.lasts = lasts
+        self.failure = failure
+        self.answers = answers
+        self.clock = SimpleNamespace(now=lambda: asyncio.get_running_loop().time())
+        self.bus = SimpleNamespace(port="socket://box:4001")
+        self.baud = 9600
+        self.link = SimpleNamespace(counts=SimpleNamespace(answers=0))
+        self.lost: Callable[[Message], None] = print
+        self.opened: list[float] = []
+        self.tried = 0
+
+    async def open(self, _port: str, _baud: int, receiver: Receiver) -> OpenPort:
+        self.tried += 1
+        lasts = self.lasts(self.tried)
+        if lasts is None:
+            raise self.failure(self.tried)
+        loop = asyncio.get_running_loop()
+        self.opened.append(loop.time())
+        loop.call_later(lasts, receiver.connection_lost, Message("connection_closed"))
+        return Port()  # type: ignore[return-value]
+
+    def port_opened(self, _port: OpenPort) -> None:
+        self.link.counts.answers += self.answers
+
+    def port_lost(self, cause: Message) -> None:
+        self.lost(cause)
+
+    def still_closed(self, _cause: Message) -> None:
+        """It is known."""
+
+
+def play(poller: Poller, for_s: float) -> list[str]:
+    """Keep the port open for so long, in no time; the log."""
+
+    async def scene() -> None:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(for_s):
+                await Opener(poller, poller.open).run()  # type: ignore[arg-type]
+
+    with capture_logs() as logs:
+        run_virtually(scene())
+    return [entry["event"] for entry in logs]
+
+
+def test_a_server_that_accepts_and_closes_is_left_in_peace_for_a_day() -> None:
+    """It was opened every half second, with two lines each: 57 MB of log a day."""
+    poller = Poller(lambda _: 0.001)
+    lines = play(poller, DAY_S)
+    assert DAY_S / (LONGEST_PAUSE_S * (1 + JITTER)) < len(poller.opened) < DAY_S / LONGEST_PAUSE_S * 1.4
+    assert len(lines) < 40
+
+
+@pytest.mark.parametrize("worked_s", [STABLE_S, 3600.0])
+def test_a_cable_that_is_pulled_and_put_back_is_found_within_a_second(worked_s: float) -> None:
+    poller = Poller(lambda tried: None if 1 < tried < 20 else worked_s)
+    play(poller, worked_s + 30.0)
+    ended, again = poller.opened[0] + worked_s, poller.opened[1]
+    assert 18 * 0.5 <= again - ended <= 19 * 0.5 + 0.6, "absent, it is looked for twice a second"
+
+
+def test_a_bad_contact_is_never_waited_for_longer_than_a_second() -> None:
+    poller = Poller(lambda _: 4.0, answers=1)
+    play(poller, 600.0)
+    gaps = [later - earlier - 4.0 for earlier, later in zip(poller.opened, poller.opened[1:], strict=False)]
+    assert max(gaps) <= LONGEST_USEFUL_PAUSE_S * (1 + JITTER) + 0.001 < 1.0
+
+
+def test_one_that_is_absent_is_one_line() -> None:
+    assert play(Poller(lambda _: None), DAY_S / 24) == ["port closed; retrying"]
+
+
+def test_a_server_that_accepts_and_ends_its_negotiation_is_left_in_peace_too() -> None:
+    """With RFC 2217 a port opens only after that; it was opened every half second."""
+    poller = Poller(lambda _: None, failure=lambda n: EndedWhileOpening(Message(CAUSES[n % 2])))
+    lines = play(poller, DAY_S)
+    assert DAY_S / (LONGEST_PAUSE_S * (1 + JITTER)) < poller.tried < DAY_S / LONGEST_PAUSE_S * 1.4
+    assert len(lines) < 40
+
+
+def test_causes_that_take_turns_are_few_lines() -> None:
+    poller = Poller(lambda _: None, failure=lambda n: WireError(Message(CAUSES[n % 2])))
+    assert len(play(poller, DAY_S / 24)) < 20
+    assert poller.tried > DAY_S / 24
+
+
+def test_the_opening_that_lasts_at_last_is_a_line() -> None:
+    poller = Poller(lambda tried: 0.001 if tried <= 5 else 1e9)
+    assert play(poller, 600.0)[-1] == "port open"
+
+
+# --- the app -------------------------------------------------------------------------------------
+
+
+class Flapping(Uplink):
+    """An app that accepts and then does as it is told."""
+
+    def __init__(self, end: Callable[[], Exception], lasts_s: float) -> None:
+        super().__init__("http://app", "t", Outbox(), Desk(), ClockOffset(), lambda: 0.0)
+        self.accepted: list[float] = []
+        self._end, self._lasts_s = end, lasts_s
+
+    async def _be_connected(self) -> None:
+        loop = asyncio.get_running_loop()
+        self._accepted_at = loop.time()
+        self.accepted.append(loop.time())
+        if self._lasts_s >= 0:
+            self._linked()
+        await asyncio.sleep(abs(self._lasts_s))
+        raise self._end()
+
+
+def play_uplink(uplink: Flapping, for_s: float) -> list[str]:
+    async def scene() -> None:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(for_s):
+                await uplink.run()
+
+    with capture_logs() as logs:
+        run_virtually(scene())
+    return [entry["event"] for entry in logs]
+
+
+@pytest.mark.parametrize("lasts_s", [0.01, -0.01], ids=["after its welcome", "before it"])
+def test_an_app_that_accepts_and_closes_is_left_in_peace_too(lasts_s: float) -> None:
+    uplink = Flapping(lambda: ConnectionError("closed"), lasts_s)
+    lines = play_uplink(uplink, DAY_S)
+    assert len(uplink.accepted) < DAY_S / LONGEST_PAUSE_S * 1.7
+    assert len(lines) < 40
+
+
+def test_an_app_that_ran_well_is_looked_for_at_once() -> None:
+    uplink = Flapping(lambda: ConnectionError("closed"), 3600.0)
+    play_uplink(uplink, 7300.0)
+    assert uplink.accepted[1] - uplink.accepted[0] < 3600.2
+
+
+def test_a_refusal_is_asked_about_again_without_backoff() -> None:
+    uplink = Flapping(lambda: Refused("no"), -0.01)
+    lines = play_uplink(uplink, 600.0)
+    assert len(uplink.accepted) > 600 / (REFUSED_PAUSE_S * (1 + JITTER)) - 1
+    assert len(lines) == 1
