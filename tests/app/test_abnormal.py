@@ -10,6 +10,7 @@ from app.live.onset import Onset
 from app.live.suspicion import suspicion
 from app.live.view import unit_json
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
+from bus.messages import term
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, voice
 
 NOW = 100.0
@@ -89,9 +90,9 @@ def test_a_bus_says_worker_or_port_and_since_when() -> None:
     live = line()
     bus = live.buses["dry"]
     assert bus_cause(bus, 100.5) is None
-    live.apply("dry", [BusLink(at=101.0, link="closed", cause="no such device")])
-    live.apply("dry", [BusLink(at=105.0, link="closed", cause="permission denied")])
-    assert bus_cause(bus, 110.0) == Cause("port_lost", "urgent", Onset(101.0), {"why": "permission denied"})
+    live.apply("dry", [BusLink(at=101.0, link="closed", cause=term("no such device"))])
+    live.apply("dry", [BusLink(at=105.0, link="closed", cause=term("permission denied"))])
+    assert bus_cause(bus, 110.0) == Cause("port_lost", "urgent", Onset(101.0), {"why": term("permission denied")})
     live.worker_went("dry", 120.0)
     assert bus_cause(bus, 130.0) == Cause("worker_lost", "urgent", Onset(120.0))
 

@@ -13,6 +13,7 @@ import pytest
 
 from app.audit.entry import new_entry
 from app.web.access import Role
+from bus.messages import term
 from tests.app.whole_app import House, whole_app
 
 FRAME = '{"at":%s,"direction":"in","data":"10 02","meaning":"x"}'
@@ -118,7 +119,7 @@ async def test_what_the_server_itself_records_stays_readable(house: House) -> No
     """A time that a worker gave, or half a character that JSON can carry."""
     events = house.services.events
     numbers = [
-        await events.record(kind="unit", what="unit lost", at=at, message="\ud800")
+        await events.record(kind="unit", what="unit lost", at=at, message=term("\ud800"))
         for at in (float("inf"), float("-inf"), float("nan"), -1.0, 1e18)
     ]
     rows = await look(house)

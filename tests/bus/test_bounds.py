@@ -16,15 +16,14 @@ UNBOUNDED = {"Hello.version", "Welcome.version", "Message.params"}
 
 
 def unbounded(kind: inspect.Type, place: str = "") -> Iterator[str]:
-    """Where a value may be of any size. A message bounds itself how deep others are in it."""
-    if place.startswith("Message.") and isinstance(kind, inspect.StructType):
-        return
+    """Where a value may be of any size."""
     match kind:
         case inspect.UnionType(types=types):
             for each in types:
                 yield from unbounded(each, place)
         case inspect.StructType(cls=cls, fields=fields):
-            for field in fields:
+            # A message bounds by itself how deep others are in it.
+            for field in () if place.startswith("Message.") else fields:
                 yield from unbounded(field.type, f"{cls.__name__}.{field.name}")
         case inspect.IntType(ge=None) | inspect.IntType(le=None):
             yield place
