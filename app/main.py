@@ -17,28 +17,17 @@ from app.auth import pages as auth_pages
 from app.auth import tokens, users
 from app.auth.access import Identify
 from app.auth.refusals import RecordRefusals
-from app.commands import api as commands_api
-from app.commands import (
-    baud_pages,
-    bus_pages,
-    guard_pages,
-    line_pages,
-    output_pages,
-    parameter_pages,
-    range_api,
-    safeguards_api,
-    speed_pages,
-    trace_api,
-    zero_pages,
-)
-from app.commands import pages as commands_pages
+from app.commands.api import commands as commands_api
+from app.commands.api import safeguards as safeguards_api
+from app.commands.api import setpoint_range, trace
+from app.commands.pages import baud, bus, outputs, parameters, setpoints, speed, unit, zero
+from app.commands.pages import safeguards as safeguards_pages
 from app.feed import socket as feed
-from app.history import api as history_api
-from app.history import pages as history_pages
-from app.live import api as live_api
-from app.live import install as live_install
+from app.history.api import routes as history_api
+from app.history.pages import trends as history_pages
 from app.live import pages as live_pages
-from app.live import socket as live_socket
+from app.live.api import routes as live_api
+from app.live.browsers import socket as live_socket
 from app.metrics import api as metrics_api
 from app.recipes import api as recipes_api
 from app.recipes import pages as recipes_pages
@@ -49,8 +38,8 @@ from app.sets import batch_pages, restore_api, restore_pages
 from app.sets import pages as sets_pages
 from app.settings import Settings
 from app.swap import pages as swap_pages
+from app.web import install, problems, schema
 from app.web import pages as web_pages
-from app.web import problems, schema
 from app.web.arrival import Begun
 from app.web.bounds import BoundedRequest
 from app.web.head import HeadAsGet
@@ -73,27 +62,27 @@ FEATURES = (
     feed,
     live_api,
     live_socket,
-    live_install,
+    install,
     live_pages,
     commands_api,
     safeguards_api,
-    range_api,
-    trace_api,
-    line_pages,
-    zero_pages,
-    speed_pages,
-    output_pages,
-    parameter_pages,
-    guard_pages,
-    bus_pages,
-    commands_pages,
+    setpoint_range,
+    trace,
+    setpoints,
+    zero,
+    speed,
+    outputs,
+    parameters,
+    safeguards_pages,
+    bus,
+    unit,
     history_api,
     history_pages,
     sets_api,
     restore_api,
     sets_pages,
     restore_pages,
-    baud_pages,
+    baud,
     batch_pages,
     swap_pages,
     recipes_api,

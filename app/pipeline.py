@@ -19,7 +19,7 @@ from app.audit.budget import BURST, EventBudget, Summary
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.live.changes import Change, Changes
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
 from bus.messages import Message
 

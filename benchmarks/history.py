@@ -18,14 +18,14 @@ from typing import Any
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from app.database.connection import Database
-from app.history import store
-from app.history.folding import compact
-from app.history.query import Question, answer
-from app.history.recorder import Recorder
-from app.history.runs import DAY, micros
-from app.history.tail import Tail
-from app.history.values import VALUES
-from app.history.writer import MIGRATIONS
+from app.history.intake.folding import compact
+from app.history.intake.recorder import Recorder
+from app.history.intake.tail import Tail
+from app.history.intake.writer import MIGRATIONS
+from app.history.query.query import Question, answer
+from app.history.series.runs import DAY, micros
+from app.history.series.values import VALUES
+from app.history.store import tables
 from benchmarks.history_store import build, readings
 from benchmarks.tables import median, milliseconds, quantile, show
 from bus.contract import Reading
@@ -181,7 +181,7 @@ def _compact(path: Path) -> None:
     """As it is once every hour is over."""
     database = Database(path, MIGRATIONS)
     while (
-        found := database.read_now(lambda c: store.next_to_compact(c, micros(START) + 2 * DAY))
+        found := database.read_now(lambda c: tables.next_to_compact(c, micros(START) + 2 * DAY))
     ) is not None:
         database.write_now(partial(_compact_one, found))
     database.close()

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from app.audit.store import prove
 from app.database.connection import Database
-from app.history.recorder import Recorder
-from app.history.tail import Tail
-from app.history.writer import MIGRATIONS
+from app.history.intake.recorder import Recorder
+from app.history.intake.tail import Tail
+from app.history.intake.writer import MIGRATIONS
 from benchmarks.tables import median, show
 
 KILLS = 50

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from app.database.connection import Database
-from app.history import store
-from app.history.rollup import combine, pack_rollups, rollup
-from app.history.runs import DAY, HOUR, MINUTE, Run, merge, pack_runs
-from app.history.scaling import ParameterStep
-from app.history.writer import MIGRATIONS
+from app.history.intake.writer import MIGRATIONS
+from app.history.series.rollup import combine, pack_rollups, rollup
+from app.history.series.runs import DAY, HOUR, MINUTE, Run, merge, pack_runs
+from app.history.series.scaling import ParameterStep
+from app.history.store import tables
 from bus.contract import Reading
 
 POLL = 208_333
@@ -70,10 +70,10 @@ def _fill(
         [rollup([r for r in runs if r.at // MINUTE == m], m * MINUTE) for m in range(60)] for runs in patterns
     ]
     packed = [pack_rollups(rows, 0) for rows in minutes]
-    store.unit_id(connection, line[0], 0)
+    tables.unit_id(connection, line[0], 0)
     for number in range(1, line[1] + 1):
-        unit = store.unit_id(connection, line[0], number)
-        store.write_parameter(connection, unit, ParameterStep(end - days[1] * DAY, 3, 1))
+        unit = tables.unit_id(connection, line[0], number)
+        tables.write_parameter(connection, unit, ParameterStep(end - days[1] * DAY, 3, 1))
         for start in range(end - days[0] * DAY, end, HOUR):
             _raw(connection, unit, start, blocks[start // HOUR % PATTERNS])
         for start in range(end - days[1] * DAY, end, HOUR):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from enum import Enum, IntEnum
 
-from bus.messages import Message, term
+from bus.messages import TERM, Message, term
 
 
 class LinesideError(Exception):
@@ -18,19 +18,15 @@ class LinesideError(Exception):
     """
 
     def __init__(self, message: Message | str = "", *, params: Mapping[str, object] | None = None) -> None:
-        self.message = message if isinstance(message, Message) else None
         self.template = str(message)
-        self.params: Mapping[str, object] | None = self.message.params if self.message else params
-        super().__init__(self.template if self.message or params is None else self.template.format(**params))
-
-    @property
-    def reason(self) -> Message:
-        """Its message; of a text, the one that shows it."""
-        return self.message or term(str(self))
+        text = self.template if params is None else self.template.format(**params)
+        self.message = message if isinstance(message, Message) else term(text)
+        self.params: Mapping[str, object] | None = message.params if isinstance(message, Message) else params
+        super().__init__(text)
 
     def text(self, t: Callable[..., str]) -> str:
         """The text in the language whose translation function is ``t``."""
-        if self.message is not None:
+        if self.message.code != TERM:
             return t(self.message)
         if self.params is None:
             return t(self.template)
@@ -63,8 +59,6 @@ class UnitError(LinesideError):
 
 class WireError(LinesideError):
     """The port, the cable or an answer failed; whether the unit acted is not known."""
-
-    message: Message
 
     def __init__(self, message: Message) -> None:
         super().__init__(message)

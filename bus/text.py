@@ -7,6 +7,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator
 
+from bus.messages import Message
+
 _UNSEEN = frozenset(("Cc", "Cs", "Zl", "Zp"))
 """Categories of Unicode: control characters, halves of a pair, separators of lines."""
 _TURNING = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
@@ -33,5 +35,5 @@ Lines = Annotated[str, AfterValidator(check_lines)]
 def _seen(text: str, allowed: frozenset[str]) -> str:
     for place, sign in enumerate(text, 1):
         if sign not in allowed and (unicodedata.category(sign) in _UNSEEN or sign in _TURNING):
-            raise ValueError(f"character {place} is a control character (U+{ord(sign):04X}); leave it out")
+            raise ValueError(Message.of("control_character", n=place, code=f"U+{ord(sign):04X}"))
     return text

@@ -12,9 +12,9 @@ from babel.messages.catalog import Catalog
 from babel.messages.extract import extract_from_dir
 from babel.messages.pofile import read_po, write_po
 
-from app.live.cause_text import CAUSE_TEXTS, CHECK_TEXTS, MOTION_TEXTS, STOPPED_WITH_RUN
-from app.live.fields import STATE_WORDS
-from app.live.hub import STAGE_WORDS
+from app.live.browsers.hub import STAGE_WORDS
+from app.live.screen.cause_text import CAUSE_TEXTS, CHECK_TEXTS, MOTION_TEXTS, STOPPED_WITH_RUN
+from app.live.screen.fields import STATE_WORDS
 from app.messages.languages import DEFAULT, catalogs
 from app.web.access import Role
 from app.web.assets import templates_dir

@@ -14,13 +14,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PURE = ("bus/wire/*.py", "bus/catalogue/*.py", "app/*/rules.py")
+PURE = ("bus/wire/*.py", "bus/catalogue/*.py", "app/*/rules.py", "app/commands/check.py")
 TESTS = {
     "bus/catalogue/parameters.py": "tests/bus/test_catalogue_parameters.py",
     "bus/wire/bodies.py": "tests/bus/test_commands.py",
     "bus/wire/fence.py": "tests/bus/test_exchange_fence.py",
     "app/auth/rules.py": "tests/app/test_auth_rules.py",
-    "app/commands/rules.py": "tests/app/test_rules.py",
+    "app/commands/check.py": "tests/app/test_command_check.py",
     "app/recipes/rules.py": "tests/app/test_recipes.py",
     "app/swap/rules.py": "tests/app/test_swap.py",
 }

@@ -66,7 +66,7 @@ def test_a_word_is_found_as_a_whole_word(identifier: str, word: str, is_in: bool
 
 def test_modules_functions_classes_and_parameters_are_identifiers() -> None:
     tree = ast.parse("class A:\n    async def b(self, *c, d, **e): local = 1\n")
-    found = vocabulary.identifiers("app.live.hub", tree)
+    found = vocabulary.identifiers("app.live.browsers.hub", tree)
     assert sorted(found) == ["A", "b", "c", "d", "e", "hub", "self"]
     assert next(vocabulary.identifiers("app.live.__init__", tree)) == "live"
 

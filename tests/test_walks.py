@@ -18,7 +18,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection
 
 from app.feed.ingest import Ingest, Received
-from app.live.browser import Browser
+from app.live.browsers.browser import Browser
 from app.web.access import Role
 from bus.bucket import Bucket
 from bus.contract import AppMessage, Batch, Command, Result, SetSpeed, Update, encode

@@ -50,7 +50,7 @@ class Identify:
             await refuse(scope, receive, send, problem)
             return
         except StoreError as error:
-            await refuse(scope, receive, send, Problem(503, "store", str(error)))
+            await refuse(scope, receive, send, Problem(503, "store", error.message))
             return
         if person is None and not _is_public(scope["path"]):
             await _turn_away(connection, receive, send)

@@ -14,6 +14,7 @@ from app.auth.store import Token, User
 from app.database import Database
 from app.web.access import AccountSubscriber, Role, account_of, name_of
 from bus.errors import CallerError
+from bus.messages import Message
 
 
 class Accounts:
@@ -117,7 +118,7 @@ class Accounts:
         ``keep``. Raises CallerError."""
         found = await self._database.read(lambda connection: store.user(connection, name))
         if found is None:
-            raise CallerError("there is no user {name}", params={"name": name[:80]})
+            raise CallerError(Message.of("no_such_user", name=name[:80]))
         if found[0].panel:
             strength.check_pin(password)
         else:
@@ -153,8 +154,7 @@ class Accounts:
                 lambda connection: store.add_token(connection, rules.secret_hash(secret), token)
             )
         except sqlite3.IntegrityError:
-            detail = "there is a token {name} already; revoke it or choose another name"
-            raise CallerError(detail, params={"name": name}) from None
+            raise CallerError(Message.of("token_exists", name=name)) from None
         what = f"token {name} created as {role} of bus {bus}" if bus else f"token {name} created as {role}"
         await self._note("token", what, by, origin)
         return secret
@@ -162,7 +162,7 @@ class Accounts:
     async def revoke_token(self, name: str, *, by: str, origin: str) -> None:
         """Raises CallerError for one that is not there."""
         if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
-            raise CallerError("there is no token {name}", params={"name": name[:80]})
+            raise CallerError(Message.of("no_such_token", name=name[:80]))
         await self._note("token", f"token {name} revoked", by, origin)
 
     async def _add(self, user: User, secret: str) -> None:
@@ -170,17 +170,15 @@ class Accounts:
         try:
             await self._database.write(lambda connection: store.add_user(connection, user, hashed))
         except sqlite3.IntegrityError:
-            detail = "there is a user {name} already; choose another name"
-            raise CallerError(detail, params={"name": user.name}) from None
+            raise CallerError(Message.of("user_exists", name=user.name)) from None
 
     async def _change(self, name: str, change: Callable[[sqlite3.Connection], bool]) -> None:
         def guarded(connection: sqlite3.Connection) -> None:
             before = store.admins_left(connection)
             if not change(connection):
-                raise CallerError("there is no user {name}", params={"name": name[:80]})
+                raise CallerError(Message.of("no_such_user", name=name[:80]))
             if before and not store.admins_left(connection):
-                detail = "{name} is the last admin; give another user the role admin first"
-                raise CallerError(detail, params={"name": name})
+                raise CallerError(Message.of("last_admin", name=name))
 
         await self._database.write(guarded)
 

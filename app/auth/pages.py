@@ -18,6 +18,7 @@ from app.web.access import Viewer, person_of, public
 from app.web.services import service
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
+from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)
 
@@ -86,7 +87,7 @@ async def choose_language(
 ) -> Response:
     """Empty: what the browser asks for."""
     if language and language not in templates_of(request).languages:
-        raise CallerError("there is no language '{language}'", params={"language": language[:40]})
+        raise CallerError(Message.of("no_such_language", language=language[:40]))
     _refuse_programs(person.via)
     await accounts.set_language(person.name, language)
     return RedirectResponse("/account?done=language", 303)
@@ -105,13 +106,13 @@ async def change_password(
     """Every other session of the user ends, this one goes on."""
     _refuse_programs(person.via)
     if person.panel:
-        raise Problem(403, "forbidden", "the PIN of a panel is changed by an admin")
+        raise Problem(403, "forbidden", Message("panel_pin_by_admin"))
     name, address = person.name, address_of(request)
     this_one = rules.secret_hash(request.cookies[COOKIE])
     try:
         await sign_in.check_present(name, present, address, _device_of(request))
         if password != again:
-            raise CallerError("the two new passwords differ; nothing was changed")
+            raise CallerError(Message("new_passwords_differ"))
         await accounts.set_password(name, password, by=name, origin=address, keep=this_one)
     except CallerError as fault:
         return _account(request, fault=fault)
@@ -178,7 +179,7 @@ def _account(request: Request, *, done: str = "", fault: CallerError | None = No
 
 def _refuse_programs(via: str) -> None:
     if via != "session":
-        raise Problem(403, "forbidden", "only somebody who signed in has an account to change")
+        raise Problem(403, "forbidden", Message("no_account"))
 
 
 def _own(path: str) -> str:

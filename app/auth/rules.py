@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from app.settings import Sessions
 from app.web.access import Role
 from bus.errors import CallerError
+from bus.messages import Message, term
 
 _NAME = re.compile(r"[\w.@-]{1,40}")
 
@@ -52,15 +53,13 @@ USE_NOTED_EVERY_S = 60.0
 def check_name(name: str) -> None:
     """Raises CallerError."""
     if not _NAME.fullmatch(name):
-        detail = "the name '{name}' is not allowed; write 1 to 40 letters, digits, . _ @ or -"
-        raise CallerError(detail, params={"name": name[:80]})
+        raise CallerError(Message.of("name_not_allowed", name=name[:80]))
 
 
 def check_panel_role(role: Role) -> None:
     """Raises CallerError: whoever passes by a panel may press it."""
     if not Role.OPERATOR.includes(role):
-        detail = "a panel is operator at most; {role} is for people who sign in"
-        raise CallerError(detail, params={"role": role})
+        raise CallerError(Message.of("panel_role_too_high", role=term(role)))
 
 
 def check_token_bus(role: Role, bus: str, buses: Collection[str]) -> None:
@@ -68,13 +67,11 @@ def check_token_bus(role: Role, bus: str, buses: Collection[str]) -> None:
     known = ", ".join(buses) or "none"
     if role is not Role.WORKER:
         if bus:
-            detail = "a token of role {role} is not for one bus; leave the bus out"
-            raise CallerError(detail, params={"role": role})
+            raise CallerError(Message.of("token_not_for_bus", role=term(role)))
     elif not bus:
-        raise CallerError("a worker's token is for one bus; name it: {known}", params={"known": known})
+        raise CallerError(Message.of("worker_token_needs_bus", known=known))
     elif bus not in buses:
-        detail = "there is no bus '{bus}'; there are: {known}"
-        raise CallerError(detail, params={"bus": bus[:80], "known": known})
+        raise CallerError(Message.of("no_such_bus", bus=bus[:80], known=known))
 
 
 def token_expiry(now: float, days: int | None) -> float | None:
@@ -82,15 +79,14 @@ def token_expiry(now: float, days: int | None) -> float | None:
     if days is None:
         return None
     if not 1 <= days <= MOST_TOKEN_DAYS:
-        detail = "a token expires after 1 to {most} days; {days} is outside"
-        raise CallerError(detail, params={"most": MOST_TOKEN_DAYS, "days": days})
+        raise CallerError(Message.of("token_days_out_of_range", most=MOST_TOKEN_DAYS, days=days))
     return now + days * DAY
 
 
 def check_home(home: str) -> None:
     """Raises CallerError. A page of ours only, so that nothing redirects elsewhere."""
     if not is_own_path(home):
-        raise CallerError("a home page is a path on this server, like / or /units/dry-end/1")
+        raise CallerError(Message("home_page_elsewhere"))
 
 
 def is_own_path(path: str) -> bool:

@@ -22,6 +22,7 @@ from app.server.addresses import source_of
 from app.server.fair_queue import FairQueue, TooManyWaitingError
 from app.web.access import AccountSubscriber, Person, Role
 from bus.errors import CallerError
+from bus.messages import Message, term
 
 _WRONG = {False: "the name or the password is not right", True: "the name or the PIN is not right"}
 """What a person is told, and what somebody at a panel."""
@@ -87,8 +88,7 @@ class SignIn:
             raise Problem(
                 403,
                 "forbidden",
-                "the panel {called} has the role {role}; a panel is operator at most; an admin can change it",
-                params={"called": user.name, "role": user.role},
+                Message.of("panel_with_higher_role", called=user.name, role=term(user.role)),
             )
         return await self._begin(user, secret, address, device)
 
@@ -97,7 +97,7 @@ class SignIn:
         CallerError where it is wrong, Problem 429 after too many."""
         if await self._checked(name, secret, address, device, panel=False) is None:
             await self._count_refusal("user", "password change refused", name, address)
-            raise CallerError("the present password is not right; nothing was changed")
+            raise CallerError(Message("present_password_wrong"))
 
     async def sign_out(self, cookie: str, person: Person, address: str) -> None:
         """End the session."""
@@ -220,7 +220,6 @@ def _too_soon(seconds: int) -> Problem:
     problem = Problem(
         429,
         "too_many",
-        "too many sign-ins failed; try again in {seconds} s",
-        params={"seconds": seconds},
+        Message.of("too_many_sign_ins", seconds=seconds),
     )
     return problem.with_headers(Retry_After=str(seconds))

@@ -11,6 +11,7 @@ import unicodedata
 from pathlib import Path
 
 from bus.errors import CallerError
+from bus.messages import Message
 
 SHORTEST_PASSWORD, LONGEST_PASSWORD = 12, 256
 """Argon2 works on all of it; nobody is to make us work on a megabyte."""
@@ -45,25 +46,22 @@ LEAST_RUN, LEAST_WALK = 3, 4
 def check_password(password: str, *, user: str, site: str) -> None:
     """Raises CallerError for a password that ``user`` may not choose at ``site``."""
     if not SHORTEST_PASSWORD <= len(password) <= LONGEST_PASSWORD:
-        detail = "a password has {least} to {most} characters; this one has {count}"
         bounds = {"least": SHORTEST_PASSWORD, "most": LONGEST_PASSWORD}
-        raise CallerError(detail, params={**bounds, "count": len(password)})
+        raise CallerError(Message.of("password_length", count=len(password), **bounds))
     if _contains(password, user):
-        raise CallerError("the password contains the user name; choose another")
+        raise CallerError(Message("password_contains_user"))
     if _contains(password, site):
-        raise CallerError("the password contains the name of the site; choose another")
+        raise CallerError(Message("password_contains_site"))
     if is_easy_password(password):
-        raise CallerError(
-            "the password is easy to guess (common words, repetition, sequences, key runs); choose another"
-        )
+        raise CallerError(Message("password_easy_to_guess"))
 
 
 def check_pin(pin: str) -> None:
     """Raises CallerError."""
     if not _PIN.fullmatch(pin) or not pin.isascii():
-        raise CallerError("a PIN is 6 to 12 digits")
+        raise CallerError(Message("pin_length"))
     if is_easy_pin(pin):
-        raise CallerError("the PIN is easy to guess (repetition, sequences, key runs); choose another")
+        raise CallerError(Message("pin_easy_to_guess"))
 
 
 def is_easy_password(password: str) -> bool:

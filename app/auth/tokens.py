@@ -11,6 +11,7 @@ from app.auth.users_view import answer_to_change, users_view
 from app.web.access import Admin, Role, role_named
 from app.web.templating import render
 from bus.errors import CallerError
+from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)
 
@@ -61,5 +62,5 @@ def _days(typed: str) -> int | None:
     if not text:
         return None
     if not text.isdecimal() or len(text) > 4:
-        raise CallerError("the days until a token expires are a whole number, or empty")
+        raise CallerError(Message("token_days_malformed"))
     return int(text)

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from app.cli.ending import ending
-from app.commands.trace_file import is_trace_line, parse_trace_line
+from app.commands.api.trace_file import is_trace_line, parse_trace_line
 from bus.contract import Frame
 from bus.errors import CallerError
 from bus.settings import Dialect

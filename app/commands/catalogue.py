@@ -12,12 +12,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from app.commands import checks, new_setpoints, wording
-from app.commands.new_setpoints import NewSetpoint, staged_setpoints
-from app.commands.objection import Circumstances
-from app.commands.timeouts import timeout_s_for
+from app.commands import wording
+from app.commands.rules import action_checks, new_setpoints
+from app.commands.rules.new_setpoints import NewSetpoint, staged_setpoints
+from app.commands.rules.objection import Circumstances
+from app.commands.rules.timeouts import timeout_s_for
 from app.commands.wording import Wording
-from app.live.state import BusLive
+from app.live.state.bus_live import BusLive
 from app.web.access import Role
 from bus.catalogue.parameter import danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
@@ -103,27 +104,27 @@ SET_LINE = CommandKind(
     part_wordings=wording.parts_of_set_line,
     units_written=lambda action, bus: sorted({*action.setpoints, *staged_setpoints(bus)}),
     setpoints=new_setpoints.of_set_line,
-    check=checks.check_line,
+    check=action_checks.check_line,
     timeout_s=lambda action, bus: timeout_s_for(bus, len(action.setpoints)),
 )
 WRITE_OUTPUT = CommandKind(
     WriteOutput,
     Role.OPERATOR,
     wording=wording.of_write_output,
-    check=checks.check_output,
+    check=action_checks.check_output,
 )
 WRITE_ANALOG_OUTPUT = CommandKind(
     WriteAnalogOutput,
     Role.ENGINEER,
     wording=lambda action, _: Wording("set analog output (88h)", new=str(action.raw), new_raw=action.raw),
-    check=checks.check_analog_output,
+    check=action_checks.check_analog_output,
 )
 WRITE_PARAMETER = CommandKind(
     WriteParameter,
     Role.ENGINEER,
     wording=wording.of_write_parameter,
     setpoints=new_setpoints.of_write_parameter,
-    check=checks.check_parameter,
+    check=action_checks.check_parameter,
     danger=lambda action: danger_of_writing(PARAMETERS[action.number], action.raw),
     writes_parameters=True,
     is_secret=lambda action: PARAMETERS[action.number].secret,
@@ -133,7 +134,7 @@ CHANGE_BAUD = CommandKind(
     Role.ENGINEER,
     wording=lambda action, bus: Wording("change the baud of the line", str(bus.baud), str(action.baud)),
     units_written=lambda _, bus: list(bus.units),
-    check=checks.check_baud,
+    check=action_checks.check_baud,
     danger=lambda _: "every unit changes its baud; one that does not follow is cut off",
     writes_parameters=True,
 )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from app.live.state import UnitLive, follower
-from app.live.view import setpoint_text
+from app.live.api.view import setpoint_text
+from app.live.state.bus_live import UnitLive, follower
 from bus.catalogue.parameter import Parameter, Scale
 from bus.catalogue.values import parameter_unit
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from app.commands.new_setpoints import staged_setpoints
-from app.commands.setpoints import commanded_setpoint
-from app.commands.words import known_parameter_text, shown_setpoint, text_of
-from app.live.state import BusLive
+from app.commands.rules.new_setpoints import staged_setpoints
+from app.commands.rules.setpoint import commanded_setpoint
+from app.commands.values import known_parameter_text, shown_setpoint, text_of
+from app.live.state.bus_live import BusLive
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS, output_is_on
 from bus.contract import ExecuteAll, ExecuteSpeed, SetLine, SetSpeed, WriteOutput, WriteParameter

@@ -16,6 +16,7 @@ from app.database.migrating import MIGRATIONS, Migration, alone, bring_up_to_dat
 from app.database.private import make_file, make_folder, refuse_link
 from app.database.words import in_words
 from app.errors import StoreError
+from bus.messages import Message
 
 T = TypeVar("T")
 Synchronous = Literal["FULL", "NORMAL"]
@@ -139,7 +140,7 @@ class Database:
         try:
             future = asyncio.get_running_loop().run_in_executor(pool, run, work)
         except RuntimeError as error:
-            raise StoreError(f"the store {self.path} is closed; the server is ending") from error
+            raise StoreError(Message.of("store_closed", path=str(self.path))) from error
         return await future
 
     def _reader(self) -> sqlite3.Connection:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from app.database.private import make_file, make_folder
 from app.errors import StoreError
+from bus.messages import Message
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 _NAME = re.compile(r"^(\d{4})_([a-z0-9_]+)\.sql$")
@@ -59,8 +60,9 @@ def bring_up_to_date(connection: sqlite3.Connection, path: Path, folder: Path) -
     newer = sorted(set(applied) - {migration.number for migration in known})
     if newer:
         raise StoreError(
-            f"the store {path} was written by a newer version of Lineside (its step {newer[-1]:04d} "
-            f"{applied[newer[-1]]} is unknown here); use that version, or restore an older backup"
+            Message.of(
+                "store_of_newer_version", path=str(path), step=f"{newer[-1]:04d}", called=applied[newer[-1]]
+            )
         )
     missing = [migration for migration in known if migration.number not in applied]
     if missing and applied:
@@ -97,4 +99,12 @@ def _apply(connection: sqlite3.Connection, path: Path, step: Migration) -> None:
     except sqlite3.OperationalError as error:
         if connection.in_transaction:
             connection.rollback()
-        raise StoreError(f"the store {path}: step {step.number:04d} {step.name} failed: {error}") from error
+        raise StoreError(
+            Message.of(
+                "store_step_failed",
+                path=str(path),
+                step=f"{step.number:04d}",
+                called=step.name,
+                error=str(error),
+            )
+        ) from error

@@ -14,6 +14,7 @@ import structlog
 
 from app.database.words import in_words
 from app.errors import StoreError
+from bus.messages import Message
 
 FOLDER_MODE, FILE_MODE = 0o700, 0o600
 OTHERS = 0o077
@@ -55,7 +56,7 @@ def write_file(path: Path, text: str) -> None:
 def refuse_link(path: Path) -> None:
     """Raises StoreError where the file is a link."""
     if path.is_symlink():
-        raise StoreError(f"{path} is a link, which is not followed; put the file itself there")
+        raise StoreError(Message.of("file_is_link", path=str(path)))
 
 
 def make_private(folder: Path) -> None:
@@ -80,10 +81,7 @@ def restrict(path: Path) -> int:
     """The same of one file or folder; gives the mode that it had. Raises StoreError."""
     found = path.lstat()
     if found.st_uid not in (os.geteuid(), 0):
-        raise StoreError(
-            f"{path} belongs to another user (uid {found.st_uid}), who can read and change it; chown it to "
-            "the server's user, or run this as that user"
-        )
+        raise StoreError(Message.of("file_of_other_user", path=str(path), uid=found.st_uid))
     is_folder = stat.S_ISDIR(found.st_mode)
     # A file with a second name may belong elsewhere, and a link always does.
     is_ours_alone = is_folder or (stat.S_ISREG(found.st_mode) and found.st_nlink == 1)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from app.errors import DamagedStoreError, StoreError, TooCostlyError
 from bus.errors import CallerError
+from bus.messages import Message
 
 __all__ = ["StoreError", "in_words"]
 
@@ -38,14 +39,16 @@ def in_words(path: Path) -> Iterator[None]:
     except sqlite3.IntegrityError:
         raise
     except OverflowError as error:
-        raise CallerError("a number is larger than any that is stored; nothing was done") from error
+        raise CallerError(Message("number_too_large")) from error
     except sqlite3.Error as error:
         code = getattr(error, "sqlite_errorcode", None)
         if code == sqlite3.SQLITE_INTERRUPT:
-            raise TooCostlyError("this takes too long; narrow it by time, kind, bus or unit") from error
+            raise TooCostlyError(Message("search_too_costly")) from error
         meaning = _MEANINGS.get(code & _PRIMARY) if isinstance(code, int) else None
         damaged = isinstance(code, int) and code & _PRIMARY == sqlite3.SQLITE_CORRUPT
         kind = DamagedStoreError if damaged else StoreError
         raise kind(f"the store {path}: {meaning or error}") from error
     except OSError as error:
-        raise StoreError(f"the store {path}: {error.strerror or error}; check its folder") from error
+        raise StoreError(
+            Message.of("store_folder_failed", path=str(path), error=error.strerror or str(error))
+        ) from error

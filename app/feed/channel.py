@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from app.feed.plausibility import result_for
-from app.live.state import NO_WORKER
+from app.live.state.live_state import NO_WORKER
 from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, Reserve, Result, Watch
 from bus.messages import Message
 

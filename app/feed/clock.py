@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import msgspec
 
-from app.history.clock import ClockWatch
+from app.history.intake.clock_watch import ClockWatch
 from bus.contract import TaggedStruct
 from bus.contract.clock_offset import ClockOffset
 

@@ -14,6 +14,7 @@ from app.feed.workers import WorkerLeft, Workers
 from app.web.access import Worker
 from app.web.services import service_of
 from bus.contract import AppMessage, MalformedMessageError, encode
+from bus.messages import Message
 
 router = APIRouter()
 
@@ -69,8 +70,7 @@ async def feed(websocket: WebSocket, worker: Worker) -> None:
         raise Problem(
             403,
             "forbidden",
-            "the token {called} is for no bus; an admin can create one with --role worker --bus BUS",
-            params={"called": worker.name},
+            Message.of("worker_token_without_bus", called=worker.name),
         )
     await websocket.accept()
     address = websocket.client.host if websocket.client else ""

@@ -15,7 +15,7 @@ from app.feed.channel import Channel, Connection
 from app.feed.holders import Credential, Ending, Holder
 from app.feed.ingest import Ingest, Received
 from app.feed.rates import hello_bucket, update_bucket
-from app.live.state import NO_WORKER
+from app.live.state.live_state import NO_WORKER
 from app.pipeline import Pipeline
 from bus.bucket import Bucket
 from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome, decode_from_worker

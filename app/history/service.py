@@ -10,17 +10,18 @@ from typing import TypeVar
 import structlog
 
 from app.errors import DamagedStoreError, StoreError
-from app.history import store
-from app.history.damage import Block
-from app.history.inspection import damaged_blocks, pages_are_whole
-from app.history.query import Answer, Question, answer
-from app.history.runs import SECOND
+from app.history.intake.tail import Tail
+from app.history.intake.upkeep import Keep
+from app.history.intake.writer import Writer
+from app.history.query.query import Answer, Question, answer
+from app.history.series.runs import SECOND
 from app.history.status import Status
-from app.history.tail import Tail
-from app.history.upkeep import Keep
-from app.history.writer import Writer
+from app.history.store import tables
+from app.history.store.damage import Block
+from app.history.store.inspection import damaged_blocks, pages_are_whole
 from app.settings import Settings
 from bus.contract import Update
+from bus.messages import Message
 
 FILE = "history.db"
 FIRST_INSPECTION_S = 600.0
@@ -115,7 +116,7 @@ class History:
         except StoreError as error:
             log.warning("history could not be inspected", why=str(error))
 
-    async def read(self, work: Callable[[store.Connection, Tail], T]) -> T:
+    async def read(self, work: Callable[[tables.Connection, Tail], T]) -> T:
         """``work`` on a read-only connection and the tail, in a thread. Raises StoreError."""
         tail = self._writer.tail
         try:
@@ -124,7 +125,7 @@ class History:
             self._writer.report_torn()
             raise
         except ValueError as error:
-            raise StoreError(f"the store {self.path}: {error}; restore a backup of it") from error
+            raise StoreError(Message.of("store_damaged", path=str(self.path), error=str(error))) from error
 
 
 def seconds(at: int) -> float:

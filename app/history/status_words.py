@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from app.history import store
-from app.history.intervals import Interval
-from app.history.runs import micros
+from app.history.intake.tail import Tail
+from app.history.series.intervals import Interval
+from app.history.series.runs import micros
 from app.history.service import History, seconds
-from app.history.tail import Tail
+from app.history.store import tables
 
 MOST_SPANS = 50_000
 """Bits that change more often than this over a span are not read: nothing is said of them."""
@@ -18,14 +18,14 @@ async def status_words(history: History, bus: str, unit: int, start: float, end:
     StoreError."""
     wanted = micros(start), micros(end)
 
-    def read(connection: store.Connection, tail: Tail) -> list[Interval]:
-        key = store.find_unit(connection, bus, unit)
+    def read(connection: tables.Connection, tail: Tail) -> list[Interval]:
+        key = tables.find_unit(connection, bus, unit)
         if key is None:
             return []
         recent = [Interval(run.at, run.until, run.word) for run in tail.runs(key, *wanted)]
-        if store.count_bits(connection, key, *wanted) > MOST_SPANS:
+        if tables.count_bits(connection, key, *wanted) > MOST_SPANS:
             return recent
-        return store.bits_around(connection, key, *wanted) + recent
+        return tables.bits_around(connection, key, *wanted) + recent
 
     spans = sorted(await history.read(read))
     return [(seconds(span.at), seconds(span.until), span.word) for span in spans]

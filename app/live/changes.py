@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from app.audit.kinds import Kind
-from app.live.conditions import Condition, status_conditions
+from app.live.state.conditions import Condition, status_conditions
 from bus.catalogue.status import status_bits
 from bus.contract import BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
 from bus.messages import Message

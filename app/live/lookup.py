@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from app.live.state import BusLive, LiveState, UnitLive
+from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.live_state import LiveState
 from app.web.absent import unknown_bus, unknown_unit
 
 

@@ -11,10 +11,10 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.live.fields import unit_key
-from app.live.hub import Hub
-from app.live.state import BusLive, UnitLive
-from app.live.totals import strip_of
+from app.live.browsers.hub import Hub
+from app.live.screen.fields import unit_key
+from app.live.screen.totals import strip_of
+from app.live.state.bus_live import BusLive, UnitLive
 from app.web.access import Viewer
 from app.web.services import service_of
 from app.web.templating import render, templates_of

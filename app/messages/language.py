@@ -37,19 +37,21 @@ class Language:
         """The text in this language (in English when it is not translated), ``{names}`` filled in."""
         if isinstance(text, Message):
             return text.render(self)
-        if values:
-            return self.term(text).format(**values)
-        translated = self.term(text)
-        return self.patterns.say(text) if translated == text else translated
+        return self.fixed(text).format(**values) if values else self.term(text)
 
     def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
         """The text for a count: ``one`` for exactly one, else ``many`` (as this language divides them);
         ``{n}`` in it is the count."""
         return self.catalog.ngettext(one, many, n).format(n=n, **values)
 
-    def term(self, text: str) -> str:
-        """A fixed text in this language; as it is where there is no translation."""
+    def fixed(self, text: str) -> str:
+        """A text of the catalog in this language; as it is where there is no translation."""
         return self.catalog.gettext(text) if text else ""
+
+    def term(self, text: str) -> str:
+        """The same; what is not in the catalog may have been built in English."""
+        translated = self.fixed(text)
+        return self.patterns.say(text) if translated == text else translated
 
     def template(self, code: str, n: object) -> str | None:
         """The text of a message, its names in braces; None: there is no such code."""
@@ -69,4 +71,4 @@ class Language:
         """For what was built in English before its reader was known."""
         path = self._path.with_suffix(".toml")
         texts = tomllib.loads(path.read_text(encoding="utf-8"))["sentences"] if path.exists() else {}
-        return Sentences(texts, self.term)
+        return Sentences(texts, self.fixed)

@@ -8,7 +8,7 @@ from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_l
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from app.live.bus_live import BusLive
+from app.live.state.bus_live import BusLive
 from app.metrics.measured import MetricSources
 from bus.contract import UnitFigures
 

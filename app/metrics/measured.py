@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from app.audit.anchoring import AnchorStatus
-from app.live.hub import Hub
-from app.live.state import LiveState
+from app.live.browsers.hub import Hub
+from app.live.state.live_state import LiveState
 from app.metrics.counts import Counts
 
 

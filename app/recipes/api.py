@@ -7,12 +7,12 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Request, Response
 from pydantic import Field
 
-from app.commands.answers import answer
-from app.commands.api import FATE
+from app.commands.api.commands import FATE
+from app.commands.api.responses import answer
 from app.commands.catalogue import SET_LINE
-from app.commands.writer import permitted_writer
+from app.commands.service.writer import permitted_writer
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, setpoints_now
@@ -24,6 +24,7 @@ from app.web.arrival import made_at
 from app.web.numbers import whole_number
 from app.web.services import service
 from app.web.shape import Strict
+from bus.messages import Message
 from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["recipes"], route_class=ApiRoute)
@@ -62,7 +63,7 @@ async def save_recipe(person: Engineer, book: Book, live: Live, bus: str, wanted
     if not setpoints:
         setpoints = {setpoint.unit: setpoint.raw for setpoint in setpoints_now(known.units.values())}
     if not setpoints:
-        raise Problem(422, "invalid", "no setpoints were given, and no unit has told its own yet")
+        raise Problem(422, "invalid", Message("no_setpoints_yet"))
     return recipe_json(await book.save(person, bus, wanted.name, wanted.comment, setpoints), known)
 
 
@@ -114,8 +115,7 @@ def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
     """Keys of JSON are text; raises Problem 422 for one that is no address."""
     wrong = next((key for key in given if not 1 <= (whole_number(key) or 0) <= 255), None)
     if wrong is not None:
-        detail = "'{text}' is no unit address; give 1 to 255"
-        raise Problem(422, "invalid", detail, params={"text": wrong})
+        raise Problem(422, "invalid", Message.of("not_a_unit_address", text=wrong))
     return {int(key): raw for key, raw in given.items()}
 
 
@@ -123,5 +123,5 @@ async def recipe_or_404(book: RecipeBook, recipe_id: int) -> Recipe:
     """A stored version."""
     recipe = await book.store.load(recipe_id)
     if recipe is None:
-        raise Problem(404, "unknown_recipe", f"there is no recipe {recipe_id}")
+        raise Problem(404, "unknown_recipe", Message.of("no_recipe_with_id", recipe=recipe_id))
     return recipe

@@ -8,14 +8,16 @@ from functools import partial
 
 from app.audit.log import EventLog
 from app.commands.catalogue import SET_LINE
-from app.commands.desk import Desk
+from app.commands.service.command_service import Desk
 from app.errors import Problem
-from app.live.state import BusLive, LiveState
+from app.live.state.bus_live import BusLive
+from app.live.state.live_state import LiveState
 from app.recipes.rules import Departure, DryRun, Recipe, Setpoint, departures, dry_run, setpoint_kind
 from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person
 from app.web.deadline import Deadline, Instant
 from bus.contract import Result, SetLine, SetSpeed
+from bus.messages import Message, term
 
 MOST_RECIPES = 1000
 """In use on one bus; a list of them is given whole."""
@@ -55,9 +57,7 @@ class RecipeBook:
         """A new version. ``setpoints``: unit → raw. Raises Problem 422 or 404 in words."""
         live = self._state.buses[bus]
         if await self.store.is_full(bus, name, MOST_RECIPES):
-            raise Problem(
-                422, "invalid", f"{bus} has {MOST_RECIPES} recipes in use; take one out of the list first"
-            )
+            raise Problem(422, "invalid", Message.of("too_many_recipes", bus=bus, most=MOST_RECIPES))
         rows = tuple(_setpoint(live, unit, raw) for unit, raw in sorted(setpoints.items()))
         recipe = await self.store.save(Recipe(bus, name, comment, person.name, time.time(), rows))
         await self._record(person, recipe, "saved")
@@ -67,8 +67,7 @@ class RecipeBook:
         """Take a recipe out of the list; its versions stay on record."""
         versions = await self.store.versions(bus, name)
         if not versions:
-            params = {"name": name, "bus": bus}
-            raise Problem(404, "unknown_recipe", "there is no recipe '{name}' for {bus}", params=params)
+            raise Problem(404, "unknown_recipe", Message.of("no_such_recipe", name=name, bus=bus))
         await self.store.retire(bus, name)
         await self._record(person, versions[0], "retired")
 
@@ -84,9 +83,13 @@ class RecipeBook:
         """Load it as one change: staged, broadcast, proven. Problem 409 where a unit cannot take it."""
         run = self.try_out(person, recipe)
         if not run.loadable:
-            why = "; ".join(f"{step.name}: {step.obstacle}" for step in run.steps if step.obstacle)
-            detail, params = "{name} cannot be loaded now: {why}; nothing was sent", {"name": recipe.name}
-            raise Problem(409, "not_loadable", detail, params=params | {"why": why})
+            why: list[int | str | Message] = [
+                Message.of("of_unit", name=step.name, reason=term(step.obstacle))
+                for step in run.steps
+                if step.obstacle
+            ]
+            message = Message.of("recipe_not_loadable", name=recipe.name, why=why)
+            raise Problem(409, "not_loadable", message)
         action = SetLine(setpoints={setpoint.unit: setpoint.raw for setpoint in recipe.setpoints})
         result = await self._desk.ask(
             person,
@@ -128,19 +131,15 @@ class RecipeBook:
     def _bus(self, recipe: Recipe) -> BusLive:
         bus = self._state.buses.get(recipe.bus)
         if bus is None:
-            raise Problem(
-                409, "unknown_bus", f"the recipe is for bus {recipe.bus!r}, which is not configured"
-            )
+            raise Problem(409, "unknown_bus", Message.of("recipe_for_other_bus", bus=recipe.bus))
         return bus
 
 
 def _setpoint(bus: BusLive, unit: int, raw: int) -> Setpoint:
     live = bus.units.get(unit)
     if live is None:
-        raise Problem(422, "invalid", f"bus {bus.settings.name!r} has no unit {unit}")
+        raise Problem(422, "invalid", Message.of("recipe_unit_missing", bus=bus.settings.name, unit=unit))
     kind = setpoint_kind(live)
     if kind is None:
-        raise Problem(
-            422, "invalid", f"whether unit {unit} takes a speed or a ratio (#8) has not been read from it yet"
-        )
+        raise Problem(422, "invalid", Message.of("unit_mode_unknown", unit=unit))
     return Setpoint(unit, raw, kind)

@@ -7,17 +7,17 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 
 from app.commands.catalogue import SET_LINE
-from app.commands.forms import Desks
-from app.commands.line_change import followers_of, proven, reviewed
-from app.commands.ramp import present_setpoint
-from app.commands.reviewing import keep_their_setpoint, know_ramps
-from app.commands.risks import by_remark
-from app.commands.timeouts import longest_change_s
-from app.commands.writer import permitted
+from app.commands.forms.line_change import followers_of, proven, reviewed
+from app.commands.forms.page_context import Desks
+from app.commands.forms.review import keep_their_setpoint, know_ramps
+from app.commands.review.ramp import present_setpoint
+from app.commands.review.risks import by_remark
+from app.commands.rules.timeouts import longest_change_s
+from app.commands.service.writer import permitted
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
-from app.live.state import BusLive
+from app.live.state.bus_live import BusLive
 from app.recipes.api import Book, recipe_or_404
 from app.recipes.rules import Setpoint, present_raw, setpoint_kind, setpoint_text
 from app.web.access import Engineer, Person, Viewer
@@ -25,6 +25,7 @@ from app.web.templating import render
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError
+from bus.messages import Message
 from bus.text import Lines, OneLine
 
 router = APIRouter(include_in_schema=False)
@@ -58,11 +59,11 @@ async def save(
     bus = bus_or_404(live, str(form.get("bus", "")))
     name = name.strip()
     if not 1 <= len(name) <= 80:
-        raise Problem(422, "invalid", "a recipe has a name of 1 to 80 characters; nothing was saved")
+        raise Problem(422, "invalid", Message("recipe_name_length"))
     typed = {unit: str(form.get(f"unit-{unit}", "")).strip() for unit in bus.units}
     setpoints = {unit: _raw(bus, unit, text) for unit, text in typed.items() if text}
     if not setpoints:
-        raise Problem(422, "invalid", "no setpoint was given; nothing was saved")
+        raise Problem(422, "invalid", Message("recipe_without_setpoint"))
     saved = await book.save(person, bus.settings.name, name, comment[:1000], setpoints)
     return Response(status_code=303, headers={"Location": f"/recipes/{saved.id}"})
 
@@ -123,7 +124,7 @@ async def load(
         desk.refuse_lapsed(reviewed_at)
         setpoints = reviewed(bus, form)
         if setpoints != {one.unit: one.raw for one in recipe.setpoints if one.unit in bus.units}:
-            raise Problem(422, "invalid", "this is not what was reviewed; nothing was sent")
+            raise Problem(422, "invalid", Message("not_what_was_reviewed"))
         result = await book.load(person, recipe, desk.made_at, confirm=True, command_id=id)
     except Problem as problem:
         return desk.refused(problem, recipe.name)
@@ -154,11 +155,10 @@ def _raw(bus: BusLive, number: int, text: str) -> int:
     unit = bus.units[number]
     kind, decimals = setpoint_kind(unit), unit.parameter_raw(DECIMALS)
     if kind is None or decimals is None:
-        raise Problem(
-            422, "invalid", f"{unit.settings.name} has not told its decimals (#3) and mode (#8) yet"
-        )
+        raise Problem(422, "invalid", Message.of("decimals_and_mode_unknown", name=unit.settings.name))
     try:
         return ratio_raw(text) if kind == "ratio" else speed_raw(text, decimals)
     except CallerError as error:
-        params = {"name": unit.settings.name, "reason": error}
-        raise Problem(422, "invalid", "{name}: {reason}; nothing was saved", params=params) from error
+        raise Problem(
+            422, "invalid", Message.of("nothing_saved", name=unit.settings.name, reason=error.message)
+        ) from error

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from app.commands.measure import measure_of_setpoint
-from app.commands.ramp import ramp_of
-from app.commands.risks import Facts, Remark, facts_of, obstacle_of, risks_of
-from app.live.state import BusLive, UnitLive
+from app.commands.review.ramp import ramp_of
+from app.commands.review.risks import Facts, Remark, facts_of, obstacle_of, risks_of
+from app.live.state.bus_live import BusLive, UnitLive
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
 from bus.catalogue.values import ratio_text, speed_text
 from bus.contract.durations import change_s

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.live.state import BusLive
+from app.live.state.bus_live import BusLive
 from app.recipes.rules import Departure, DryRun, Recipe, setpoint_text
 from app.recipes.shown import DryRunShown, LoadedShown, RecipeShown
 from app.recipes.store import Loaded

@@ -10,7 +10,7 @@ from pydantic import Field
 from app.audit.api import Events
 from app.audit.log import EventLog
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.sets.compare import compare
 from app.sets.document import write_document
@@ -33,6 +33,7 @@ from app.web.api_route import ApiRoute
 from app.web.schema_problem import problems
 from app.web.services import service
 from app.web.shape import Strict, Units
+from bus.messages import Message
 from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
@@ -168,6 +169,6 @@ async def write_schedule(
 
 async def _ask_for_secrets(person: Person, events: EventLog, stored: ParameterSet) -> None:
     if not person.role.includes(Role.ENGINEER):
-        raise Problem(403, "forbidden", "the operator password (#21) is given to an engineer only")
+        raise Problem(403, "forbidden", Message("secret_for_engineer"))
     what = f"set {stored.id} was taken out with the operator password (#21) in clear"
     await events.record(kind="secret", who=person.name, origin=person.via, bus=stored.bus, what=what)

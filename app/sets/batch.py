@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from app.commands.desk import Desk
+from app.commands.service.command_service import Desk
 from app.errors import Problem
-from app.live.state import BusLive, UnitLive
+from app.live.state.bus_live import BusLive, UnitLive
 from app.sets.compare import with_unit
 from app.sets.effects import warning_of
 from app.sets.reading import known_rows, status_of
@@ -21,7 +21,7 @@ from bus.catalogue.status import StatusBits
 from bus.catalogue.values import is_follower, parameter_raw
 from bus.contract import ReadParameters, WriteParameter
 from bus.errors import CallerError
-from bus.messages import in_english
+from bus.messages import Message, in_english
 
 _OF_THE_PERSON = frozenset({"rights_withdrawn", "controlled"})
 """Refusals that hold for every other unit too."""
@@ -75,8 +75,7 @@ def refuse_moved(rows: Iterable[BatchRow], reviewed: Mapping[int, str]) -> None:
     what :attr:`BatchRow.reviewed` was then."""
     for row in rows:
         if row.changes and reviewed.get(row.unit, row.reviewed) != row.reviewed:
-            text = "{name}: the value has moved since it was reviewed; nothing was sent"
-            raise Problem(409, "moved", text, params={"name": row.name})
+            raise Problem(409, "moved", Message.of("value_moved", name=row.name))
 
 
 async def learn(desk: Desk, person: Person, bus: BusLive, number: int) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from fastapi import APIRouter, Request, Response
 from starlette.datastructures import FormData
 
-from app.commands.writer import AskDesk
+from app.commands.service.writer import AskDesk
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.sets.batch import learn, refuse_moved, rows_of_batch, write_batch
 from app.sets.effects import EFFECT_TEXTS, OPERATING_VALUES
@@ -15,6 +15,7 @@ from app.web.access import Engineer
 from app.web.numbers import whole_number
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS, Parameter
+from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)
 
@@ -49,7 +50,7 @@ async def batch_write(request: Request, person: Engineer, live: Live, desk: AskD
     parameter = _writable_or_404(number)
     rows = rows_of_batch(bus_or_404(live, bus), number, typed)
     if any(row.fault for row in rows):
-        raise Problem(422, "invalid", "a value cannot be written; nothing was sent")
+        raise Problem(422, "invalid", Message("value_not_writable"))
     refuse_moved(rows, _by_unit(await request.form(), "was-"))
     results = await write_batch(desk, person, bus, number, rows, confirm=bool(parameter.dangerous))
     undone = {result.unit for result in results if result.outcome != "verified"}
@@ -78,5 +79,5 @@ def _choices() -> list[Parameter]:
 def _writable_or_404(number: int) -> Parameter:
     parameter = PARAMETERS.get(number)
     if parameter is None or parameter.never_writable:
-        raise Problem(404, "unknown_parameter", f"there is no parameter {number} that can be written")
+        raise Problem(404, "unknown_parameter", Message.of("parameter_not_writable", number=number))
     return parameter

@@ -14,6 +14,7 @@ from app.sets.model import ParameterSet, Row, UnitRows
 from app.web.shape import Strict
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
+from bus.messages import Message
 
 DOCUMENT_FORMAT = "lineside parameter set"
 DOCUMENT_VERSION = 1
@@ -136,7 +137,7 @@ def _parse(text: str, source: str) -> _Document:
 
 def _content(text: str, source: str) -> dict[str, Any]:
     if len(text) > LONGEST_DOCUMENT:
-        raise DocumentError(TOO_LONG, params={"source": source})
+        raise DocumentError(Message.of("source_too_long", source=source))
     if _key_steps(text) > MOST_KEY_STEPS:
         raise DocumentError("{source}: a key has too many dotted parts", params={"source": source})
     try:
@@ -160,7 +161,7 @@ def _key_steps(text: str) -> int:
 def _unreadable(source: str, error: Exception) -> DocumentError:
     params: dict[str, object] = {"source": source, "why": str(error)}
     if isinstance(error, RecursionError):
-        params["why"] = CallerError("it is nested too deeply")
+        params["why"] = CallerError(Message("nested_too_deeply"))
     if "end of document" in str(error):
         return DocumentError("{source}: not readable as TOML, perhaps cut off: {why}", params=params)
     return DocumentError("{source}: not readable as TOML: {why}", params=params)

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from app.audit.log import Event, EventLog
-from app.live.fields import Voice
-from app.live.sources import Drifted, UnitSubscriber
-from app.live.state import LiveState
+from app.live.screen.fields import Voice
+from app.live.screen.sources import Drifted, UnitSubscriber
+from app.live.state.live_state import LiveState
 from app.sets.background import Background
 from app.sets.changers import who_changed
 from app.sets.compare import Compared, drift

@@ -9,9 +9,9 @@ from typing import Protocol
 
 import structlog
 
-from app.commands.desk import WriteSubscriber
+from app.commands.service.command_service import WriteSubscriber
 from app.errors import Problem, StoreError
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from app.sets.background import Background
 from app.sets.keeper import SetKeeper
 from app.sets.model import UnitRows

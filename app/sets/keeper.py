@@ -11,12 +11,13 @@ import structlog
 from app.audit.log import EventLog
 from app.commands.authority import Authority
 from app.errors import Problem
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from app.sets.drift import Drifts
 from app.sets.model import Origin, ParameterSet, UnitRows
 from app.sets.reading import ParameterReader
 from app.sets.store import SetStore
 from app.web.access import Person
+from bus.messages import Message
 
 _log = structlog.get_logger(__name__)
 
@@ -65,7 +66,7 @@ class SetKeeper:
         """From now on the unit ought to be as this set says. Raises Problem 404 where it does not hold it."""
         stored = await self.store.load(set_id)
         if stored is None or stored.unit(unit) is None:
-            raise Problem(404, "unknown_set", f"set {set_id} does not hold unit {unit}")
+            raise Problem(404, "unknown_set", Message.of("set_lacks_unit", set=set_id, unit=unit))
         await self.store.mark_golden(stored.bus, unit, set_id, person.name, time.time())
         await self.drifts.load()
         await self._events.record(

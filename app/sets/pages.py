@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.sets.api import Keeper, Schedules
 from app.sets.compare import compare
@@ -20,6 +20,7 @@ from app.web.services import service
 from app.web.shape import Units
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
+from bus.messages import Message
 from bus.text import Lines, OneLine
 
 router = APIRouter(include_in_schema=False)
@@ -173,7 +174,7 @@ async def drift_fragment(
 def _taking_or_404(readings: Takings, taking_id: str) -> Taking:
     taking = readings.get(taking_id)
     if taking is None:
-        raise Problem(404, "unknown_taking", "no such reading; the server may have been started anew")
+        raise Problem(404, "unknown_taking", Message("no_such_taking"))
     return taking
 
 

@@ -13,6 +13,7 @@ from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from bus.catalogue.numbers import CONTROL_MODE, FOLLOWER_MODE
 from bus.catalogue.parameters import PARAMETERS, check_writable_value, danger_of_writing
 from bus.errors import CallerError
+from bus.messages import Message, term
 
 _REMOTE = 1
 """#19 of a unit that takes writes (manual, 4.0)."""
@@ -101,11 +102,13 @@ def refuse_unwritable(plan: RestorePlan, selection: Selection) -> None:
     for left in plan.left_out:
         if left.number not in selection.include or left.later:
             continue
-        params = {"number": left.number, "why": left.text}
         if left.reason == "dangerous":
-            text = "#{number}: {why}; confirm it by itself to write it; nothing was written"
-            raise Problem(409, "dangerous", text, params=params)
-        raise Problem(422, "invalid", "#{number} cannot be written: {why}", params=params)
+            raise Problem(
+                409,
+                "dangerous",
+                Message.of("row_needs_confirmation", number=left.number, why=term(left.text)),
+            )
+        raise Problem(422, "invalid", Message.of("row_not_writable", number=left.number, why=term(left.text)))
 
 
 def _why_not(number: int, wanted: UnitRows, present: UnitRows, *, running: bool) -> LeftOut | None:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from app.commands.desk import Desk
+from app.commands.service.command_service import Desk
 from app.errors import Problem
-from app.live.state import BusLive, LiveState, UnitLive
+from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.live_state import LiveState
 from app.sets.model import Row, UnitRows
 from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, status_bits
 from bus.contract import ParameterValue, ReadParameters, Result
+from bus.messages import Message
 
 READ_TIMEOUT_S = 300.0
 """A full list waits for gaps in the scan; at 300 baud one unit takes half a minute of wire alone."""
@@ -62,5 +64,5 @@ class ParameterReader:
 
 
 def _unread(result: Result, unit: int) -> Problem:
-    detail = result.message or f"unit {unit} did not answer"
+    detail = result.message or Message.of("unit_did_not_answer", unit=unit)
     return Problem(504, "unverified", detail, unit=unit, read=len(result.values))

@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Callable
 import structlog
 
 from app.audit.log import EventLog
-from app.commands.desk import Desk
+from app.commands.service.command_service import Desk
 from app.errors import Problem, StoreError
 from app.sets.background import Background
 from app.sets.model import UnitRows
@@ -25,6 +25,7 @@ from app.sets.restore_run import RestoreRun
 from app.sets.restore_store import RestoreStore
 from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from app.web.access import Person
+from bus.messages import Message, term
 
 EndSubscriber = Callable[[Restore], Awaitable[None]]
 
@@ -117,7 +118,7 @@ class RestoreDesk:
         """Begin writing. Raises Problem 409 when it has begun already or its unit is being restored."""
         _refuse_begun(restore)
         if any(other.state in UNDER_WAY and _same_unit(other, restore) for other in self._restores.values()):
-            raise Problem(409, "busy", f"unit {restore.unit} is being restored by another; wait for its end")
+            raise Problem(409, "busy", Message.of("unit_being_restored", unit=restore.unit))
         restore.state, restore.who = "running", person.name
         self._background.begin(self._run(person, restore), f"restore {restore.id}")
 
@@ -172,7 +173,7 @@ class RestoreDesk:
 
 def _refuse_begun(restore: Restore) -> None:
     if restore.state != "planned":
-        raise Problem(409, "already_started", f"this restore has begun: it is {restore.state}")
+        raise Problem(409, "already_started", Message.of("restore_has_begun", state=term(restore.state)))
 
 
 def _same_unit(one: Restore, other: Restore) -> bool:

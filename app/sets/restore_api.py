@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter
 from pydantic import Field
 
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
 from app.sets.api import Keeper
 from app.sets.lookup import restore_or_404, wanted_rows

@@ -7,9 +7,9 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from app.sets.api import Keeper
 from app.sets.compare import compare
 from app.sets.effects import OPERATING_VALUES
@@ -31,6 +31,7 @@ from app.web.access import Engineer
 from app.web.services import service_of
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
+from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)
 
@@ -127,7 +128,7 @@ async def cancel(person: Engineer, restores: Restores, restore_id: str) -> Respo
 async def _stored(keeper: SetKeeper, live: LiveState, chosen: FormSource) -> UnitRows:
     """The rows of a stored set named ``set:12:3``. Raises Problem 422 or 404."""
     if not chosen.text.startswith("set:"):
-        raise Problem(422, "invalid", "choose a stored set or a file")
+        raise Problem(422, "invalid", Message("set_or_file_missing"))
     return (await side(chosen.text, keeper, live)).rows
 
 
@@ -136,9 +137,9 @@ def _ticked(restore: Restore, rows: frozenset[int]) -> Selection:
     reviewed = frozenset(write.number for write in restore.plan.writes)
     reviewed |= frozenset(write.number for write, _ in restore.offered)
     if not rows:
-        raise Problem(422, "invalid", "no row was chosen; nothing was written")
+        raise Problem(422, "invalid", Message("no_row_chosen"))
     if rows - reviewed:
-        raise Problem(422, "invalid", "this is not what was reviewed; nothing was sent")
+        raise Problem(422, "invalid", Message("not_what_was_reviewed"))
     return restore.selection.choosing(rows, reviewed - rows - OPERATING_VALUES)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 
-from app.commands.desk import Desk
+from app.commands.service.command_service import Desk
 from app.errors import Problem
 from app.sets.effects import warning_of
 from app.sets.plan import plan_restore
@@ -15,10 +15,8 @@ from app.sets.restore_store import ENDED_MEANWHILE, RestoreStore
 from app.web.access import Person
 from bus.contract import WriteParameter
 from bus.errors import unit_error_name
-from bus.messages import in_english
+from bus.messages import Message, in_english, term
 
-MOVED = "the unit has changed since the review; nothing was written, review it again"
-STARTED = "the unit was started after the review; the rest was not written, review it again"
 _OF_ITS_ROW = frozenset({"invalid"})
 """Refusals that say something of one row only."""
 _STOPS = frozenset({"unverified", "not_sent", "bus_closed"})
@@ -56,7 +54,7 @@ class RestoreRun:
             restore.wanted, before, running=running, remote=remote, selection=restore.selection
         )
         if now.writes != restore.plan.writes:
-            raise Problem(409, "moved", MOVED)
+            raise Problem(409, "moved", Message("unit_changed_since_review"))
 
     async def _write_rows(self) -> None:
         restore = self._restore
@@ -64,7 +62,7 @@ class RestoreRun:
             if restore.cancelled_by:
                 raise _cancelled(restore)
             if self._would_surprise(row):
-                raise Problem(409, "moved", STARTED)
+                raise Problem(409, "moved", Message("unit_started_since_review"))
             await self._store.sending(restore, place)
             try:
                 restore.rows[place] = await self._write(row)
@@ -110,12 +108,12 @@ class RestoreRun:
 
 def _cancelled(restore: Restore) -> Problem:
     who, done, rows = restore.cancelled_by, restore.done, len(restore.rows)
-    one, many = f"left off by {who} after {done} of 1 row", f"left off by {who} after {done} of {rows} rows"
-    return Problem(409, "cancelled", one if rows == 1 else many)
+    return Problem(409, "cancelled", Message.of("restore_left_off", who=str(who), done=done, n=rows))
 
 
 def _go_on_or_raise(row: RowResult) -> None:
     if row.outcome is None or row.outcome not in _STOPS:
         return
     status = 504 if row.outcome == "unverified" else 503
-    raise Problem(status, row.outcome, f"#{row.write.number}: {row.message or 'nothing more was sent'}")
+    why = term(row.message) if row.message else Message("nothing_more_sent")
+    raise Problem(status, row.outcome, Message.of("at_row", number=row.write.number, why=why))

@@ -11,7 +11,7 @@ import structlog
 
 from app.audit.log import EventLog
 from app.errors import StoreError
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from app.sets.keeper import SetKeeper
 from app.sets.model import UnitRows
 from app.sets.taking import read_together

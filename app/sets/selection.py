@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from app.errors import Problem
+from bus.messages import Message
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +23,7 @@ class Selection:
     def __post_init__(self) -> None:
         both = sorted(self.exclude & (self.include | self.confirmed))
         if both:
-            text = "#{number} is both included and excluded; nothing was written"
-            raise Problem(422, "invalid", text, params={"number": both[0]})
+            raise Problem(422, "invalid", Message.of("row_included_and_excluded", number=both[0]))
 
     def choosing(self, include: frozenset[int], exclude: frozenset[int]) -> Selection:
         """Another choice of rows; what was confirmed stays so unless it is excluded now."""

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 
 from app.errors import Problem
 from app.live.lookup import unit_or_404
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.model import UnitRows
 from app.sets.reading import known_rows
 from app.sets.store import SetSummary
 from app.web.numbers import whole_number
+from bus.messages import Message
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +77,11 @@ async def side(text: str, keeper: SetKeeper, live: LiveState) -> Side:
     of, _, number = rest.rpartition(":")
     unit = whole_number(number)
     if kind not in ("set", "golden", "live") or not of or unit is None:
-        params = {"text": text, "known": "set:12:3, golden:BUS:3 or live:BUS:3"}
-        raise Problem(422, "invalid", "'{text}' names no side; give {known}", params=params)
+        raise Problem(
+            422,
+            "invalid",
+            Message.of("no_such_side", text=text, known="set:12:3, golden:BUS:3 or live:BUS:3"),
+        )
     return Side(kind, of, unit, await _rows(kind, of, unit, keeper, live))
 
 
@@ -85,12 +89,11 @@ async def _rows(kind: str, of: str, unit: int, keeper: SetKeeper, live: LiveStat
     if kind == "set":
         number = whole_number(of)
         if number is None:
-            raise Problem(422, "invalid", "'{text}' is no number of a set", params={"text": of})
+            raise Problem(422, "invalid", Message.of("not_a_set_number", text=of))
         return unit_rows_or_404(await set_or_404(keeper, number), unit)
     if kind == "live":
         return known_rows(unit_or_404(live, of, unit))
     golden = keeper.drifts.golden(of, unit)
     if golden is None:
-        params = {"unit": unit, "bus": of}
-        raise Problem(404, "unknown_set", "no set of unit {unit} on {bus} is marked golden", params=params)
+        raise Problem(404, "unknown_set", Message.of("no_golden_set", unit=unit, bus=of))
     return golden

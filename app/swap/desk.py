@@ -16,6 +16,7 @@ from app.swap.record import Source, Swap
 from app.swap.rules import Advice, Sight
 from app.swap.store import SwapStore
 from app.web.access import Person
+from bus.messages import Message
 
 LOOK_WAIT_S = 2.0
 """How long a page waits for a look before it is told what the last one showed."""
@@ -57,7 +58,7 @@ class SwapDesk:
         """The same. Raises Problem 404."""
         swap = self.of(bus, unit)
         if swap is None:
-            raise Problem(404, "unknown_swap", f"no swap of unit {unit} has been begun; begin it first")
+            raise Problem(404, "unknown_swap", Message.of("swap_not_begun", unit=unit))
         return swap
 
     async def begin(self, person: Person, bus: str, unit: int, source: Source | None) -> Swap:
@@ -67,8 +68,7 @@ class SwapDesk:
         """
         under_way = self.of(bus, unit)
         if under_way is not None and not under_way.proven:
-            why = f"{under_way.who} has begun a swap of unit {unit} already; go on with it or leave it first"
-            raise Problem(409, "busy", why)
+            raise Problem(409, "busy", Message.of("swap_under_way", who=under_way.who, unit=unit))
         swap = Swap(bus, unit, person.name, source, self._clock())
         await self._store.save(swap)
         self._swaps[bus, unit] = swap

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from app.commands.desk import Desk
+from app.commands.service.command_service import Desk
 from app.errors import Problem
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from app.swap.record import Swap
 from app.swap.rules import FACTORY_ADDRESS, Kind, Sight
 from app.web.access import Person

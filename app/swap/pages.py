@@ -7,10 +7,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Request, Response
 
-from app.commands.desk import Desk
-from app.commands.writer import AskDesk
+from app.commands.service.command_service import Desk
+from app.commands.service.writer import AskDesk
 from app.errors import Problem
-from app.live.api import Live
+from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
 from app.sets.api import Keeper
 from app.sets.form_source import Chosen, post_source
@@ -27,6 +27,7 @@ from app.swap.sources import source_of
 from app.web.access import Engineer, Person
 from app.web.services import service
 from app.web.templating import render
+from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)
 
@@ -104,7 +105,7 @@ async def begin_restore(
     unit_or_404(live, bus, unit)
     swap = swaps.of_or_404(bus, unit)
     if swap.source is None:
-        raise Problem(409, "no_set", "this swap has no set to restore from; enter the sheet, or leave it")
+        raise Problem(409, "no_set", Message("swap_without_set"))
     rows = unit_rows_or_404(await set_or_404(keeper, swap.source.set), swap.source.unit)
     restore = await restores.plan(person, bus, unit, rows)
     await swaps.restoring(swap, restore)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from app.errors import Problem
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from app.sets.form_source import FormSource
 from app.sets.keeper import SetKeeper
 from app.sets.sides import side
 from app.swap.record import Source
 from app.web.access import Person
+from bus.messages import Message
 
 SHEET = "sheet"
 """Nothing is stored: a person enters the values."""
@@ -27,7 +28,7 @@ async def source_of(
     if form.text == SHEET:
         return None
     if not form.text:
-        raise Problem(422, "invalid", "choose what the spare shall become; nothing was begun")
+        raise Problem(422, "invalid", Message("spare_not_chosen"))
     chosen = await side(form.text, keeper, live)
     if chosen.kind == "set":
         return Source(int(chosen.of), chosen.unit)

@@ -17,6 +17,7 @@ from starlette.requests import HTTPConnection
 from app.errors import Problem
 from app.web.arrival import refuse_late
 from bus.errors import CallerError
+from bus.messages import Message, term
 
 Via = Literal["session", "token", "worker", "demo"]
 AccountSubscriber = Callable[[str], Awaitable[None]]
@@ -50,8 +51,7 @@ def role_named(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
     """Raises CallerError for a word that is none of these."""
     roles = list(among)
     if word not in roles:
-        params = {"role": word[:80], "known": ", ".join(roles)}
-        raise CallerError("there is no role '{role}'; choose one of {known}", params=params)
+        raise CallerError(Message.of("no_such_role", role=word[:80], known=", ".join(roles)))
     return Role(word)
 
 
@@ -122,9 +122,11 @@ class Requires:
         if person is None:
             raise not_signed_in()
         if not person.role.includes(self.role):
-            params = {"role": self.role, "name": person.name, "present": person.role}
-            detail = "this needs the role {role}; {name} is {present}"
-            raise Problem(403, "forbidden", detail, params=params)
+            raise Problem(
+                403,
+                "forbidden",
+                Message.of("role_needed", role=term(self.role), name=person.name, present=term(person.role)),
+            )
         return person
 
 
@@ -134,7 +136,7 @@ async def public() -> None:
 
 def not_signed_in() -> Problem:
     """The refusal for nobody."""
-    problem = Problem(401, "unauthorized", "sign in, or send a token that is valid")
+    problem = Problem(401, "unauthorized", Message("sign_in_needed"))
     return problem.with_headers(WWW_Authenticate="Bearer")
 
 

@@ -18,6 +18,7 @@ from app.web.bounds import MOST_PLAIN_BODY_BYTES
 from app.web.parsing import parse_apart
 from app.web.schema_names import operation_name
 from app.web.schema_problem import usual_problems
+from bus.messages import Message
 
 MOST_MEMBERS = 1000
 """Of a JSON object; the largest has one for each of 255 units. Each unknown one is a fault of its own."""
@@ -72,8 +73,7 @@ def _loads(body: bytes) -> Any:
 
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(pairs) > MOST_MEMBERS:
-        detail = "an object has more than {n} members; nothing was sent"
-        raise Problem(422, "invalid", detail, params={"n": MOST_MEMBERS})
+        raise Problem(422, "invalid", Message.of("too_many_members", n=MOST_MEMBERS))
     made: dict[str, Any] = {}
     for name, value in pairs:
         if name in made:
@@ -81,8 +81,7 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         made[name] = value
     for name in made:
         if not _is_text(name):
-            detail = "{name}: there is no such field; nothing was sent"
-            raise Problem(422, "invalid", detail, params={"name": ascii(name)})
+            raise Problem(422, "invalid", Message.of("field_unknown", name=ascii(name)))
     return made
 
 
@@ -107,14 +106,12 @@ def _check_query(query: QueryParams, known: Mapping[str, bool]) -> None:
 
 def _unknown(name: str, known: Mapping[str, bool]) -> Problem:
     if not known:
-        detail = "{name}: there is no such parameter; there are none; nothing was sent"
-        return Problem(422, "invalid", detail, params={"name": name})
-    detail = "{name}: there is no such parameter; there are: {known}; nothing was sent"
-    return Problem(422, "invalid", detail, params={"name": name, "known": ", ".join(known)})
+        return Problem(422, "invalid", Message.of("parameter_unknown_none", name=name))
+    return Problem(422, "invalid", Message.of("parameter_unknown", name=name, known=", ".join(known)))
 
 
 def _twice(name: str) -> Problem:
-    return Problem(422, "invalid", "{name}: it is given twice; nothing was sent", params={"name": name})
+    return Problem(422, "invalid", Message.of("parameter_twice", name=name))
 
 
 def _is_list(annotation: Any) -> bool:

@@ -18,6 +18,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from app.errors import Problem
 from app.server.stamping import ARRIVED_AT
 from app.web.deadline import DEFAULT_TIMEOUT_S, Deadline, Instant, instant_now
+from bus.messages import Message
 
 BEGUN_AT = "lineside.begun_at"
 """Key in the ``state`` of an ASGI scope: the Instant at which the app began with a request."""
@@ -78,16 +79,14 @@ def _program_sent_at(connection: HTTPConnection) -> float | None:
         raise Problem(
             422,
             "invalid",
-            "Lineside-Sent-At: write one ISO 8601 time with its zone, such as 2026-11-21T03:12:00.250Z; "
-            "nothing was sent",
+            Message("sent_at_malformed"),
         )
     ahead_s = at - time.time()
     if ahead_s > MOST_AHEAD_S:
         raise Problem(
             422,
             "invalid",
-            "Lineside-Sent-At is {ahead} s in the future; set the clock of the sender; nothing was sent",
-            params={"ahead": f"{ahead_s:.1f}"},
+            Message.of("sent_at_in_future", ahead=f"{ahead_s:.1f}"),
         )
     return at
 

@@ -16,6 +16,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.errors import Problem
+from bus.messages import Message
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKED = Path(__file__).resolve().parents[1] / "_assets"
@@ -91,7 +92,7 @@ class Assets:
     def get(self, name: str) -> Asset:
         """Raises Problem 404."""
         if name not in self._files:
-            raise Problem(404, "not_found", "there is no file {path}", params={"path": name})
+            raise Problem(404, "not_found", Message.of("no_such_file", path=name))
         if name not in self._loaded:
             media_type = mimetypes.guess_type(name)[0] or "application/octet-stream"
             self._loaded[name] = Asset(self._read(name), media_type)

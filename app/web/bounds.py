@@ -9,12 +9,14 @@ from collections.abc import Iterator
 
 from starlette.datastructures import Headers
 from starlette.requests import Request
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Message as AsgiMessage
 
 from app.errors import Problem
 from app.web.numbers import whole_number
 from app.web.problems import respond
 from app.web.security import refuse
+from bus.messages import Message
 
 MOST_BODY_BYTES = 2 * 1024 * 1024
 """Of a request that carries a file of parameter sets: 255 units take 0.7 MB."""
@@ -66,7 +68,7 @@ class BoundedBody:
     def _counting(self, receive: Receive) -> Receive:
         seen = 0
 
-        async def counting() -> Message:
+        async def counting() -> AsgiMessage:
             nonlocal seen
             message = await receive()
             seen += len(message.get("body", b""))
@@ -81,13 +83,13 @@ def _out_of_bounds(scope: Scope) -> Problem | None:
     query = scope["query_string"]
     long = len(scope["path"]) > LONGEST_PATH or len(query) > LONGEST_QUERY
     if long or query.count(b"&") > MOST_PARAMETERS:
-        return Problem(414, "too_long", "nothing here has so long an address")
+        return Problem(414, "too_long", Message("address_too_long"))
     content_type = Headers(scope=scope).get("content-type", "")
     if len(content_type) > LONGEST_CONTENT_TYPE:
-        return Problem(415, "unsupported_type", "the Content-Type is too long; nothing was done")
+        return Problem(415, "unsupported_type", Message("content_type_too_long"))
     if content_type.lower().startswith("multipart/") and "charset" in content_type.lower():
         # The parts would be decoded by any codec that Python has: punycode takes n² steps.
-        return Problem(415, "unsupported_type", "a form has no charset but UTF-8; nothing was done")
+        return Problem(415, "unsupported_type", Message("form_charset"))
     return None
 
 
@@ -102,7 +104,5 @@ def _readable(headers: list[tuple[bytes, bytes]]) -> Iterator[tuple[bytes, bytes
 
 def _too_large(most_bytes: int) -> Problem:
     if most_bytes >= 1024**2:
-        params = {"n": most_bytes // 1024**2}
-        return Problem(413, "too_large", "more than {n} MB were sent; nothing was done", params=params)
-    params = {"n": most_bytes // 1024}
-    return Problem(413, "too_large", "more than {n} kB were sent; nothing was done", params=params)
+        return Problem(413, "too_large", Message.of("body_over_megabytes", n=most_bytes // 1024**2))
+    return Problem(413, "too_large", Message.of("body_over_kilobytes", n=most_bytes // 1024))

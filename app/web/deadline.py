@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import NewType
 
 from app.errors import Problem
+from bus.messages import Message
 
 Instant = NewType("Instant", float)
 """A moment on this process's monotonic clock, seconds."""
@@ -48,8 +49,6 @@ class Deadline:
         raise Problem(
             503,
             "not_sent",
-            "this came too late: it is {age} s old, and {allowed} s were allowed; nothing was sent. "
-            "Send it again if it is still wanted",
-            params={"age": f"{self.timeout_s - left_s:.1f}", "allowed": f"{self.timeout_s:g}"},
+            Message.of("came_too_late", age=f"{self.timeout_s - left_s:.1f}", allowed=f"{self.timeout_s:g}"),
             outcome="not_sent",
         )

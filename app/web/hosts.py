@@ -15,6 +15,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from app.errors import Problem
 from app.server.addresses import canonical
 from app.web.security import refuse
+from bus.messages import Message
 
 LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})
 OPEN_PATH = "/healthz"
@@ -39,14 +40,13 @@ class AllowedHosts:
     def _problem(self, scope: Scope) -> Problem | None:
         named = Headers(scope=scope).getlist("host")
         if len(named) > 1:
-            return Problem(400, "malformed", "the request has two Host headers; nothing was done")
+            return Problem(400, "malformed", Message("two_host_headers"))
         if not self._allowed or scope["path"] == OPEN_PATH:
             return None
         host = host_name("".join(named))
         if host in self._allowed or _is_local(scope, host):
             return None
-        detail = "this server is not called '{host}'; ask it under a name of allowed_hosts"
-        return Problem(421, "wrong_host", detail, params={"host": host})
+        return Problem(421, "wrong_host", Message.of("host_not_served", host=host))
 
 
 def host_name(text: str) -> str:

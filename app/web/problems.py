@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -20,8 +20,10 @@ from starlette.websockets import WebSocket
 from app.errors import Problem, ProblemCode, StoreError, TooCostlyError
 from app.server.security_headers import HEADERS
 from app.web.access import person_of
+from app.web.faults import fault_message
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
+from bus.messages import TERM, Message
 
 log = structlog.get_logger()
 
@@ -33,21 +35,8 @@ _CODES: dict[int, ProblemCode] = {
     422: "invalid",
 }
 
-_HTTP_DETAILS = {
-    404: ("there is nothing at {path}", ("path",)),
-    405: ("{method} is not for {path}; nothing was done", ("method", "path")),
-}
-"""By status the template of the detail, and what of the request it names."""
-
 MOST_FAULTS = 20
 """Of a body that are named."""
-
-_WORDS = {
-    "model_attributes_type": 'it must be a JSON object, {"…": …}, sent as Content-Type: application/json',
-    "extra_forbidden": "there is no such field",
-    "missing": "it is missing",
-}
-"""By the kind of fault, where the validator's own words say less."""
 
 
 def wants_json(connection: HTTPConnection) -> bool:
@@ -91,7 +80,8 @@ def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
 def _message_members(problem: Problem) -> dict[str, Any]:
     """``params`` in English, one level deep; ``reason`` with the codes of all levels."""
     members = {} if problem.params is None else {"params": _plain(problem.params)}
-    return members if problem.message is None else members | {"reason": msgspec.to_builtins(problem.message)}
+    is_text = problem.message.code == TERM
+    return members if is_text else members | {"reason": msgspec.to_builtins(problem.message)}
 
 
 def _plain(params: Mapping[str, object]) -> dict[str, int | float | str]:
@@ -129,33 +119,16 @@ def _place(location: Sequence[int | str]) -> str:
     return ".".join(str(step) for step in location if step not in ("body", "query", "path")) or "body"
 
 
-def _fault(error: Any) -> str:
-    words = _WORDS.get(error["type"], "")
-    return words or str(error["msg"]).removeprefix("Value error, ")
-
-
-class InvalidRequest(Problem):
-    """Malformed input. ``where`` of a fault may be a key of the request, ``message`` is the validator's."""
-
-    def __init__(self, faults: Sequence[dict[str, str]]) -> None:
-        self._faults = faults
-        params = {"faults": self._listed(str)}
-        super().__init__(422, "invalid", "{faults}; nothing was sent", params=params, errors=faults)
-
-    def text(self, t: Callable[..., str]) -> str:
-        """Each message in the language of ``t``, each place as it is."""
-        return t(self.template, faults=self._listed(t))
-
-    def _listed(self, t: Callable[[str], str]) -> str:
-        return "; ".join(f"{fault['where']}: {t(fault['message'])}" for fault in self._faults)
-
-
 def invalid(errors: Sequence[Any]) -> Problem:
-    """Malformed input, each fault named. Nothing was done."""
+    """Malformed input, each fault named; its place may be a key of the request. Nothing was done."""
     if any(error["type"] == "json_invalid" for error in errors):
-        return Problem(422, "invalid", "the body is not JSON; nothing was sent")
-    faults = [{"where": _place(error["loc"]), "message": _fault(error)} for error in errors[:MOST_FAULTS]]
-    return InvalidRequest(faults)
+        return Problem(422, "invalid", Message("body_not_json"))
+    found = [(_place(error["loc"]), fault_message(error)) for error in errors[:MOST_FAULTS]]
+    faults: list[int | str | Message] = [
+        Message.of("fault_at", where=where, fault=fault) for where, fault in found
+    ]
+    named = [{"where": where, "message": str(fault)} for where, fault in found]
+    return Problem(422, "invalid", Message.of("fields_malformed", faults=faults), errors=named)
 
 
 async def _on_problem(request: Request | WebSocket, error: Exception) -> Response | None:
@@ -174,15 +147,24 @@ async def _on_http(request: Request, error: Exception) -> Response:
     if isinstance(error.__cause__, Problem):
         return respond(request, error.__cause__)
     if error.status_code == 400:
-        return respond(request, Problem(422, "invalid", "the body cannot be read; nothing was sent"))
+        return respond(request, Problem(422, "invalid", Message("body_not_readable")))
     code = _CODES.get(error.status_code, "refused")
-    template, names = _HTTP_DETAILS.get(error.status_code, (str(error.detail), ()))
-    asked = {"path": request.url.path, "method": request.method}
-    problem = Problem(error.status_code, code, template, params={name: asked[name] for name in names})
+    problem = Problem(error.status_code, code, _http_message(request, error))
     problem.headers.update(error.headers or {})
     if error.status_code == 405:
         problem.with_headers(Allow=", ".join(_methods(request)))
     return respond(request, problem)
+
+
+def _http_message(request: Request, error: HTTPException) -> Message | str:
+    path = request.url.path
+    match error.status_code:
+        case 404:
+            return Message.of("nothing_at_path", path=path)
+        case 405:
+            return Message.of("method_not_for_path", method=request.method, path=path)
+        case _:
+            return str(error.detail)
 
 
 def _methods(request: Request) -> list[str]:
@@ -199,26 +181,28 @@ async def _on_invalid(request: Request, error: Exception) -> Response:
 
 async def _on_caller(request: Request, error: Exception) -> Response:
     assert isinstance(error, CallerError)
-    return respond(request, Problem(422, "invalid", error.template, params=error.params))
+    return respond(request, Problem(422, "invalid", error.message))
 
 
 async def _on_store(request: Request, error: Exception) -> Response:
+    assert isinstance(error, StoreError)
     log.error("store", path=request.url.path, error=str(error))
-    return respond(request, Problem(503, "store", str(error)))
+    return respond(request, Problem(503, "store", error.message))
 
 
 async def _on_too_costly(request: Request, error: Exception) -> Response:
-    return respond(request, Problem(503, "too_costly", str(error)))
+    assert isinstance(error, TooCostlyError)
+    return respond(request, Problem(503, "too_costly", error.message))
 
 
 async def _on_undecodable(request: Request, _error: Exception) -> Response:
-    return respond(request, Problem(422, "invalid", "the body is not UTF-8 text; nothing was sent"))
+    return respond(request, Problem(422, "invalid", Message("body_not_utf8")))
 
 
 async def _on_anything(request: Request, error: Exception) -> Response:
     """Starlette calls this outside of every middleware, so the headers of all others are set here."""
     log.error("failed", path=request.url.path, exc_info=error)
-    problem = Problem(500, "failed", "the server failed at this; its log says why")
+    problem = Problem(500, "failed", Message("server_failed"))
     return respond(request, problem.with_headers(**HEADERS))
 
 

@@ -17,6 +17,7 @@ from starlette.websockets import WebSocket
 from app.errors import Problem
 from app.web.arrival import SAFE_METHODS
 from app.web.problems import problem_json, refuse_socket
+from bus.messages import Message
 
 _DEFAULT_PORTS = {"http": 80, "https": 443, "ws": 80, "wss": 443}
 
@@ -64,8 +65,7 @@ class OwnPagesOnly:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] in ("http", "websocket") and is_foreign(scope):
             origin = HTTPConnection(scope).headers.get("origin", "another site")
-            detail = "this came from a page of {origin}, not from here; nothing was done"
-            problem = Problem(403, "foreign_origin", detail, params={"origin": origin})
+            problem = Problem(403, "foreign_origin", Message.of("foreign_origin", origin=origin))
             await refuse(scope, receive, send, problem)
             return
         await self._app(scope, receive, send)

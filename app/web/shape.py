@@ -7,6 +7,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from bus.messages import Message
+
 
 class Strict(BaseModel):
     """A body in which nothing is unknown, nothing is converted and no number is infinite."""
@@ -17,7 +19,7 @@ class Strict(BaseModel):
 def _each_once(numbers: list[int]) -> list[int]:
     twice = [number for number in numbers if numbers.count(number) > 1]
     if twice:
-        raise ValueError(f"{twice[0]} is given twice")
+        raise ValueError(Message.of("number_given_twice", number=str(twice[0])))
     return numbers
 
 

@@ -9,11 +9,13 @@ from typing import Any
 
 from fastapi import Depends
 from starlette.requests import HTTPConnection
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Message as AsgiMessage
 
 from app.errors import Problem
 from app.server.fair_queue import FairQueue, TooManyWaitingError
 from app.web.access import Viewer, person_of
+from bus.messages import Message
 
 AT_ONCE = 2
 MOST_WAITING = 30
@@ -30,8 +32,9 @@ async def turn_of(turns: FairQueue[str], account: str) -> AsyncIterator[None]:
         try:
             await stack.enter_async_context(turns.turn(account))
         except TooManyWaitingError:
-            detail = "too many of your requests wait already; let some end"
-            raise Problem(429, "too_many", detail).with_headers(Retry_After="2") from None
+            raise Problem(429, "too_many", Message("too_many_requests")).with_headers(
+                Retry_After="2"
+            ) from None
         yield
 
 
@@ -66,7 +69,7 @@ class ReadInTurn:
             return
         async with AsyncExitStack() as turn:
 
-            async def sending(message: Message) -> None:
+            async def sending(message: AsgiMessage) -> None:
                 # What is sent is made: a stream that lasts keeps nobody waiting.
                 await turn.aclose()
                 await send(message)

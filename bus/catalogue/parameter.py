@@ -12,6 +12,7 @@ from enum import StrEnum
 from typing import Literal
 
 from bus.errors import CallerError
+from bus.messages import Message
 
 DataType = Literal["UCHR", "UINT", "ULNG"]
 Evidence = Literal["A", "B", "C", "U"]
@@ -78,7 +79,7 @@ def danger_of_writing(parameter: Parameter, raw: int) -> str:
 def check_writable_value(parameter: Parameter, raw: int) -> None:
     """Raises CallerError for a parameter that is never written, IllegalValue for a value out of range."""
     if parameter.never_writable:
-        raise CallerError(f"#{parameter.number} {parameter.name} cannot be changed over the link")
+        raise CallerError(Message.of("parameter_not_by_link", number=parameter.number, called=parameter.name))
     nearest = nearest_legal(parameter, raw)
     if nearest != raw:
         raise IllegalValue(_refusal(parameter, raw, nearest), nearest)

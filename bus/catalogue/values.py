@@ -9,6 +9,7 @@ import re
 
 from bus.catalogue.parameter import Parameter, Scale
 from bus.errors import CallerError
+from bus.messages import Message
 
 RATIO_DECIMALS = 4
 _FOLLOWER_MODES = (1, 2)
@@ -67,7 +68,7 @@ def analog_output_volts(raw: int, low: int, high: int) -> float:
     Raises CallerError when #29 and #30 are equal, for then no value means any voltage.
     """
     if low == high:
-        raise CallerError("#29 and #30 are equal, so no value stands for a voltage; set them apart first")
+        raise CallerError(Message("analog_limits_equal"))
     return _FULL_VOLTS * (raw - low) / (high - low)
 
 
@@ -77,7 +78,7 @@ def rpm(raw: int, max_rpm: int, max_display: int) -> float:
     Raises CallerError when #2 is 0.
     """
     if max_display == 0:
-        raise CallerError("#2 is 0, so a displayed speed stands for no motor speed; set #2 first")
+        raise CallerError(Message("maximum_speed_zero"))
     return raw * max_rpm / max_display
 
 
@@ -114,15 +115,15 @@ def parameter_raw(parameter: Parameter, text: str, decimals: int | None, *, foll
     typed = text.strip()
     if parameter.secret and not (typed.isascii() and typed.isdecimal()):
         # An ordinary refusal repeats what was typed.
-        raise CallerError("this is not a number; write it like 1234")
+        raise CallerError(Message("not_a_number_plain"))
     places = _decimals(parameter, decimals, follower)
     if places is None:
-        raise CallerError("the unit's decimals (#3) have not been read yet; give the raw number")
+        raise CallerError(Message("decimals_not_read"))
     raw = _raw(text, places)
     if parameter.scale is not Scale.BAUD:
         return raw
     if raw % 100:
-        raise CallerError(f"{raw} is no baud rate of the unit; it takes 300, 600, 1200, 2400, 4800 or 9600")
+        raise CallerError(Message.of("not_a_baud_rate", raw=raw))
     return raw // 100
 
 
@@ -142,7 +143,7 @@ def _decimals(parameter: Parameter, decimals: int | None, follower: bool) -> int
 
 def _raw(text: str, decimals: int) -> int:
     if decimals > MOST_DECIMALS:
-        raise CallerError("the unit reports more decimals (#3) than a value can have; check #3 at its panel")
+        raise CallerError(Message("decimals_too_many"))
     text = text.strip()
     number = _NUMBER.fullmatch(text)
     if number is None:
@@ -154,17 +155,14 @@ def _raw(text: str, decimals: int) -> int:
 
 
 def _too_many_decimals(text: str, count: int, allowed: int) -> CallerError:
-    params = {"number": text, "count": count, "allowed": allowed}
     if not allowed:
-        return CallerError("{number} has {count} decimals; this value has no", params=params)
-    return CallerError("{number} has {count} decimals; this value has at most {allowed}", params=params)
+        return CallerError(Message.of("value_takes_no_decimals", number=text, count=count, allowed=allowed))
+    return CallerError(Message.of("value_has_decimals", number=text, count=count, allowed=allowed))
 
 
 def _no_number(text: str, example: str) -> CallerError:
     if not text:
-        template = "no number is given, and empty is not zero; write it like {example}"
-        return CallerError(template, params={"example": example})
+        return CallerError(Message.of("number_missing", example=example))
     if _NUMBER.fullmatch(text.replace("\N{MINUS SIGN}", "-").removeprefix("-")):
-        return CallerError("{number} is below 0, the lowest there is", params={"number": text})
-    params = {"text": text, "example": example}
-    return CallerError("'{text}' is not a number; write it like {example}", params=params)
+        return CallerError(Message.of("number_below_zero", number=text))
+    return CallerError(Message.of("not_a_number", text=text, example=example))

@@ -3,7 +3,19 @@
 from __future__ import annotations
 
 from bus.messages.catalog import Catalog
-from bus.messages.message import Message, ParamValue, in_english, joined, number, term
+from bus.messages.message import NUMBER, TERM, Message, ParamValue, in_english, joined, number, term
 from bus.messages.texts import TEXTS, Plural
 
-__all__ = ["TEXTS", "Catalog", "Message", "ParamValue", "Plural", "in_english", "joined", "number", "term"]
+__all__ = [
+    "NUMBER",
+    "TERM",
+    "TEXTS",
+    "Catalog",
+    "Message",
+    "ParamValue",
+    "Plural",
+    "in_english",
+    "joined",
+    "number",
+    "term",
+]

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from app.database.connection import Database
-from app.history.query import Answer, Question, answer
-from app.history.recorder import Recorder
-from app.history.runs import micros
-from app.history.tail import Tail
-from app.history.upkeep import Keep
-from app.history.values import VALUES
-from app.history.writer import MIGRATIONS, Writer
+from app.history.intake.recorder import Recorder
+from app.history.intake.tail import Tail
+from app.history.intake.upkeep import Keep
+from app.history.intake.writer import MIGRATIONS, Writer
+from app.history.query.query import Answer, Question, answer
+from app.history.series.runs import micros
+from app.history.series.values import VALUES
 from bus.contract import ParameterValue, Reading, Update
 from bus.settings import BusSettings, UnitSettings
 

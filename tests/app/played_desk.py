@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from app.commands import rules
-from app.commands.desk import WriteSubscriber
-from app.commands.limits import NO_LIMITS
-from app.commands.objection import Circumstances, ObjectionError
+from app.commands import check
+from app.commands.rules.objection import Circumstances, ObjectionError
+from app.commands.safeguards.limits import NO_LIMITS
+from app.commands.service.command_service import WriteSubscriber
 from app.database import Database
 from app.errors import Problem
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from app.sets.keeper import SetKeeper
 from app.sets.reading import ParameterReader
 from app.sets.store import SetStore
@@ -88,7 +88,7 @@ class PlayedDesk:
             self.live.buses[bus], lambda _: NO_LIMITS, lambda _: None, lambda _: 0, confirm=confirm
         )
         try:
-            rules.check(action, now)
+            check.check(action, now)
         except ObjectionError as error:
             raise Problem(422, error.code, str(error)) from error
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from app.live.fields import Voice
-from app.live.sources import Drifted, Sources, UnitSubscriber
+from app.live.screen.fields import Voice
+from app.live.screen.sources import Drifted, Sources, UnitSubscriber
 
 
 class PlayedGuards:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from app.live.fields import Voice
-from app.live.screen import Screen
-from app.live.state import LiveState
+from app.live.screen.fields import Voice
+from app.live.screen.screen import Screen
+from app.live.state.live_state import LiveState
 from app.messages import Languages
 from app.web.formats import Formats
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink

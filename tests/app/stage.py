@@ -22,18 +22,18 @@ from websockets.exceptions import ConnectionClosed
 
 from app.audit.api import router as events_router
 from app.audit.log import EventLog
-from app.commands.api import router as commands_router
-from app.commands.desk import Desk
-from app.commands.safeguards import Safeguards
-from app.commands.safeguards_api import router as safeguards_router
-from app.commands.trace_api import router as trace_router
+from app.commands.api.commands import router as commands_router
+from app.commands.api.safeguards import router as safeguards_router
+from app.commands.api.trace import router as trace_router
+from app.commands.safeguards.service import Safeguards
+from app.commands.service.command_service import Desk
 from app.database import Database
 from app.feed.socket import router as feed_router
 from app.feed.workers import Workers
 from app.history.status import Status
-from app.live.api import router as live_router
-from app.live.sources import Sources
-from app.live.state import LiveState
+from app.live.api.routes import router as live_router
+from app.live.screen.sources import Sources
+from app.live.state.live_state import LiveState
 from app.pipeline import Pipeline
 from app.settings import Settings, Site
 from app.web.access import Person, Role, Via

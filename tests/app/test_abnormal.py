@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from app.live.abnormal import Tally, UnitView, all_offline, shown_cause
-from app.live.cause import Cause, bus_cause
-from app.live.onset import Onset
-from app.live.suspicion import suspicion
-from app.live.view import unit_json
+from app.live.api.view import unit_json
+from app.live.diagnosis.abnormal import Tally, UnitView, all_offline, shown_cause
+from app.live.diagnosis.cause import Cause, bus_cause
+from app.live.diagnosis.suspicion import suspicion
+from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
 from bus.messages import term
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, voice
@@ -92,7 +92,8 @@ def test_a_bus_says_worker_or_port_and_since_when() -> None:
     assert bus_cause(bus, 100.5) is None
     live.apply("dry", [BusLink(at=101.0, link="closed", cause=term("no such device"))])
     live.apply("dry", [BusLink(at=105.0, link="closed", cause=term("permission denied"))])
-    assert bus_cause(bus, 110.0) == Cause("port_lost", "urgent", Onset(101.0), {"why": term("permission denied")})
+    denied = {"why": term("permission denied")}
+    assert bus_cause(bus, 110.0) == Cause("port_lost", "urgent", Onset(101.0), denied)
     live.worker_went("dry", 120.0)
     assert bus_cause(bus, 130.0) == Cause("worker_lost", "urgent", Onset(120.0))
 

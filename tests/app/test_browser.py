@@ -4,7 +4,7 @@ import asyncio
 import json
 from typing import Any
 
-from app.live.browser import MOST_FRAMES, Browser, Diff
+from app.live.browsers.browser import MOST_FRAMES, Browser, Diff
 
 
 def diff(n: int, **fields: str) -> Diff:

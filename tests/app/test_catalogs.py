@@ -90,10 +90,11 @@ MADE = [
 
 
 def test_each_message_has_a_text_and_its_values() -> None:
+    """More values than the text has are for programs."""
     wrong = [
         (path, code, names)
         for path, code, names in MADE
-        if code not in TEXTS or ("**" not in names and names != names_of(code))
+        if code not in TEXTS or ("**" not in names and not names >= names_of(code))
     ]
     assert wrong == []
 

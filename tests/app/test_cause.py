@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from app.live.cause import Cause, unit_cause
-from app.live.cause_text import CAUSE_TEXTS, CHECK_TEXTS, cause_line, cause_text, check_text
-from app.live.onset import Onset
-from app.live.state import LiveState
+from app.live.diagnosis.cause import Cause, unit_cause
+from app.live.screen.cause_text import CAUSE_TEXTS, CHECK_TEXTS, cause_line, cause_text, check_text
+from app.live.state.live_state import LiveState
+from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink
 from bus.messages import term
 from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, reading, voice

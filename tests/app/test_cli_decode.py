@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from app.cli import decode
 from app.cli.decode import parse_hex
-from app.commands.trace_file import trace_line
+from app.commands.api.trace_file import trace_line
 from bus.contract import Frame
 from bus.errors import CallerError
 from bus.messages import term

@@ -15,11 +15,11 @@ from typer.testing import CliRunner, Result
 
 from app.cli import scan
 from app.cli.scan import announcement, bauds_to_try
-from bus.messages import Message
 from bus.catalogue import numbers
 from bus.errors import WireError
 from bus.line.scan.found import Found
 from bus.line.scan.prober import Prober
+from bus.messages import Message
 from bus.settings import Dialect
 from bus.simulator.faults import Faults, Kind
 from bus.simulator.line import SimulatedLine
@@ -31,6 +31,7 @@ from bus.simulator.serve import LineServer
 from bus.simulator.unit import Traits, Unit
 
 PATIENCE_MS = "400"
+GONE = Message.of("port_gone", port="it")
 """A unit of these tests answers at once, but on a busy machine its process may have to wait its turn. An
 address without a unit costs this at every look, so there are few of those."""
 
@@ -157,7 +158,7 @@ def test_nobody_is_called_absent_after_one_question(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize(
     ("error", "code", "words"),
-    [(KeyboardInterrupt(), 130, "interrupted"), (WireError(Message.of("port_gone", port="it")), 1, "it is gone")],
+    [(KeyboardInterrupt(), 130, "interrupted"), (WireError(GONE), 1, "it is gone")],
 )
 def test_what_was_found_before_the_end_is_told(
     monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int, words: str

@@ -7,8 +7,8 @@ from typing import get_args
 import pytest
 
 from app.commands.catalogue import COMMANDS, kind_of_command
-from app.commands.new_setpoints import NewSetpoint
-from app.commands.timeouts import timeout_s_for
+from app.commands.rules.new_setpoints import NewSetpoint
+from app.commands.rules.timeouts import timeout_s_for
 from app.web.access import Role
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
@@ -27,7 +27,7 @@ from bus.contract import (
     WriteParameter,
 )
 from tests.app.stage import reading
-from tests.app.test_rules import bus_with, parameter
+from tests.app.test_command_check import bus_with, parameter
 
 SECRET = next(number for number, each in PARAMETERS.items() if each.secret)
 ALL: list[Action] = [

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from app.commands.trace_file import parse_trace_line
+from app.commands.api.trace_file import parse_trace_line
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Command,

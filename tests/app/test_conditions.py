@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.live.conditions import conditions_of
+from app.live.state.conditions import conditions_of
 from bus.catalogue.status import status_bits
 from bus.contract import Reading
 

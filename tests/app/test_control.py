@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.commands.control import LAPSES_AFTER_S, Control, ControlledError
+from app.commands.safeguards.control import LAPSES_AFTER_S, Control, ControlledError
 
 
 def test_control_lapses_without_use_and_use_keeps_it() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from app.commands.timeouts import timeout_s_for
+from app.commands.rules.timeouts import timeout_s_for
 from app.web.access import Role
 from app.web.deadline import Deadline
 from bus.contract import BusLink, Result, SetLine

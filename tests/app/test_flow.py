@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.live.flow import FEW_PAGES, FLOOD, MOST_TOLD_S, WINDOW_S, Flow
+from app.live.browsers.flow import FEW_PAGES, FLOOD, MOST_TOLD_S, WINDOW_S, Flow
 
 
 def flow() -> tuple[Flow, list[float]]:

@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.audit.log import EventLog
 from app.database import Database
-from app.history.api import router
+from app.history.api.routes import router
 from app.history.service import History
 from app.settings import Server, Settings, Site
 from app.web.access import Person, Role

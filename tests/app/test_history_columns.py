@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.history.columns import pack, unpack
+from app.history.series.columns import pack, unpack
 
 NUMBERS = st.integers(-(2**61), 2**61)
 

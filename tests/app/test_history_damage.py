@@ -11,16 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from app.history import writer as writing
-from app.history.damage import Block
-from app.history.folding import compact
-from app.history.query import Question, answer
-from app.history.repair import Repair
-from app.history.runs import DAY, HOUR, MINUTE, micros
+from app.history.intake import writer as writing
+from app.history.intake.folding import compact
+from app.history.intake.upkeep import Keep, Upkeep
+from app.history.intake.writer import Writer
+from app.history.query.query import Question, answer
+from app.history.series.runs import DAY, HOUR, MINUTE, micros
+from app.history.series.values import VALUES
 from app.history.service import FILE, History
-from app.history.upkeep import Keep, Upkeep
-from app.history.values import VALUES
-from app.history.writer import Writer
+from app.history.store.damage import Block
+from app.history.store.repair import Repair
 from app.settings import Server, Settings
 from tests.app.history_line import BUS, NOON, Shelf, opened, polls, until
 from tests.app.stage import until as arrived

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.history.disk import Reserve, Space, space
+from app.history.intake.disk import Reserve, Space, space
 
 RESERVE = Reserve(announce=1000, shed=500, pause=100)
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from app.database.connection import Database
-from app.history import store
-from app.history.rollup import Rollup, combine, pack_rollups
-from app.history.runs import DAY, HOUR, MINUTE, micros
+from app.history.intake.writer import MIGRATIONS
+from app.history.series.rollup import Rollup, combine, pack_rollups
+from app.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.history.service import FILE
-from app.history.writer import MIGRATIONS
+from app.history.store import tables
 
 pytestmark = pytest.mark.soak
 
@@ -27,9 +27,9 @@ EXPORT = """\
 import asyncio, json, resource, sys
 from pathlib import Path
 import pyarrow.parquet
-from app.history.export import response
+from app.history.export.download import response
 from app.history.service import History
-from app.history.spans import Span, questions
+from app.history.api.spans import Span, questions
 from app.settings import Server, Settings
 from bus.settings import BusSettings, UnitSettings
 
@@ -63,14 +63,14 @@ def months(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
     blob = pack_rollups(minutes, 0)
     hours = pack_rollups([combine(minutes, hour * HOUR) for hour in range(24)], 0)
 
-    def write(connection: store.Connection) -> None:
-        unit = store.unit_id(connection, "line", 1)
+    def write(connection: tables.Connection) -> None:
+        unit = tables.unit_id(connection, "line", 1)
         starts = range(end - DAYS * DAY, end, HOUR)
         insert = "INSERT INTO {} VALUES (?, ?, ?)"
         connection.executemany(insert.format("minutes"), [(unit, start, blob) for start in starts])
         days = range(end - DAYS * DAY, end, DAY)
         connection.executemany(insert.format("hours"), [(unit, day, hours) for day in days])
-        store.write_raw_from(connection, end)
+        tables.write_raw_from(connection, end)
 
     database = Database(folder / FILE, MIGRATIONS)
     database.write_now(write)

@@ -8,8 +8,8 @@ from urllib.parse import parse_qs
 import pytest
 from starlette.datastructures import QueryParams
 
-from app.history.preload import preload_address
-from app.history.runs import micros
+from app.history.pages.preload import preload_address
+from app.history.series.runs import micros
 from app.history.service import History
 from app.settings import Server, Settings
 from bus.settings import BusSettings, UnitSettings

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from app.history import store
-from app.history.folding import compact
-from app.history.runs import HOUR, micros
+from app.history.intake.folding import compact
+from app.history.series.runs import HOUR, micros
+from app.history.store import tables
 from bus.contract import BusLink, UnitLink
 from tests.app.history_line import NOON, Shelf, parameter, polls, reading
 
@@ -220,7 +220,7 @@ def test_bits_are_kept_exactly_when_the_readings_are_given_up(shelf: Shelf) -> N
     shelf.fold()
     exact = shelf.ask("run", NOON, NOON + 200)
     assert len(exact.series.at) == 2 * 10
-    shelf.database.write_now(lambda c: store.write_raw_from(c, micros(NOON + 86_400)))
-    shelf.database.write_now(lambda c: store.drop_raw(c, micros(NOON + 86_400), 1000))
+    shelf.database.write_now(lambda c: tables.write_raw_from(c, micros(NOON + 86_400)))
+    shelf.database.write_now(lambda c: tables.drop_raw(c, micros(NOON + 86_400), 1000))
     assert shelf.ask("run", NOON, NOON + 200) == exact
     assert shelf.ask("actual", NOON, NOON + 200).resolution == "minutes"

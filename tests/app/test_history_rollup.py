@@ -5,8 +5,16 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.history.rollup import FIELDS, Rollup, combine, pack_rollups, replace_row, rollup, unpack_rollups
-from app.history.runs import HOUR, MINUTE, Run
+from app.history.series.rollup import (
+    FIELDS,
+    Rollup,
+    combine,
+    pack_rollups,
+    replace_row,
+    rollup,
+    unpack_rollups,
+)
+from app.history.series.runs import HOUR, MINUTE, Run
 
 RUNS = st.lists(
     st.builds(

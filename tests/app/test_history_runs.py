@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.history.runs import (
+from app.history.series.runs import (
     MINUTE,
     Run,
     follows,

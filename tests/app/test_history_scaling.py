@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from app.history.scaling import ParameterStep, scaling
-from app.history.values import VALUES
+from app.history.series.scaling import ParameterStep, scaling
+from app.history.series.values import VALUES
 
 
 def shown(name: str, raw: int, steps: list[tuple[int, int, int]], at: int = 100, **how: object) -> float:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from app.history import warming
+from app.history.pages import warming
 from app.history.service import History
 from app.settings import Server, Settings, Site
 from app.web.assets import Assets, static_dir, templates_dir

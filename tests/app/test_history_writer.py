@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from app.errors import StoreError
-from app.history import store
-from app.history.disk import Reserve
-from app.history.query import Question, answer
-from app.history.runs import micros
-from app.history.upkeep import Keep
-from app.history.values import VALUES
-from app.history.writer import Writer
+from app.history.intake.disk import Reserve
+from app.history.intake.upkeep import Keep
+from app.history.intake.writer import Writer
+from app.history.query.query import Question, answer
+from app.history.series.runs import micros
+from app.history.series.values import VALUES
+from app.history.store import tables
 from tests.app.history_line import BUS, NOON, Shelf, opened, parameter, polls, until
 
 ENDLESS = 10**18
@@ -43,7 +43,7 @@ def test_readers_see_readings_soon(tmp_path: Path) -> None:
 def test_what_cannot_be_written_waits_and_the_oldest_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.history.writer.MOST_WAITING", 100)
+    monkeypatch.setattr("app.history.intake.writer.MOST_WAITING", 100)
     (tmp_path / "history.db").mkdir()
     writer = opened(tmp_path)
     for second in range(40):
@@ -62,7 +62,7 @@ def test_a_nearly_full_disk_is_announced_and_the_oldest_readings_go_first(tmp_pa
     shelf.close()
     writer = opened(tmp_path, Keep(reserve=Reserve(announce=ENDLESS, shed=ENDLESS, pause=0)))
     until(lambda: writer.status.state == "scarce")
-    until(lambda: (writer.database.read_now(store.oldest_raw) or 0) > micros(now - 200))
+    until(lambda: (writer.database.read_now(tables.oldest_raw) or 0) > micros(now - 200))
     assert "nearly full" in writer.status.message
     minutes = writer.database.read_now(lambda c: c.execute("SELECT count(*) FROM minutes").fetchone()[0])
     assert minutes == 2, "the minutes stay, and the last hour's readings too"
@@ -81,13 +81,13 @@ def test_a_full_disk_pauses_history_for_the_sake_of_events(tmp_path: Path) -> No
 def test_a_disk_that_fails_while_running_is_said_and_what_was_kept_can_be_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.history.writer.RETRY_S", 0.0)
+    monkeypatch.setattr("app.history.intake.writer.RETRY_S", 0.0)
     writer = opened(tmp_path)
     writer.take((BUS.name, polls(NOON, NOON + 10)))
     until(lambda: writer.status.waiting == 0)
     with monkeypatch.context() as failing:
-        failing.setattr(store, "write_journal", _full)
-        failing.setattr(store, "write_raw_from", _full)
+        failing.setattr(tables, "write_journal", _full)
+        failing.setattr(tables, "write_raw_from", _full)
         writer.take((BUS.name, polls(NOON + 10, NOON + 20)))
         until(lambda: writer.status.state == "failed")
         assert "the disk is full" in writer.status.cause

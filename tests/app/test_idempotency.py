@@ -10,9 +10,9 @@ import msgspec
 import pytest
 
 from app.audit.keyring import KeyRing
-from app.commands import idempotency
-from app.commands.desk import Desk
-from app.commands.wish import Wish, without_secret
+from app.commands.service import idempotency
+from app.commands.service.command_request import Wish, without_secret
+from app.commands.service.command_service import Desk
 from app.errors import Problem, StoreError
 from app.live.command_ids import key_of
 from app.web.access import Person, Role

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from app.live.admission import (
+from app.live.browsers.admission import (
     MOST_OF_ACCOUNT,
     MOST_OF_ADDRESS,
     MOST_OPENED_AT_ONCE,
     OPENED_A_SECOND,
     Admission,
 )
-from app.live.watched import Watched
+from app.live.browsers.watched import Watched
 
 
 def test_an_account_has_so_many_pages_and_another_has_its_own() -> None:

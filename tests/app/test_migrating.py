@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.commands import idempotency
+from app.commands.service import idempotency
 from app.database import Database, StoreError
 from app.database.migrating import MIGRATIONS, migrations_in
 

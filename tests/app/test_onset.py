@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.live.onset import Onset, Onsets, WordSpan, later, onset_in
+from app.live.state.onset import Onset, Onsets, WordSpan, later, onset_in
 
 OFF, ON = 0, 1
 SEEN = 2.0

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from app.errors import StoreError
-from app.live.onset import Onset, WordSpan
-from app.live.onset_lookup import DAY_S, HOUR_S, OnsetLookup
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
+from app.live.state.onset import Onset, WordSpan
+from app.live.state.onset_lookup import DAY_S, HOUR_S, OnsetLookup
 from app.web.access import Role
 from bus.contract import BusLink, Reading, Snapshot, UnitLink, UnitState
 from tests.app.stage import bus_settings, until

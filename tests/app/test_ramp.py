@@ -1,8 +1,8 @@
 from __future__ import annotations
 
-from app.commands.change import change_of
-from app.commands.limits import Limits
-from app.commands.ramp import Ramp, nudges, present_setpoint, ramp_of, ramp_parameters_missing
+from app.commands.review.ramp import Ramp, nudges, present_setpoint, ramp_of, ramp_parameters_missing
+from app.commands.review.setpoint_change import change_of
+from app.commands.safeguards.limits import Limits
 from bus.contract import ParameterValue
 from tests.app.screens import line, reading
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from app.live.browser import Browser
-from app.live.flow import FEW_PAGES
-from app.live.readers import Readers
+from app.live.browsers.browser import Browser
+from app.live.browsers.flow import FEW_PAGES
+from app.live.browsers.readers import Readers
 from tests.app.screens import line, screen
 
 GROUP = "dry/1"

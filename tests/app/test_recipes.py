@@ -8,7 +8,7 @@ import pytest
 
 from app.database import Database
 from app.errors import Problem
-from app.live.state import LiveState
+from app.live.state.live_state import LiveState
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, Setpoint, Step, dry_run, setpoints_now
 from app.recipes.store import RecipeStore

@@ -11,7 +11,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.commands.limits import Limits
+from app.commands.safeguards.limits import Limits
 from app.web.access import Role
 from bus.contract import ParameterValue, Reading
 from tests.app.played_desk import ANNA, HEALTHY, REMOTE, RUN, answering, fresh

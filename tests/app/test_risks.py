@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from app.commands.ramp import Ramp
-from app.commands.risks import Remark, by_remark, facts_of, obstacle_of, risks_of, risks_of_writing
-from app.live.state import LiveState
+from app.commands.review.ramp import Ramp
+from app.commands.review.risks import Remark, by_remark, facts_of, obstacle_of, risks_of, risks_of_writing
+from app.live.state.live_state import LiveState
 from bus.contract import BusLink, Update
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading
 

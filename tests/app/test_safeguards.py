@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from app.audit.store import Filter
-from app.commands.blocks import Block, BlockStore
-from app.commands.limits import NO_LIMITS, Limits, LimitsStore
+from app.commands.safeguards.blocks import Block, BlockStore
+from app.commands.safeguards.limits import NO_LIMITS, Limits, LimitsStore
 from app.database import Database
 from bus.contract import Command, Update
 from tests.app.stage import PlayedWorker, Stage, answering, fate, reading, staged

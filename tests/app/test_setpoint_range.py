@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from app.commands.limits import NO_LIMITS, Limits
-from app.commands.setpoint_range import (
+from app.commands.rules.setpoint_range import (
     SetpointRange,
     parameter_bounds,
     setpoint_range,
     unread_for_range,
 )
-from app.live.state import UnitLive
+from app.commands.safeguards.limits import NO_LIMITS, Limits
+from app.live.state.bus_live import UnitLive
 from app.web.access import Role
 from bus.contract import Command, ParameterValue, ReadParameters, SetLine, SetSpeed, Update
 from tests.app.played_desk import ANNA, a_bus, answering

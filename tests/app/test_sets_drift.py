@@ -9,7 +9,7 @@ import pytest
 
 from app.audit.log import EventLog
 from app.database import Database
-from app.live.sources import Drifted
+from app.live.screen.sources import Drifted
 from app.sets.drift import Drifts
 from app.sets.model import ParameterSet, Row, UnitRows
 from app.sets.store import SetStore

@@ -6,11 +6,11 @@ import time
 
 from pydantic import ConfigDict, TypeAdapter, with_config
 
-from app.commands.answers import fate_json
-from app.commands.shown import FateShown
-from app.live.shown import BusShown, CauseShown, ParameterShown, UnitShown
-from app.live.state import LiveState
-from app.live.view import bus_json, parameter_json
+from app.commands.api.responses import fate_json
+from app.commands.api.schemas import FateShown
+from app.live.api.schemas import BusShown, CauseShown, ParameterShown, UnitShown
+from app.live.api.view import bus_json, parameter_json
+from app.live.state.live_state import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Command, Frame, Result, UnitOutcome, Update
 from bus.messages import term

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.live.totals import holders
+from app.live.screen.totals import holders
 from tests.app.screens import voice
 
 

@@ -23,7 +23,7 @@ from app.feed.holders import Credential
 from app.feed.ingest import Ingest
 from app.feed.rates import HELLOS_AT_ONCE, update_bucket
 from app.feed.workers import TOO_OFTEN, WorkerLeft
-from app.live.browser import Browser
+from app.live.browsers.browser import Browser
 from app.web.access import Role
 from bus.contract import (
     MOST_UPDATES,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from app.commands.desk import Desk
+from app.commands.service.command_service import Desk
 from app.errors import Problem
 from app.web.access import Person, Role
 from bus.contract import Result, WriteParameter

@@ -11,11 +11,11 @@ import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
-from app.live import socket
-from app.live.admission import MOST_OF_ACCOUNT, Admission
-from app.live.browser import Browser, Diff
-from app.live.hub import MOST_TOLD_AT_ONCE, Hub
-from app.live.readers import Readers
+from app.live.browsers import socket
+from app.live.browsers.admission import MOST_OF_ACCOUNT, Admission
+from app.live.browsers.browser import Browser, Diff
+from app.live.browsers.hub import MOST_TOLD_AT_ONCE, Hub
+from app.live.browsers.readers import Readers
 from app.main import create_app
 from app.web.access import Role
 from tests.app.screens import line, screen

@@ -67,7 +67,7 @@ def execute_all(roster: Roster, wish: Wish) -> Procedure:
         else:
             proof = yield from prove_unchanged(member.record, member.before)
             member.outcome = unchanged(member, answer, proof)
-    return executed(members, answer, [] if knew else [Message("nothing_staged")])
+    return executed(members, answer, [] if knew else [Message("nothing_staged_here")])
 
 
 def _likely_refusals_first(roster: Roster, setpoints: Mapping[int, int], wish: Wish) -> list[tuple[int, int]]:

@@ -5,16 +5,39 @@ A text with a number of things is ``Plural``: ``n`` decides. A code stands in on
 
 from __future__ import annotations
 
-from bus.messages.texts import commands, findings, frames, ports, units, workers
+from bus.messages.texts import (
+    accounts,
+    commands,
+    findings,
+    frames,
+    history,
+    ports,
+    recipes,
+    requests,
+    results,
+    sets,
+    stores,
+    swaps,
+    units,
+    workers,
+)
 from bus.messages.texts.plural import EnglishText
 from bus.messages.texts.plural import Plural as Plural
 
 GROUPS: tuple[dict[str, EnglishText], ...] = (
-    units.TEXTS,
+    accounts.TEXTS,
     commands.TEXTS,
     findings.TEXTS,
     frames.TEXTS,
+    history.TEXTS,
     ports.TEXTS,
+    recipes.TEXTS,
+    requests.TEXTS,
+    results.TEXTS,
+    sets.TEXTS,
+    stores.TEXTS,
+    swaps.TEXTS,
+    units.TEXTS,
     workers.TEXTS,
 )
 TEXTS: dict[str, EnglishText] = {code: text for group in GROUPS for code, text in group.items()}

@@ -1,96 +1,52 @@
-"""What became of a command on the wire: sent, acknowledged, read back."""
+"""What is said of commands, and the values typed into them."""
 
 from __future__ import annotations
 
-from bus.messages.texts.plural import EnglishText, Plural
+from bus.messages.texts.plural import EnglishText
 
 TEXTS: dict[str, EnglishText] = {
-    # Before anything is sent.
-    "bus_closed": "there is no link to the bus: {reason}; nothing was sent",
-    "bus_not_linked": "there is no link to the bus; nothing was sent",
-    "bus_link_lost": "the link to the bus was lost",
-    "deadline_passed": "the deadline passed before it could be sent; nothing was sent",
-    "arrived_late": "it arrived {seconds} s after its deadline; nothing was sent",
-    "canceled": "canceled",
-    "canceled_before_sending": "canceled before it was sent; nothing was sent",
-    "unit_blocked": "unit {unit} is blocked by {who}: {reason}",
-    "units_busy": "another change of these units took until its deadline; nothing was sent",
-    "too_many_commands": "too many commands are under way at the bus worker; nothing was sent",
-    "unknown_command": "this bus worker does not know such a command; nothing was sent",
-    "worker_stopping": "the bus worker is stopping; nothing was sent",
-    "request_out_of_range": "{field} {value} cannot be sent; it must be {lowest} to {highest}",
-    "field_unit_address": "unit address",
-    "field_parameter_number": "parameter number",
-    "field_output": "output",
-    "field_value": "value",
-    "frame_length_illegal": "a frame carries {lowest} to {highest} bytes, not {count}",
-    # One unit.
-    "unit_unresponsive": "unit {unit} does not respond; nothing was sent, its state is not known",
-    "unit_no_response": "unit {unit} did not respond",
-    "unit_no_acknowledgement": "unit {unit} did not acknowledge",
-    "unit_refused_retry": "{refusal}; but an earlier try got no response and may have been executed",
-    "write_unacknowledged": Plural(
-        "unit {unit} did not acknowledge (sent once): whether it acted is not known",
-        "unit {unit} did not acknowledge (sent {n} times): whether it acted is not known",
+    "unit_did_not_answer": "unit {unit} did not answer",
+    "no_such_output": "a unit has the auxiliary outputs 1 to 6",
+    "no_such_parameter": "a unit has the parameters 1 to 40",
+    "baud_unknown": "a unit speaks at {rates} baud",
+    "baud_unchanged": "the line goes at {baud} baud already",
+    "new_holder_unknown": "nobody of that name is here who could hold control",
+    "no_bus_configured": "no bus is configured; name one in lineside.toml",
+    "nothing_sent": "{reason}; nothing was sent",
+    "id_used": "the id '{id}' was used for another command; nothing was sent",
+    "review_lapsed": "the review has lapsed; nothing was sent",
+    "limits_reversed": "the lowest setpoint is above the highest; nothing was changed",
+    "decimals_unknown": "the unit's decimals (#3) are not known yet; try again when it answers",
+    "protocol_maximum": "the protocol carries {most} at most; nothing was changed",
+    "block_needs_reason": "say why: the next shift reads it",
+    "setpoint_of_moved": "{name}: the setpoint has moved since it was reviewed; nothing was sent",
+    "of_unit": "{name}: {reason}",
+    "no_new_setpoint": "no new setpoint is given; empty is not zero",
+    "whole_number_needed": "a whole number, please; empty is not zero",
+    "output_unknown": "the state of this output is not known; nothing was sent",
+    "word_not_typed": "the word was not typed; nothing was sent",
+    "holder_cannot_sign_in": "there is no user {name} who may log in; control stays where it is",
+    "holder_may_not_command": "{name} is {role} and may set nothing; control goes to an operator or above",
+    "setpoint_moved": "the setpoint has moved since it was reviewed; nothing was sent",
+    "setpoint_unknown": "the present setpoint is not known; nothing was sent",
+    "step_below_zero": "the step is larger than the setpoint, which cannot go below 0; nothing was sent",
+    "nothing_staged": "this unit has nothing staged; nothing was sent",
+    "staged_moved": "something else is staged now; nothing was sent",
+    "trace_line_malformed": "not a line of a trace ({error}): {line}",
+    "unit_without_decimals": (
+        "unit {unit} has no decimals (#3), so it shows no such value; give the raw number"
     ),
-    "nothing_to_read_back": "acknowledged; there is nothing to read back",
-    "unit_remark": "unit {unit}: {remark}",
-    # The read-back.
-    "verified_unacknowledged": "not acknowledged, but read back as requested",
-    "readback_missing": "unit {unit} {response}, and {reason}: its state is not known",
-    "readback_differs": "unit {unit} {response}, but {reason} (read {reads} times): its state is not what was"
-    " requested",
-    "response_acknowledged": "acknowledged",
-    "response_missing": "did not acknowledge",
-    "response_refused": "refused ({error})",
-    "readback_no_response": "it did not respond to the read-back",
-    "speed_reads": "its commanded speed reads {value}",
-    "speed_reads_while": "its commanded speed reads {value} (active: {inputs})",
-    "speed_moved": "its commanded speed went from {before} to {value} although nothing was staged from here",
-    "ratio_reads": "its ratio (#37) reads {value}",
-    "ratio_unread": "it is a follower, and its ratio (#37) could not be read back",
-    "parameter_reads": "it reads {value}",
-    "parameter_unavailable": "it refused the read-back",
-    "secret_reads": "it reads another value, which is not shown",
-    "output_reads_on": "the output reads on",
-    "output_reads_off": "the output reads off",
-    # Several units at once.
-    "change_too_long": Plural(
-        "staging 1 unit takes {seconds} s on this bus, and {allowed} s were given; nothing was sent",
-        "staging {n} units takes {seconds} s on this bus, and {allowed} s were given; nothing was sent",
-    ),
-    "canceled_before_execute": "canceled before it was executed",
-    "deadline_passed_staging": "the deadline passed before every unit had acknowledged",
-    "no_unit_changed": "{reason}: no unit was changed",
-    "no_unit_changed_staged_left": "{reason}: no unit was changed; may still be staged in unit {units}",
-    "unit_untouched": "nothing was sent to it",
-    "unit_unchanged": "nothing was staged from here, and its commanded speed is unchanged",
-    "unit_may_hold": "unit {unit}: {reason}; it may still hold {raw} staged",
-    "nothing_staged": "no unit held a speed staged from here",
-    "staged_withdrawn": "staged, then put back to its present speed ({present}); not executed",
-    "staged_left": "may still hold {raw} staged, as it could not be put back: stage its present speed before"
-    " anything is executed on this line",
-    "executed_singly": "missed the broadcast and was executed singly",
-    "outsider_staged": "unit {unit} is not part of the change but holds {staged} staged, would execute it"
-    " too, and could not be put back to its present speed",
-    "outsider_moved": "unit {unit}, which was not part of the change: {reason}",
-    # Reads.
-    "parameters_partly_read": "unit {unit}: {count} of {all} parameters were read, then: {reason}",
-    "parameter_no_response": "no response to #{number}",
-    "parameter_refused": "#{number}: {error}",
-    # The baud rate.
-    "baud_of_device_server": "the baud rate of a network port is set in its device server, so it cannot be"
-    " followed from here; nothing was sent",
-    "baud_not_possible": "the bus runs at {baud} baud; it can be changed to {rates}; nothing was sent",
-    "baud_no_response": "unit {units} responds at neither rate",
-    "baud_not_followed": "unit {units} stayed at {baud} baud while the others changed",
-    "baud_readback_differs": "unit {units} responds at {baud} baud, but its #18 does not read so",
-    "baud_not_held": "#18 of unit {units} does not read so",
-    "baud_changed": 'the bus is at {baud} baud, every unit read back; set "baud = {baud}" for it in'
-    " lineside.toml before the next start",
-    "baud_at_power_up": "every unit holds {baud} baud and uses it from its next power-up; until then the bus"
-    ' stays at {present}. Switch all units off and on, and set "baud = {baud}" in lineside.toml',
-    "baud_restored": "{reason}: every unit is back at {baud} baud, as before",
-    "baud_not_restored": "{reason}; every other unit is back at {baud} baud. At the panel of unit {units}:"
-    " set #18 to {value}, then switch it off and on",
+    "not_what_was_reviewed": "this is not what was reviewed; nothing was sent",
+    "parameter_not_by_link": "#{number} {called} cannot be changed over the link",
+    "not_a_number_plain": "this is not a number; write it like 1234",
+    "decimals_not_read": "the unit's decimals (#3) have not been read yet; give the raw number",
+    "not_a_baud_rate": "{raw} is no baud rate of the unit; it takes 300, 600, 1200, 2400, 4800 or 9600",
+    "decimals_too_many": "the unit reports more decimals (#3) than a value can have; check #3 at its panel",
+    "value_takes_no_decimals": "{number} has {count} decimals; this value has no",
+    "value_has_decimals": "{number} has {count} decimals; this value has at most {allowed}",
+    "number_missing": "no number is given, and empty is not zero; write it like {example}",
+    "number_below_zero": "{number} is below 0, the lowest there is",
+    "not_a_number": "'{text}' is not a number; write it like {example}",
+    "analog_limits_equal": "#29 and #30 are equal, so no value stands for a voltage; set them apart first",
+    "maximum_speed_zero": "#2 is 0, so a displayed speed stands for no motor speed; set #2 first",
 }

@@ -1,0 +1,253 @@
+"""The commands over HTTP; each answers once its fate is known."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Header, Query
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.commands.api.bodies import (
+    AnalogOutputBody,
+    BaudBody,
+    Body,
+    OutputBody,
+    ParameterBody,
+    SetpointsBody,
+    SpeedBody,
+)
+from app.commands.api.quantity import Typed
+from app.commands.api.responses import answer
+from app.commands.api.schemas import FateShown
+from app.commands.catalogue import (
+    CHANGE_BAUD,
+    EXECUTE_ALL,
+    EXECUTE_SPEED,
+    READ_PARAMETERS,
+    SET_LINE,
+    SET_SPEED,
+    WRITE_ANALOG_OUTPUT,
+    WRITE_OUTPUT,
+    WRITE_PARAMETER,
+    kind_of_command,
+)
+from app.commands.rules.timeouts import timeout_s_for
+from app.commands.service.command_service import Desk
+from app.commands.service.writer import AskDesk, permitted, permitted_writer
+from app.errors import Problem
+from app.live.api.routes import Live
+from app.live.api.schemas import ParameterShown
+from app.live.api.view import parameter_json
+from app.live.lookup import bus_or_404, unit_or_404
+from app.live.state.live_state import LiveState
+from app.web.access import Person
+from app.web.api_route import ApiRoute
+from app.web.arrival import made_at
+from app.web.deadline import Deadline, Instant
+from app.web.schema_problem import problems
+from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.status import OUTPUT_NUMBERS
+from bus.contract import (
+    Action,
+    ChangeBaud,
+    ExecuteAll,
+    ExecuteSpeed,
+    ReadParameters,
+    SetLine,
+    SetSpeed,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.messages import Message
+
+router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"], route_class=ApiRoute)
+FIRST_READ_WITHIN_S = 5.0
+"""What a plain look at the parameters waits for those that were never read; the reading itself goes on."""
+FATE: dict[int | str, dict[str, Any]] = {
+    200: {"model": FateShown, "description": "verified or acknowledged"},
+    **problems(404, 409, 423, 504),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Asking:
+    """What every command's request carries beside its body: the key, and when it was made."""
+
+    request: Request
+    live: LiveState
+    desk: Desk
+    bus: str
+    key: str | None
+    made_at: Instant
+    query_timeout_s: float | None
+
+    def deadline(self, body: Body, staged_units: int = 0) -> Deadline:
+        """By the body's ``timeout_s``, else the query's, else what a change of so many units may take."""
+        given = body.timeout_s if body.timeout_s is not None else self.query_timeout_s
+        bus = bus_or_404(self.live, self.bus)
+        return Deadline(self.made_at, timeout_s_for(bus, staged_units) if given is None else given)
+
+    def typed(self, person: Person, unit: int, deadline: Deadline) -> Typed:
+        """Conversion of typed values for a unit. Raises Problem 404."""
+        return Typed(self.desk, person, self.bus, unit_or_404(self.live, self.bus, unit), deadline)
+
+    async def ask(
+        self,
+        person: Person,
+        action: Action,
+        body: Body,
+        unit: int | None = None,
+        deadline: Deadline | None = None,
+    ) -> Response:
+        """The fate of ``action`` as an answer."""
+        deadline = deadline or self.deadline(body)
+        result = await self.desk.ask(
+            person, self.bus, action, deadline=deadline, confirm=body.confirm, id=self.key
+        )
+        secret = kind_of_command(action).is_secret(action)
+        return answer(self.request, bus_or_404(self.live, self.bus), result, unit, secret=secret)
+
+
+async def asking(
+    request: Request,
+    live: Live,
+    desk: AskDesk,
+    bus: str,
+    timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
+    key: Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)] = None,
+) -> Asking:
+    """This request's."""
+    return Asking(request, live, desk, bus, key, made_at(request), timeout_s)
+
+
+Ask = Annotated[Asking, Depends(asking)]
+
+
+@router.post("/units/{unit:int}/speed", responses=FATE)
+async def set_speed(
+    person: Annotated[Person, permitted_writer(SET_SPEED)], ask: Ask, unit: int, body: SpeedBody
+) -> Response:
+    """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
+    deadline = ask.deadline(body)
+    raw = await ask.typed(person, unit, deadline).setpoint(body)
+    return await ask.ask(person, SetSpeed(unit=unit, raw=raw, execute=body.execute), body, unit, deadline)
+
+
+@router.post("/units/{unit:int}/execute", responses=FATE)
+async def execute(
+    person: Annotated[Person, permitted_writer(EXECUTE_SPEED)], ask: Ask, unit: int, body: Body | None = None
+) -> Response:
+    """83h to one unit: its staged speed becomes its commanded speed."""
+    return await ask.ask(person, ExecuteSpeed(unit=unit), body or Body(), unit)
+
+
+@router.post("/execute", responses=FATE)
+async def execute_all(
+    person: Annotated[Person, permitted_writer(EXECUTE_ALL)], ask: Ask, body: Body | None = None
+) -> Response:
+    """83h to all, then the proof from every unit."""
+    return await ask.ask(person, ExecuteAll(), body or Body())
+
+
+@router.post("/speeds", responses=FATE)
+async def set_speeds(
+    person: Annotated[Person, permitted_writer(SET_LINE)], ask: Ask, body: SetpointsBody
+) -> Response:
+    """Stage all, require every acknowledgement, broadcast, prove: all of them or none."""
+    deadline = ask.deadline(body, len(body.setpoints))
+    setpoints = {
+        int(key): await ask.typed(person, int(key), deadline).setpoint(quantity)
+        for key, quantity in body.setpoints.items()
+    }
+    return await ask.ask(person, SetLine(setpoints=setpoints), body, deadline=deadline)
+
+
+@router.put("/units/{unit:int}/outputs/{number:int}", responses=FATE)
+async def write_output(
+    person: Annotated[Person, permitted_writer(WRITE_OUTPUT)],
+    ask: Ask,
+    unit: int,
+    number: int,
+    body: OutputBody,
+) -> Response:
+    """87h, proven by the bit in ST2."""
+    unit_or_404(ask.live, ask.bus, unit)
+    if number not in OUTPUT_NUMBERS:
+        raise Problem(404, "unknown_output", Message("no_such_output"), unit=unit)
+    return await ask.ask(person, WriteOutput(unit=unit, number=number, on=body.on), body, unit)
+
+
+@router.put("/units/{unit:int}/analog-output", responses=FATE)
+async def write_analog_output(
+    person: Annotated[Person, permitted_writer(WRITE_ANALOG_OUTPUT)],
+    ask: Ask,
+    unit: int,
+    body: AnalogOutputBody,
+) -> Response:
+    """88h: acknowledged at best, for there is nothing to read back."""
+    return await ask.ask(person, WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
+
+
+@router.post("/baud", responses=FATE)
+async def change_baud(
+    person: Annotated[Person, permitted_writer(CHANGE_BAUD)], ask: Ask, body: BaudBody
+) -> Response:
+    """#18 of every unit, the host after them, every unit proven; taken back by itself where one is lost."""
+    return await ask.ask(person, ChangeBaud(baud=body.baud), body)
+
+
+@router.get("/units/{unit:int}/parameters", response_model=list[ParameterShown], responses=problems(504))
+async def get_parameters(
+    person: Annotated[Person, permitted(READ_PARAMETERS)],
+    ask: Ask,
+    unit: int,
+    refresh: bool = False,
+    gaps: bool = False,
+) -> list[dict[str, Any]]:
+    """All 40 as last read, or with ``refresh`` as the unit gives them now. #21 is masked.
+
+    With ``gaps`` the reading takes only the gaps of the scan: slow while the line is watched, and the
+    watching costs nothing. What was never read is read now where the unit answers.
+    """
+    found = unit_or_404(ask.live, ask.bus, unit)
+    if refresh:
+        await _read(person, ask, unit, list(PARAMETERS), gaps=gaps)
+    elif never_read := [number for number in PARAMETERS if number not in found.parameters]:
+        with suppress(Problem, TimeoutError):
+            async with asyncio.timeout(FIRST_READ_WITHIN_S):
+                await _read(person, ask, unit, never_read, gaps=gaps)
+    return [parameter_json(found, number) for number in PARAMETERS]
+
+
+async def _read(person: Person, ask: Asking, unit: int, numbers: list[int], *, gaps: bool) -> None:
+    """Read them from the unit. Raises Problem 503 or 504 when not all of them come."""
+    action = ReadParameters(unit=unit, numbers=numbers, urgent=not gaps)
+    result = await ask.desk.ask(person, ask.bus, action)
+    if len(result.values) == len(numbers):
+        return
+    status = 503 if result.outcome in ("bus_closed", "not_sent") else 504
+    code = result.outcome if status == 503 else "unverified"
+    detail = result.message or Message.of("unit_did_not_answer", unit=unit)
+    raise Problem(status, code, detail, outcome=code, unit=unit)
+
+
+@router.put("/units/{unit:int}/parameters/{number:int}", responses=FATE)
+async def write_parameter(
+    person: Annotated[Person, permitted_writer(WRITE_PARAMETER)],
+    ask: Ask,
+    unit: int,
+    number: int,
+    body: ParameterBody,
+) -> Response:
+    """86h, read back by 85h. What can cut the link off needs ``confirm``."""
+    deadline = ask.deadline(body)
+    typed = ask.typed(person, unit, deadline)
+    if number not in PARAMETERS:
+        raise Problem(404, "unknown_parameter", Message("no_such_parameter"), unit=unit)
+    raw = await typed.parameter(number, body)
+    return await ask.ask(person, WriteParameter(unit=unit, number=number, raw=raw), body, unit, deadline)

@@ -1,0 +1,157 @@
+"""Limits, blocks and control over HTTP: what keeps a wish from being sent, and who said so."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter
+from pydantic import ConfigDict, Field, model_validator
+
+from app.commands.api.schemas import BlockShown, ControlShown
+from app.commands.safeguards.control import LAPSES_AFTER_S, Holding
+from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
+from app.commands.safeguards.service import Safeguards
+from app.live.api.routes import Live
+from app.live.lookup import bus_or_404, unit_or_404
+from app.web.access import Engineer, Operator, Viewer, name_of
+from app.web.api_route import ApiRoute
+from app.web.services import service
+from app.web.shape import Strict, iso
+from bus.messages import Message
+from bus.text import OneLine
+
+router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"], route_class=ApiRoute)
+
+Setpoint = Annotated[int, Field(ge=0, le=HIGHEST_SETPOINT)]
+
+
+class LimitsBody(Strict):
+    """All four in raw setpoint units; null or left out: no limit."""
+
+    lowest: Annotated[Setpoint | None, Field(description="Lowest setpoint, raw.")] = None
+    highest: Annotated[Setpoint | None, Field(description="Highest setpoint, raw.")] = None
+    largest_step: Annotated[Setpoint | None, Field(description="Largest step of one command, raw.")] = None
+    per_minute: Annotated[Setpoint | None, Field(description="Largest movement in a minute, raw.")] = None
+
+    @model_validator(mode="after")
+    def _leave_something(self) -> LimitsBody:
+        if self.lowest is not None and self.highest is not None and self.lowest > self.highest:
+            raise ValueError(Message("no_setpoint_left"))
+        return self
+
+
+class BlockBody(Strict):
+    """Why the unit must not be commanded."""
+
+    model_config = ConfigDict(str_strip_whitespace=True)
+
+    reason: Annotated[OneLine, Field(min_length=1, max_length=200)]
+
+
+class HandOverBody(Strict):
+    """Who shall hold control."""
+
+    model_config = ConfigDict(str_strip_whitespace=True)
+
+    to: Annotated[str, Field(min_length=1, max_length=60)]
+
+
+Guards = Annotated[Safeguards, service(Safeguards)]
+
+
+@router.get("/units/{unit:int}/limits")
+async def get_limits(_: Viewer, live: Live, guards: Guards, bus: str, unit: int) -> LimitsBody:
+    """What an engineer allows for the speed of this unit."""
+    unit_or_404(live, bus, unit)
+    limits = guards.limits.of(bus, unit)
+    return LimitsBody(
+        lowest=limits.lowest,
+        highest=limits.highest,
+        largest_step=limits.largest_step,
+        per_minute=limits.per_minute,
+    )
+
+
+@router.put("/units/{unit:int}/limits")
+async def put_limits(
+    person: Engineer, live: Live, guards: Guards, bus: str, unit: int, body: LimitsBody
+) -> LimitsBody:
+    """Replace the limits of this unit. They hold on every path at once."""
+    unit_or_404(live, bus, unit)
+    await guards.set_limits(person, bus, unit, Limits(**body.model_dump()))
+    return body
+
+
+@router.get("/units/{unit:int}/block")
+async def get_block(_: Viewer, live: Live, guards: Guards, bus: str, unit: int) -> BlockShown:
+    """Whether this unit is blocked, why and by whom."""
+    unit_or_404(live, bus, unit)
+    return _block_json(guards, bus, unit)
+
+
+@router.post("/units/{unit:int}/block")
+async def block(
+    person: Operator, live: Live, guards: Guards, bus: str, unit: int, body: BlockBody
+) -> BlockShown:
+    """Refuse every write to this unit, on every path, until somebody lifts it."""
+    unit_or_404(live, bus, unit)
+    await guards.block(person, bus, unit, body.reason)
+    return _block_json(guards, bus, unit)
+
+
+@router.delete("/units/{unit:int}/block")
+async def lift_block(person: Operator, live: Live, guards: Guards, bus: str, unit: int) -> BlockShown:
+    """Free this unit; the events keep who did."""
+    unit_or_404(live, bus, unit)
+    await guards.lift(person, bus, unit)
+    return _block_json(guards, bus, unit)
+
+
+@router.get("/control")
+async def get_control(_: Viewer, live: Live, guards: Guards, bus: str) -> ControlShown:
+    """Who holds control of this line, where the site wants one person at a time."""
+    bus_or_404(live, bus)
+    return _control_json(guards, guards.holding(bus))
+
+
+@router.post("/control")
+async def take_control(person: Operator, live: Live, guards: Guards, bus: str) -> ControlShown:
+    """Take control that nobody else holds."""
+    bus_or_404(live, bus)
+    return _control_json(guards, await guards.take(person, bus))
+
+
+@router.post("/control/hand-over")
+async def hand_over_control(
+    person: Operator, live: Live, guards: Guards, bus: str, body: HandOverBody
+) -> ControlShown:
+    """Give control to somebody else who may set the line. An admin may do so without holding it."""
+    bus_or_404(live, bus)
+    return _control_json(guards, await guards.hand_over(person, bus, body.to))
+
+
+@router.delete("/control")
+async def release_control(person: Operator, live: Live, guards: Guards, bus: str) -> ControlShown:
+    """Give control back."""
+    bus_or_404(live, bus)
+    await guards.release(person, bus)
+    return _control_json(guards, None)
+
+
+def _block_json(guards: Safeguards, bus: str, unit: int) -> BlockShown:
+    block = guards.blocks.of(bus, unit)
+    if block is None:
+        return {"blocked": False, "reason": None, "by": None, "since": None}
+    return {"blocked": True, "reason": block.reason, "by": block.set_by, "since": iso(block.set_at)}
+
+
+def _control_json(guards: Safeguards, holding: Holding | None) -> ControlShown:
+    name, is_token = (None, None) if holding is None else name_of(holding.holder)
+    return {
+        "required": guards.control.required,
+        "lapses_after_s": LAPSES_AFTER_S,
+        "holder": name,
+        "is_token": is_token,
+        "since": None if holding is None else iso(holding.since),
+        "lapses_at": None if holding is None else iso(holding.lapses_at),
+    }

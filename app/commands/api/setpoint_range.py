@@ -1,0 +1,48 @@
+"""What a setpoint of a unit may be, over HTTP."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter
+from pydantic import Field
+
+from app.commands.api.safeguards import Guards
+from app.commands.rules.setpoint_range import Basis, SetpointKind, setpoint_range
+from app.live.api.routes import Live
+from app.live.api.schemas import Shown
+from app.live.api.view import setpoint_text
+from app.live.lookup import unit_or_404
+from app.web.access import Viewer
+from app.web.api_route import ApiRoute
+from app.web.shape import Strict
+
+router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"], route_class=ApiRoute)
+
+
+class SetpointRangeShown(Strict):
+    """What a setpoint of a unit may be, both ends included."""
+
+    kind: SetpointKind
+    lowest_raw: Annotated[int, Field(description="Integer on the wire, 0 to 99999.")]
+    highest_raw: Annotated[int, Field(description="Integer on the wire, 0 to 99999.")]
+    lowest: Shown
+    highest: Shown
+    basis: Annotated[Basis, Field(description="What sets it: 82h, #2, #38 and #31, or an engineer.")]
+
+
+@router.get("/units/{unit:int}/setpoint-range")
+async def get_setpoint_range(
+    _: Viewer, live: Live, guards: Guards, bus: str, unit: int
+) -> SetpointRangeShown:
+    """What a setpoint of this unit may be, as every page and every write holds it."""
+    found = unit_or_404(live, bus, unit)
+    allowed = setpoint_range(found, guards.limits.of(bus, unit))
+    return SetpointRangeShown(
+        kind=allowed.kind,
+        lowest_raw=allowed.lowest,
+        highest_raw=allowed.highest,
+        lowest=setpoint_text(found, allowed.lowest),
+        highest=setpoint_text(found, allowed.highest),
+        basis=allowed.basis,
+    )

@@ -1,0 +1,84 @@
+"""``GET /buses/{bus}/trace``: the frames that a worker has kept, decoded, as JSON or as a file.
+
+Whoever sees the frames sees every value that passed, so this needs an engineer.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import AsyncIterator
+from datetime import UTC, datetime
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query
+from starlette.responses import JSONResponse, Response, StreamingResponse
+
+from app.commands.api.responses import frame_json
+from app.commands.api.schemas import TraceShown
+from app.commands.api.trace_file import trace_line
+from app.commands.catalogue import READ_TRACE
+from app.commands.service.command_service import Desk
+from app.commands.service.writer import AskDesk, permitted
+from app.errors import Problem
+from app.web.access import Person
+from app.web.api_route import ApiRoute
+from bus.contract import Frame, ReadTrace
+
+router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["trace"], route_class=ApiRoute)
+HOUR_S = 3600.0
+RECENT_S = 60.0
+PIECE = 2000
+MOST_PIECES = 200
+"""An hour of a full bus has 140. A worker that always has more to tell does not keep a download open."""
+
+
+TRACE: dict[int | str, dict[str, Any]] = {
+    200: {"model": TraceShown, "content": {"text/plain": {"schema": {"type": "string"}}}}
+}
+
+
+@router.get("/trace", responses=TRACE)
+async def get_trace(
+    person: Annotated[Person, permitted(READ_TRACE)],
+    desk: AskDesk,
+    bus: str,
+    seconds: Annotated[float | None, Query(gt=0, le=HOUR_S)] = None,
+    limit: Annotated[int, Query(ge=1, le=PIECE)] = 200,
+) -> Response:
+    """The last ``limit`` frames as JSON; with ``seconds`` all of that time as a text file, one frame a
+    line, which ``lineside decode`` reads back."""
+    now = time.time()
+    if seconds is None:
+        frames: deque[Frame] = deque(maxlen=limit)
+        async for piece in _pieces(desk, person, bus, now - RECENT_S):
+            frames.extend(piece)
+        return JSONResponse({"bus": bus, "frames": [frame_json(frame) for frame in frames]})
+    pieces = _pieces(desk, person, bus, now - seconds)
+    first: list[Frame] = await anext(pieces, [])
+    name = f"{bus}-{datetime.fromtimestamp(now, UTC):%Y%m%dT%H%M%SZ}.trace.txt"
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return StreamingResponse(_lines(first, pieces), headers=headers, media_type="text/plain; charset=utf-8")
+
+
+async def _pieces(desk: Desk, person: Person, bus: str, since: float) -> AsyncIterator[list[Frame]]:
+    for _ in range(MOST_PIECES):
+        result = await desk.ask(person, bus, ReadTrace(since=since, limit=PIECE))
+        if result.outcome not in ("verified", "acknowledged"):
+            raise Problem(503, result.outcome, result.message or "", outcome=result.outcome)
+        frames = [frame for frame in result.frames if frame.at > since]
+        if frames:
+            yield frames
+        if len(result.frames) < PIECE:
+            return
+        since = frames[-1].at
+
+
+async def _lines(first: list[Frame], pieces: AsyncIterator[list[Frame]]) -> AsyncIterator[str]:
+    yield _text(first)
+    async for frames in pieces:
+        yield _text(frames)
+
+
+def _text(frames: list[Frame]) -> str:
+    return "".join(f"{trace_line(frame)}\n" for frame in frames)

@@ -1,0 +1,32 @@
+"""Whether a command may be sent: every check that can be made before a byte reaches the wire. Pure."""
+
+from __future__ import annotations
+
+from app.commands.catalogue import kind_of_command
+from app.commands.rules.objection import Circumstances, ObjectionError
+from app.commands.rules.setpoint import check_setpoint
+from bus.contract import Action
+
+
+def check(action: Action, now: Circumstances) -> None:
+    """Raises ObjectionError for the first reason not to send ``action``."""
+    kind = kind_of_command(action)
+    for unit in kind.units_written(action, now.bus):
+        _check_not_blocked(unit, now)
+    kind.check(action, now)
+    for setpoint in kind.setpoints(action, now.bus):
+        check_setpoint(setpoint.unit, setpoint.raw, now, setpoint.kind)
+    danger = kind.danger(action)
+    if danger and not now.confirm:
+        raise ObjectionError("dangerous", danger, unit=action.only_unit)
+
+
+def _check_not_blocked(unit: int, now: Circumstances) -> None:
+    block = now.block(unit)
+    if block is not None:
+        raise ObjectionError(
+            "blocked",
+            "unit {unit} is blocked by {who}: {reason}",
+            unit=unit,
+            params={"unit": unit, "who": block.set_by, "reason": block.reason},
+        )

@@ -1,0 +1,97 @@
+"""The change of several units of a bus: what its review said, and the proof per unit.
+
+The form of such a review holds for each unit ``raw-N``, the new setpoint, and ``was-N``, the one that the
+person saw; both raw, the latter empty where it was not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from starlette.datastructures import FormData
+from starlette.responses import Response
+
+from app.commands.forms.outcome import Fate
+from app.commands.forms.page_context import Desktop
+from app.commands.review.ramp import present_setpoint
+from app.commands.values import shown_setpoint
+from app.errors import Problem
+from app.live.state.bus_live import BusLive, follower
+from bus.contract import Result
+from bus.messages import Message
+
+Proof = tuple[str, str, Fate]
+"""A unit's name, what was asked of it, and its fate."""
+
+
+def reviewed(live: BusLive, form: FormData) -> dict[int, int]:
+    """The new setpoints, raw, by address. Raises Problem 409 where one has moved since the review."""
+    setpoints = {}
+    for number, unit in live.units.items():
+        text = str(form.get(f"raw-{number}", ""))
+        if not text:
+            continue
+        if not text.isdecimal() or len(text) > 6:
+            raise Problem(422, "invalid", Message("not_what_was_reviewed"))
+        present = present_setpoint(live, unit)
+        if str(form.get(f"was-{number}", "")) != ("" if present is None else str(present)):
+            raise Problem(409, "moved", Message.of("setpoint_of_moved", name=unit.settings.name))
+        setpoints[number] = int(text)
+    return setpoints
+
+
+def followers_of(live: BusLive) -> set[int]:
+    """The units of whose setpoint, a ratio, the screen says no live value."""
+    return {number for number, unit in live.units.items() if follower(unit)}
+
+
+def proven(
+    desk: Desktop, bus: str, title: str, setpoints: Mapping[int, int], result: Result, form: FormData
+) -> Response:
+    """The end of the review: what became of each unit, and the way back where all of them are proven."""
+    live = desk.bus(bus)
+    proofs = _proofs(desk, live, setpoints, result)
+    return desk.render(
+        "setpoints/_done.html",
+        title=title,
+        bus=bus,
+        fate=_fate_of_all(desk, result, proofs),
+        proofs=proofs,
+        former=_former(live, setpoints, form) if result.outcome == "verified" else {},
+        skew=None if result.skew_s is None else desk.voice.formats.number(result.skew_s * 1000),
+    )
+
+
+def _former(live: BusLive, setpoints: Mapping[int, int], form: FormData) -> dict[int, str]:
+    """What each unit had before, as it shows it; nothing where that is not known of all."""
+    was = {number: str(form.get(f"was-{number}", "")) for number in setpoints}
+    if not all(text.isdecimal() for text in was.values()):
+        return {}
+    return {number: shown_setpoint(int(text), live.units[number]) for number, text in was.items()}
+
+
+def _fate_of_all(desk: Desktop, result: Result, proofs: list[Proof]) -> Fate:
+    """The whole change in one sentence: how many of its units are proven."""
+    fate = desk.fate(result)
+    if result.outcome == "verified":
+        return Fate("good", desk.voice.tn("verified", "verified at each of {n} units", len(proofs)))
+    if result.outcome != "unverified":
+        return fate
+    proven = sum(unit.outcome == "verified" for unit in result.units)
+    counted = desk.voice.tn(
+        "{good} of {n} unit verified", "{good} of {n} units verified", len(proofs), good=proven
+    )
+    return Fate(fate.tone, f"{counted}; {fate.text}")
+
+
+def _proofs(desk: Desktop, live: BusLive, setpoints: Mapping[int, int], result: Result) -> list[Proof]:
+    """(name, asked, fate) of each unit, in floor order."""
+    said = {outcome.unit: outcome for outcome in result.units}
+    return [
+        (
+            live.units[number].settings.name,
+            shown_setpoint(raw, live.units[number]),
+            desk.fate(said.get(number, result), live.units[number]),
+        )
+        for number, raw in setpoints.items()
+    ]

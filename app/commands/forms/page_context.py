@@ -1,0 +1,138 @@
+"""What every form of the pages shares: who asks, in which language, and whether the review still holds."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from typing import Annotated, Any
+
+from fastapi import Depends
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.commands.catalogue import kind_of_command
+from app.commands.forms.outcome import Fate, fate_of, fate_of_problem
+from app.commands.review.risks import Remark
+from app.commands.rules.timeouts import timeout_s_for
+from app.commands.safeguards.service import Safeguards
+from app.commands.service.command_service import Desk
+from app.commands.values import shown_setpoint
+from app.errors import Problem
+from app.live.browsers.hub import Hub
+from app.live.lookup import bus_or_404, unit_or_404
+from app.live.pages import UnitOnLine, unit_on_line
+from app.live.screen.fields import Voice
+from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.live_state import LiveState
+from app.web.access import Person
+from app.web.arrival import made_at, refuse_late
+from app.web.deadline import Deadline
+from app.web.services import service_of
+from app.web.templating import render, templates_of
+from bus.contract import Action, Result, UnitOutcome
+from bus.messages import Message
+
+REVIEW_LASTS_S = 45.0
+"""Thirty seconds on the screen, and something for the way."""
+
+
+class Desktop:
+    """One request of a page: its unit or bus, its language, and the way to the wire."""
+
+    def __init__(self, request: Request) -> None:
+        self.request = request
+        templates = templates_of(request)
+        language = templates.language_of(request)
+        self.voice = Voice(language, templates.formats(language.tag))
+        self.live = service_of(request, LiveState)
+        self.desk = service_of(request, Desk)
+        self.guards = service_of(request, Safeguards)
+        self.made_at = made_at(request)
+
+    def bus(self, name: str) -> BusLive:
+        """Raises Problem 404."""
+        return bus_or_404(self.live, name)
+
+    def unit(self, bus: str, unit: int) -> UnitLive:
+        """Raises Problem 404."""
+        return unit_or_404(self.live, bus, unit)
+
+    def shown(self, bus: str, unit: int) -> UnitOnLine:
+        """A unit as the templates want it."""
+        return unit_on_line(bus, self.unit(bus, unit))
+
+    def fields(self) -> dict[str, str]:
+        """All texts of the screen as they are now."""
+        return service_of(self.request, Hub).screen(self.voice.language.tag).flat()
+
+    def people(self) -> dict[str, str]:
+        """Whoever has a page open now, by name, with the role."""
+        return service_of(self.request, Hub).people()
+
+    def render(self, template: str, /, *, status: int = 200, **context: Any) -> Response:
+        """A page or fragment."""
+        return render(self.request, template, status=status, **context)
+
+    def review(self, template: str, /, **context: Any) -> Response:
+        """The second step: what will be done once this is confirmed, and the id it will be done under."""
+        return self.render(template, command_id=new_id(), reviewed_at=time.time(), **context)
+
+    def not_so(self, reason: str, place: str, *, nearest: str = "", status: int = 422) -> Response:
+        """Why what was typed gets no review, in the reader's language, at the CSS selector ``place``;
+        ``nearest`` would get one."""
+        response = self.render("unit/_not_so.html", reason=reason, nearest=nearest, status=status)
+        response.headers["HX-Retarget"] = place
+        return response
+
+    def remark(self, remark: Remark) -> str:
+        """What a review says of a unit, in the reader's language."""
+        return self.voice.t(remark.text, **dict(remark.params))
+
+    def refuse_lapsed(self, reviewed_at: float) -> None:
+        """Raises Problem 409 for a review that is over. Nothing is sent."""
+        if not time.time() - reviewed_at <= REVIEW_LASTS_S:  # of NaN too
+            raise Problem(409, "lapsed", Message("review_lapsed"))
+
+    def deadline(self, bus: BusLive, staged_units: int = 0) -> Deadline:
+        """Of the command that this request asks for. ``staged_units``: how many a change is of."""
+        return Deadline(self.made_at, timeout_s_for(bus, staged_units))
+
+    async def ask(
+        self, person: Person, bus: str, action: Action, id: str, deadline: Deadline | None = None
+    ) -> Result:
+        """The reviewed command, once; ``deadline`` where it is not that of its kind.
+
+        Raises Problem for what is not sent.
+        """
+        timeout_s = kind_of_command(action).timeout_s(action, self.bus(bus))
+        deadline = deadline or Deadline(self.made_at, timeout_s)
+        return await self.desk.ask(person, bus, action, deadline=deadline, confirm=True, id=id, origin="page")
+
+    def fate(self, result: Result | UnitOutcome, unit: UnitLive | None = None) -> Fate:
+        """What became of it; what was read back is a setpoint in the decimals of ``unit``, else as it is."""
+        if unit is None:
+            return fate_of(result, str, self.voice)
+        return fate_of(result, lambda raw: self.voice.formats.point(shown_setpoint(raw, unit)), self.voice)
+
+    def refused(self, problem: Problem, title: str) -> Response:
+        """The end of a review that sent nothing, in the dialog."""
+        return self.done(title, fate_of_problem(problem, self.voice), status=problem.status)
+
+    def done(self, title: str, fate: Fate, *, status: int = 200, **setpoint: Any) -> Response:
+        """The end of a review, in the dialog. ``setpoint``: what was asked, what field reads it, its undo."""
+        context = {"asked": "", "reads": "", "undo": None} | setpoint
+        return self.render("unit/_done.html", title=title, fate=fate, status=status, **context)
+
+
+def new_id() -> str:
+    """The identity of a command: a form that is posted twice is carried out once."""
+    return uuid.uuid4().hex
+
+
+async def desktop_of(request: Request) -> Desktop:
+    """This request's. Raises Problem 503 for a press that was held up on its way."""
+    refuse_late(request)
+    return Desktop(request)
+
+
+Desks = Annotated[Desktop, Depends(desktop_of)]

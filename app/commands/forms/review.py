@@ -1,0 +1,70 @@
+"""What every review needs before it can be shown: that its command would be sent, and what it will do."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Iterable
+from contextlib import suppress
+
+from app.commands.forms.page_context import Desktop
+from app.commands.review.ramp import ramp_parameters_missing
+from app.commands.review.risks import Facts, Remark, facts_of, obstacle_of
+from app.commands.review.setpoint_change import Change, change_of
+from app.commands.service.prior_read import read_first
+from app.errors import Problem
+from app.web.access import Person
+from app.web.deadline import Deadline
+from bus.contract import Action
+
+
+async def judge(
+    desk: Desktop, person: Person, bus: str, action: Action, deadline: Deadline | None = None
+) -> None:
+    """All checks of a command; what they need to know of the units is read first, within its time.
+
+    Raises Problem for what would not be sent.
+    """
+    deadline = deadline or desk.deadline(desk.bus(bus))
+    await desk.desk.read_ranges(person, bus, action, deadline)
+    desk.desk.check(person, bus, action, confirm=True)
+
+
+async def know_ramps(desk: Desktop, person: Person, bus: str, units: Iterable[int]) -> None:
+    """Read what a ramp takes where that was never read; of a unit that does not tell it stays unknown."""
+    deadline = desk.deadline(desk.bus(bus))
+
+    async def read(unit: int, numbers: list[int]) -> None:
+        with suppress(Problem):
+            await read_first(desk.desk.ask, person, bus, unit, numbers, deadline)
+
+    missing = {unit: ramp_parameters_missing(desk.unit(bus, unit)) for unit in units}
+    await asyncio.gather(*(read(unit, numbers) for unit, numbers in missing.items() if numbers))
+
+
+def change(desk: Desktop, bus: str, unit: int, raw: int) -> Change:
+    """What a new setpoint means for a unit."""
+    limits, block = desk.guards.limits.of(bus, unit), desk.guards.block_reason(bus, unit)
+    return change_of(desk.bus(bus), desk.unit(bus, unit), raw, limits, time.time(), block=block)
+
+
+def facts(desk: Desktop, bus: str, unit: int) -> Facts:
+    """What is known of a unit now, no ramp in view."""
+    block = desk.guards.block_reason(bus, unit)
+    return facts_of(desk.bus(bus), desk.unit(bus, unit), time.time(), block=block)
+
+
+def keep_their_setpoint(
+    desk: Desktop, bus: str, taking_part: Iterable[int]
+) -> tuple[list[tuple[str, Remark]], list[str]]:
+    """The units of a bus that are not part of a change: those that could take no setpoint now, each with the
+    reason, and the names of the rest."""
+    left_out, unchanged = [], []
+    taking = set(taking_part)
+    for unit in (number for number in desk.bus(bus).units if number not in taking):
+        name, obstacle = desk.unit(bus, unit).settings.name, obstacle_of(facts(desk, bus, unit))
+        if obstacle is None:
+            unchanged.append(name)
+        else:
+            left_out.append((name, obstacle))
+    return left_out, unchanged

@@ -1,0 +1,168 @@
+"""The parameters of a unit: the 40 by what they are for, each changed in place behind a review."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Form, Path
+from starlette.responses import Response
+
+from app.commands.api.bodies import Quantity
+from app.commands.api.quantity import Typed
+from app.commands.catalogue import READ_PARAMETERS, WRITE_PARAMETER
+from app.commands.forms.outcome import Fate
+from app.commands.forms.page_context import Desks, Desktop
+from app.commands.forms.review import facts, judge
+from app.commands.measure import measure_of_value
+from app.commands.review.risks import obstacle_of, risks_of_writing
+from app.commands.rules.setpoint_range import parameter_bounds
+from app.commands.service.writer import permitted, permitted_writer
+from app.commands.values import known_parameter_text, text_of
+from app.errors import Problem
+from app.live.api.view import parameter_json
+from app.live.state.bus_live import UnitLive
+from app.web.access import Person, Viewer
+from bus.catalogue.parameter import Parameter, danger_of_writing
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import ReadParameters, WriteParameter
+from bus.errors import CallerError
+from bus.messages import Message
+
+router = APIRouter(prefix="/units/{bus}/{unit:int}/parameters", include_in_schema=False)
+Number = Annotated[int, Path(ge=1, le=40)]
+CONFIRMING_WORD = "WRITE"
+
+
+@router.get("")
+async def parameters(_: Viewer, desk: Desks, bus: str, unit: int) -> Response:
+    """All 40 as last read."""
+    return desk.render("unit/parameters.html", **_table(desk, bus, unit))
+
+
+@router.post("/read")
+async def read_all(
+    person: Annotated[Person, permitted(READ_PARAMETERS)], desk: Desks, bus: str, unit: int
+) -> Response:
+    """All 40 as the unit gives them now."""
+    desk.unit(bus, unit)
+    action = ReadParameters(unit=unit, numbers=list(PARAMETERS))
+    result = await desk.desk.ask(person, bus, action, origin="page")
+    missing = len(PARAMETERS) - len(result.values)
+    return desk.render("unit/_parameters.html", missing=missing, **_table(desk, bus, unit))
+
+
+def _table(desk: Desktop, bus: str, unit: int) -> dict[str, Any]:
+    live = desk.unit(bus, unit)
+    rows = [_row(desk, bus, live, number) for number in sorted(PARAMETERS, key=_by_group)]
+    groups = [(name, list(members)) for name, members in groupby(rows, key=lambda row: row["group"])]
+    return {"fields": desk.fields(), "bus": bus, "unit": desk.shown(bus, unit), "groups": groups}
+
+
+_GROUPS = list(dict.fromkeys(parameter.group for parameter in PARAMETERS.values()))
+
+
+def _by_group(number: int) -> tuple[int, int]:
+    return _GROUPS.index(PARAMETERS[number].group), number
+
+
+def _row(desk: Desktop, bus: str, live: UnitLive, number: int) -> dict[str, Any]:
+    known = live.parameters.get(number)
+    lowest, highest = parameter_bounds(live, number, desk.guards.limits.of(bus, live.settings.id))
+    shown = {"at": None if known is None else known.at, "min": lowest, "max": highest}
+    return parameter_json(live, number) | shown
+
+
+@router.post("/{number:int}/review")
+async def review_parameter(
+    person: Annotated[Person, permitted(WRITE_PARAMETER)],
+    desk: Desks,
+    bus: str,
+    unit: int,
+    number: Number,
+    value: Annotated[str, Form(max_length=40)] = "",
+) -> Response:
+    """What was typed, judged and shown again: old → new, range, danger."""
+    live, parameter = desk.unit(bus, unit), PARAMETERS[number]
+    try:
+        typed = Typed(desk.desk, person, bus, live, desk.deadline(desk.bus(bus)))
+        raw = await typed.parameter(number, Quantity(value=value))
+        await judge(desk, person, bus, WriteParameter(unit=unit, number=number, raw=raw))
+    except (CallerError, Problem) as error:
+        return _not_so(desk, live, parameter, error)
+    lowest, highest = parameter_bounds(live, number, desk.guards.limits.of(bus, unit))
+    return desk.review(
+        "unit/_review_parameter.html",
+        lowest=lowest,
+        highest=highest,
+        unit=desk.shown(bus, unit),
+        parameter=parameter,
+        raw=raw,
+        old=known_parameter_text(parameter, live),
+        new=text_of(parameter, raw, live),
+        measure=measure_of_value(live, parameter, raw),
+        obstacle=obstacle_of(facts(desk, bus, unit)),
+        risks=risks_of_writing(number, raw),
+        danger=danger_of_writing(parameter, raw),
+        typed=CONFIRMING_WORD,
+    )
+
+
+@router.post("/{number:int}")
+async def write_parameter(
+    person: Annotated[Person, permitted_writer(WRITE_PARAMETER)],
+    desk: Desks,
+    bus: str,
+    unit: int,
+    number: Number,
+    raw: Annotated[int, Form(ge=0)],
+    id: Annotated[str, Form(max_length=64)],
+    reviewed_at: Annotated[float, Form()],
+    typed: Annotated[str, Form(max_length=20)] = "",
+) -> Response:
+    """86h, read back by 85h; a dangerous one only with the word typed."""
+    live, parameter = desk.unit(bus, unit), PARAMETERS[number]
+    title = f"#{number} {parameter.name}"
+    try:
+        desk.refuse_lapsed(reviewed_at)
+        if danger_of_writing(parameter, raw) and typed.strip() != CONFIRMING_WORD:
+            raise Problem(409, "dangerous", Message("word_not_typed"))
+        return await _write(person, desk, bus, live, parameter, raw, id)
+    except Problem as problem:
+        return desk.refused(problem, title)
+
+
+async def _write(
+    person: Person, desk: Desktop, bus: str, live: UnitLive, parameter: Parameter, raw: int, id: str
+) -> Response:
+    unit, number = live.settings.id, parameter.number
+    result = await desk.ask(person, bus, WriteParameter(unit=unit, number=number, raw=raw), id)
+    fate = desk.fate(result, live)
+    if parameter.secret and result.outcome == "unverified":
+        # Why, in words: the value that was read back is not here.
+        fate = Fate(fate.tone, desk.voice.t(result.message or ""))
+    elif result.read_back is not None:
+        reads = desk.voice.formats.point(text_of(parameter, result.read_back, live))
+        said = "verified: reads {value}" if result.outcome == "verified" else "reads {value} instead"
+        fate = Fate(fate.tone, desk.voice.t(said, value=reads))
+    return desk.render(
+        "unit/_parameter_done.html",
+        title=f"#{number} {parameter.name}",
+        fate=fate,
+        bus=bus,
+        unit=desk.shown(bus, unit),
+        row=_row(desk, bus, live, number),
+    )
+
+
+def _not_so(desk: Desktop, live: UnitLive, parameter: Parameter, error: CallerError | Problem) -> Response:
+    nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
+    text = "" if nearest is None or parameter.secret else text_of(parameter, nearest, live)
+    shown = desk.voice.formats.point(text)
+    reason = error.text(desk.voice.t)
+    if text:
+        # The rule speaks of raw values; what was typed here is what the unit shows.
+        reason = desk.voice.t(
+            "out of range: the nearest that it takes is {value}; nothing was sent", value=shown
+        )
+    return desk.not_so(reason, f"#parameter-{parameter.number}-error", nearest=shown)

@@ -1,0 +1,85 @@
+"""What keeps a unit from being commanded: its limits, its block, and who holds control of the line."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Form
+from starlette.responses import RedirectResponse, Response
+
+from app.commands.forms.page_context import Desks
+from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
+from app.errors import Problem
+from app.live.state.bus_live import UnitLive, follower
+from app.web.access import Engineer, Operator
+from bus.catalogue.numbers import DECIMALS
+from bus.catalogue.values import RATIO_DECIMALS, speed_raw, speed_text
+from bus.errors import CallerError
+from bus.messages import Message
+from bus.text import OneLine
+
+router = APIRouter(include_in_schema=False)
+Typed = Annotated[str, Form(max_length=20)]
+SEE_OTHER = 303
+
+
+@router.post("/units/{bus}/{unit:int}/limits")
+async def set_limits(
+    person: Engineer,
+    desk: Desks,
+    bus: str,
+    unit: int,
+    lowest: Typed = "",
+    highest: Typed = "",
+    largest_step: Typed = "",
+    per_minute: Typed = "",
+) -> Response:
+    """All four at once; an empty field is no limit."""
+    live = desk.unit(bus, unit)
+    try:
+        limits = Limits(*(_raw(live, text) for text in (lowest, highest, largest_step, per_minute)))
+        if limits.lowest is not None and limits.highest is not None and limits.lowest > limits.highest:
+            raise CallerError(Message("limits_reversed"))
+    except (CallerError, Problem) as error:
+        return desk.not_so(error.text(desk.voice.t), "#limits-said")
+    await desk.guards.set_limits(person, bus, unit, limits)
+    return desk.render("unit/_limits_set.html")
+
+
+def _raw(live: UnitLive, text: str) -> int | None:
+    """Raises CallerError and Problem for what cannot be a limit."""
+    if not text.strip():
+        return None
+    decimals = RATIO_DECIMALS if follower(live) else live.parameter_raw(DECIMALS)
+    if decimals is None:
+        raise CallerError(Message("decimals_unknown"))
+    raw = speed_raw(text, decimals)
+    if raw > HIGHEST_SETPOINT:
+        raise Problem(
+            422, "invalid", Message.of("protocol_maximum", most=speed_text(HIGHEST_SETPOINT, decimals))
+        )
+    return raw
+
+
+@router.post("/units/{bus}/{unit:int}/block")
+async def block(
+    person: Operator,
+    desk: Desks,
+    bus: str,
+    unit: int,
+    reason: Annotated[OneLine, Form(max_length=200)] = "",
+) -> Response:
+    """Refuse every write to this unit, with the reason shown on every page."""
+    desk.unit(bus, unit)
+    if not reason.strip():
+        raise Problem(422, "invalid", Message("block_needs_reason"))
+    await desk.guards.block(person, bus, unit, reason.strip())
+    return RedirectResponse(f"/units/{bus}/{unit}", SEE_OTHER)
+
+
+@router.post("/units/{bus}/{unit:int}/unblock")
+async def unblock(person: Operator, desk: Desks, bus: str, unit: int) -> Response:
+    """Free this unit; the events keep who did."""
+    desk.unit(bus, unit)
+    await desk.guards.lift(person, bus, unit)
+    return RedirectResponse(f"/units/{bus}/{unit}", SEE_OTHER)

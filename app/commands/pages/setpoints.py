@@ -1,0 +1,133 @@
+"""Many units as one change: the setpoints page."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Form
+from starlette.datastructures import FormData
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.commands.api.bodies import Quantity
+from app.commands.api.quantity import Typed
+from app.commands.catalogue import SET_LINE
+from app.commands.forms.line_change import followers_of, proven, reviewed
+from app.commands.forms.page_context import Desks, Desktop
+from app.commands.forms.review import change, judge, keep_their_setpoint, know_ramps
+from app.commands.measure import measure_of_setpoint
+from app.commands.review.ramp import present_setpoint
+from app.commands.review.risks import by_remark
+from app.commands.rules.setpoint_range import setpoint_range
+from app.commands.rules.timeouts import longest_change_s
+from app.commands.service.writer import permitted
+from app.commands.values import shown_setpoint
+from app.errors import Problem
+from app.live.state.bus_live import BusLive, follower
+from app.web.access import Person, Viewer
+from bus.catalogue.numbers import DECIMALS
+from bus.contract import SetLine
+from bus.errors import CallerError
+from bus.messages import Message
+
+router = APIRouter(include_in_schema=False)
+
+
+# --- the setpoints page -----------------------------------------------------------------------------
+
+
+@router.get("/setpoints")
+async def setpoints(_: Viewer, desk: Desks) -> Response:
+    """Every unit with its present setpoint and room for a new one."""
+    buses = [
+        (name, [_line_of(desk, name, bus, number) for number in bus.units])
+        for name, bus in desk.live.buses.items()
+    ]
+    return desk.render("setpoints/page.html", fields=desk.fields(), buses=buses)
+
+
+def _line_of(desk: Desktop, name: str, bus: BusLive, number: int) -> dict[str, object]:
+    live = bus.units[number]
+    present = present_setpoint(bus, live)
+    decimals = 4 if follower(live) else live.parameter_raw(DECIMALS)
+    allowed = setpoint_range(live, desk.guards.limits.of(name, number))
+    limits = {"low": shown_setpoint(allowed.lowest, live), "high": shown_setpoint(allowed.highest, live)}
+    return {
+        "unit": desk.shown(name, number),
+        "measure": measure_of_setpoint(live),
+        "limits": {end: desk.voice.formats.point(text) for end, text in limits.items()},
+        "present_raw": "" if present is None else present,
+        "decimals": "" if decimals is None else decimals,
+        "follower": bool(follower(live)),
+    }
+
+
+@router.post("/setpoints/review")
+async def review_setpoints(
+    request: Request, person: Annotated[Person, permitted(SET_LINE)], desk: Desks
+) -> Response:
+    """Each new setpoint that was typed, judged: old → new, limits, ramps, in one table."""
+    form = await request.form()
+    bus = str(form.get("bus", ""))
+    live = desk.bus(bus)
+    try:
+        setpoints = await _typed_setpoints(person, desk, live, form)
+        deadline = desk.deadline(live, len(setpoints))
+        await judge(desk, person, bus, SetLine(setpoints=setpoints), deadline)
+    except (CallerError, Problem) as error:
+        return desk.not_so(error.text(desk.voice.t), f"#setpoints-error-{bus}")
+    await know_ramps(desk, person, bus, setpoints)
+    changes = [change(desk, bus, unit, raw) for unit, raw in setpoints.items()]
+    left_out, unchanged = keep_their_setpoint(desk, bus, setpoints)
+    return desk.review(
+        "setpoints/_review.html",
+        bus=bus,
+        changes=changes,
+        obstacles=by_remark((each.name, each.obstacle) for each in changes if each.obstacle),
+        risks=by_remark((each.name, risk) for each in changes for risk in each.risks),
+        left_out=by_remark(left_out),
+        unchanged=unchanged,
+        followers=followers_of(live),
+        longest_s=longest_change_s(live, len(changes)),
+    )
+
+
+async def _typed_setpoints(person: Person, desk: Desktop, live: BusLive, form: FormData) -> dict[int, int]:
+    """Raw, by unit. Raises CallerError and Problem for what is no setpoint of its unit."""
+    fields = {unit: str(form.get(f"new-{unit}", "")).strip() for unit in live.units}
+    typed = {unit: text for unit, text in fields.items() if text}
+    if not typed:
+        raise CallerError(Message("no_new_setpoint"))
+    deadline, bus = desk.deadline(live, len(typed)), live.settings.name
+    setpoints = {}
+    for unit, text in typed.items():
+        try:
+            found = Typed(desk.desk, person, bus, live.units[unit], deadline)
+            setpoints[unit] = await found.setpoint(Quantity(value=text))
+        except CallerError as error:
+            raise CallerError(
+                Message.of("of_unit", name=live.units[unit].settings.name, reason=error.message)
+            ) from error
+    return setpoints
+
+
+@router.post("/setpoints")
+async def set_setpoints(
+    request: Request,
+    person: Annotated[Person, permitted(SET_LINE)],
+    desk: Desks,
+    bus: Annotated[str, Form()],
+    id: Annotated[str, Form(max_length=64)],
+    reviewed_at: Annotated[float, Form()],
+) -> Response:
+    """Stage all, require every acknowledgement, one broadcast, prove each: all of them or none."""
+    live = desk.bus(bus)
+    form = await request.form()
+    title = desk.voice.t("Setpoints")
+    try:
+        desk.refuse_lapsed(reviewed_at)
+        setpoints = reviewed(live, form)
+        result = await desk.ask(person, bus, SetLine(setpoints=setpoints), id)
+    except Problem as problem:
+        return desk.refused(problem, title)
+    return proven(desk, bus, title, setpoints, result, form)

@@ -1,0 +1,154 @@
+"""Setting the line to zero from any page: one press, one confirm, a result for every unit."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from functools import partial
+from typing import Annotated
+
+from fastapi import APIRouter, Form
+from starlette.responses import Response
+
+from app.commands.catalogue import SET_LINE
+from app.commands.forms.outcome import Fate, fate_of_problem
+from app.commands.forms.page_context import Desks, Desktop
+from app.commands.review.risks import by_remark
+from app.commands.review.zero import ZeroPlan, plan_zero
+from app.commands.rules.timeouts import longest_change_s, timeout_s_for
+from app.commands.service.writer import permitted
+from app.commands.values import shown_setpoint
+from app.errors import Problem
+from app.live.state.bus_live import BusLive
+from app.web.access import Person, Viewer
+from app.web.deadline import Deadline
+from bus.contract import Result, SetLine, SetSpeed, UnitOutcome
+
+router = APIRouter(prefix="/line/zero", include_in_schema=False)
+Proof = tuple[str, str, Fate]
+"""A unit's name, what was asked of it, and its fate."""
+
+
+@router.get("")
+async def review_zero(person: Viewer, desk: Desks) -> Response:
+    """What setting the line to zero will do, and to whom; a bus in other hands is named as a whole. Who may
+    only look is told so: the button stands in the same place of every page for everybody."""
+    if not person.role.includes(SET_LINE.role):
+        return desk.render("line/_zero_not_yours.html")
+    now = time.time()
+    objections = {bus: desk.guards.control.objection(bus, person.account, now) for bus in desk.live.buses}
+    plans = [plan for plan in _plans(desk) if not objections[plan.bus]]
+    return desk.review(
+        "line/_review_zero.html",
+        plans=plans,
+        risks=by_remark(
+            (_on_site(desk, plan.bus, name), risk) for plan in plans for name, risk in plan.risks
+        ),
+        left_out=by_remark(
+            (_on_site(desk, plan.bus, name), reason) for plan in plans for name, reason in plan.left_out
+        ),
+        held={bus: objection for bus, objection in objections.items() if objection},
+        many=len(desk.live.buses) > 1,
+        longest_s=max((_longest_s(desk.bus(plan.bus), len(plan.units)) for plan in plans), default=0.0),
+    )
+
+
+def _longest_s(bus: BusLive, units: int) -> float:
+    """All at once, its withdrawal, and then each alone."""
+    return longest_change_s(bus, units) + units * timeout_s_for(bus)
+
+
+def _plans(desk: Desktop) -> list[ZeroPlan]:
+    now = time.time()
+    return [
+        plan_zero(bus, partial(desk.guards.block_reason, name), now) for name, bus in desk.live.buses.items()
+    ]
+
+
+@router.post("")
+async def set_zero(
+    person: Annotated[Person, permitted(SET_LINE)],
+    desk: Desks,
+    id: Annotated[str, Form(max_length=64)],
+    reviewed_at: Annotated[float, Form()],
+) -> Response:
+    """Speed 0 to every unit that can be told, all at once where all acknowledge, else one by one.
+
+    What one bus or one unit refuses keeps no other from it.
+    """
+    title = desk.voice.t("Set line to zero")
+    try:
+        desk.refuse_lapsed(reviewed_at)
+    except Problem as problem:
+        return desk.refused(problem, title)
+    told = await asyncio.gather(*(_zero_bus(person, desk, plan, id) for plan in _plans(desk)))
+    proofs = [proof for bus in told for proof in bus]
+    return desk.render("line/_zero_done.html", title=title, proofs=proofs, fate=_in_all(desk, proofs))
+
+
+async def _zero_bus(person: Person, desk: Desktop, plan: ZeroPlan, id: str) -> list[Proof]:
+    """What is left out comes first, with the reason."""
+    left_out = [
+        (
+            _on_site(desk, plan.bus, name),
+            "",
+            Fate("bad", f"{desk.voice.t('left out')}: {desk.remark(reason)}"),
+        )
+        for name, reason in plan.left_out
+    ]
+    return left_out + (await _zero_units(person, desk, plan, id) if plan.units else [])
+
+
+async def _zero_units(person: Person, desk: Desktop, plan: ZeroPlan, id: str) -> list[Proof]:
+    """All at once; then each alone that is not proven, unless the press itself came too late."""
+    action, told = SetLine(setpoints=dict.fromkeys(plan.units, 0)), _Told(person, desk, plan.bus, id)
+    live, units = desk.bus(plan.bus), len(plan.units)
+    together = await told(action, "", desk.deadline(live, units))
+    came_late = isinstance(together, Problem) and together.code == "not_sent"
+    at_the_end = Deadline(desk.made_at, _longest_s(live, units))
+    said = {fate.unit: fate for fate in together.units} if isinstance(together, Result) else {}
+    proofs = []
+    for number, name in plan.units.items():
+        fate: Result | UnitOutcome | Problem = said.get(number, together)
+        settled = not isinstance(fate, Problem) and fate.outcome in ("verified", "bus_closed")
+        if not settled and not came_late and at_the_end.left_s > 0:
+            deadline = Deadline.within(timeout_s_for(live))
+            fate = await told(SetSpeed(unit=number, raw=0), f"-{number}", deadline)
+        unit = desk.unit(plan.bus, number)
+        shown = fate_of_problem(fate, desk.voice) if isinstance(fate, Problem) else desk.fate(fate, unit)
+        proofs.append((_on_site(desk, plan.bus, name), shown_setpoint(0, unit), shown))
+    return proofs
+
+
+class _Told:
+    """Asks one bus on behalf of one press; what is refused before the wire is a fate as well."""
+
+    def __init__(self, person: Person, desk: Desktop, bus: str, id: str) -> None:
+        self._person, self._desk, self._bus, self._id = person, desk, bus, f"{id}-{bus}"
+
+    async def __call__(self, action: SetLine | SetSpeed, part: str, deadline: Deadline) -> Result | Problem:
+        try:
+            return await self._desk.ask(self._person, self._bus, action, self._id + part, deadline)
+        except Problem as problem:
+            return problem
+
+
+def _on_site(desk: Desktop, bus: str, name: str) -> str:
+    """Two buses may each have a unit of that name."""
+    return f"{bus} · {name}" if len(desk.live.buses) > 1 else name
+
+
+def _in_all(desk: Desktop, proofs: list[Proof]) -> Fate:
+    at_zero = sum(fate.tone == "good" for _, _, fate in proofs)
+    if proofs and at_zero == len(proofs):
+        good = desk.voice.tn(
+            "{n} unit took speed 0 and ramps down", "{n} units took speed 0 and ramp down", at_zero
+        )
+        return Fate("good", good)
+    bad = desk.voice.tn(
+        "the unit did not take speed 0: look at it",
+        "{good} of {n} units took speed 0: look at the others",
+        len(proofs),
+        good=at_zero,
+    )
+    return Fate("bad", bad)

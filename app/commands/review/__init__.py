@@ -1,0 +1,1 @@
+"""What a review shows of a command before it is confirmed. Pure."""

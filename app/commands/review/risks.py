@@ -1,0 +1,152 @@
+"""What a review says of a unit besides its new value: why it cannot take a command now, and what somebody
+might not expect of it. Pure.
+
+Both are tables, in the order in which they are said. Of the obstacles only the first is: once it is gone, the
+next may be too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+from app.commands.review.ramp import Ramp
+from app.commands.rules.setpoint_range import KIND_OF_PARAMETER, is_above_display
+from app.live.state.age import unit_link_now
+from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.conditions import bits_of
+from bus.catalogue.numbers import ACCELERATION, DECELERATION
+from bus.catalogue.status import StatusBits
+from bus.contract import UnitLinkState
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """``text`` is a template for ``params``."""
+
+    code: str
+    text: str
+    params: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What is known of one unit at a moment. ``bits`` None: it has never responded. ``ramp`` None: the
+    command starts none. ``block``: why commands to it are blocked, empty where they are not.
+    ``above_display``: an engineer's limit allows the setpoint, and #2 does not."""
+
+    bus_is_open: bool
+    link: UnitLinkState
+    age_s: float
+    bits: StatusBits | None
+    block: str
+    ramp: Ramp | None
+    above_display: bool
+
+    @property
+    def params(self) -> dict[str, str]:
+        """What the templates below may name."""
+        number = "" if self.ramp is None else f"{self.ramp.number}"
+        return {"age": f"{self.age_s:.0f}", "block": self.block, "number": number}
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    code: str
+    text: str
+    holds: Callable[[Facts], bool]
+    names: tuple[str, ...] = ()
+
+
+_OBSTACLES = (
+    _Rule("blocked", "blocked: {block}", lambda unit: bool(unit.block), ("block",)),
+    _Rule("bus_closed", "no link to the bus", lambda unit: not unit.bus_is_open),
+    _Rule("offline", "does not respond", lambda unit: unit.bits is None or unit.link == "offline"),
+    _Rule("not_in_remote", "not in REMOTE", lambda unit: unit.bits is not None and not unit.bits.remote),
+)
+_NO_RAMP = "changes at once, without a ramp: #{number} is 0.0 s"
+_RISKS = (
+    _Rule(
+        "above_display",
+        "above its maximum display value (#2): it may refuse",
+        lambda unit: unit.above_display,
+    ),
+    _Rule("stale", "its last response is {age} s old", lambda unit: unit.link == "stale", ("age",)),
+    _Rule(
+        "estop_active",
+        "e-stop is active: the setpoint takes effect when it clears",
+        lambda unit: unit.bits is not None and unit.bits.estop_active,
+    ),
+    _Rule(
+        "run_off",
+        "run input is off: the setpoint takes effect when it is on",
+        lambda unit: unit.bits is not None and not unit.bits.run,
+    ),
+    _Rule(
+        "no_ramp",
+        _NO_RAMP,
+        lambda unit: unit.ramp is not None and unit.ramp.tenths == 0,
+        ("number",),
+    ),
+    _Rule(
+        "ramp_unknown",
+        "how long its ramp takes is not known",
+        lambda unit: unit.ramp is not None and unit.ramp.seconds is None,
+    ),
+)
+
+
+def risks_of_writing(number: int, raw: int) -> tuple[Remark, ...]:
+    """What somebody might not expect of writing a parameter (86h)."""
+    if number in (ACCELERATION, DECELERATION) and raw == 0:
+        return (Remark("no_ramp", _NO_RAMP, (("number", f"{number}"),)),)
+    if number in KIND_OF_PARAMETER:
+        return (Remark("setpoint", "this is a setpoint: the machine may change its speed at once"),)
+    return ()
+
+
+def facts_of(
+    bus: BusLive,
+    unit: UnitLive,
+    now: float,
+    *,
+    block: str = "",
+    ramp: Ramp | None = None,
+    setpoint: int | None = None,
+) -> Facts:
+    """``now``: seconds since the epoch. ``setpoint``: the new one, raw, where there is one."""
+    reading = unit.reading
+    return Facts(
+        bus_is_open=bus.link.link == "open",
+        link=unit_link_now(bus, unit, now),
+        age_s=0.0 if reading is None else max(0.0, now - reading.at),
+        bits=None if reading is None else bits_of(bus, reading),
+        block=block,
+        ramp=ramp,
+        above_display=setpoint is not None and is_above_display(unit, setpoint),
+    )
+
+
+def obstacle_of(facts: Facts) -> Remark | None:
+    """Why the unit cannot take a command now; None where nothing is known against it."""
+    return next(_remarks(_OBSTACLES, facts), None)
+
+
+def risks_of(facts: Facts) -> tuple[Remark, ...]:
+    """What somebody might not expect of the unit."""
+    return tuple(_remarks(_RISKS, facts))
+
+
+def by_remark(said: Iterable[tuple[str, Remark]]) -> list[tuple[Remark, list[str]]]:
+    """Each remark once, with the names of the units that it is about, in order."""
+    found: dict[Remark, list[str]] = {}
+    for name, remark in said:
+        found.setdefault(remark, []).append(name)
+    return list(found.items())
+
+
+def _remarks(rules: Iterable[_Rule], facts: Facts) -> Iterator[Remark]:
+    params = facts.params
+    for rule in rules:
+        if rule.holds(facts):
+            yield Remark(rule.code, rule.text, tuple((name, params[name]) for name in rule.names))

@@ -1,0 +1,54 @@
+"""A unit's setpoint before and after, as a review shows it. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from app.commands.measure import measure_of_setpoint
+from app.commands.review.ramp import Ramp, present_setpoint, ramp_of
+from app.commands.review.risks import Remark, facts_of, obstacle_of, risks_of
+from app.commands.rules.setpoint_range import setpoint_range
+from app.commands.safeguards.limits import Limits
+from app.commands.values import shown_setpoint
+from app.live.state.bus_live import BusLive, UnitLive
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Texts are as the unit shows them, in ``measure``. ``ramp`` None: it has none."""
+
+    unit: int
+    name: str
+    old_raw: int | None
+    new_raw: int
+    old: str
+    new: str
+    measure: str
+    lowest: str
+    highest: str
+    ramp: Ramp | None
+    obstacle: Remark | None
+    risks: tuple[Remark, ...]
+
+
+def change_of(
+    bus: BusLive, unit: UnitLive, new_raw: int, limits: Limits, now: float, *, block: str = ""
+) -> Change:
+    """What setting ``new_raw`` means for a unit. ``block``: why commands to it are blocked, if they are."""
+    old_raw, allowed = present_setpoint(bus, unit), setpoint_range(unit, limits)
+    ramp = ramp_of(unit, old_raw, new_raw)
+    facts = facts_of(bus, unit, now, block=block, ramp=ramp, setpoint=new_raw)
+    return Change(
+        unit=unit.settings.id,
+        name=unit.settings.name,
+        old_raw=old_raw,
+        new_raw=new_raw,
+        old=shown_setpoint(old_raw, unit),
+        new=shown_setpoint(new_raw, unit),
+        measure=measure_of_setpoint(unit),
+        lowest=shown_setpoint(allowed.lowest, unit),
+        highest=shown_setpoint(allowed.highest, unit),
+        ramp=ramp,
+        obstacle=obstacle_of(facts),
+        risks=risks_of(facts),
+    )

@@ -1,0 +1,1 @@
+"""What may be sent, and which setpoints a unit may get. Pure."""

@@ -1,0 +1,84 @@
+"""What a kind of command refuses by itself, before anything that all of them refuse. Pure.
+
+Each raises ObjectionError. The unit decides what only it can know: a write in LOCAL and an analog output that
+is not set for the link are sent, and refused by the unit in its own words.
+"""
+
+from __future__ import annotations
+
+from app.commands.rules.objection import Circumstances, ObjectionError
+from app.commands.safeguards.limits import HIGHEST_SETPOINT
+from app.live.state.bus_live import BusLive, UnitLive
+from bus.catalogue.parameter import IllegalValue, Parameter, check_writable_value
+from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.status import OUTPUT_NUMBERS, status_bits
+from bus.contract import ChangeBaud, SetLine, WriteAnalogOutput, WriteOutput, WriteParameter
+from bus.errors import CallerError
+from bus.settings import BAUDS
+
+LOW_ANALOG_OUT, HIGH_ANALOG_OUT = 29, 30
+
+
+def check_line(action: SetLine, _: Circumstances) -> None:
+    """It names at least one unit."""
+    if not action.setpoints:
+        raise ObjectionError("invalid", "no setpoint is given: name at least one unit")
+
+
+def check_output(action: WriteOutput, _: Circumstances) -> None:
+    """A unit has six."""
+    if action.number not in OUTPUT_NUMBERS:
+        raise ObjectionError("invalid", "a unit has the auxiliary outputs 1 to 6", unit=action.unit)
+
+
+def check_analog_output(action: WriteAnalogOutput, now: Circumstances) -> None:
+    """#29 to #30, as far as they are known."""
+    live = now.bus.units[action.unit]
+    low, high = live.parameter_raw(LOW_ANALOG_OUT), live.parameter_raw(HIGH_ANALOG_OUT)
+    lowest = 0 if low is None else low
+    highest = HIGHEST_SETPOINT if high is None else max(lowest, high)
+    if lowest <= action.raw <= highest:
+        return
+    nearest = min(max(action.raw, lowest), highest)
+    raise ObjectionError(
+        "invalid",
+        f"unit {action.unit}: the analog output takes {lowest} (0 V, #29) to {highest} (10 V, #30); "
+        f"the nearest is {nearest}",
+        unit=action.unit,
+        nearest=nearest,
+    )
+
+
+def check_parameter(action: WriteParameter, now: Circumstances) -> None:
+    """Its range and choices (manual, the parameter list), and what the unit allows now."""
+    parameter = PARAMETERS.get(action.number)
+    if parameter is None:
+        raise ObjectionError("invalid", "a unit has the parameters 1 to 40", unit=action.unit)
+    _check_value(parameter, action)
+    if parameter.not_while_running and _is_running(now.bus.units[action.unit], now.bus):
+        reason = f"#{parameter.number} {parameter.name} cannot be changed while the unit's run input is on"
+        raise ObjectionError("invalid", reason, unit=action.unit)
+
+
+def _check_value(parameter: Parameter, action: WriteParameter) -> None:
+    try:
+        check_writable_value(parameter, action.raw)
+    except CallerError as error:
+        nearest = error.nearest if isinstance(error, IllegalValue) else None
+        raise ObjectionError("invalid", str(error), unit=action.unit, nearest=nearest) from error
+
+
+def check_baud(action: ChangeBaud, _: Circumstances) -> None:
+    """One that a unit can be set to (#18)."""
+    if action.baud not in BAUDS:
+        nearest = min(BAUDS, key=lambda baud: abs(baud - action.baud))
+        raise ObjectionError(
+            "invalid", f"a unit speaks at {', '.join(map(str, BAUDS))} baud", nearest=nearest
+        )
+
+
+def _is_running(live: UnitLive, bus: BusLive) -> bool:
+    reading = live.reading
+    if reading is None:
+        return False
+    return status_bits(reading.outputs, reading.inputs, bus.settings.estop_healthy).run

@@ -1,0 +1,43 @@
+"""A reason not to send what was asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from app.commands.safeguards.blocks import Block
+from app.commands.safeguards.limits import Limits
+from app.live.state.bus_live import BusLive
+from bus.errors import LinesideError
+
+Code = Literal["invalid", "dangerous", "confirm_needed", "blocked"]
+
+
+class ObjectionError(LinesideError):
+    """A command that is not sent. The text is the reason; ``nearest`` the closest value that would do."""
+
+    def __init__(
+        self,
+        code: Code,
+        reason: str,
+        *,
+        params: Mapping[str, object] | None = None,
+        unit: int | None = None,
+        nearest: int | None = None,
+    ) -> None:
+        super().__init__(reason, params=params)
+        self.code = code
+        self.unit = unit
+        self.nearest = nearest
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """What the rules look at. ``moved``: how far a unit's setpoint was moved within the last minute."""
+
+    bus: BusLive
+    limits: Callable[[int], Limits]
+    block: Callable[[int], Block | None]
+    moved: Callable[[int], int]
+    confirm: bool = False

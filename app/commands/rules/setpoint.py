@@ -1,0 +1,86 @@
+"""Whether a unit's setpoint may become what is asked. Pure.
+
+In order: its range, how far it may move within a minute, how large a step may be without a review. A
+master's speed 0 is always allowed: no limit of ours may keep a line from being set to zero.
+"""
+
+from __future__ import annotations
+
+from app.commands.rules.objection import Circumstances, ObjectionError
+from app.commands.rules.setpoint_range import Basis, SetpointKind, kind_of, setpoint_range
+from app.commands.safeguards.limits import Limits
+from app.live.state.bus_live import BusLive, UnitLive, follower
+from bus.catalogue.numbers import DECIMALS
+from bus.catalogue.values import ratio_text, speed_text
+
+_OUTSIDE: dict[Basis, str] = {
+    "protocol": "unit {unit}: {value} is outside {lowest} to {highest} (what the link can carry); "
+    "the nearest is {nearest}",
+    "display": "unit {unit}: {value} is outside {lowest} to {highest} (its maximum display value, #2); "
+    "the nearest is {nearest}",
+    "ratio": "unit {unit}: {value} is outside {lowest} to {highest} (its ratio limits, #38 and #31); "
+    "the nearest is {nearest}",
+    "limits": "unit {unit}: {value} is outside {lowest} to {highest} (the limits set for this unit); "
+    "the nearest is {nearest}",
+}
+
+
+def check_setpoint(unit: int, raw: int, now: Circumstances, kind: SetpointKind | None = None) -> None:
+    """Raises ObjectionError for the first reason why ``raw`` is not sent.
+
+    ``kind``: of the setpoint where it is not the unit's own, which is judged by its range alone.
+    """
+    live, limits = now.bus.units[unit], now.limits(unit)
+    _check_range(live, raw, limits, kind)
+    if kind not in (None, kind_of(live)) or (raw == 0 and not follower(live)):
+        return
+    present = commanded_setpoint(live, now.bus)
+    step = None if present is None else abs(raw - present)
+    _check_rate(unit, step, limits, now.moved(unit))
+    if not now.confirm:
+        _check_step(unit, step, limits)
+
+
+def commanded_setpoint(live: UnitLive, bus: BusLive) -> int | None:
+    """The setpoint that the unit has now, to compare with a new one; None where it cannot be known."""
+    if live.reading is None or (follower(live) and bus.settings.follower_speed == "speed"):
+        return None
+    return live.reading.commanded
+
+
+def _check_range(live: UnitLive, raw: int, limits: Limits, kind: SetpointKind | None) -> None:
+    allowed = setpoint_range(live, limits, kind)
+    if allowed.allows(raw):
+        return
+    unit, nearest = live.settings.id, allowed.nearest(raw)
+    numbers = {"value": raw, "lowest": allowed.lowest, "highest": allowed.highest, "nearest": nearest}
+    params = {name: _text(live, number, allowed.kind) for name, number in numbers.items()}
+    reason = _OUTSIDE[allowed.basis]
+    raise ObjectionError("invalid", reason, params={"unit": unit, **params}, unit=unit, nearest=nearest)
+
+
+def _text(live: UnitLive, raw: int, kind: SetpointKind) -> str:
+    """As the unit shows it; the bare integer while its decimals are not known."""
+    sign, size = ("-" if raw < 0 else ""), abs(raw)
+    if kind == "ratio":
+        return sign + ratio_text(size)
+    decimals = live.parameter_raw(DECIMALS)
+    return sign + (str(size) if decimals is None else speed_text(size, decimals))
+
+
+def _check_rate(unit: int, step: int | None, limits: Limits, moved: int) -> None:
+    if limits.per_minute is None or step is None:
+        return
+    left = max(0, limits.per_minute - moved)
+    if step > left:
+        allowed = f"the setpoint may move by {limits.per_minute} within a minute, of which {left} is left"
+        raise ObjectionError("invalid", f"unit {unit}: {allowed}; this would move it by {step}", unit=unit)
+
+
+def _check_step(unit: int, step: int | None, limits: Limits) -> None:
+    largest = limits.largest_step
+    if largest is None or (step is not None and step <= largest):
+        return
+    size = "of a size that cannot be known now" if step is None else f"of {step}"
+    reason = f"unit {unit}: a step {size} needs a review, because the largest without one is {largest}"
+    raise ObjectionError("confirm_needed", f"{reason}; confirm it", unit=unit)

@@ -1,0 +1,1 @@
+"""Limits, command blocks and control: what an operator sets so that commands are refused."""

@@ -1,0 +1,173 @@
+"""Limits, blocks and control: what keeps a wish from being sent. Every change of them is an event."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Awaitable, Callable
+
+from app.audit.kinds import Kind
+from app.audit.log import EventLog
+from app.commands.authority import SessionEnds, Withdrawals
+from app.commands.safeguards.blocks import Block, BlockStore
+from app.commands.safeguards.control import Control, ControlledError, Holding
+from app.commands.safeguards.limits import Limits, LimitsStore
+from app.database import Database
+from app.errors import Problem
+from app.live.screen.sources import UnitSubscriber
+from app.web.access import Person, Role, name_of
+from bus.messages import Message, term
+
+SIGNED_OUT = "signed out, or has other rights"
+Find = Callable[[str], Awaitable[tuple[str, Role] | None]]
+"""The account that somebody names, and what it may do; None when there is none."""
+
+
+class Safeguards:
+    """Of every line. Call :meth:`load` once before the first command."""
+
+    def __init__(
+        self,
+        database: Database,
+        events: EventLog,
+        *,
+        control_required: bool,
+        find: Find,
+        rights: Withdrawals,
+        sessions: SessionEnds,
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        self.limits = LimitsStore(database)
+        self.blocks = BlockStore(database)
+        self.control = Control(required=control_required)
+        self._block_subscribers: list[UnitSubscriber] = []
+        self._find = find
+        self._rights = rights
+        self._events = events
+        self._now = now
+        rights.on_withdrawn(self.release_all_of)
+        sessions.on_signed_out(self.release_all_of)
+
+    async def load(self) -> None:
+        """Read what is stored."""
+        await self.limits.load()
+        await self.blocks.load()
+
+    def on_block(self, subscriber: UnitSubscriber) -> None:
+        """Call ``subscriber`` when a unit was blocked or freed."""
+        self._block_subscribers.append(subscriber)
+
+    def block_reason(self, bus: str, unit: int) -> str:
+        """Why a unit is blocked and by whom, as a page shows it; empty when it is not."""
+        block = self.blocks.of(bus, unit)
+        return f"{block.reason} ({block.set_by})" if block is not None else ""
+
+    async def set_limits(self, person: Person, bus: str, unit: int, limits: Limits) -> None:
+        """Replace the limits of a unit."""
+        before = self.limits.of(bus, unit)
+        await self.limits.put(bus, unit, limits, person.name, self._now())
+        await self._record("limits", person, bus, unit, "limits of the speed", str(before), str(limits))
+
+    async def block(self, person: Person, bus: str, unit: int, reason: str) -> None:
+        """Refuse every write to a unit from now on."""
+        before = self.blocks.of(bus, unit)
+        await self.blocks.put(bus, unit, Block(reason, person.name, self._now()))
+        self._tell_of_block(bus, unit)
+        old = before.reason if before is not None else None
+        await self._record("block", person, bus, unit, "unit blocked", old, reason)
+
+    async def lift(self, person: Person, bus: str, unit: int) -> None:
+        """Free a unit. Nothing happens to one that is free."""
+        before = self.blocks.of(bus, unit)
+        if before is None:
+            return
+        await self.blocks.lift(bus, unit)
+        self._tell_of_block(bus, unit)
+        await self._record("block", person, bus, unit, "block lifted", before.reason, None)
+
+    def holding(self, bus: str) -> Holding | None:
+        """Who holds control of a line now, if anybody."""
+        return self.control.holding(bus, self._now())
+
+    def holder(self, bus: str) -> str:
+        """The account of who holds control of a line; empty when nobody does."""
+        holding = self.holding(bus)
+        return holding.holder if holding is not None else ""
+
+    async def take(self, person: Person, bus: str) -> Holding:
+        """Take control that nobody else holds. Raises Problem 409."""
+        await self._rights.check(person)
+        before = self.holding(bus)
+        try:
+            holding = self.control.take(bus, person.account, self._now())
+        except ControlledError as error:
+            raise _controlled(error) from error
+        if before is None:
+            await self._record("control", person, bus, None, "control taken", None, person.account)
+        return holding
+
+    async def hand_over(self, person: Person, bus: str, to: str) -> Holding:
+        """Give control to somebody else; an admin may without holding it. Raises Problem 409, and 422
+        for a name that nobody has who could use it: the line would be held by nobody until it lapses."""
+        to = await self._who_may_hold(person, to)
+        before = self.holding(bus)
+        by_force = person.role.includes(Role.ADMIN)
+        try:
+            holding = self.control.hand_over(bus, person.account, to, self._now(), by_force=by_force)
+        except ControlledError as error:
+            raise _controlled(error) from error
+        old = before.holder if before is not None else None
+        await self._record("control", person, bus, None, "control handed over", old, to)
+        return holding
+
+    async def _who_may_hold(self, person: Person, to: str) -> str:
+        found = (to, person.role) if to == person.account else await self._find(to)
+        if found is None:
+            raise Problem(422, "invalid", Message.of("holder_cannot_sign_in", name=to))
+        account, role = found
+        if not role.includes(Role.OPERATOR):
+            raise Problem(422, "invalid", Message.of("holder_may_not_command", name=to, role=term(role)))
+        return account
+
+    async def release(self, person: Person, bus: str) -> None:
+        """Give control back. Raises Problem 409."""
+        try:
+            self.control.release(bus, person.account, self._now())
+        except ControlledError as error:
+            raise _controlled(error) from error
+        await self._record("control", person, bus, None, "control given back", person.account, None)
+
+    async def release_all_of(self, account: str) -> None:
+        """Somebody is signed in nowhere any more, or may do less: whatever they held is free."""
+        who, is_token = name_of(account)
+        for bus in self.control.release_all_of(account, self._now()):
+            await self._events.record(
+                kind="control",
+                what="control given back",
+                who=who,
+                origin="token" if is_token else "",
+                bus=bus,
+                old=account,
+                message=SIGNED_OUT,
+            )
+
+    def _tell_of_block(self, bus: str, unit: int) -> None:
+        for subscriber in self._block_subscribers:
+            subscriber(bus, unit)
+
+    async def _record(
+        self,
+        kind: Kind,
+        person: Person,
+        bus: str,
+        unit: int | None,
+        what: str,
+        old: str | None,
+        new: str | None,
+    ) -> None:
+        await self._events.record(
+            kind=kind, who=person.name, origin=person.via, bus=bus, unit=unit, what=what, old=old, new=new
+        )
+
+
+def _controlled(error: ControlledError) -> Problem:
+    return Problem(409, "controlled", error.message, outcome="controlled")

@@ -1,0 +1,325 @@
+"""The one way from a wish to the wire: checked, written down, sent once, followed to its fate."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import OrderedDict
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+import msgspec
+
+from app.audit.log import EventLog
+from app.commands.authority import Authority, while_permitted
+from app.commands.catalogue import kind_of_command
+from app.commands.check import check
+from app.commands.rules.objection import Circumstances, ObjectionError
+from app.commands.rules.setpoint import commanded_setpoint
+from app.commands.rules.setpoint_moves import Moves
+from app.commands.rules.setpoint_range import kind_of
+from app.commands.safeguards.control import ControlledError
+from app.commands.safeguards.service import Safeguards
+from app.commands.service.command_request import Wish, without_secret
+from app.commands.service.prior_read import UnreadError, read_ranges
+from app.commands.service.record import Record
+from app.database import Database
+from app.errors import Problem, StoreError
+from app.feed.channel import Channel, ProgressListener
+from app.live.command_ids import new_command_id
+from app.live.lookup import bus_or_404, unit_or_404
+from app.live.state.bus_live import BusLive
+from app.live.state.live_state import LiveState
+from app.web.access import Person
+from app.web.deadline import Deadline
+from bus.contract import Action, Command, Result
+from bus.messages import Message, term
+
+REMEMBERED = 1000
+"""Fates kept for whoever asks with the same id again."""
+STATUS_OF_OBJECTION = {"invalid": 422, "dangerous": 409, "confirm_needed": 409, "blocked": 423}
+ACTED = ("verified", "acknowledged", "unverified")
+"""Outcomes after which a unit has acted, or may have."""
+
+
+class WriteSubscriber(Protocol):
+    """Called before each write: by whom, to which units of a bus, and whether it writes parameters."""
+
+    async def __call__(self, person: Person, bus: str, units: Sequence[int], *, parameters: bool) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """A command that is under way or done."""
+
+    bus: str
+    action: Action
+    fate: asyncio.Task[Result]
+
+
+class Desk:
+    """Takes wishes of people and programs for every bus."""
+
+    def __init__(
+        self,
+        live: LiveState,
+        channels: Mapping[str, Channel],
+        events: EventLog,
+        database: Database,
+        guards: Safeguards,
+        rights: Authority,
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        self._live = live
+        self._channels = channels
+        self._record = Record(events, database, now)
+        self._guards = guards
+        self._rights = rights
+        self._now = now
+        self._moves = Moves()
+        self._kept: OrderedDict[tuple[str, str], _Kept] = OrderedDict()
+        """By sender and key."""
+        self._under_way: set[asyncio.Task[Result]] = set()
+        self._write_subscribers: list[WriteSubscriber] = []
+
+    def on_write(self, subscriber: WriteSubscriber) -> None:
+        """Call and await ``subscriber`` before each write; where it raises, nothing is sent."""
+        self._write_subscribers.append(subscriber)
+
+    async def ask(
+        self,
+        person: Person,
+        bus: str,
+        action: Action,
+        *,
+        deadline: Deadline | None = None,
+        timeout_s: float | None = None,
+        confirm: bool = False,
+        id: str | None = None,
+        origin: str = "api",
+        listener: ProgressListener | None = None,
+    ) -> Result:
+        """Carry out ``action`` and give its one fate; the same ``id`` again gives the same fate. It is the
+        sender's own: what others ask with the same one is another command.
+
+        ``deadline``: of a command that a request asks for. Without one it may wait ``timeout_s`` from now on,
+        or as long as its kind takes.
+
+        Raises Problem for what is not asked of the worker at all: 404 for a unit or bus that is not
+        configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``,
+        403 ``rights_withdrawn`` when the person's account may no longer do what it could when the person was
+        authenticated, 503 ``not_sent`` where its deadline has passed. Work that lasts asks once for each
+        write, so that it stops there.
+        """
+        live = bus_or_404(self._live, bus)
+        for unit in action.units:
+            unit_or_404(self._live, bus, unit)
+        id = id or None
+        kept = self._find(person, id)
+        if kept is None and id is not None:
+            earlier = await self._record.earlier(person.sender, id)
+            kept = self._find(person, id)
+            if kept is None and earlier is not None:
+                _refuse_other(id, self._record.is_same(earlier, bus, action))
+                return msgspec.structs.replace(earlier.result, id=id)
+        if kept is None:
+            timeout_s = timeout_s or kind_of_command(action).timeout_s(action, live)
+            deadline = deadline or Deadline.within(timeout_s)
+            wish = Wish(new_command_id(id), person, bus, action, deadline, origin, listener, id)
+            try:
+                await self._check(wish, live, confirm)
+            except UnreadError as unread:
+                return unread.result(id or wish.id, self._now(), action.units)
+            kept = self._start(wish, live)
+        _refuse_other(id, (kept.bus, kept.action) == (bus, action))
+        result = await asyncio.shield(kept.fate)
+        return result if id is None else msgspec.structs.replace(result, id=id)
+
+    def _find(self, person: Person, key: str | None) -> _Kept | None:
+        return None if key is None else self._kept.get((person.sender, key))
+
+    async def reserve(self, bus: str) -> None:
+        """Somebody who may is about to ask for a write: the next turn of the wire is left to it."""
+        if bus in self._channels:
+            await self._channels[bus].reserve()
+
+    async def cancel(self, bus: str, id: str) -> None:
+        """Give a command up where nothing is half done; its fate still comes to whoever waits."""
+        bus_or_404(self._live, bus)
+        await self._channels[bus].cancel(id)
+
+    async def read_ranges(self, person: Person, bus: str, action: Action, deadline: Deadline) -> None:
+        """Read what bounds the setpoints of ``action`` where it was never read, as :meth:`ask` does.
+
+        Raises Problem 503 or 504 where it cannot be had in time.
+        """
+        live, limits = bus_or_404(self._live, bus), partial(self._guards.limits.of, bus)
+        await read_ranges(self.ask, person, live, action, limits, deadline)
+
+    def check(self, person: Person, bus: str, action: Action, *, confirm: bool = False) -> None:
+        """The checks of :meth:`ask` alone, for a review. Raises the same Problems."""
+        live = bus_or_404(self._live, bus)
+        for unit in action.units:
+            unit_or_404(self._live, bus, unit)
+        self._object(person, bus, action, live, confirm)
+
+    async def _check(self, wish: Wish, live: BusLive, confirm: bool) -> None:
+        async with self._rejection_recorded(wish, live):
+            wish.deadline.refuse_passed()
+            await self._rights.check(wish.person)
+            # Before anything is read for it: who may not write here learns that, not what the unit says.
+            self._use_control(wish.person, wish.bus, wish.action)
+            await self.read_ranges(wish.person, wish.bus, wish.action, wish.deadline)
+            self._object(wish.person, wish.bus, wish.action, live, confirm)
+
+    @asynccontextmanager
+    async def _rejection_recorded(self, wish: Wish, live: BusLive) -> AsyncIterator[None]:
+        """A write that a Problem ends before anything is sent is an event with its reason."""
+        try:
+            yield
+        except Problem as problem:
+            if wish.action.writes:
+                await self._record.reject(wish, live, problem)
+            raise
+
+    def _object(self, person: Person, bus: str, action: Action, live: BusLive, confirm: bool) -> None:
+        self._use_control(person, bus, action)
+        try:
+            check(action, self._circumstances(bus, live, confirm))
+        except ObjectionError as error:
+            raise _problem(error) from error
+
+    def _use_control(self, person: Person, bus: str, action: Action) -> None:
+        try:
+            if action.writes:
+                self._guards.control.use(bus, person.account, self._now())
+        except ControlledError as error:
+            raise Problem(
+                409, "controlled", Message.of("nothing_sent", reason=error.message), outcome="controlled"
+            ) from error
+
+    def _circumstances(self, bus: str, live: BusLive, confirm: bool) -> Circumstances:
+        return Circumstances(
+            bus=live,
+            limits=partial(self._guards.limits.of, bus),
+            block=partial(self._guards.blocks.of, bus),
+            moved=lambda unit: self._moves.within_a_minute(bus, unit, self._now()),
+            confirm=confirm,
+        )
+
+    def _start(self, wish: Wish, live: BusLive) -> _Kept:
+        already = self._find(wish.person, wish.key)
+        if already is not None:
+            return already
+        # Noted before anybody else can be checked: two at once must not both pass the limit of a minute.
+        steps, at = _steps(wish.action, live), self._now()
+        for unit, step in steps.items():
+            self._moves.note(wish.bus, unit, step, at)
+        fate = asyncio.create_task(self._follow(wish, live, steps, at), name=f"command {wish.id}")
+        self._under_way.add(fate)
+        fate.add_done_callback(self._under_way.discard)
+        kept = _Kept(wish.bus, wish.action, fate)
+        if wish.key is not None:
+            self._keep((wish.person.sender, wish.key), kept)
+        return kept
+
+    def _keep(self, key: tuple[str, str], kept: _Kept) -> None:
+        self._kept[key] = kept
+        while len(self._kept) > REMEMBERED and next(iter(self._kept.values())).fate.done():
+            self._kept.popitem(last=False)
+
+        def forget_failed(fate: asyncio.Task[Result]) -> None:
+            # It has no result to give again: what was sent, if anything was, is on disk.
+            if fate.cancelled() or fate.exception() is not None:
+                self._kept.pop(key, None)
+
+        kept.fate.add_done_callback(forget_failed)
+
+    async def _follow(self, wish: Wish, live: BusLive, steps: dict[int, int], at: float) -> Result:
+        """Carry it out; its steps, which were noted for ``at``, count no more when no unit acted."""
+        acted = False
+        try:
+            result = await self._carry_out(wish, live)
+            acted = result.outcome in ACTED
+            return result
+        finally:
+            for unit, step in () if acted else steps.items():
+                self._moves.take_back(wish.bus, unit, step, at)
+
+    async def _carry_out(self, wish: Wish, live: BusLive) -> Result:
+        kind = kind_of_command(wish.action)
+        if not kind.is_event(wish.action):
+            return await self._send(wish, live)
+        if wish.action.writes:
+            units, parameters = kind.units_written(wish.action, live), kind.writes_parameters
+            async with self._rejection_recorded(wish, live):
+                for subscriber in self._write_subscribers:
+                    await subscriber(wish.person, wish.bus, units, parameters=parameters)
+        intent = await self._record.intend(wish, live)
+        result = without_secret(wish.action, await self._send(wish, live))
+        await self._record.conclude(intent, wish, result)
+        return result
+
+    async def _send(self, wish: Wish, live: BusLive) -> Result:
+        if live.link.link == "closed":
+            refusal = live.link.refusal
+            return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=refusal)
+        # Storing the intent and what the unit was may have taken a while on a slow disk.
+        reason = await self._why_no_longer(wish, live)
+        if reason is not None:
+            return Result(id=wish.id, at=self._now(), outcome="not_sent", message=reason)
+        # This clock first: whatever stops this process between the two makes the deadline earlier.
+        deadline = self._now() + wish.deadline.left_s
+        command = Command(id=wish.id, deadline=deadline, action=wish.action)
+        channel = self._channels[wish.bus]
+        return await while_permitted(
+            channel.ask(command, wish.listener),
+            lambda: self._why_no_longer(wish, live),
+            lambda: channel.cancel(wish.id),
+        )
+
+    async def _why_no_longer(self, wish: Wish, live: BusLive) -> Message | None:
+        """Why a command must not be sent, or be given up; None while it may go on. A store that cannot be
+        read now ends nothing that is half done."""
+        try:
+            await self._rights.check(wish.person)
+        except Problem as problem:
+            return problem.message
+        except StoreError:
+            return None
+        if not wish.action.writes:
+            return None
+        for unit in kind_of_command(wish.action).units_written(wish.action, live):
+            block = self._guards.blocks.of(wish.bus, unit)
+            if block is not None:
+                return Message.of("unit_blocked", unit=unit, who=block.set_by, reason=block.reason)
+        objection = self._guards.control.objection(wish.bus, wish.person.account, self._now())
+        return term(objection) if objection else None
+
+
+def _refuse_other(id: str | None, same: bool) -> None:
+    if not same:
+        raise Problem(422, "invalid", Message.of("id_used", id=str(id)), id=id)
+
+
+def _steps(action: Action, live: BusLive) -> dict[int, int]:
+    """By how much it moves the setpoint of each unit, where that is known."""
+    steps = {}
+    for new in kind_of_command(action).setpoints(action, live):
+        unit = live.units[new.unit]
+        present = commanded_setpoint(unit, live)
+        if present is not None and new.kind in (None, kind_of(unit)) and not new.is_staged:
+            steps[new.unit] = abs(new.raw - present)
+    return steps
+
+
+def _problem(objection: ObjectionError) -> Problem:
+    extra: dict[str, Any] = {"outcome": objection.code, "unit": objection.unit}
+    if objection.nearest is not None:
+        extra["nearest"] = objection.nearest
+    params = {**objection.message.params, "reason": objection.message}
+    message = Message("nothing_sent", params)
+    return Problem(STATUS_OF_OBJECTION[objection.code], objection.code, message, **extra)

@@ -1,0 +1,106 @@
+"""Commands that were asked with a key, on disk: asked again with it, also after a restart, they give the same
+result and nothing is sent.
+
+What is stored goes into the transaction of the command's own event, so a key is known exactly when the intent
+is, which is before anything is sent. A key belongs to its sender: what others call their commands is theirs.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from dataclasses import dataclass
+
+import msgspec
+
+from app.audit.keyring import KeyRing
+from app.commands.service.command_request import Wish
+from bus.contract import Action, Result
+from bus.messages import Message, term
+
+KEPT_S = 7 * 86_400.0
+"""How long a key is remembered."""
+MOST_OF_A_SENDER = 2000
+"""How many keys of one sender are remembered; the oldest are forgotten first."""
+UNREADABLE = Message("result_unreadable")
+_FROM_BEFORE = ""
+"""The sender of keys that an earlier version has stored without one."""
+_FORGET_OLD = "DELETE FROM idempotency WHERE requested_at < ?"
+_FORGET_MANY = """
+DELETE FROM idempotency WHERE sender = :sender AND result IS NOT NULL AND requested_at < (
+    SELECT requested_at FROM idempotency WHERE sender = :sender
+    ORDER BY requested_at DESC LIMIT 1 OFFSET :others
+)
+"""
+_INSERT = "INSERT INTO idempotency (sender, key, requested_at, command) VALUES (?, ?, ?, ?)"
+
+
+@dataclass(frozen=True, slots=True)
+class Earlier:
+    """What a key stands for. ``command``: the digest of what was asked."""
+
+    command: str
+    result: Result
+
+
+def digest(ring: KeyRing, bus: str, action: Action) -> str:
+    """What is stored of a command, so that it is told from another one. Made with the key of the server: a
+    password of few digits (#21) could be found from a plain hash by trying all."""
+    return ring.seal("command", *_parts(bus, action))
+
+
+def is_digest_of(command: str, ring: KeyRing, bus: str, action: Action) -> bool:
+    """Whether ``command`` was made of this one, with any key that the server ever had."""
+    return ring.confirms_by_any(command, "command", *_parts(bus, action))
+
+
+def _parts(bus: str, action: Action) -> tuple[str, str]:
+    asked = msgspec.to_builtins(action, str_keys=True)
+    return json.dumps(bus), json.dumps(asked, sort_keys=True)
+
+
+def begin(connection: sqlite3.Connection, wish: Wish, ring: KeyRing, now: float) -> None:
+    """The result of a command with a key is open from here on. Raises sqlite3.IntegrityError for a key that
+    its sender has used."""
+    if wish.key is None:
+        return
+    sender = wish.person.sender
+    connection.execute(_FORGET_OLD, (now - KEPT_S,))
+    connection.execute(_FORGET_MANY, {"sender": sender, "others": MOST_OF_A_SENDER - 2})
+    connection.execute(_INSERT, (sender, wish.key, now, digest(ring, wish.bus, wish.action)))
+
+
+def end(connection: sqlite3.Connection, wish: Wish, result: Result) -> None:
+    """Its result, without the frames, which are in the events."""
+    if wish.key is None:
+        return
+    stored = msgspec.json.encode(msgspec.structs.replace(result, frames=[]))
+    where = (wish.person.sender, wish.key)
+    connection.execute("UPDATE idempotency SET result = ? WHERE sender = ? AND key = ?", (stored, *where))
+
+
+def find(connection: sqlite3.Connection, sender: str, key: str) -> Earlier | None:
+    """What a key of this sender stands for. The result of a command that was open when the server ended is
+    unverified."""
+    row = connection.execute(
+        "SELECT requested_at, command, result FROM idempotency WHERE sender IN (?, ?) AND key = ?",
+        (sender, _FROM_BEFORE, key),
+    ).fetchone()
+    if row is None:
+        return None
+    requested_at, command, result = row
+    if result is None:
+        return Earlier(command, Result(key, requested_at, "unverified", Message("server_stopped")))
+    try:
+        return Earlier(command, _decoded(result))
+    except msgspec.MsgspecError:
+        return Earlier(command, Result(key, requested_at, "unverified", UNREADABLE))
+
+
+def _decoded(stored: bytes) -> Result:
+    """Raises msgspec.MsgspecError. Before messages were data, a result held finished texts."""
+    members = msgspec.json.decode(stored, type=dict)
+    for part in (members, *members.get("units", ())):
+        if isinstance(part.get("message"), str):
+            part["message"] = term(part["message"]) if part["message"] else None
+    return msgspec.convert(members, Result)

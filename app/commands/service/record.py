@@ -1,0 +1,104 @@
+"""A command in the events: its intent on disk before anything is sent, its fate once it is known.
+
+A change of several units is one event for the line and one for each unit, all in one transaction.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import structlog
+
+from app.audit.groups import link_parts
+from app.audit.log import EventLog
+from app.commands.catalogue import kind_of_command
+from app.commands.service import idempotency
+from app.commands.service.command_request import Wish
+from app.commands.wording import Wording
+from app.database import Database
+from app.errors import Problem, StoreError
+from app.live.state.bus_live import BusLive
+from bus.contract import Action, Outcome, Result
+from bus.messages import in_english
+
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True, slots=True)
+class Intent:
+    """The events of one command. ``parts``: unit → event, for a change of several."""
+
+    event: int
+    parts: dict[int, int]
+
+
+class Record:
+    """Writes commands into the events, and their ids beside them."""
+
+    def __init__(self, events: EventLog, database: Database, now: Callable[[], float]) -> None:
+        self._events = events
+        self._database = database
+        self._now = now
+
+    async def earlier(self, sender: str, key: str) -> idempotency.Earlier | None:
+        """What became of a command that this sender asked with this key, before a restart too."""
+        return await self._database.read(lambda connection: idempotency.find(connection, sender, key))
+
+    def is_same(self, earlier: idempotency.Earlier, bus: str, action: Action) -> bool:
+        """Whether ``earlier`` is this command."""
+        return idempotency.is_digest_of(earlier.command, self._events.keys.ring, bus, action)
+
+    async def intend(self, wish: Wish, live: BusLive) -> Intent:
+        """On disk when this returns. Raises StoreError, and then nothing may be sent."""
+        kind = kind_of_command(wish.action)
+        by_unit = kind.part_wordings(wish.action, live)
+        whole = _entry(wish, wish.unit, kind.wording(wish.action, live))
+        parts = [_entry(wish, unit, words) for unit, words in by_unit.items()]
+        ring = self._events.keys.ring
+
+        def remember(connection: sqlite3.Connection) -> None:
+            link_parts(connection, len(parts))
+            idempotency.begin(connection, wish=wish, ring=ring, now=self._now())
+
+        event, *others = await self._events.intend_together([whole, *parts], remember)
+        return Intent(event, dict(zip(by_unit, others, strict=True)))
+
+    async def conclude(self, intent: Intent, wish: Wish, result: Result) -> None:
+        """The fate of what was intended. A store that fails now changes nothing of the fate."""
+        try:
+            if intent.parts:
+                await self._events.conclude_together(_fates(intent, result))
+            remember = partial(idempotency.end, wish=wish, result=result)
+            message = in_english(result.message)
+            await self._events.conclude(intent.event, result.outcome, message, result.frames, remember)
+        except StoreError as error:
+            log.error("fate not stored", command=wish.id, outcome=result.outcome, error=str(error))
+
+    async def reject(self, wish: Wish, live: BusLive, problem: Problem) -> None:
+        """A wish that was not sent, with the reason."""
+        entry = _entry(wish, wish.unit, kind_of_command(wish.action).wording(wish.action, live))
+        await self._events.record(kind="command", **entry, outcome=problem.code, message=problem.detail)
+
+
+def _entry(wish: Wish, unit: int | None, words: Wording) -> dict[str, Any]:
+    return {
+        "who": wish.person.name,
+        "origin": f"{wish.origin}, token" if wish.person.via == "token" else wish.origin,
+        "bus": wish.bus,
+        "unit": unit,
+        "what": words.what,
+        "old": words.old or None,
+        "new": words.new or None,
+        "old_raw": words.old_raw,
+        "new_raw": words.new_raw,
+    }
+
+
+def _fates(intent: Intent, result: Result) -> dict[int, tuple[Outcome, str]]:
+    said = {fate.unit: (fate.outcome, in_english(fate.message)) for fate in result.units}
+    whole = (result.outcome, in_english(result.message))
+    return {event: said.get(unit, whole) for unit, event in intent.parts.items()}

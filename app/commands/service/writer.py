@@ -1,0 +1,45 @@
+"""Who is about to write: the wire is told while the request is still being read.
+
+On a busy bus a poll is always under way, and what follows it leaves within a millisecond of its end. A write
+that came too late for that by the time of its way through the app and onto its disk would wait for a whole
+poll more.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import Depends
+from starlette.requests import HTTPConnection
+
+from app.commands.catalogue import CommandKind
+from app.commands.service.command_service import Desk
+from app.web.access import Person, Requires
+from app.web.services import service, service_of
+
+AskDesk = Annotated[Desk, service(Desk)]
+"""The way to the wire."""
+
+
+class _Writes(Requires):
+    """A dependency that leaves the next turn of ``{bus}`` in the path free for whom it lets in.
+
+    Whether the command comes late is judged where it is sent: its time may be another than that of any write,
+    and one that was carried out before gives its result however late it is repeated.
+    """
+
+    async def __call__(self, connection: HTTPConnection) -> Person:
+        person = self.permitted(connection)
+        if "bus" in connection.path_params:
+            await service_of(connection, Desk).reserve(connection.path_params["bus"])
+        return person
+
+
+def permitted(kind: CommandKind[Any]) -> Any:
+    """A dependency that lets in who may send such a command."""
+    return Depends(Requires(kind.role))
+
+
+def permitted_writer(kind: CommandKind[Any]) -> Any:
+    """The same, and leaves the next turn of ``{bus}`` free for the write."""
+    return Depends(_Writes(kind.role))

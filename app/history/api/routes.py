@@ -1,0 +1,175 @@
+"""``GET /api/v1/history`` and what goes with it. Every request names a span; limits are refused in words."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import Annotated, Any, Literal, cast
+
+import msgspec
+from fastapi import APIRouter, Query, Response
+from starlette.requests import Request
+from starlette.responses import StreamingResponse
+
+from app.audit.api import Events
+from app.errors import Problem
+from app.history.api.marks import collect_marks
+from app.history.api.schemas import EXPORT, MarksShown, SeriesShown, SparkShown, StatusShown, json_of
+from app.history.api.spans import (
+    HistoryOf,
+    PointsOf,
+    Span,
+    SpanOf,
+    named_question,
+    question,
+    questions,
+)
+from app.history.export import download
+from app.history.export.download import Format, Resolution
+from app.history.query import labels
+from app.history.query.query import Answer, Question
+from app.history.series.runs import SECOND
+from app.history.service import seconds
+from app.web.access import Viewer
+from app.web.api_route import ApiRoute
+from app.web.templating import templates_of
+from app.web.turns import DOWNLOAD, SEARCH
+from bus.messages import Message
+
+router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
+SPARK_POINTS = 120
+MOST_SPARKS = 255
+Times = Annotated[Literal["iso", "epoch"], Query(alias="format")]
+
+
+def iso(at: int) -> str:
+    """µs since the epoch as ISO 8601, UTC, milliseconds."""
+    return datetime.fromtimestamp(at / SECOND, UTC).isoformat(timespec="milliseconds")
+
+
+def shown(asked: Question, found: Answer, times: str) -> dict[str, Any]:
+    """An answer as the API gives it."""
+    unit = labels.unit_settings(asked.bus, asked.unit)
+    at: list[Any] = [seconds(t) if times == "epoch" else iso(t) for t in found.series.at]
+    return {
+        "bus": asked.bus.name,
+        "unit": asked.unit,
+        "value": asked.value.name,
+        "measure": labels.measure(unit, asked.value),
+        "decimals": found.decimals,
+        "from": iso(asked.start),
+        "to": iso(asked.end),
+        "resolution": found.resolution,
+        "bucket_s": found.bucket / SECOND,
+        "t": at,
+        "min": found.series.least,
+        "max": found.series.greatest,
+        "avg": found.series.average,
+    }
+
+
+async def json_response(content: Callable[[], object]) -> Response:
+    """Long columns as JSON, made in a thread so that the event loop goes on."""
+    body = await asyncio.to_thread(lambda: msgspec.json.encode(content()))
+    return Response(body, media_type="application/json")
+
+
+@router.get("", response_model=None, responses=json_of(SeriesShown), dependencies=[SEARCH])
+async def get_history(
+    _: Viewer,
+    history: HistoryOf,
+    span: SpanOf,
+    points: PointsOf,
+    bus: str,
+    unit: int,
+    value: str,
+    times: Times = "iso",
+) -> Response:
+    """One value of one unit over a span, in at most ``points`` (1 to 20 000, else 1000) points.
+
+    Columns ``t``, ``min``, ``max``, ``avg`` in display units, with the decimals (#3) and the analog
+    scale (#22, #23) as they were known at that time. Every reading itself (``bucket_s`` 0) where that
+    fits; equal readings one after the other are given as the first and the last. A null between is a
+    hole. ``format=epoch`` gives times in seconds since the epoch.
+    """
+    asked = question(history, bus, unit, value, span, points)
+    (found,) = await history.ask([asked])
+    return await json_response(lambda: shown(asked, found, times))
+
+
+@router.get("/series", response_model=None, responses=json_of(list[SeriesShown]), dependencies=[SEARCH])
+async def get_series(
+    _: Viewer,
+    history: HistoryOf,
+    span: SpanOf,
+    points: PointsOf,
+    series: Annotated[list[str], Query()],
+    times: Times = "iso",
+) -> Response:
+    """Several values at once, each named ``bus/unit/value`` (1 to 32): a list of what GET /history gives."""
+    asked = questions(history, series, span, points)
+    found = await history.ask(asked)
+    return await json_response(lambda: [shown(q, a, times) for q, a in zip(asked, found, strict=True)])
+
+
+@router.get("/sparks", response_model=None, responses=json_of(dict[str, SparkShown]), dependencies=[SEARCH])
+async def get_sparks(
+    _: Viewer, history: HistoryOf, span: SpanOf, series: Annotated[list[str], Query()]
+) -> Response:
+    """Small pictures for many units (up to 255): for each ``bus/unit/value`` the columns ``t`` (seconds
+    since the epoch) and ``avg``, about 120 points."""
+    if len(series) > MOST_SPARKS:
+        raise Problem(422, "invalid", Message.of("too_many_sparklines", most=MOST_SPARKS, count=len(series)))
+    asked = [named_question(history, name, span, SPARK_POINTS) for name in series]
+    found = await history.ask(asked)
+    return await json_response(lambda: {name: _small(a) for name, a in zip(series, found, strict=True)})
+
+
+def _small(found: Answer) -> dict[str, Any]:
+    return {"t": [seconds(t) for t in found.series.at], "avg": found.series.average}
+
+
+@router.get("/marks", response_model=None, responses=json_of(MarksShown), dependencies=[SEARCH])
+async def get_marks(
+    request: Request,
+    _: Viewer,
+    events: Events,
+    span: SpanOf,
+    unit: Annotated[list[str] | None, Query()] = None,
+) -> Response:
+    """What happened over a span, oldest first: events (setpoint changes too) of the site and of each
+    ``bus/unit`` named. At most 500, the newest; ``more`` says that there were more. ``shown``: ``what``,
+    ``old`` and ``new`` in the reader's language."""
+    marks, more = await collect_marks(events, span, unit or [])
+    templates = templates_of(request)
+    language = templates.language_of(request)
+    say = templates.formats(language.tag).sentence
+    for mark in marks:
+        mark["shown"] = {name: say(language.t(mark[name])) for name in ("what", "old", "new") if mark[name]}
+    return await json_response(lambda: {"marks": marks, "more": more})
+
+
+@router.get("/status")
+async def get_status(_: Viewer, history: HistoryOf) -> StatusShown:
+    """How history is: ``state`` ok, low or scarce (the disk is short), paused or failed; ``message`` says
+    what to do. The rest of Lineside works in every state."""
+    return cast(StatusShown, asdict(history.status))
+
+
+@router.get("/export", response_class=StreamingResponse, responses=EXPORT, dependencies=[DOWNLOAD])
+async def get_export(
+    _: Viewer,
+    history: HistoryOf,
+    span: SpanOf,
+    series: Annotated[list[str], Query()],
+    file: Annotated[Format, Query(alias="format")] = "csv",
+    resolution: Resolution = "auto",
+) -> StreamingResponse:
+    """CSV or Parquet of any span, streamed: ``series`` as often as wanted, each ``bus/unit/value``.
+
+    ``resolution`` auto gives the readings where they are still kept over the whole span, else minutes.
+    """
+    asked = questions(history, series, Span(span.start, span.end), 1)
+    return await download.response(history, asked, file, resolution)

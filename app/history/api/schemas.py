@@ -1,0 +1,108 @@
+"""What the API's answers about history hold, for its OpenAPI document."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from app.history.query.query import Resolution
+from app.history.status import State
+from app.web.schema_problem import problems
+
+Column = Annotated[list[float | None], Field(description="In display units; null: a gap.")]
+Times = Annotated[
+    list[str | float], Field(description="ISO 8601 in UTC, or with format=epoch seconds since 1970.")
+]
+
+SeriesShown = TypedDict(
+    "SeriesShown",
+    {
+        "bus": str,
+        "unit": Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")],
+        "value": Annotated[str, Field(description="Its name, such as actual or output.1.")],
+        "measure": Annotated[str, Field(description="Unit of measurement; empty: none is configured.")],
+        "decimals": Annotated[int | None, Field(description="Of the newest point; null: not known.")],
+        "from": Annotated[str, Field(description="Start of the span, ISO 8601 in UTC.")],
+        "to": Annotated[str, Field(description="End of the span, ISO 8601 in UTC.")],
+        "resolution": Resolution,
+        "bucket_s": Annotated[float, Field(description="Seconds that a point stands for; 0: one reading.")],
+        "t": Times,
+        "min": Column,
+        "max": Column,
+        "avg": Column,
+    },
+)
+
+
+class SparkShown(TypedDict):
+    """The columns of a small picture."""
+
+    t: Annotated[list[float], Field(description="Seconds since 1970.")]
+    avg: Column
+
+
+class MarkTextShown(TypedDict, total=False):
+    """The texts of a mark in the reader's language."""
+
+    what: str
+    old: str
+    new: str
+
+
+class MarkShown(TypedDict):
+    """One event to be drawn into a chart."""
+
+    t: Annotated[float, Field(description="Seconds since 1970.")]
+    id: Annotated[int, Field(description="Number of the event.")]
+    kind: str
+    what: str
+    who: str
+    bus: str | None
+    unit: Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255.")]
+    old: str | None
+    new: str | None
+    outcome: str | None
+    shown: MarkTextShown
+
+
+class MarksShown(TypedDict):
+    """Events of a span, oldest first."""
+
+    marks: list[MarkShown]
+    more: Annotated[bool, Field(description="Whether there are more than the newest 500.")]
+
+
+class StatusShown(TypedDict):
+    """How the history is."""
+
+    state: Annotated[
+        State, Field(description="low, scarce: the disk is short; paused, failed: nothing is stored.")
+    ]
+    message: Annotated[str, Field(description="What to do; empty: nothing.")]
+    cause: Annotated[str, Field(description="Why the store cannot be used; empty while it can.")]
+    since: Annotated[float, Field(description="Since when, seconds since 1970.")]
+    size_bytes: int
+    free_bytes: Annotated[int, Field(description="Free space on the disk.")]
+    oldest_reading: Annotated[float | None, Field(description="Seconds since 1970; null: none is stored.")]
+    waiting: Annotated[int, Field(description="Updates that are not on disk yet.")]
+    lost: Annotated[int, Field(description="Updates given up because they could not be stored.")]
+    damaged: Annotated[int, Field(description="Damages found in the last seven days.")]
+
+
+def json_of(model: Any) -> dict[int | str, dict[str, Any]]:
+    """For ``responses=`` of an endpoint that writes its JSON itself."""
+    return {200: {"model": model, "description": "Successful Response"}, **problems(404)}
+
+
+EXPORT: dict[int | str, dict[str, Any]] = {
+    200: {
+        "content": {
+            "text/csv": {"schema": {"type": "string"}},
+            "application/vnd.apache.parquet": {"schema": {"type": "string", "format": "binary"}},
+        }
+    },
+    **problems(404, 501),
+}
+"""What an export answers with."""

@@ -1,0 +1,124 @@
+"""What a request for history says: which values, over which span, in how many points."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Annotated
+
+from fastapi import Depends, Query
+
+from app.errors import Problem
+from app.history.query.query import Question
+from app.history.series.runs import HOUR, SECOND
+from app.history.series.values import VALUES
+from app.history.service import History
+from app.web.absent import unknown_bus, unknown_unit
+from app.web.numbers import whole_number
+from app.web.services import service
+from bus.messages import Message
+from bus.settings import BusSettings
+
+MOST_POINTS = 20_000
+MOST_SERIES = 32
+FIRST_YEAR, LAST_YEAR = 1970, 9998
+"""Within these an instant stays one in every time zone."""
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_MICROSECOND = timedelta(microseconds=1)
+_PLUS_LOST = re.compile(r"(:\d\d(?:\.\d+)?) (\d\d:?\d\d)$")
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """From ``start`` up to ``end``, µs since the epoch."""
+
+    start: int
+    end: int
+
+
+HistoryOf = Annotated[History, service(History)]
+
+
+def moment(text: str, name: str) -> int:
+    """An ISO 8601 time with zone as µs since the epoch. Raises Problem 422.
+
+    A ``+`` that came as a blank, because nobody escaped it, is understood.
+    """
+    try:
+        at = datetime.fromisoformat(_PLUS_LOST.sub(r"\1+\2", text.strip()))
+    except ValueError:
+        at = None
+    if at is None or at.tzinfo is None:
+        raise Problem(
+            422,
+            "invalid",
+            Message.of("time_malformed", field=name, example="2026-11-21T03:12:00Z", text=text),
+        )
+    if not FIRST_YEAR <= at.year <= LAST_YEAR:
+        raise Problem(
+            422,
+            "invalid",
+            Message.of("year_out_of_range", name=name, lowest=FIRST_YEAR, highest=LAST_YEAR, year=at.year),
+        )
+    return (at - _EPOCH) // _MICROSECOND
+
+
+async def wanted_span(
+    since: Annotated[str | None, Query(alias="from", max_length=40)] = None,
+    until: Annotated[str | None, Query(alias="to", max_length=40)] = None,
+) -> Span:
+    """The span asked for; the last hour where nothing is said."""
+    end = round(time.time() * SECOND) if until is None else moment(until, "to")
+    start = end - HOUR if since is None else moment(since, "from")
+    if start >= end:
+        raise Problem(422, "invalid", Message("span_reversed"))
+    return Span(start, end)
+
+
+SpanOf = Annotated[Span, Depends(wanted_span)]
+
+
+async def wanted_points(points: int = 1000) -> int:
+    """At most how many points."""
+    if not 1 <= points <= MOST_POINTS:
+        raise Problem(422, "invalid", Message.of("points_out_of_range", most=MOST_POINTS))
+    return points
+
+
+PointsOf = Annotated[int, Depends(wanted_points)]
+
+
+def question(history: History, bus: str, unit: int, value: str, span: Span, most: int) -> Question:
+    """One value of one unit. Raises Problem 404 for a bus or unit, 422 for a value that there is not."""
+    settings = _bus(history, bus)
+    if all(known.id != unit for known in settings.unit):
+        raise unknown_unit(bus, unit)
+    if value not in VALUES:
+        raise Problem(422, "invalid", Message.of("no_such_value", value=value, known=", ".join(VALUES)))
+    return Question(settings, unit, VALUES[value], span.start, span.end, most)
+
+
+def named_question(history: History, name: str, span: Span, most: int) -> Question:
+    """The same from ``bus/unit/value``, as the trends page writes it."""
+    bus, _, rest = name.partition("/")
+    unit, _, value = rest.partition("/")
+    number = whole_number(unit)
+    if number is None:
+        raise Problem(422, "invalid", Message.of("series_malformed", example="dry-end/1/actual", text=name))
+    return question(history, bus, number, value, span, most)
+
+
+def questions(history: History, names: list[str], span: Span, most: int) -> list[Question]:
+    """Several. Raises Problem."""
+    if not 1 <= len(names) <= MOST_SERIES:
+        raise Problem(422, "invalid", Message.of("series_count", most=MOST_SERIES, count=len(names)))
+    return [named_question(history, name, span, most) for name in names]
+
+
+def _bus(history: History, bus: str) -> BusSettings:
+    found = history.buses.get(bus)
+    if found is None:
+        raise unknown_bus(bus, history.buses)
+    return found

@@ -1,0 +1,1 @@
+"""Any span of history as a file."""

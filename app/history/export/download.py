@@ -1,0 +1,55 @@
+"""An export as a download."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Literal
+from zoneinfo import ZoneInfo
+
+from starlette.responses import StreamingResponse
+
+from app.errors import Problem
+from app.history.export import csv_file, parquet_file
+from app.history.export.rows import Fineness, Table, pieces
+from app.history.intake.tail import Tail
+from app.history.query.query import Question, has_raw
+from app.history.series.runs import SECOND
+from app.history.service import History
+from app.history.store import tables
+from bus.messages import Message
+
+Format = Literal["csv", "parquet"]
+Resolution = Literal["auto", "readings", "minutes", "hours"]
+
+
+async def response(
+    history: History, asked: Sequence[Question], file: Format, resolution: Resolution
+) -> StreamingResponse:
+    """Streamed, so that it takes no more memory for a year. Raises StoreError or Problem before it begins."""
+    if file == "parquet" and not parquet_file.is_available():
+        raise Problem(501, "no_parquet", Message("no_parquet"))
+    fineness = await _fineness(history, asked, resolution)
+    table = Table(asked, fineness, history.time_zone)
+    name = f"lineside-{_stamp(asked[0].start, table)}-{_stamp(asked[0].end, table)}.{file}"
+    headers = {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-store"}
+    rows = pieces(history, table)
+    if file == "csv":
+        return StreamingResponse(csv_file.stream(table, rows), 200, headers, "text/csv; charset=utf-8")
+    media = "application/vnd.apache.parquet"
+    return StreamingResponse(parquet_file.stream(table, rows), 200, headers, media)
+
+
+def _stamp(at: int, table: Table) -> str:
+    return datetime.fromtimestamp(at / SECOND, ZoneInfo(table.time_zone)).strftime("%Y%m%dT%H%M%S")
+
+
+async def _fineness(history: History, asked: Sequence[Question], resolution: Resolution) -> Fineness:
+    if resolution != "auto":
+        return resolution
+
+    def all_raw(connection: tables.Connection, _tail: Tail) -> bool:
+        keys = [tables.find_unit(connection, q.bus.name, q.unit) for q in asked]
+        return all(has_raw(connection, key, asked[0].start) for key in keys if key is not None)
+
+    return "readings" if await history.read(all_raw) else "minutes"

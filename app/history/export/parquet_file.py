@@ -1,0 +1,87 @@
+"""An export as Parquet: a timestamp column with zone, a float column for each value, a note.
+
+pyarrow is large, so it is imported when the first such export is asked for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.util
+import io
+from collections.abc import AsyncIterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from app.history.export.rows import Row, Table
+
+if TYPE_CHECKING:
+    import pyarrow
+
+GROUP_ROWS = 20_000
+"""Rows in memory before they are written as one row group."""
+
+
+def is_available() -> bool:
+    """Whether pyarrow, an extra, is installed."""
+    return importlib.util.find_spec("pyarrow") is not None
+
+
+async def stream(table: Table, pieces: AsyncIterator[list[Row]]) -> AsyncIterator[bytes]:
+    """Bytes, row group by row group."""
+    import pyarrow
+    from pyarrow import parquet
+
+    schema = _schema(pyarrow, table)
+    sink = _Sink()
+    with parquet.ParquetWriter(sink, schema, compression="zstd") as writer:
+        waiting: list[Row] = []
+        async for rows in pieces:
+            waiting += rows
+            if len(waiting) >= GROUP_ROWS:
+                await asyncio.to_thread(_write, pyarrow, writer, waiting)
+                waiting = []
+                yield sink.taken()
+        if waiting:
+            await asyncio.to_thread(_write, pyarrow, writer, waiting)
+    yield sink.taken()
+
+
+def _schema(arrow: Any, table: Table) -> pyarrow.Schema:
+    fields = [("time", arrow.timestamp("us", tz=table.time_zone))]
+    fields += [(name, arrow.float64()) for name in table.columns]
+    fields.append(("note", arrow.string()))
+    return arrow.schema(fields, metadata={"time_zone": table.time_zone, "resolution": table.fineness})
+
+
+def _write(arrow: Any, writer: Any, rows: Sequence[Row]) -> None:
+    writer.write_table(_table(arrow, writer.schema, rows))
+
+
+def _table(arrow: Any, schema: pyarrow.Schema, rows: Sequence[Row]) -> pyarrow.Table:
+    cells = zip(*(row.cells for row in rows), strict=True)
+    columns: list[Sequence[Any]] = [
+        [row.at for row in rows],
+        *([None if cell is None else cell.value for cell in column] for column in cells),
+        [row.note or None for row in rows],
+    ]
+    arrays = [arrow.array(column, field.type) for column, field in zip(columns, schema, strict=True)]
+    return arrow.Table.from_arrays(arrays, schema=schema)
+
+
+class _Sink(io.RawIOBase):
+    """A file that is given away as it is written."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int:
+        part = bytes(data)
+        self._parts.append(part)
+        return len(part)
+
+    def taken(self) -> bytes:
+        """What was written since the last time."""
+        parts, self._parts = self._parts, []
+        return b"".join(parts)

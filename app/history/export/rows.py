@@ -1,0 +1,195 @@
+"""The rows of an export: any span, a piece at a time, so that a year takes no more memory than a day.
+
+One row for each instant at which a unit was heard; a value of another unit stays empty there.
+Equal readings one after the other are two rows, the first and the last. A hole is a row of its
+own with a note and no values.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import groupby
+from typing import Literal, NamedTuple
+
+from app.history.intake.tail import Tail
+from app.history.intake.updates import BUS
+from app.history.query import labels, unit_history
+from app.history.query.query import Question, scale_of
+from app.history.series.gaps import holes, usual_interval
+from app.history.series.runs import DAY, HOUR, SECOND, Run
+from app.history.series.scaling import Scale
+from app.history.service import History
+from app.history.store import tables
+from app.history.store.damage import Block
+
+Fineness = Literal["readings", "minutes", "hours"]
+PIECE: dict[Fineness, int] = {"readings": HOUR, "minutes": 7 * DAY, "hours": 90 * DAY}
+"""How much is read at a time, µs."""
+
+
+class Cell(NamedTuple):
+    """One value, and with how many decimals it is written (None: as many as it has)."""
+
+    value: float
+    decimals: int | None
+
+
+class Row(NamedTuple):
+    """An instant (µs), a cell for each column (None: nothing said then), a note."""
+
+    at: int
+    cells: tuple[Cell | None, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """What an export holds: its columns, and how fine it is."""
+
+    questions: Sequence[Question]
+    fineness: Fineness
+    time_zone: str
+
+    @property
+    def columns(self) -> list[str]:
+        """A name for each column: what, then in what it is measured."""
+        parts = ("",) if self.fineness == "readings" else (" min", " max", " avg")
+        return [f"{_name(q)}{part}{_measure(q)}" for q in self.questions for part in parts]
+
+
+def _name(question: Question) -> str:
+    return f"{question.bus.name}/{question.unit} {question.value.name}"
+
+
+def _measure(question: Question) -> str:
+    measure = labels.measure(labels.unit_settings(question.bus, question.unit), question.value)
+    return f" [{measure}]" if measure else ""
+
+
+async def pieces(history: History, table: Table) -> AsyncIterator[list[Row]]:
+    """All rows in order of time, piece by piece; each piece is its own short read of the store."""
+    start, end, step = table.questions[0].start, table.questions[0].end, PIECE[table.fineness]
+    begun, ended = await history.read(lambda c, _: _extent(c))
+    since, end = max(start, begun), min(end, ended)
+    heard: dict[tuple[str, int], int] = {}
+    while since < end:
+        until = min(end, since - since % step + step)
+        part = [replace(q, start=since, end=until) for q in table.questions]
+        damaged: list[Block] = []
+        read = partial(_rows, table=table, part=part, heard=heard, damaged=damaged)
+        yield await history.read(read)
+        history.report(damaged)
+        since = until
+
+
+def _extent(connection: tables.Connection) -> tuple[int, int]:
+    """From when to when anything can be kept, µs: the tail's minutes are not in the store yet."""
+    now = round(time.time() * SECOND)
+    first, last = tables.extent(connection) or (now - DAY, now)
+    return first, max(last, now) + DAY
+
+
+def _rows(
+    connection: tables.Connection,
+    tail: Tail,
+    table: Table,
+    part: Sequence[Question],
+    heard: dict[tuple[str, int], int],
+    damaged: list[Block],
+) -> list[Row]:
+    rows: list[Row] = []
+    numbered = list(enumerate(part))
+    by_unit = sorted(numbered, key=lambda item: (item[1].bus.name, item[1].unit))
+    with tables.standing_still(connection):
+        for unit, group in groupby(by_unit, key=lambda item: (item[1].bus.name, item[1].unit)):
+            wanted = list(group)
+            key = tables.find_unit(connection, *unit)
+            if key is None:
+                continue
+            source = unit_history.Source(connection, key, tail.runs(key, part[0].start, part[0].end), damaged)
+            if table.fineness == "readings":
+                rows += _reading_rows(source, wanted, len(part), heard)
+            else:
+                rows += _rollup_rows(source, wanted, 3 * len(part), table.fineness)
+    rows.sort(key=lambda row: row.at)
+    return rows if table.fineness == "readings" else _together(rows)
+
+
+def _reading_rows(
+    source: unit_history.Source,
+    wanted: Sequence[tuple[int, Question]],
+    width: int,
+    heard: dict[tuple[str, int], int],
+) -> Iterator[Row]:
+    first = wanted[0][1]
+    unit = (first.bus.name, first.unit)
+    runs = unit_history.runs_between(source, first.start, first.end)
+    if not runs:
+        return
+    silent = _silences(source, first, heard.get(unit), runs)
+    scales = {place: scale_of(source, question) for place, question in wanted}
+    for position, run in enumerate(runs):
+        if position in silent:
+            yield Row(silent[position], (None,) * width, f"no readings of {unit[0]}/{unit[1]}")
+        cells: list[Cell | None] = [None] * width
+        for place, question in wanted:
+            cells[place] = _cell(question, run, scales[place].at(run.at))
+        yield Row(run.at, tuple(cells))
+        if run.until > run.at:
+            yield Row(run.until, tuple(cells))
+    heard[unit] = runs[-1].until
+
+
+def _silences(
+    source: unit_history.Source, question: Question, before: int | None, runs: Sequence[Run]
+) -> dict[int, int]:
+    """Before which runs there is a hole, and from when."""
+    ends = ([] if before is None else [before, before]) + [t for run in runs for t in (run.at, run.until)]
+    bus = tables.find_unit(source.connection, question.bus.name, BUS)
+    keys = [source.unit] if bus is None else [source.unit, bus]
+    marks = tables.link_marks(source.connection, keys, ends[0], ends[-1])
+    usual = usual_interval(runs)
+    offset = 0 if before is None else 1
+    return {(i + 1) // 2 - offset: ends[i] + 1 for i in holes(ends, marks, usual) if i % 2}
+
+
+def _cell(question: Question, run: Run, scale: Scale) -> Cell:
+    raw: int = getattr(run, question.value.column)
+    if question.value.bit >= 0:
+        raw = raw >> question.value.bit & 1
+    return Cell(scale.apply(raw), scale.decimals)
+
+
+def _rollup_rows(
+    source: unit_history.Source,
+    wanted: Sequence[tuple[int, Question]],
+    width: int,
+    fineness: Literal["minutes", "hours"],
+) -> Iterator[Row]:
+    for place, question in wanted:
+        points = unit_history.rollups(source, fineness, question.value, question.start, question.end)
+        scales = scale_of(source, question)
+        columns = (points.at, points.least, points.greatest, points.total, points.weight)
+        for at, least, greatest, total, weight in zip(*columns, strict=True):
+            scale = scales.at(at)
+            low, high = sorted((scale.apply(least), scale.apply(greatest)))
+            cells: list[Cell | None] = [None] * width
+            cells[3 * place] = Cell(low, scale.decimals)
+            cells[3 * place + 1] = Cell(high, scale.decimals)
+            cells[3 * place + 2] = Cell(round(scale.apply(total / weight), 6), None)
+            yield Row(at, tuple(cells))
+
+
+def _together(rows: Sequence[Row]) -> list[Row]:
+    """Rows of the same instant as one."""
+    result: list[Row] = []
+    for at, group in groupby(rows, key=lambda row: row.at):
+        cells = [
+            next((cell for cell in column if cell is not None), None)
+            for column in zip(*(row.cells for row in group), strict=True)
+        ]
+        result.append(Row(at, tuple(cells)))
+    return result

@@ -1,0 +1,144 @@
+"""From updates to disk: commits about twice a second, minutes that are over into their blocks.
+
+Everything here runs on the one thread that writes (:mod:`app.history.intake.writer`).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Sequence
+
+from app.database.connection import Database
+from app.history.intake.folding import fold
+from app.history.intake.tail import Tail
+from app.history.intake.updates import Delivery, Intake, Taken
+from app.history.series.runs import MINUTE, SECOND, Run
+from app.history.store import tables
+from app.history.store.damage import DamagedBlock
+from app.history.store.repair import FoundDamage, Repair
+
+GRACE = 2 * SECOND
+"""How long after a minute its last readings are waited for."""
+MOST_IN_TAIL = 400_000
+"""Runs in memory at which even the current minute is folded."""
+AT_ONCE = 4_000
+"""Runs folded in one transaction: few enough that a slow machine still commits in time."""
+MOST_KEYS = 64
+"""And minutes of units: each is a block, its rollups and its bits."""
+_LOOK_EVERY = 64
+
+
+def _nobody(_words: str) -> None:
+    """Nobody wants to hear of damage."""
+
+
+class Recorder:
+    """Puts deliveries into the journal and the tail, and what is over into blocks."""
+
+    def __init__(self, database: Database, tail: Tail, on_damage: FoundDamage = _nobody) -> None:
+        self._database = database
+        self._on_damage = on_damage
+        self._repair = Repair(database, on_damage)
+        self._tail = tail
+        self._intake = Intake(tail)
+        self._folding: deque[tuple[int, int]] = deque()
+        self._folded_minute = 0
+        self._commits = 0
+        self.too_late = 0
+        """Readings that came after everything of their time had been given up."""
+
+    def replay(self) -> None:
+        """What the journal holds, into the tail; what of it is damaged is left out and said."""
+        self._tail.clear()
+        read = self._database.read_now(lambda c: list(tables.read_journal(c)))
+        journal = [rows for rows in read if rows is not None]
+        if len(journal) < len(read):
+            self._on_damage(
+                "the last minutes of the history were damaged before this start, some are missing"
+            )
+        oldest = min((run.at for rows in journal for _, run in rows), default=0)
+        if journal:
+            self._tail.silence(self._database.read_now(lambda c: tables.marks_since(c, oldest)))
+        for rows in journal:
+            self._tail.add(rows)
+        self._tail.interrupt()
+
+    def commit(self, deliveries: Sequence[Delivery]) -> None:
+        """These are on disk when this returns. Raises StoreError; then nothing of them is."""
+
+        def write(connection: tables.Connection) -> Taken:
+            return self._intake.write(connection, deliveries)
+
+        try:
+            taken = self._database.write_now(write)
+        except BaseException:
+            self._intake.forget()
+            raise
+        self._intake.keep(taken)
+
+    def fold(self, now: int, deadline: float) -> None:
+        """Go on folding what is over at ``now`` (µs) until ``deadline`` (monotonic seconds)."""
+        if not self._folding and self._is_due(now):
+            self._folded_minute = now - now % MINUTE
+            self._folding.extend(self._tail.over(self._folded_minute))
+        while self._folding and time.monotonic() < deadline:
+            self._fold_some(self._next_to_fold())
+
+    def fold_everything(self, deadline: float = math.inf) -> None:
+        """The current minute too, until ``deadline`` (monotonic seconds); the journal holds the rest."""
+        self._folding = deque(self._tail.over(current=-1))
+        while self._folding and time.monotonic() < deadline:
+            self._fold_some(self._next_to_fold())
+
+    def _next_to_fold(self) -> list[tuple[int, int]]:
+        keys: list[tuple[int, int]] = []
+        runs = 0
+        for key in self._folding:
+            keys.append(key)
+            runs += len(self._tail.minute(*key))
+            if runs >= AT_ONCE or len(keys) == MOST_KEYS:
+                break
+        return keys
+
+    def _is_due(self, now: int) -> bool:
+        minute = now - now % MINUTE
+        self._commits += 1
+        if self._commits % _LOOK_EVERY == 0 and len(self._tail) > MOST_IN_TAIL:
+            self._folding.extend(self._tail.over(current=-1))
+        return minute != self._folded_minute and now >= minute + GRACE
+
+    def _fold_some(self, keys: Sequence[tuple[int, int]]) -> None:
+        last = len(keys) == len(self._folding)
+        kept: list[tuple[int, Run]] = []
+
+        def write(connection: tables.Connection) -> None:
+            buses = self._intake.bus_keys(connection)
+            given_up = tables.raw_from(connection)
+            for unit, minute in keys:
+                runs = self._tail.minute(unit, minute)
+                if minute + MINUTE <= given_up:
+                    self.too_late += len(runs)
+                elif runs:
+                    fold(connection, unit, [buses[unit]] if unit in buses else [], minute, runs)
+            if last:
+                tables.clear_journal(connection)
+                kept.extend(row for row in self._tail.everything() if _key(row) not in done)
+                if kept:
+                    tables.write_journal(connection, kept)
+
+        done = set(keys)
+        try:
+            self._database.write_now(write)
+        except DamagedBlock as found:
+            # It costs itself: these minutes are folded in the next turn, without it.
+            self._repair.set_aside(found.block)
+            return
+        for key in keys:
+            self._tail.drop(*key)
+            self._folding.popleft()
+
+
+def _key(row: tuple[int, Run]) -> tuple[int, int]:
+    return row[0], row[1].at - row[1].at % MINUTE

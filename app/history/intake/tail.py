@@ -1,0 +1,100 @@
+"""The readings of minutes that are not over yet, in memory; the journal on disk holds the same.
+
+One thread adds and drops, any thread reads.
+"""
+
+from __future__ import annotations
+
+import threading
+from bisect import bisect_right, insort
+from collections.abc import Iterable
+
+from app.history.series.runs import MINUTE, SECOND, Run, follows, joined
+
+BREAK = 2 * SECOND
+"""Equal readings further apart than this do not make one run: the silence between may be a hole."""
+
+
+class Tail:
+    """Runs by unit and minute, each list in the order in which they came."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._minutes: dict[tuple[int, int], list[Run]] = {}
+        self._lost: dict[int, list[int]] = {}
+        """When each unit fell silent (µs), in order."""
+
+    def add(self, rows: Iterable[tuple[int, Run]]) -> None:
+        """Readings or runs of units, in order of arrival."""
+        with self._lock:
+            for unit, run in rows:
+                self._add_one(unit, run)
+
+    def _add_one(self, unit: int, run: Run) -> None:
+        runs = self._minutes.setdefault((unit, run.at - run.at % MINUTE), [])
+        last = runs[-1] if runs else None
+        if last is None or not follows(run, last) or self._broken(unit, last.until, run.at):
+            runs.append(run)
+        else:
+            runs[-1] = joined(last, run)
+
+    def _broken(self, unit: int, since: int, until: int) -> bool:
+        if until - since > BREAK:
+            return True
+        lost = self._lost.get(unit, ())
+        place = bisect_right(lost, since)
+        return place < len(lost) and lost[place] <= until
+
+    def silence(self, lost: Iterable[tuple[int, int]]) -> None:
+        """Units and when they fell silent (µs): no run goes over such a moment. To be said before the
+        readings that follow are added."""
+        with self._lock:
+            for unit, at in lost:
+                insort(self._lost.setdefault(unit, []), at)
+
+    def interrupt(self) -> None:
+        """Nobody was there to hear until now: every unit's next reading begins a new run."""
+        self.silence({(unit, run.until + 1) for unit, run in self.everything()})
+
+    def runs(self, unit: int, start: int, end: int) -> list[Run]:
+        """A unit's runs that touch a span (µs), in order of time."""
+        with self._lock:
+            found = [
+                run
+                for (owner, minute), runs in self._minutes.items()
+                if owner == unit and minute < end and minute + MINUTE > start
+                for run in runs
+            ]
+        return sorted(run for run in found if run.at < end and run.until >= start)
+
+    def minute(self, unit: int, minute: int) -> list[Run]:
+        """All runs of one unit in one minute."""
+        with self._lock:
+            return list(self._minutes.get((unit, minute), ()))
+
+    def over(self, current: int) -> list[tuple[int, int]]:
+        """The units and minutes other than the current one, which is still growing."""
+        with self._lock:
+            return sorted(key for key in self._minutes if key[1] != current)
+
+    def drop(self, unit: int, minute: int) -> None:
+        """Forget what is safe elsewhere."""
+        with self._lock:
+            self._minutes.pop((unit, minute), None)
+            if unit in self._lost:
+                self._lost[unit] = [at for at in self._lost[unit] if at >= minute]
+
+    def clear(self) -> None:
+        """Forget everything: it is read from the journal again."""
+        with self._lock:
+            self._minutes.clear()
+            self._lost.clear()
+
+    def everything(self) -> list[tuple[int, Run]]:
+        """All of it, unit by unit."""
+        with self._lock:
+            return [(unit, run) for (unit, _), runs in sorted(self._minutes.items()) for run in runs]
+
+    def __len__(self) -> int:
+        with self._lock:
+            return sum(map(len, self._minutes.values()))

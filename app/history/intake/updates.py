@@ -1,0 +1,103 @@
+"""What of the workers' updates is kept, written within one transaction and then put into the tail."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from app.history.intake.tail import Tail
+from app.history.series.runs import Run, micros, run_of
+from app.history.series.scaling import DECIDING, ParameterStep
+from app.history.store import tables
+from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update
+from bus.messages import in_english
+
+BUS = 0
+"""The number under which a bus itself has its key."""
+Delivery = tuple[str, Sequence[Update]]
+"""A bus and what its worker reported."""
+
+
+@dataclass(slots=True)
+class Taken:
+    """What one transaction wrote, to be put into the tail once it is on disk."""
+
+    rows: list[tuple[int, Run]] = field(default_factory=list)
+    lost: list[tuple[int, int]] = field(default_factory=list)
+    """Units that fell silent, and when, µs."""
+
+
+class Intake:
+    """Knows the keys of the units, and what was last said of each, so as to keep changes only."""
+
+    def __init__(self, tail: Tail) -> None:
+        self._tail = tail
+        self.forget()
+
+    def forget(self) -> None:
+        """After a transaction that was rolled back: what is known may not be on disk."""
+        self._keys: dict[tuple[str, int], int] = {}
+        self._links: dict[int, tuple[int, str]] = {}
+        self._parameters: dict[int, dict[int, ParameterStep]] = {}
+
+    def write(self, connection: tables.Connection, deliveries: Iterable[Delivery]) -> Taken:
+        """Everything of these deliveries that belongs to history, into this transaction."""
+        taken = Taken()
+        for bus, updates in deliveries:
+            for update in updates:
+                if type(update) is Reading:
+                    taken.rows.append((self.key(connection, bus, update.unit), run_of(update)))
+                elif isinstance(update, UnitLink | BusLink):
+                    self._write_link(connection, bus, update, taken)
+                elif isinstance(update, ParameterValue):
+                    self._write_parameter(connection, bus, update)
+        if taken.rows:
+            tables.write_journal(connection, taken.rows)
+        return taken
+
+    def keep(self, taken: Taken) -> None:
+        """The transaction is on disk: from now on readers see it."""
+        self._tail.silence(taken.lost)
+        self._tail.add(taken.rows)
+
+    def key(self, connection: tables.Connection, bus: str, number: int) -> int:
+        """The key of a unit, or of a bus as number 0."""
+        known = self._keys.get((bus, number))
+        if known is None:
+            known = self._keys[bus, number] = tables.unit_id(connection, bus, number)
+        return known
+
+    def bus_keys(self, connection: tables.Connection) -> dict[int, int]:
+        """For each unit's key, that of its bus."""
+        rows = connection.execute(
+            "SELECT unit.id, line.id FROM unit JOIN unit AS line ON line.bus = unit.bus AND line.number = 0"
+        )
+        return dict(rows.fetchall())
+
+    def _write_link(
+        self, connection: tables.Connection, bus: str, update: UnitLink | BusLink, taken: Taken
+    ) -> None:
+        key = self.key(connection, bus, update.unit if isinstance(update, UnitLink) else BUS)
+        at = micros(update.at)
+        newest, state = self._links.get(key, (at, ""))
+        if at >= newest:
+            self._links[key] = (at, update.link)
+            if state == update.link:
+                return
+        tables.write_link(connection, key, at, update.link, in_english(update.cause))
+        if update.link in tables.LOST_STATES:
+            units = tables.units_of(connection, bus) if isinstance(update, BusLink) else [key]
+            taken.lost += [(unit, at) for unit in units]
+
+    def _write_parameter(self, connection: tables.Connection, bus: str, update: ParameterValue) -> None:
+        if update.number not in DECIDING or update.raw is None:
+            return
+        key = self.key(connection, bus, update.unit)
+        if key not in self._parameters:
+            self._parameters[key] = {s.number: s for s in tables.parameter_steps(connection, key)}
+        last = self._parameters[key].get(update.number)
+        step = ParameterStep(micros(update.at), update.number, update.raw)
+        if last is not None and (last.raw == step.raw or last.at > step.at):
+            return
+        self._parameters[key][update.number] = step
+        tables.write_parameter(connection, key, step)

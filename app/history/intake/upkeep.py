@@ -1,0 +1,112 @@
+"""What keeps the store small: hours packed, old readings given up, the disk watched."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from app.database.connection import Database
+from app.database.private import make_file, make_folder
+from app.history.intake.disk import Reserve, Space, space
+from app.history.intake.folding import compact
+from app.history.series.runs import DAY, HOUR, MINUTE
+from app.history.store import tables
+from app.history.store.damage import DamagedBlock
+from app.history.store.repair import Repair
+
+SETTLED_S = 3600.0
+"""After a start or a clock step nothing is given up for its age for so long: the clock may be wrong."""
+LATE = 10 * MINUTE
+"""What workers keep while the app is away: an hour that ended longer ago is complete."""
+DROP_AT_ONCE = 50
+"""Blocks given up in one transaction."""
+_VACUUM = "PRAGMA incremental_vacuum(2000)"
+
+
+@dataclass(frozen=True, slots=True)
+class Keep:
+    """How long, and how much of the disk is left alone."""
+
+    raw_days: int = 30
+    years: int = 10
+    reserve: Reserve = field(default_factory=Reserve)
+
+
+class Upkeep:
+    """Called by the writer's thread between commits, for a short while each time."""
+
+    def __init__(self, database: Database, keep: Keep, repair: Repair) -> None:
+        self._database = database
+        self._repair = repair
+        self._keep = keep
+        self._settled_at = time.monotonic() + SETTLED_S
+        self._to_sweep = True
+
+    def clock_stepped(self) -> None:
+        """What is old is uncertain for a while."""
+        self._settled_at = time.monotonic() + SETTLED_S
+
+    def look(self) -> tuple[int, Space]:
+        """Free bytes where the store is, and what they mean."""
+        free = shutil.disk_usage(self._database.path.parent).free
+        return free, space(free, self._keep.reserve)
+
+    def compact(self, now: int, deadline: float) -> None:
+        """Pack hours that are over until ``deadline`` (monotonic seconds)."""
+        before = now - now % HOUR
+        if now - before < LATE:
+            before -= HOUR
+        while time.monotonic() < deadline:
+            found = self._database.read_now(lambda c: tables.next_to_compact(c, before))
+            if found is None:
+                return
+            try:
+                self._database.write_now(lambda c, found=found: compact(c, *found))  # type: ignore[misc]
+            except DamagedBlock as damaged:
+                self._repair.set_aside(damaged.block)
+
+    def give_up_old(self, now: int) -> None:
+        """Decide what is older than it need be kept; :meth:`sweep` then takes it away."""
+        if time.monotonic() < self._settled_at:
+            return
+        horizon = now - self._keep.raw_days * DAY
+        self._give_up_before(horizon - horizon % HOUR)
+        self._database.write_now(lambda c: tables.drop_rollups(c, now - self._keep.years * 365 * DAY))
+
+    def shed(self, now: int) -> None:
+        """Give up the oldest hour of readings, since the disk is short; the last hour is worth more than
+        the little space it takes."""
+        oldest = self._database.read_now(tables.oldest_raw)
+        if oldest is not None and oldest - oldest % HOUR + HOUR <= now - HOUR:
+            self._give_up_before(oldest - oldest % HOUR + HOUR)
+
+    def sweep(self, deadline: float) -> None:
+        """Take away what was given up, until ``deadline`` (monotonic seconds)."""
+        while self._to_sweep and time.monotonic() < deadline:
+            dropped = self._database.write_now(lambda c: tables.drop_raw(c, tables.raw_from(c), DROP_AT_ONCE))
+            self._to_sweep = dropped == DROP_AT_ONCE
+            self._database.write_now(lambda c: c.execute(_VACUUM).fetchall())
+
+    def _give_up_before(self, horizon: int) -> None:
+        def move(connection: tables.Connection) -> bool:
+            further = horizon > tables.raw_from(connection)
+            if further:
+                tables.write_raw_from(connection, horizon)
+            return further
+
+        self._to_sweep = self._database.write_now(move) or self._to_sweep
+
+
+def prepare(path: Path) -> None:
+    """A new store gives space back to the disk when readings are given up; it must be said first."""
+    if path.exists():
+        return
+    make_folder(path.parent)
+    make_file(path)
+    connection = sqlite3.connect(path)
+    connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
+    connection.execute("VACUUM")
+    connection.close()

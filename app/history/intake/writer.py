@@ -1,0 +1,295 @@
+"""The thread that alone writes the store. It outlives every failure of the disk, and says so."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import structlog
+
+from app.database.connection import Database
+from app.errors import DamagedStoreError, StoreError
+from app.history.intake.clock_watch import ClockWatch
+from app.history.intake.disk import Space
+from app.history.intake.recorder import Recorder
+from app.history.intake.tail import Tail
+from app.history.intake.updates import Delivery
+from app.history.intake.upkeep import Keep, Upkeep, prepare
+from app.history.series.runs import DAY, SECOND, micros
+from app.history.status import DAMAGED, WORDS, State, Status
+from app.history.store import tables
+from app.history.store.damage import Block
+from app.history.store.repair import FoundDamage, Repair
+from app.history.store.salvage import copies, put_aside
+
+MIGRATIONS = Path(__file__).parents[1] / "migrations"
+COMMIT_EVERY_S = 0.5
+"""What is lost when the power goes: this much, and the commit itself."""
+BUSY_S = 0.2
+"""How long folding, and then upkeep, may take between two commits."""
+END_S = 1.0
+"""How long folding may take at the end; what is left is in the journal."""
+RETRY_S = 10.0
+LOOK_EVERY_S = 5.0
+GIVE_UP_EVERY_S = 600.0
+MOST_WAITING = 500_000
+"""Updates kept in memory while the store cannot be written; then the oldest are lost."""
+
+MOST_REPORTED = 1000
+ANEW_EVERY_S = 3600.0
+SAID_FOR = 7 * DAY
+"""How long damage is said on the pages; in the events it stays."""
+
+log = structlog.get_logger()
+ClockStepped = Callable[[float, float], None]
+"""Called from the writer's thread: by how many seconds, and at what time."""
+
+
+@dataclass(slots=True)
+class _Open:
+    database: Database
+    recorder: Recorder
+    upkeep: Upkeep
+    repair: Repair
+
+
+class Writer:
+    """Owns the store while it runs. ``tail`` is what readers see beside the store."""
+
+    def __init__(self, path: Path, keep: Keep, on_clock_step: ClockStepped, on_damage: FoundDamage) -> None:
+        self._path = path
+        self._keep = keep
+        self._on_clock_step = on_clock_step
+        self._on_damage = on_damage
+        self._reported: deque[Block] = deque(maxlen=MOST_REPORTED)
+        self._torn = False
+        self._rebuilt_at = -math.inf
+        self.tail = Tail()
+        self._queue: deque[Delivery] = deque()
+        self._waiting = 0
+        self._taken = 0
+        self._lost = 0
+        self._open: _Open | None = None
+        self._writable = False
+        self._status = Status(since=time.time())
+        self._space: Space = "enough"
+        self._clock = ClockWatch(time.time(), time.monotonic())
+        self._retry_at = self._look_at = self._give_up_at = 0.0
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="history-writer", daemon=True)
+
+    # --- any thread --------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Open the store if that can be, and begin."""
+        self._guard(self._open_store)
+        self._thread.start()
+
+    def close(self) -> None:
+        """What was taken in is on disk, then the store is closed."""
+        self._ending.set()
+        self._thread.join()
+
+    def take(self, delivery: Delivery) -> None:
+        """Never waits; only the event loop calls it."""
+        self._queue.append(delivery)
+        self._waiting += len(delivery[1])
+        while self._waiting - self._taken > MOST_WAITING:
+            try:
+                lost = len(self._queue.popleft()[1])
+            except IndexError:
+                return
+            self._lost += lost
+            self._waiting -= lost
+
+    def report(self, damaged: Iterable[Block]) -> None:
+        """Blocks that a reader could not read; any thread calls it."""
+        self._reported.extend(damaged)
+
+    def report_torn(self) -> None:
+        """A reader met pages that SQLite cannot follow; any thread calls it."""
+        self._torn = True
+
+    @property
+    def status(self) -> Status:
+        """How it is now."""
+        said = self._status
+        message = said.message or (DAMAGED if said.damaged else "")
+        return replace(said, message=message, waiting=self._waiting - self._taken, lost=self._lost)
+
+    @property
+    def database(self) -> Database:
+        """For readers. Raises StoreError with the reason when the store cannot be used."""
+        if self._open is None:
+            raise StoreError(self._status.message or WORDS["failed"])
+        return self._open.database
+
+    # --- the writer's thread -----------------------------------------------------------------
+
+    def _run(self) -> None:
+        took = 0.0
+        while not self._ending.wait(max(0.0, COMMIT_EVERY_S - took)):
+            began = time.monotonic()
+            self._guard(self._tick)
+            took = time.monotonic() - began
+        self._guard(self._end)
+
+    def _guard(self, work: Callable[[], None]) -> None:
+        """Run, and on any failure of the store go on without it for a while."""
+        try:
+            work()
+        except DamagedStoreError as error:
+            log.error("history", damaged=str(error))
+            self._torn = True
+            self._fail(str(error))
+        except (StoreError, ValueError, OSError) as error:
+            self._fail(str(error))
+        except Exception as error:
+            log.exception("history")
+            self._fail(f"{type(error).__name__}: {error}")
+
+    def _tick(self) -> None:
+        self._watch_clock()
+        if self._torn and self._open is not None and not self._ending.is_set():
+            self._write_anew()
+        if not self._writable:
+            if time.monotonic() < self._retry_at:
+                return
+            self._open_store()
+        if self._space != "none":
+            self._store()
+        self._watch_disk()
+
+    def _store(self) -> None:
+        opened = self._open
+        assert opened is not None
+        self._commit(opened.recorder)
+        with suppress(IndexError):
+            opened.repair.set_aside(self._reported.popleft())
+        now = micros(time.time())
+        opened.recorder.fold(now, time.monotonic() + BUSY_S)
+        deadline = time.monotonic() + BUSY_S
+        opened.upkeep.sweep(deadline)
+        opened.upkeep.compact(now, deadline)
+        if time.monotonic() >= self._give_up_at:
+            self._give_up_at = time.monotonic() + GIVE_UP_EVERY_S
+            opened.upkeep.give_up_old(now)
+
+    def _commit(self, recorder: Recorder) -> None:
+        deliveries: list[Delivery] = []
+        with suppress(IndexError):
+            for _ in range(len(self._queue)):
+                deliveries.append(self._queue.popleft())
+        if not deliveries:
+            return
+        try:
+            recorder.commit(deliveries)
+        except BaseException:
+            self._queue.extendleft(reversed(deliveries))
+            raise
+        self._taken += sum(len(updates) for _, updates in deliveries)
+
+    def _end(self) -> None:
+        if self._open is None:
+            return
+        try:
+            if self._writable:
+                self._commit(self._open.recorder)
+                self._open.recorder.fold_everything(time.monotonic() + END_S)
+        finally:
+            self._open.database.close()
+
+    def _open_store(self) -> None:
+        prepare(self._path)
+        database = Database(self._path, MIGRATIONS, synchronous="FULL")
+        try:
+            opened = self._begin(database)
+        except BaseException:
+            database.close()
+            raise
+        before, self._open = self._open, opened
+        self._writable, self._look_at = True, 0.0
+        if before is not None:
+            before.database.close()
+
+    def _begin(self, database: Database) -> _Open:
+        """Raises StoreError when it cannot be written: the first row shows it."""
+        database.write_now(lambda c: tables.write_raw_from(c, tables.raw_from(c)))
+        recorder = Recorder(database, self.tail, self._on_damage)
+        recorder.replay()
+        repair = Repair(database, self._on_damage)
+        return _Open(database, recorder, Upkeep(database, self._keep, repair), repair)
+
+    def _write_anew(self) -> None:
+        """Pages are damaged: what can be read goes into a new store, and history goes on there. A second
+        time within the hour it is the machine that is at fault, and nothing more is tried."""
+        self._torn = False
+        opened = self._open
+        if opened is None or time.monotonic() - self._rebuilt_at < ANEW_EVERY_S:
+            return
+        self._rebuilt_at = time.monotonic()
+        self._writable, self._open = False, None
+        opened.database.close()
+        aside = put_aside(self._path)
+        prepare(self._path)
+        missing = 0
+        with closing(Database(self._path, MIGRATIONS, synchronous="NORMAL")) as database:
+            for copy in copies(aside, database):
+                missing += database.write_now(copy)
+        self._open_store()
+        self._on_damage(
+            f"the store of the history was damaged and is written anew, {missing} stretches of it are "
+            f"missing: the damaged one is kept as {aside.name}"
+        )
+
+    def _fail(self, why: str) -> None:
+        """What is there can still be read, until the store is opened anew."""
+        self._writable = False
+        self._retry_at = time.monotonic() + RETRY_S
+        self._set_state("failed", why)
+        with suppress(OSError):
+            self._status = replace(self._status, free_bytes=shutil.disk_usage(self._path.parent).free)
+
+    def _watch_clock(self) -> None:
+        now = time.time()
+        step = self._clock.step(now, time.monotonic())
+        if not step:
+            return
+        self._on_clock_step(step, now)
+        if self._open is not None:
+            self._open.upkeep.clock_stepped()
+
+    def _watch_disk(self) -> None:
+        opened = self._open
+        if opened is None or time.monotonic() < self._look_at:
+            return
+        self._look_at = time.monotonic() + LOOK_EVERY_S
+        free, self._space = opened.upkeep.look()
+        if self._space in ("scarce", "none"):
+            opened.upkeep.shed(micros(time.time()))
+        oldest = opened.database.read_now(tables.oldest_raw)
+        lately = micros(time.time()) - SAID_FOR
+        damaged = opened.database.read_now(lambda c: tables.damaged_since(c, lately))
+        state: dict[Space, State] = {"enough": "ok", "low": "low", "scarce": "scarce", "none": "paused"}
+        self._set_state(state[self._space])
+        self._status = replace(
+            self._status,
+            free_bytes=free,
+            size_bytes=self._path.stat().st_size,
+            oldest_reading=None if oldest is None else oldest / SECOND,
+            damaged=damaged,
+        )
+
+    def _set_state(self, state: State, cause: str = "") -> None:
+        message = f"{WORDS[state]}: {cause}" if cause else WORDS[state]
+        since = self._status.since if state == self._status.state else time.time()
+        if message != self._status.message:
+            log.log(30 if message else 20, "history", state=state, message=message)
+        self._status = replace(self._status, state=state, message=message, cause=cause, since=since)

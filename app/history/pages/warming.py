@@ -1,0 +1,40 @@
+"""What the first page after a start would wait for, done before anybody asks."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+from app.errors import Problem, StoreError
+from app.history.api.spans import Span, questions
+from app.history.pages.preload import usual_series
+from app.history.series.runs import DAY, micros
+from app.history.service import History
+from app.web.assets import Assets
+from app.web.templating import Templates
+
+AFTER_S = 1.0
+"""Later than the start itself, which needs the machine: a person takes longer to find the page."""
+POINTS = 1000
+_SHELL = ("base.html", "components/", "trends/")
+
+
+async def warm(history: History, templates: Templates, assets: Assets, language: str) -> None:
+    """Static files packed, the frame of the pages and the trends page read, a day of history asked for: one
+    after the other, so that the line is never kept waiting. ``language``: the site's."""
+    await asyncio.sleep(AFTER_S)
+    for name in assets:
+        await asyncio.to_thread(assets.pack, name)
+    environment = templates.environment(language)
+    for name in environment.list_templates(filter_func=lambda name: name.startswith(_SHELL)):
+        await asyncio.to_thread(environment.get_template, name)
+    await _ask_a_day(history)
+
+
+async def _ask_a_day(history: History) -> None:
+    now = micros(time.time())
+    names = usual_series(history)
+    try:
+        await history.ask(questions(history, names, Span(now - DAY, now), POINTS))
+    except (Problem, StoreError):
+        return

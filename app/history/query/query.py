@@ -1,0 +1,121 @@
+"""One value over one span in at most so many points: which fineness answers, and with what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from app.history.intake.tail import Tail
+from app.history.intake.updates import BUS
+from app.history.query import unit_history
+from app.history.series.downsampling import Points, Series, grid, holes_in, series, thin
+from app.history.series.gaps import Marks
+from app.history.series.intervals import intervals
+from app.history.series.runs import HOUR, MINUTE
+from app.history.series.scaling import Scaling, scaling
+from app.history.series.values import Value
+from app.history.store import tables
+from app.history.store.damage import Block
+from bus.settings import BusSettings
+
+MOST_READINGS = 100_000
+"""More readings than this are not unpacked for one picture: minutes answer."""
+MOST_INTERVALS = 50_000
+MARGIN = MINUTE
+Resolution = Literal["readings", "minutes", "hours"]
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One value of one unit over a span (µs), in at most ``most`` points."""
+
+    bus: BusSettings
+    unit: int
+    value: Value
+    start: int
+    end: int
+    most: int
+
+
+@dataclass(slots=True)
+class Answer:
+    """``bucket``: how long a stretch each point stands for, µs; 0: every reading itself.
+    ``decimals``: of the newest point; None when not known or not fixed."""
+
+    series: Series
+    resolution: Resolution = "readings"
+    bucket: int = 0
+    decimals: int | None = None
+    damaged: Sequence[Block] = ()
+    """Blocks that could not be read: what they held is missing."""
+
+
+def answer(connection: tables.Connection, tail: Tail, question: Question) -> Answer:
+    """Read from the store and the tail."""
+    key = tables.find_unit(connection, question.bus.name, question.unit)
+    if key is None:
+        return Answer(Series())
+    recent = tail.runs(key, question.start, question.end)
+    with tables.standing_still(connection):
+        return _answer(unit_history.Source(connection, key, recent), question)
+
+
+def _answer(source: unit_history.Source, question: Question) -> Answer:
+    bus = tables.find_unit(source.connection, question.bus.name, BUS)
+    keys = [source.unit] if bus is None else [source.unit, bus]
+    marks = tables.link_marks(source.connection, keys, question.start - MARGIN, question.end)
+    resolution, points = _points(source, question, marks)
+    scales = scale_of(source, question)
+    decimals = scales.at(question.end).decimals
+    return Answer(series(points, marks, scales), resolution, points.width, decimals, source.damaged)
+
+
+def scale_of(source: unit_history.Source, question: Question) -> Scaling:
+    """The scales of a value over all time."""
+    steps = tables.parameter_steps(source.connection, source.unit)
+    ratio = question.bus.follower_speed == "ratio"
+    return scaling(question.value, steps, ratio=ratio, estop_healthy=question.bus.estop_healthy)
+
+
+def _points(source: unit_history.Source, question: Question, marks: Marks) -> tuple[Resolution, Points]:
+    value, start, end, most = question.value, question.start, question.end, question.most
+    exact: Points | None = None
+    if value.kind == "bit":
+        exact = _exact_bits(source, question, marks)
+        if exact is not None and _fits(exact, marks, most):
+            return "readings", exact
+    if (
+        has_raw(source.connection, source.unit, start)
+        and unit_history.estimate(source, start, end) <= MOST_READINGS
+    ):
+        raw = unit_history.readings(source, value, start, end)
+        if _fits(raw, marks, most):
+            return "readings", raw
+        if grid(start, end, most)[0] < MINUTE or not tables.rolled_up(
+            source.connection, source.unit, start, end
+        ):
+            return "readings", thin(raw, start, end, most)
+    if grid(start, end, most)[0] >= HOUR:
+        return "hours", thin(unit_history.rollups(source, "hours", value, start, end), start, end, most)
+    if exact is not None and grid(start, end, most)[0] < MINUTE:
+        return "readings", thin(exact, start, end, most)
+    return "minutes", thin(unit_history.rollups(source, "minutes", value, start, end), start, end, most)
+
+
+def _fits(points: Points, marks: Marks, most: int) -> bool:
+    return len(points.at) + len(holes_in(points, marks)) <= most
+
+
+def _exact_bits(source: unit_history.Source, question: Question, marks: Marks) -> Points | None:
+    if tables.count_bits(source.connection, source.unit, question.start, question.end) > MOST_INTERVALS:
+        return None
+    usual = unit_history.usual_of(source, question.end)
+    parts = unit_history.bit_intervals(source, question.value.bit, question.start, question.end)
+    return unit_history.interval_points(intervals(parts, marks, usual), question.start, question.end, usual)
+
+
+def has_raw(connection: tables.Connection, unit: int, start: int) -> bool:
+    """Whether every reading of a unit from ``start`` on is still there."""
+    given_up = tables.raw_from(connection)
+    return start >= given_up or not tables.rolled_up(connection, unit, start, given_up)

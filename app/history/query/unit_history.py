@@ -1,0 +1,236 @@
+"""The history of one unit out of the store and the tail: its readings, minutes, hours, bits or whole runs."""
+
+from __future__ import annotations
+
+import sqlite3
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import chain, pairwise
+from statistics import median_low
+from typing import TypeVar
+
+from app.history.series import columns
+from app.history.series.downsampling import Points, in_order
+from app.history.series.gaps import usual_interval
+from app.history.series.intervals import Interval
+from app.history.series.rollup import FIELDS, Rollup, rollup
+from app.history.series.runs import HOUR, MINUTE, Run, merge, unpack_columns, unpack_runs
+from app.history.series.values import Value
+from app.history.store import tables
+from app.history.store.damage import Block, Tier, torn
+
+T = TypeVar("T")
+RawRow = tuple[int, int, int, int]
+"""at, until, count and one raw value of a run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where the readings of one unit are: its key, and its runs in the tail over the span asked for.
+
+    The tail is read before the store, so that a minute which is folded meanwhile is there twice, not never.
+    """
+
+    connection: tables.Connection
+    unit: int
+    tail: Sequence[Run]
+    damaged: list[Block] = field(default_factory=list)
+    """What could not be read, and was left out."""
+
+    def blocks(self, tier: Tier, start: int, end: int) -> Iterator[tuple[int, bytes]]:
+        """Start and content of each that may touch a span (µs), in order of time. Each is fetched by itself,
+        so that a page which SQLite cannot follow costs what lies in it."""
+        span = "span" if tier == "raw" else tables.ROW_SPAN[tier]
+        starts = f"SELECT start FROM {tier} WHERE unit = ? AND start > ? AND start < ? AND start + {span} > ?"
+        longest = HOUR if tier == "raw" else tables.ROW_SPAN[tier]
+        asked = (self.unit, start - longest, end, start)
+        found = self.connection.execute(f"{starts} ORDER BY start", asked).fetchall()
+        query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
+        for (begin,) in found:
+            try:
+                row = self.connection.execute(query, (self.unit, begin)).fetchone()
+            except sqlite3.DatabaseError as error:
+                if not torn(error):
+                    raise
+                row = None
+            if row is None:
+                self.damaged.append(Block(tier, self.unit, begin))
+            else:
+                yield begin, row[0]
+
+    def unpacked(self, tier: Tier, begin: int, unpack: Callable[[], list[T]]) -> list[T]:
+        """What a block holds; nothing where it is damaged, which is noted."""
+        try:
+            return unpack()
+        except ValueError:
+            self.damaged.append(Block(tier, self.unit, begin))
+            return []
+
+
+def estimate(source: Source, start: int, end: int) -> int:
+    """About how many points the readings themselves would be."""
+    rows = source.connection.execute(
+        "SELECT start, span, points FROM raw WHERE unit = ? AND start > ? AND start < ?",
+        (source.unit, start - HOUR, end),
+    )
+    stored = sum(
+        points * max(0, min(end, begin + span) - max(start, begin)) // span for begin, span, points in rows
+    )
+    return int(stored) + 2 * len(source.tail)
+
+
+def readings(source: Source, value: Value, start: int, end: int) -> Points:
+    """Every reading between two times, µs: a run as its first and, if it lasted, its last one."""
+    rows = [
+        row
+        for part in chain(_stored(source, value.column, start, end), [_tail(source, value.column)])
+        for row in part
+    ]
+    if not source.tail or _rising(rows):
+        ordered: Iterable[RawRow] = rows
+    else:
+        ordered = sorted(set(rows))
+    return _points(_clip(ordered, start, end), value.bit, usual_interval(rows))
+
+
+def _stored(source: Source, column: str, start: int, end: int) -> Iterator[list[RawRow]]:
+    wanted = ("at", "until", "heard", column)
+    for begin, data in source.blocks("raw", start, end):
+        unpack = partial(unpack_columns, data, begin, wanted)
+        unpacked = source.unpacked("raw", begin, unpack)
+        if not unpacked:
+            continue
+        at, until, count, values = unpacked
+        rows = list(zip(at, until, count, values, strict=True))
+        first = max(0, bisect_left(at, start - MINUTE))
+        yield rows[first : bisect_left(at, end)]
+
+
+def _tail(source: Source, column: str) -> list[RawRow]:
+    return [(run.at, run.until, run.heard, getattr(run, column)) for run in source.tail]
+
+
+def _rising(rows: Sequence[RawRow]) -> bool:
+    return all(a[0] <= b[0] for a, b in pairwise(rows))
+
+
+def _clip(rows: Iterable[RawRow], start: int, end: int) -> Iterator[RawRow]:
+    for at, until, count, value in rows:
+        if until >= start and at < end:
+            yield max(at, start), min(until, end), count, value
+
+
+def _points(rows: Iterable[RawRow], bit: int, usual: int) -> Points:
+    points = Points(usual=usual)
+    for since, until, count, raw in rows:
+        value = raw if bit < 0 else raw >> bit & 1
+        lasting = until > since
+        points.at.append(since)
+        points.least.append(value)
+        points.weight.append(max(1, count - lasting))
+        points.solid.append(lasting)
+        if lasting:
+            points.at.append(until)
+            points.least.append(value)
+            points.weight.append(1)
+            points.solid.append(False)
+    points.greatest = points.least
+    points.total = [v * n for v, n in zip(points.least, points.weight, strict=True)]
+    return in_order(points)
+
+
+def rollups(source: Source, tier: tables.Tier, value: Value, start: int, end: int) -> Points:
+    """Minutes or hours that touch a span, each with what is in the tail of it."""
+    wanted = _wanted(value)
+    found = Points(width=tables.STEP[tier])
+    since = start - start % tables.STEP[tier]
+    for begin, data in source.blocks(tier, since, end):
+        unpacked = source.unpacked(tier, begin, partial(columns.unpack, data, wanted))
+        if not unpacked:
+            continue
+        starts, count, *rest = unpacked
+        _extend(found, [begin + at for at in starts], count, rest, value.bit, (since, end))
+    for row in _tail_rollups(source, tables.STEP[tier]):
+        flat = [*row[:-1], *row.on]
+        _extend(found, [row.start], [row.heard], [[flat[i]] for i in wanted[2:]], value.bit, (since, end))
+    found.solid = [False] * len(found.at)
+    if found.weight:
+        found.usual = found.width // max(1, median_low(found.weight))
+    return in_order(found)
+
+
+def _wanted(value: Value) -> list[int]:
+    if value.bit < 0:
+        names = [f"{value.column}_{part}" for part in ("min", "max", "sum")]
+    else:
+        names = ["word_and", "word_or", f"on_{value.bit}"]
+    return [FIELDS[name] for name in ("start", "heard", *names)]
+
+
+def _tail_rollups(source: Source, step: int) -> list[Rollup]:
+    by_start: dict[int, list[Run]] = {}
+    for run in merge((), source.tail):
+        by_start.setdefault(run.at - run.at % step, []).append(run)
+    return [rollup(runs, start) for start, runs in sorted(by_start.items())]
+
+
+def _extend(
+    points: Points,
+    at: Sequence[int],
+    count: Sequence[int],
+    reach: Sequence[Sequence[int]],
+    bit: int,
+    within: tuple[int, int],
+) -> None:
+    first, last = bisect_left(at, within[0]), bisect_left(at, within[1])
+    least, greatest, total = (column[first:last] for column in reach)
+    if bit >= 0:
+        least, greatest = [v >> bit & 1 for v in least], [v >> bit & 1 for v in greatest]
+    points.at += at[first:last]
+    points.least += least
+    points.greatest += greatest
+    points.total += total
+    points.weight += count[first:last]
+
+
+def bit_intervals(source: Source, bit: int, start: int, end: int) -> list[Interval]:
+    """One bit as intervals over a span, neighbours that are equal still apart."""
+    stored = tables.bits_around(source.connection, source.unit, start, end)
+    recent = [Interval(run.at, run.until, run.word) for run in source.tail]
+    touching = (part for part in chain(stored, recent) if part.until >= start and part.at < end)
+    return [part._replace(word=part.word >> bit & 1) for part in touching]
+
+
+def usual_of(source: Source, end: int) -> int:
+    """How often the unit was heard before a time, µs, whether or not its readings are still kept."""
+    if source.tail:
+        return usual_interval(source.tail)
+    latest = "SELECT start, data FROM {} WHERE unit = ? AND start < ? ORDER BY start DESC LIMIT 1"
+    row = source.connection.execute(latest.format("raw"), (source.unit, end)).fetchone()
+    if row is not None:
+        unpack = partial(unpack_columns, row[1], row[0], ("at", "until", "heard"))
+        runs = source.unpacked("raw", row[0], unpack)
+        return usual_interval(list(zip(*runs, strict=True)))
+    row = source.connection.execute(latest.format("minutes"), (source.unit, end)).fetchone()
+    if row is None:
+        return 0
+    counts = source.unpacked("minutes", row[0], partial(columns.unpack, row[1], [FIELDS["heard"]]))
+    return MINUTE // max(counts[0]) if counts else 0
+
+
+def interval_points(parts: Iterable[Interval], start: int, end: int, usual: int) -> Points:
+    """Intervals as points at both their ends."""
+    rows = ((part.at, part.until, 2, part.word) for part in parts)
+    return _points(_clip(rows, start, end), -1, usual)
+
+
+def runs_between(source: Source, start: int, end: int) -> list[Run]:
+    """Whole runs, for an export: those that begin within a span, in order of time."""
+    found = [
+        run
+        for begin, data in source.blocks("raw", start, end)
+        for run in source.unpacked("raw", begin, partial(unpack_runs, data, begin))
+    ]
+    return [run for run in merge(found, source.tail) if start <= run.at < end]

@@ -1,0 +1,1 @@
+"""Readings as series: runs, intervals, gaps, rollups, scaling, downsampling. Pure."""

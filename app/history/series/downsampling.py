@@ -1,0 +1,148 @@
+"""Any number of readings as at most so many points: least, greatest and average of each stretch.
+
+Buckets lie on a grid of round widths that does not move with the span, so a picture that is
+drawn again a second later does not dance.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from operator import le, truediv
+from typing import TypeVar
+
+from app.history.series.gaps import Marks, holes
+from app.history.series.runs import DAY, HOUR, MINUTE, SECOND
+from app.history.series.scaling import Scaling
+
+T = TypeVar("T")
+_MS = 1000
+WIDTHS = tuple(
+    unit * factor
+    for unit, factors in (
+        (_MS, (1, 2, 5, 10, 20, 50, 100, 200, 500)),
+        (SECOND, (1, 2, 5, 10, 15, 20, 30)),
+        (MINUTE, (1, 2, 3, 5, 10, 15, 20, 30)),
+        (HOUR, (1, 2, 3, 4, 6, 8, 12)),
+        (DAY, (1, 2, 4, 7, 14, 28, 56, 91, 182, 364)),
+    )
+    for factor in factors
+)
+"""Round widths, µs."""
+
+
+@dataclass(slots=True)
+class Points:
+    """Readings or stretches in order of time. Raw values; ``weight`` counts readings."""
+
+    at: list[int] = field(default_factory=list)
+    least: list[int] = field(default_factory=list)
+    greatest: list[int] = field(default_factory=list)
+    total: list[int] = field(default_factory=list)
+    weight: list[int] = field(default_factory=list)
+    solid: list[bool] = field(default_factory=list)
+    """Whether the value was heard all the while until the next point."""
+    width: int = 0
+    """How long a stretch each point stands for, µs; 0: the readings themselves."""
+    usual: int = 0
+    """How often the unit is heard, µs."""
+
+
+@dataclass(slots=True)
+class Series:
+    """What is drawn, in display units; None is a hole."""
+
+    at: list[int] = field(default_factory=list)
+    least: list[float | None] = field(default_factory=list)
+    greatest: list[float | None] = field(default_factory=list)
+    average: list[float | None] = field(default_factory=list)
+
+
+def thin(points: Points, start: int, end: int, most: int) -> Points:
+    """The same in at most ``most`` buckets between ``start`` and ``end``, µs."""
+    width, origin = grid(start, end, most, points.width or _MS)
+    parts = _parts(points.at, origin, width)
+    return Points(
+        at=[max(points.at[i] - (points.at[i] - origin) % width, start) for i, _ in parts],
+        least=[min(points.least[i:j]) for i, j in parts],
+        greatest=[max(points.greatest[i:j]) for i, j in parts],
+        total=[sum(points.total[i:j]) for i, j in parts],
+        weight=[sum(points.weight[i:j]) for i, j in parts],
+        solid=[points.solid[j - 1] for _, j in parts],
+        width=width,
+        usual=points.usual,
+    )
+
+
+def _parts(at: Sequence[int], origin: int, width: int) -> list[tuple[int, int]]:
+    """From where to where the times of each bucket are, without the empty ones."""
+    parts = []
+    i, n = 0, len(at)
+    while i < n:
+        j = bisect_left(at, at[i] - (at[i] - origin) % width + width, i)
+        parts.append((i, j))
+        i = j
+    return parts
+
+
+def grid(start: int, end: int, most: int, least_width: int = _MS) -> tuple[int, int]:
+    """Width and origin of at most ``most`` buckets over a span, µs. A round width where one fits."""
+    for width in WIDTHS:
+        if width % least_width == 0 and -(-end // width) - start // width <= most:
+            return width, 0
+    return max(least_width, -(-(end - start) // most)), start
+
+
+def series(points: Points, marks: Marks, scaling: Scaling) -> Series:
+    """In display units, with the holes."""
+    result = Series(points.at)
+    for i, j, scale in scaling.stretches(points.at):
+        low, high = scale.apply_all(points.least[i:j]), scale.apply_all(points.greatest[i:j])
+        middle = scale.apply_all(map(truediv, points.total[i:j], points.weight[i:j]))
+        result.least += high if scale.falling else low
+        result.greatest += low if scale.falling else high
+        # Where nothing moved, exactly what was said and not its sum divided.
+        result.average += [a if a == b else round(m, 6) for a, b, m in zip(low, high, middle, strict=True)]
+    return _opened(result, holes_in(points, marks), points.width)
+
+
+def _opened(whole: Series, after: Sequence[int], width: int) -> Series:
+    """With a null between the points of each hole."""
+    if not after:
+        return whole
+    times = [whole.at[i] + max(width, (whole.at[i + 1] - whole.at[i]) // 2) for i in after]
+    nothing = [None] * len(after)
+    return Series(
+        _inserted(whole.at, after, times),
+        _inserted(whole.least, after, nothing),
+        _inserted(whole.greatest, after, nothing),
+        _inserted(whole.average, after, nothing),
+    )
+
+
+def _inserted(column: list[T], after: Sequence[int], new: Sequence[T]) -> list[T]:
+    cuts = [0, *(i + 1 for i in after), len(column)]
+    result = column[: cuts[1]]
+    for entry, (i, j) in zip(new, pairwise(cuts[1:]), strict=True):
+        result.append(entry)
+        result += column[i:j]
+    return result
+
+
+def holes_in(points: Points, marks: Marks) -> list[int]:
+    """After which points there is a hole."""
+    found = holes(points.at, marks, points.usual, points.width)
+    return [i for i in found if not points.solid[i]]
+
+
+def in_order(points: Points) -> Points:
+    """By time: where a clock was set back or a minute came late, two stretches lie over each other."""
+    if all(map(le, points.at, points.at[1:])):
+        return points
+    order = sorted(range(len(points.at)), key=points.at.__getitem__)
+    columns = (points.at, points.least, points.greatest, points.total, points.weight)
+    at, least, greatest, total, weight = ([column[i] for i in order] for column in columns)
+    solid = [points.solid[i] for i in order]
+    return Points(at, least, greatest, total, weight, solid, points.width, points.usual)

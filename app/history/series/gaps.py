@@ -1,0 +1,80 @@
+"""When two neighbouring readings have a hole between them. An unchanged value is no hole.
+
+A hole is where the worker said that the unit or its port fell silent. Where nobody could say it
+(the worker itself was gone, its buffer ran over) the length of the silence tells.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from operator import sub
+
+from app.history.series.runs import SECOND
+
+LONG_SILENCE = 10 * SECOND
+MANY_INTERVALS = 10
+"""A silence longer than both is a hole, whoever was there to say so."""
+SHORT_SILENCE = 3 * SECOND // 10
+FEW_INTERVALS = 3
+"""A silence longer than both is a hole when the unit or port was found again at its end."""
+_SAMPLE = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class Marks:
+    """What was said of a unit and its port, as times in µs, in order."""
+
+    lost: Sequence[int] = ()
+    found: Sequence[int] = ()
+
+
+def usual_interval(runs: Sequence[Sequence[int]]) -> int:
+    """How often a unit is heard, µs, from its runs (``at``, ``until``, ``heard``, … each); 0: too few.
+
+    The readings within a run count as well: of a steady value there is nothing between runs but holes.
+    """
+    sample = runs[:_SAMPLE]
+    spans = [(b[0] - a[1], 1) for a, b in pairwise(sample)]
+    spans += [((run[1] - run[0]) // (run[2] - 1), run[2] - 1) for run in sample if run[2] > 1]
+    return _middle(sorted(spans))
+
+
+def _middle(spans: Iterable[tuple[int, int]]) -> int:
+    """The median of lengths in order, each with how often it is there."""
+    spans = list(spans)
+    left = sum(often for _, often in spans) / 2
+    for length, often in spans:
+        left -= often
+        if left <= 0:
+            return length
+    return 0
+
+
+def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> list[int]:
+    """Positions ``i`` with a hole between ``times[i]`` and ``times[i + 1]`` (in order).
+
+    ``width``: a time stands for all readings within so many µs after it; neighbouring
+    buckets then have no hole between them.
+    """
+    differences = list(map(sub, times[1:], times))
+    limit = width + max(LONG_SILENCE, MANY_INTERVALS * usual)
+    found = {i for i, silent in enumerate(differences) if silent > limit}
+    found |= {i for i in _before(times, marks.lost) if differences[i] > width}
+    short = width + max(SHORT_SILENCE, FEW_INTERVALS * usual)
+    found |= {i for i in _ended_by(times, marks.found, usual) if differences[i] > short}
+    return sorted(found)
+
+
+def _before(times: Sequence[int], marks: Sequence[int]) -> set[int]:
+    positions = {bisect_left(times, mark) - 1 for mark in marks}
+    return {i for i in positions if 0 <= i < len(times) - 1}
+
+
+def _ended_by(times: Sequence[int], marks: Sequence[int], usual: int) -> set[int]:
+    """Before which reading a silence ended: the one just before the mark, which it speaks of, or the next."""
+    last = [(mark, bisect_right(times, mark) - 1) for mark in marks]
+    positions = {i - 1 if i >= 0 and mark - times[i] <= usual else i for mark, i in last}
+    return {i for i in positions if 0 <= i < len(times) - 1}

@@ -1,0 +1,42 @@
+"""Bits as exact intervals: from the first reading that said so to the last one in a row."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import accumulate, pairwise
+from typing import NamedTuple
+
+from app.history.series.gaps import Marks, holes, usual_interval
+from app.history.series.runs import MINUTE, Run
+
+
+class Interval(NamedTuple):
+    """All bits of a unit (ST2 * 256 + ST1), the same from ``at`` until ``until`` (µs)."""
+
+    at: int
+    until: int
+    word: int
+
+
+def intervals(parts: Iterable[Run | Interval], marks: Marks, usual: int = 0) -> list[Interval]:
+    """Neighbours with the same bits and no hole between them as one, in order of time."""
+    ordered = sorted((part.at, part.until, part.word) for part in parts)
+    if not ordered:
+        return []
+    starts, ends, words = zip(*ordered, strict=True)
+    reach = list(accumulate(ends, max))
+    begins = map(max, starts, (0, *reach))
+    edges = [time for pair in zip(begins, reach, strict=True) for time in pair]
+    broken = {i // 2 + 1 for i in holes(edges, marks, usual) if i % 2}
+    changed = {i for i, (before, word) in enumerate(pairwise(words), 1) if word != before}
+    cuts = sorted({0, len(ordered)} | broken | changed)
+    return [Interval(starts[i], max(ends[i:j]), words[i]) for i, j in pairwise(cuts)]
+
+
+def splice(stored: Sequence[Interval], minute: int, runs: Sequence[Run], marks: Marks) -> list[Interval]:
+    """What takes the place of ``stored``: the intervals that touch a minute or are next to it,
+    now that all runs of that minute are known."""
+    after = minute + MINUTE
+    around = [part._replace(until=min(part.until, minute - 1)) for part in stored if part.at < minute]
+    around += [part._replace(at=max(part.at, after)) for part in stored if part.until >= after]
+    return intervals([*around, *runs], marks, usual_interval(runs))

@@ -1,0 +1,111 @@
+"""What is left of a minute or an hour: how many readings, and of each value the least, the greatest
+and the sum; of the bits, which were ever off, which ever on, and how often each was on.
+
+Sums and counts are exact integers, so an hour made of minutes equals the hour made of readings.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from app.history.series import columns
+from app.history.series.runs import Run
+
+BITS = 16
+"""ST2 * 256 + ST1, as in :class:`app.history.series.runs.Run`."""
+
+
+class Rollup(NamedTuple):
+    """One unit over one minute or hour. ``start`` in µs since the epoch, values as on the wire."""
+
+    start: int
+    heard: int
+    commanded_min: int
+    commanded_max: int
+    commanded_sum: int
+    actual_min: int
+    actual_max: int
+    actual_sum: int
+    analog_min: int
+    analog_max: int
+    analog_sum: int
+    word_and: int
+    """Bits that were on in every reading."""
+    word_or: int
+    """Bits that were on in any."""
+    on: tuple[int, ...]
+    """For each bit, in how many readings it was on."""
+
+
+_PLAIN = len(Rollup._fields) - 1
+FIELDS = {name: position for position, name in enumerate(Rollup._fields[:-1])} | {
+    f"on_{bit}": _PLAIN + bit for bit in range(BITS)
+}
+"""Where each column of a packed row of rollups stands."""
+
+
+def rollup(runs: Sequence[Run], start: int) -> Rollup:
+    """Readings of one unit, at least one, as one row."""
+    _, _, counts, commanded, actual, analog, words = zip(*runs, strict=True)
+    weights: Counter[int] = Counter()
+    for word, count in zip(words, counts, strict=True):
+        weights[word] += count
+    return Rollup(
+        start,
+        sum(counts),
+        *_reach(commanded, counts),
+        *_reach(actual, counts),
+        *_reach(analog, counts),
+        _all_of(weights),
+        _any_of(weights),
+        tuple(sum(n for word, n in weights.items() if word >> bit & 1) for bit in range(BITS)),
+    )
+
+
+def _reach(values: Sequence[int], counts: Sequence[int]) -> tuple[int, int, int]:
+    return min(values), max(values), sum(v * n for v, n in zip(values, counts, strict=True))
+
+
+def _all_of(words: Iterable[int]) -> int:
+    result = (1 << BITS) - 1
+    for word in words:
+        result &= word
+    return result
+
+
+def _any_of(words: Iterable[int]) -> int:
+    result = 0
+    for word in words:
+        result |= word
+    return result
+
+
+def combine(rows: Sequence[Rollup], start: int) -> Rollup:
+    """Several rows, at least one, as one longer row."""
+    _, heard, *plain, words_and, words_or, on = zip(*rows, strict=True)
+    reaches = [
+        reach
+        for least, greatest, total in zip(plain[0::3], plain[1::3], plain[2::3], strict=True)
+        for reach in (min(least), max(greatest), sum(total))
+    ]
+    bits = tuple(sum(column) for column in zip(*on, strict=True))
+    return Rollup._make([start, sum(heard), *reaches, _all_of(words_and), _any_of(words_or), bits])
+
+
+def pack_rollups(rows: Sequence[Rollup], start: int) -> bytes:
+    """Rows of one unit, in order of time, as a block; times are kept relative to ``start``."""
+    starts, *plain, on = zip(*rows, strict=True)
+    return columns.pack([[t - start for t in starts], *plain, *zip(*on, strict=True)])
+
+
+def unpack_rollups(blob: bytes, start: int) -> list[Rollup]:
+    """The rows of a block. Raises ValueError when it is damaged."""
+    rows = zip(*columns.unpack(blob), strict=True)
+    return [Rollup._make([start + row[0], *row[1:_PLAIN], row[_PLAIN:]]) for row in rows]
+
+
+def replace_row(rows: Iterable[Rollup], row: Rollup) -> list[Rollup]:
+    """``rows`` in order of time, with ``row`` instead of the one at its start, or beside the others."""
+    return sorted([*(other for other in rows if other.start != row.start), row])

@@ -1,0 +1,74 @@
+"""What is done about a damaged block: it is set aside, and worked out again from what is finer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+
+from app.database.connection import Database
+from app.history.series.rollup import Rollup, combine, rollup
+from app.history.series.runs import DAY, HOUR, MINUTE, SECOND, Run, micros
+from app.history.store import tables
+from app.history.store.damage import Block, DamagedBlock
+
+FoundDamage = Callable[[str], None]
+"""Called from the writer's thread with a sentence for the events."""
+_HELD = {"raw": "every reading", "minutes": "the minutes", "hours": "the hours"}
+
+
+class Repair:
+    """Used by the thread that alone writes."""
+
+    def __init__(self, database: Database, on_damage: FoundDamage) -> None:
+        self._database = database
+        self._on_damage = on_damage
+
+    def set_aside(self, block: Block) -> None:
+        """Whatever is damaged of it and of what it is made from. Raises StoreError."""
+        try:
+            words = self._database.write_now(lambda c: _set_aside_in_words(c, block))
+        except DamagedBlock as finer:
+            self.set_aside(finer.block)
+            self.set_aside(block)
+            return
+        if words:
+            self._on_damage(words)
+
+
+def _set_aside_in_words(connection: tables.Connection, block: Block) -> str:
+    if not tables.is_damaged(connection, block):
+        return ""
+    missing = set_aside(connection, block, micros(time.time()))
+    since = datetime.fromtimestamp(block.start / SECOND, UTC).isoformat(timespec="minutes")
+    what = f"{_HELD[block.tier]} of {tables.name_of(connection, block.unit)} from {since} on"
+    if missing:
+        return f"a block of the history is damaged, it is missing: {what}"
+    return f"a block of the history was damaged, it was worked out again: {what}"
+
+
+def set_aside(connection: tables.Connection, block: Block, now: int) -> bool:
+    """Gives whether nothing was there to work it out from: then something is missing.
+
+    Raises DamagedBlock for a finer block that is damaged too: that one first.
+    """
+    tables.move_damaged(connection, block, now)
+    if block.tier == "raw":
+        return True
+    anew = _minutes(connection, block) if block.tier == "minutes" else _hours(connection, block)
+    if anew:
+        tables.write_rollups(connection, block.tier, block.unit, block.start, anew)
+    return not anew
+
+
+def _minutes(connection: tables.Connection, block: Block) -> list[Rollup]:
+    by_minute: dict[int, list[Run]] = {}
+    for run in tables.raw_between(connection, block.unit, block.start, block.start + HOUR):
+        by_minute.setdefault(run.at - run.at % MINUTE, []).append(run)
+    return [rollup(runs, minute) for minute, runs in sorted(by_minute.items())]
+
+
+def _hours(connection: tables.Connection, block: Block) -> list[Rollup]:
+    hours = range(block.start, block.start + DAY, HOUR)
+    found = ((hour, tables.rollup_row(connection, "minutes", block.unit, hour)) for hour in hours)
+    return [combine(minutes, hour) for hour, minutes in found if minutes]

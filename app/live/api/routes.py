@@ -1,0 +1,67 @@
+"""``GET /line``, the buses and the units: what is now."""
+
+from __future__ import annotations
+
+import time
+from typing import Annotated, Any
+
+from fastapi import APIRouter
+from starlette.requests import HTTPConnection
+
+from app.live.api.figures import BusFiguresShown, figures_json
+from app.live.api.schemas import BusShown, LineShown, UnitShown
+from app.live.api.view import bus_json, line_json, unit_json
+from app.live.lookup import bus_or_404, unit_or_404
+from app.live.screen.fields import Voice
+from app.live.screen.sources import Sources
+from app.live.state.live_state import LiveState
+from app.messages import DEFAULT
+from app.settings import Settings
+from app.web.access import Viewer
+from app.web.api_route import ApiRoute
+from app.web.services import looked_up, service
+from app.web.templating import templates_of
+
+router = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
+
+
+def english_of(connection: HTTPConnection) -> Voice:
+    """What texts for programs are written with."""
+    templates = templates_of(connection)
+    return Voice(templates.languages[DEFAULT], templates.formats(DEFAULT))
+
+
+English = Annotated[Voice, looked_up(english_of)]
+Live = Annotated[LiveState, service(LiveState)]
+LineSources = Annotated[Sources, service(Sources)]
+Configured = Annotated[Settings, service(Settings)]
+
+
+@router.get("/line", response_model=LineShown)
+async def get_line(
+    _: Viewer, live: Live, settings: Configured, sources: LineSources, english: English
+) -> dict[str, Any]:
+    """Every bus and every unit, now. ``history``: empty, or why no readings are kept."""
+    block, fault = sources.guards.block_reason, sources.history_fault()
+    return line_json(settings.site.name, live, time.time(), block, fault, english)
+
+
+@router.get("/buses/{bus}", response_model=BusShown)
+async def get_bus(_: Viewer, live: Live, sources: LineSources, english: English, bus: str) -> dict[str, Any]:
+    """One bus with its units."""
+    return bus_json(bus_or_404(live, bus), time.time(), sources.guards.block_reason, english)
+
+
+@router.get("/buses/{bus}/units/{unit:int}", response_model=UnitShown)
+async def get_unit(
+    _: Viewer, live: Live, sources: LineSources, english: English, bus: str, unit: int
+) -> dict[str, Any]:
+    """One unit, with the age of what it said."""
+    found = unit_or_404(live, bus, unit)
+    return unit_json(live.buses[bus], found, time.time(), sources.guards.block_reason, english)
+
+
+@router.get("/buses/{bus}/figures")
+async def get_figures(_: Viewer, live: Live, bus: str) -> BusFiguresShown:
+    """What the wire of a bus carries, and the counters of each unit since its worker started."""
+    return figures_json(bus, bus_or_404(live, bus).figures)

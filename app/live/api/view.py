@@ -1,0 +1,208 @@
+"""A unit, a bus and the line as the API shows them. Pure: the time is passed in.
+
+Speeds are decimal texts in the unit's own decimals (#3), null while those are not known; a field
+that was never read is null. ``…_raw`` are the integers of the wire. ``suspect``: in words why another unit
+may be answering in this one's name; null where nothing says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from app.live.diagnosis.cause import Cause, unit_cause
+from app.live.diagnosis.suspicion import suspicion
+from app.live.screen.cause_text import cause_line
+from app.live.screen.fields import Voice
+from app.live.state.age import scan_s_of, unit_link_now
+from app.live.state.bus_live import BusLive, UnitLive, follower
+from app.live.state.conditions import bits_of, mode_of
+from app.live.state.live_state import LiveState
+from app.web.shape import iso
+from bus.catalogue.numbers import (
+    ANALOG_IN_HIGH,
+    ANALOG_IN_LOW,
+    AT_SPEED_WINDOW,
+    DECIMALS,
+    MAX_DISPLAY,
+    MAX_RPM,
+)
+from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.values import (
+    analog_input_value,
+    parameter_text,
+    parameter_unit,
+    ratio_text,
+    rpm,
+    speed_text,
+)
+from bus.contract import Reading
+from bus.messages import Message, in_english
+
+Json = dict[str, Any]
+BlockReason = Callable[[str, int], str]
+"""Why a unit of a bus is blocked; empty when it is not."""
+
+_NEVER_READ = dict.fromkeys(
+    (
+        *(
+            "read_at",
+            "age_ms",
+            "commanded_raw",
+            "actual_raw",
+            "deviation_raw",
+            "commanded",
+            "actual",
+            "deviation",
+        ),
+        *("rpm", "analog_raw", "analog", "at_speed", "remote", "mode", "outputs", "inputs"),
+    )
+)
+
+
+def line_json(
+    site: str, live: LiveState, now: float, block: BlockReason, history: str, english: Voice
+) -> Json:
+    """Every bus with its units in floor order. ``history``: why none is kept; empty while it is."""
+    buses = [bus_json(bus, now, block, english) for bus in live.buses.values()]
+    return {"site": site, "time": iso(now), "history": history, "buses": buses}
+
+
+def bus_json(bus: BusLive, now: float, block: BlockReason, english: Voice) -> Json:
+    """One bus. Figures are null while no worker measures them."""
+    figures = bus.figures
+    return {
+        "name": bus.settings.name,
+        "port": bus.settings.port,
+        "baud": bus.baud,
+        "link": bus.link.link,
+        "link_cause": in_english(bus.link.cause),
+        "link_since": iso(bus.link_onset.at),
+        "worker": bus.worker_connected,
+        "scan_hz": figures.scan_hz if figures else None,
+        "scan_s": figures.scan_s if figures else None,
+        "scan_s_with_one_more": figures.scan_s_with_one_more if figures else None,
+        "wire_utilisation": figures.wire_utilisation if figures else None,
+        "diagnosis": " ".join(map(str, figures.diagnosis)) if figures else "",
+        "scan_s_expected": scan_s_of(bus),
+        "units": [unit_json(bus, unit, now, block, english) for unit in bus.units.values()],
+    }
+
+
+def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason, english: Voice) -> Json:
+    """One unit with the age of what it said, by the server's clock."""
+    window = unit.parameter_raw(AT_SPEED_WINDOW)
+    shown: Json = {
+        "id": unit.settings.id,
+        "name": unit.settings.name,
+        "group": unit.settings.group,
+        "labels": unit.settings.labels.model_dump(),
+        "link": unit_link_now(bus, unit, now),
+        "link_cause": in_english(unit.link.cause),
+        "cause": cause_json(unit_cause(bus, unit, now), now, english),
+        "suspect": suspicion(bus, unit) or None,
+        "blocked": block(bus.settings.name, unit.settings.id) or None,
+        "decimals": unit.parameter_raw(DECIMALS),
+        "follower": follower(unit),
+        "staged_raw": unit.staged,
+        "staged": None if unit.staged is None else setpoint_text(unit, unit.staged),
+        "at_speed_window_raw": window,
+    }
+    return shown | (_NEVER_READ if unit.reading is None else _reading_json(bus, unit, unit.reading, now))
+
+
+def cause_json(cause: Cause | None, now: float, english: Voice) -> Json | None:
+    """A cause as a code with parameters, in words, and since when; None where there is none."""
+    if cause is None:
+        return None
+    return {
+        "code": cause.code,
+        "params": {name: _plain(value) for name, value in cause.params.items()},
+        "detail": cause_line(cause, english, now),
+        "since": None if cause.onset is None else iso(cause.onset.at),
+        "since_exact": None if cause.onset is None else cause.onset.exact,
+    }
+
+
+def _plain(value: Any) -> Any:
+    return str(value) if isinstance(value, Message) else value
+
+
+def parameter_json(unit: UnitLive, number: int) -> Json:
+    """One of the 40 as last read; ``available`` null: not read yet. A secret is masked."""
+    parameter = PARAMETERS[number]
+    known = unit.parameters.get(number)
+    raw = known.raw if known is not None else None
+    return {
+        "number": number,
+        "name": parameter.name,
+        "raw": None if parameter.secret else raw,
+        "value": None if raw is None else _parameter_text(unit, number, raw),
+        "unit": parameter_unit(parameter),
+        "min": parameter.minimum,
+        "max": parameter.maximum,
+        "read_at": None if known is None else iso(known.at),
+        "available": None if known is None else known.available,
+        "type": parameter.type,
+        "group": parameter.group,
+        "meaning": parameter.meaning,
+        "evidence": parameter.evidence,
+        "choices": {str(value): name for value, name in parameter.choices.items()},
+        "writable": not parameter.never_writable,
+        "dangerous": parameter.dangerous,
+        "masked": parameter.secret,
+    }
+
+
+def setpoint_text(unit: UnitLive, raw: int) -> str | None:
+    """A setpoint as the unit takes it: a ratio for a follower, else a speed; None: decimals not known."""
+    return ratio_text(raw) if follower(unit) else _speed_text(unit, raw)
+
+
+def _parameter_text(unit: UnitLive, number: int, raw: int) -> str:
+    decimals = unit.parameter_raw(DECIMALS)
+    return parameter_text(PARAMETERS[number], raw, decimals, follower=bool(follower(unit)))
+
+
+def _reading_json(bus: BusLive, unit: UnitLive, reading: Reading, now: float) -> Json:
+    bits = bits_of(bus, reading)
+    error = reading.actual - reading.commanded
+    size = _shown(bus, unit, abs(error))
+    return {
+        "read_at": iso(reading.at),
+        "age_ms": max(0, round(1000 * (now - reading.at))),
+        "commanded_raw": reading.commanded,
+        "actual_raw": reading.actual,
+        "deviation_raw": error,
+        "commanded": _shown(bus, unit, reading.commanded),
+        "actual": _shown(bus, unit, reading.actual),
+        "deviation": f"-{size}" if error < 0 and size is not None else size,
+        "rpm": _rpm(unit, reading.actual),
+        "analog_raw": reading.analog,
+        "analog": _analog(unit, reading.analog),
+        "at_speed": bits.at_speed,
+        "remote": bits.remote,
+        "mode": mode_of(unit, bits).upper(),
+        "outputs": list(bits.outputs),
+        "inputs": bits.inputs,
+    }
+
+
+def _shown(bus: BusLive, unit: UnitLive, raw: int) -> str | None:
+    ratio = follower(unit) and bus.settings.follower_speed == "ratio"
+    return ratio_text(raw) if ratio else _speed_text(unit, raw)
+
+
+def _speed_text(unit: UnitLive, raw: int) -> str | None:
+    decimals = unit.parameter_raw(DECIMALS)
+    return None if decimals is None else speed_text(raw, decimals)
+
+
+def _rpm(unit: UnitLive, raw: int) -> float | None:
+    max_rpm, max_display = unit.parameter_raw(MAX_RPM), unit.parameter_raw(MAX_DISPLAY)
+    return round(rpm(raw, max_rpm, max_display), 1) if max_rpm is not None and max_display else None
+
+
+def _analog(unit: UnitLive, atd: int) -> float | None:
+    low, high = unit.parameter_raw(ANALOG_IN_LOW), unit.parameter_raw(ANALOG_IN_HIGH)
+    return None if low is None or high is None else round(analog_input_value(atd, low, high), 6)

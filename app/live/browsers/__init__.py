@@ -1,0 +1,1 @@
+"""The connected browsers: what each gets, how often, over which socket."""

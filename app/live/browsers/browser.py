@@ -1,0 +1,148 @@
+"""One open page: it gets the newest values, never a queue.
+
+While its socket takes what it is given, a change goes there in the very turn of the loop in which it came.
+What changed while the socket was busy goes together as one update, so a slow browser is always shown the
+present and costs no more than a few references: all who missed the same share what it is made of.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+
+from app.live.screen.screen import Groups
+from app.server.frames import NoOutlet, Outlet, text_frame
+
+MOST_FRAMES = 300
+"""Frames of the trace kept for a browser that cannot keep up; older ones are dropped and counted."""
+
+MOST_WAITING = 64
+"""Changes that wait for a slow browser before they are made one."""
+
+encode = msgspec.json.Encoder().encode
+
+
+@dataclass(eq=False, slots=True)
+class Diff:
+    """What changed between the numbers ``before`` and ``after``, the same object for all of a language."""
+
+    before: int
+    after: int
+    at: float
+    groups: Groups
+    _payload: bytes = b""
+    _text: str = ""
+    _frame: bytes = b""
+    _since: dict[int, Diff] = field(default_factory=dict)
+
+    @property
+    def payload(self) -> bytes:
+        """Encoded once, whoever it goes to."""
+        if not self._payload:
+            message = {
+                "is": "diff",
+                "p": self.before,
+                "n": self.after,
+                "t": round(self.at, 3),
+                "f": self.groups,
+            }
+            self._payload = encode(message)
+        return self._payload
+
+    @property
+    def frame(self) -> bytes:
+        """As it goes over the wire."""
+        if not self._frame:
+            self._frame = text_frame(self.payload)
+        return self._frame
+
+    @property
+    def text(self) -> str:
+        """For a socket that frames for itself."""
+        if not self._text:
+            self._text = self.payload.decode()
+        return self._text
+
+    def after_all(self, earlier: Sequence[Diff]) -> Diff:
+        """One that says what ``earlier``, which led to this one, and this one said; made once for all who
+        missed the same."""
+        if not earlier:
+            return self
+        before = earlier[0].before
+        if before not in self._since:
+            self._since[before] = Diff(before, self.after, self.at, _merged([*earlier, self]))
+        return self._since[before]
+
+
+@dataclass(eq=False, slots=True)
+class Browser:
+    """What one open page wants and has not had yet. ``units``: the pages' own, for the worker's schedule."""
+
+    name: str
+    role: str
+    language: str
+    outlet: Outlet = field(default_factory=NoOutlet)
+    units: frozenset[tuple[str, int]] = frozenset()
+    trace: str = ""
+    _idle: bool = False
+    """Everything has been handed over: whoever asks for the next waits for it."""
+    _waiting: list[Diff] = field(default_factory=list)
+    _snapshot: dict[str, Any] | None = None
+    _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
+    _wake: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def tell(self, diff: Diff) -> None:
+        """Now where that can be; else newest wins: it goes together with what has not been sent."""
+        if self._idle and self.outlet.write(diff.frame):
+            return
+        if len(self._waiting) >= MOST_WAITING:
+            self._waiting = [diff.after_all(self._waiting)]
+        else:
+            self._waiting.append(diff)
+        self._has_something()
+
+    def say(self, message: dict[str, Any]) -> None:
+        """A snapshot, before any diff. It makes what was pending worthless, and is encoded when it can go:
+        however often it is asked for, there is one."""
+        self._waiting.clear()
+        self._snapshot = message
+        self._has_something()
+
+    def show_frames(self, frames: list[dict[str, Any]]) -> None:
+        """Frames for whoever follows the trace."""
+        self._frames.extend(frames)
+        self._has_something()
+
+    async def next(self) -> list[str]:
+        """Wait until there is something that could not go at once; all of it, in order. Whoever asks again
+        has sent what it was given."""
+        self._idle = not self._wake.is_set()
+        await self._wake.wait()
+        self._wake.clear()
+        texts = [] if self._snapshot is None else [encode(self._snapshot).decode()]
+        self._snapshot = None
+        if self._waiting:
+            *earlier, newest = self._waiting
+            self._waiting.clear()
+            texts.append(newest.after_all(earlier).text)
+        if self._frames:
+            texts.append(encode({"is": "frames", "frames": list(self._frames)}).decode())
+            self._frames.clear()
+        return texts
+
+    def _has_something(self) -> None:
+        self._idle = False
+        self._wake.set()
+
+
+def _merged(diffs: Sequence[Diff]) -> Groups:
+    groups: Groups = {}
+    for diff in diffs:
+        for group, fields in diff.groups.items():
+            groups.setdefault(group, {}).update(fields)
+    return groups

@@ -1,0 +1,238 @@
+"""Broadcasts changes to every connected browser, in the turn of the event loop in which they are reported.
+
+Nothing here batches or waits for a timer. A change is rendered once for each language in use, and
+:mod:`app.live.browsers.readers` sends it to the pages. Only age, which no worker reports, is checked once a
+second; the same tick is the heartbeat that every page draws.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+
+from app.live.browsers.admission import Admission
+from app.live.browsers.browser import Browser
+from app.live.browsers.readers import Readers
+from app.live.browsers.watched import Watched
+from app.live.command_ids import key_of
+from app.live.screen.fields import Voice, health_fields, unit_key
+from app.live.screen.screen import WHOLE_LINE, Groups, Screen
+from app.live.screen.sources import Sources
+from app.live.screen.totals import holders
+from app.live.screen.trace_frames import frame_fields
+from app.live.state.live_state import LiveState
+from app.web.templating import Templates
+from bus.bucket import Bucket
+from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
+
+HEARTBEAT_S = 1.0
+WATCH_TOLD_A_SECOND = 5.0
+MOST_TOLD_AT_ONCE = 50
+"""To each worker, which units are watched."""
+STAGE_WORDS = {
+    "waiting": "waiting for the wire",
+    "sent": "sent",
+    "searching": "addresses asked:",
+    "acknowledged": "acknowledged",
+    "proving": "reading back",
+}
+_OF_A_BUS = {BusFigures, BusLink}
+"""What changes more than the units that it names."""
+_PASSED_ON = {Progress, Frames, BusFigures}
+"""What says something that is not part of the state."""
+Watcher = Callable[[str, list[int], bool], None]
+"""Told of a bus, the units that someone has open there, and whether someone follows its trace."""
+
+
+class Hub:
+    """Broadcasts changes to every open page. ``clock`` returns Unix time in seconds."""
+
+    def __init__(
+        self,
+        live: LiveState,
+        sources: Sources,
+        templates: Templates,
+        watch: Watcher,
+        clock: Callable[[], float],
+    ) -> None:
+        self.live = live
+        self._sources = sources
+        self._templates = templates
+        self._watch = watch
+        self._clock = clock
+        self._readers: dict[str, Readers] = {}
+        """Of every language that was asked for once; most have nobody now."""
+        self._watched: dict[str, tuple[list[int], bool]] = {}
+        self.admission = Admission()
+        self._pages = Watched({name: bus.units for name, bus in live.buses.items()})
+        self._tellings = Bucket(WATCH_TOLD_A_SECOND, MOST_TOLD_AT_ONCE)
+        self._watched_is_due = False
+        live.subscribe(self._on_updates)
+        sources.guards.on_block(self.refresh_unit)
+        sources.drift.on_change(self.refresh_unit)
+
+    @property
+    def connected(self) -> int:
+        """How many pages are open now."""
+        return sum(len(readers.browsers) for readers in self._readers.values())
+
+    def people(self) -> dict[str, str]:
+        """Whoever has a page open now, by name, with the role."""
+        roles = {browser.name: browser.role for browser in self._browsers()}
+        return {name: roles[name] for name in sorted(roles)}
+
+    def screen(self, language: str) -> Screen:
+        """What is shown in a language, brought up to date."""
+        readers = self._readers.get(language)
+        if readers is None:
+            readers = self._readers[language] = Readers(self._new_screen(language), self._clock)
+        screen, now = readers.screen, self._clock()
+        readers.tell(screen.refresh(now))
+        readers.tell(screen.put(WHOLE_LINE, {"memory": self._sources.notices(screen.voice, now)}))
+        return screen
+
+    def _new_screen(self, language: str) -> Screen:
+        voice = Voice(self._templates.languages[language], self._templates.formats(language))
+        return Screen(self.live, voice, self._sources)
+
+    def join(self, browser: Browser) -> None:
+        """A page opened: the whole snapshot first, then diffs."""
+        self.screen(browser.language)
+        self._readers[browser.language].join(browser)
+        self._has_changed()
+
+    def leave(self, browser: Browser) -> None:
+        """A page closed."""
+        self._readers[browser.language].leave(browser)
+        self._pages.turn(browser.units, frozenset(), browser.trace, "")
+        self._has_changed()
+
+    def _has_changed(self) -> None:
+        for readers in self._readers.values():
+            readers.flow.share(self.connected)
+        self._tell_watched()
+        self._publish_people()
+
+    def send_snapshot(self, browser: Browser) -> None:
+        """Everything, to a page that opened or missed a number."""
+        self._readers[browser.language].tell_everything(browser)
+
+    def follow(self, browser: Browser, units: frozenset[tuple[str, int]], trace: str) -> None:
+        """A page says which units it shows and whose frames it follows."""
+        units, trace = self._pages.known(units), trace if trace in self.live.buses else ""
+        if (units, trace) == (browser.units, browser.trace):
+            return
+        self._pages.turn(browser.units, units, browser.trace, trace)
+        browser.units, browser.trace = units, trace
+        self._tell_watched()
+
+    def refresh_unit(self, bus: str, unit: int) -> None:
+        """Something that no worker reports has changed, for example a block."""
+        self._render(bus, [unit], whole_bus=False)
+
+    async def beat(self) -> None:
+        """The heartbeat of every page, for ever."""
+        while True:
+            await asyncio.sleep(HEARTBEAT_S)
+            self.tick()
+
+    def tick(self) -> None:
+        """One heartbeat: what has aged, and the server's time."""
+        now = self._clock()
+        if self._watched_is_due:
+            self._tell_watched()
+        for readers in self._read():
+            screen = readers.screen
+            groups = screen.settle(now)
+            held_by = {bus: self._sources.guards.holder(bus) for bus in self.live.buses}
+            notices = self._sources.notices(screen.voice, now)
+            totals = {"holder": holders(held_by, screen.voice), "memory": notices}
+            held_fields = [screen.put(bus, {"held_by": holder}) for bus, holder in held_by.items()]
+            for held in (screen.put(WHOLE_LINE, totals), *held_fields):
+                for group, fields in held.items():
+                    groups.setdefault(group, {}).update(fields)
+            readers.tell(groups, always=True)
+
+    # --- what the workers report -------------------------------------------------------------------
+
+    def _on_updates(self, bus_name: str, updates: Sequence[Update]) -> None:
+        bus = self.live.buses[bus_name]
+        units = {unit for update in updates if (unit := getattr(update, "unit", None)) in bus.units}
+        kinds = {type(update) for update in updates}
+        touched = bus.units if BusLink in kinds else units
+        self._render(bus_name, sorted(touched), whole_bus=not kinds.isdisjoint(_OF_A_BUS))
+        if not kinds.isdisjoint(_PASSED_ON):
+            for update in updates:
+                self._pass_on(bus_name, update)
+
+    def _render(self, bus: str, units: list[int], *, whole_bus: bool) -> None:
+        now = self._clock()
+        for readers in self._read():
+            readers.tell(readers.screen.see(bus, units, now, whole_bus=whole_bus))
+
+    def _pass_on(self, bus: str, update: Update) -> None:
+        match update:
+            case Progress():
+                self._show_progress(bus, update)
+            case Frames():
+                self._show_frames(bus, update.frames)
+            case BusFigures():
+                self._show_health(bus, update)
+
+    def _show_progress(self, bus: str, progress: Progress) -> None:
+        """Of a search everybody who looks at the bus is told; it has no review whose page knows its id."""
+        group, field = f"command/{key_of(progress.id)}", "stage"
+        if progress.stage == "searching":
+            group, field = bus, "searched"
+        for readers in self._read():
+            text = readers.screen.voice.t(STAGE_WORDS[progress.stage])
+            if progress.of > 1:
+                text += f" {progress.done}/{progress.of}"
+            readers.tell({group: {field: text}})
+
+    def _show_health(self, bus: str, figures: BusFigures) -> None:
+        watched = self._pages.units(bus)
+        for readers in self._read():
+            screen, groups = readers.screen, Groups()
+            for unit in figures.units:
+                if unit.unit in watched:
+                    groups |= screen.put(
+                        f"health/{unit_key(bus, unit.unit)}", health_fields(unit, screen.voice)
+                    )
+            readers.tell(groups)
+
+    def _show_frames(self, bus: str, frames: Sequence[Frame]) -> None:
+        for readers in self._read():
+            followers = [browser for browser in readers.browsers if browser.trace == bus]
+            if followers:
+                shown = [frame_fields(frame, readers.screen.voice) for frame in frames]
+                for browser in followers:
+                    browser.show_frames(shown)
+
+    # --- to the browsers ----------------------------------------------------------------------------
+
+    def _read(self) -> list[Readers]:
+        """Of the languages that somebody has open."""
+        return [readers for readers in self._readers.values() if readers.browsers]
+
+    def _browsers(self) -> list[Browser]:
+        return [browser for readers in self._readers.values() for browser in readers.browsers]
+
+    def _publish_people(self) -> None:
+        people = self.people()
+        for readers in self._read():
+            screen = readers.screen
+            here = "\n".join(f"{name}\t{screen.voice.t(role)}" for name, role in people.items())
+            readers.tell(screen.put("people", {"here": here, "count": str(len(people))}))
+
+    def _tell_watched(self) -> None:
+        """At once, but not as often as pages can turn; the next tick makes up for it."""
+        self._watched_is_due = not self._tellings.take(self._clock())
+        if self._watched_is_due:
+            return
+        for bus, live in self.live.buses.items():
+            units = self._pages.units(bus) or (sorted(live.units) if self.connected else [])
+            wish = (units, self._pages.is_traced(bus))
+            if self._watched.get(bus, ([], False)) != wish:
+                self._watched[bus] = wish
+                self._watch(bus, *wish)

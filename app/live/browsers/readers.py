@@ -1,0 +1,78 @@
+"""The open pages of one language: told the same, in the same turn of the loop, by the same bytes.
+
+What is held back, in a flood or among very many pages, is held back once for all of them and goes together.
+So a number is what they were told last, and a page that opens in between gets a snapshot of that number: it
+is newer than the number says, and what was held back will say again what it knows already.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from app.live.browsers.browser import Browser, Diff
+from app.live.browsers.flow import Flow
+from app.live.screen.screen import Groups, Screen
+
+
+@dataclass(eq=False, slots=True)
+class Readers:
+    """Who reads a language, and how far all of them are. ``clock``: seconds since the epoch."""
+
+    screen: Screen
+    clock: Callable[[], float]
+    flow: Flow = field(default_factory=Flow)
+    browsers: deque[Browser] = field(default_factory=deque)
+    """Each is the first in its turn: to write to all takes a while, and nobody shall always be the last."""
+    number: int = 0
+    _held: Groups = field(default_factory=dict)
+    _due: asyncio.TimerHandle | None = None
+
+    def join(self, browser: Browser) -> None:
+        """One more, told everything first."""
+        self.browsers.append(browser)
+        self.tell_everything(browser)
+
+    def leave(self, browser: Browser) -> None:
+        """One less. What nobody waits for is dropped."""
+        self.browsers.remove(browser)
+        if not self.browsers:
+            self._held = {}
+            if self._due is not None:
+                self._due.cancel()
+                self._due = None
+
+    def tell_everything(self, browser: Browser) -> None:
+        """The snapshot, to a page that opened or missed a number."""
+        browser.say({"is": "snapshot", "n": self.number, "t": round(self.clock(), 3), "f": self.screen.shown})
+
+    def tell(self, groups: Groups, *, always: bool = False) -> None:
+        """What is different now, at once or with what comes next. ``always``: even when nothing is."""
+        if not self.browsers or not (groups or always):
+            return
+        self.flow.came(len(groups) or 1)
+        if self._due is not None:
+            self._hold(groups)
+        elif pause_s := self.flow.pause_s():
+            self._hold(groups)
+            self._due = asyncio.get_running_loop().call_later(pause_s, self._release)
+        else:
+            self._publish(groups)
+
+    def _hold(self, groups: Groups) -> None:
+        for group, fields in groups.items():
+            self._held.setdefault(group, {}).update(fields)
+
+    def _release(self) -> None:
+        groups, self._held, self._due = self._held, {}, None
+        self._publish(groups)
+
+    def _publish(self, groups: Groups) -> None:
+        self.flow.told()
+        diff = Diff(self.number, self.number + 1, self.clock(), groups)
+        self.number = diff.after
+        self.browsers.rotate()
+        for browser in self.browsers:
+            browser.tell(diff)

@@ -1,0 +1,107 @@
+"""The WebSocket ``/live`` of an open page: it is told what changes; it asks for nothing but a snapshot.
+
+Commands never come this way: what was clicked while a socket was down must never be sent later.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from contextlib import suppress
+from typing import Annotated, Literal
+
+import msgspec
+from fastapi import APIRouter, WebSocket
+from starlette.websockets import WebSocketDisconnect
+
+from app.errors import Problem
+from app.live.browsers.browser import Browser
+from app.live.browsers.hub import Hub
+from app.server.addresses import source_of
+from app.server.frames import outlet_of
+from app.web.access import Person, Role, Viewer
+from app.web.services import service_of
+from app.web.templating import templates_of
+from bus.bucket import Bucket
+from bus.messages import Message
+
+router = APIRouter()
+
+SILENCE_ENDS_S = 30.0
+"""A page that says nothing for this long is gone; it speaks every ten seconds."""
+
+
+MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE = 2.0, 10
+SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE = 0.5, 3
+"""Of one page. The whole state is a quarter of a megabyte for a large line."""
+
+
+class Said(msgspec.Struct, forbid_unknown_fields=True):
+    """What a page may say. ``units``: the units it shows, as ``bus/unit``; ``trace``: a bus to follow, for an
+    engineer, because whoever sees the frames sees every value that passed."""
+
+    want: Literal["", "snapshot"] = ""
+    units: Annotated[list[Annotated[str, msgspec.Meta(max_length=48)]], msgspec.Meta(max_length=512)] = []
+    trace: Annotated[str, msgspec.Meta(max_length=40)] = ""
+
+
+_decoder = msgspec.json.Decoder(Said)
+
+
+@router.websocket("/live")
+async def live(websocket: WebSocket, person: Viewer, language: str = "") -> None:
+    """One page from its opening to its end. ``language``: the page's own, so that both are the same."""
+    hub, address = service_of(websocket, Hub), source_of(websocket.client.host if websocket.client else "")
+    if not hub.admission.enter(person.account, address, time.monotonic()):
+        raise Problem(429, "too_many", Message("too_many_pages")).with_headers(Retry_After="10")
+    try:
+        await _serve(websocket, person, language, hub)
+    finally:
+        hub.admission.leave(person.account, address)
+
+
+async def _serve(websocket: WebSocket, person: Person, language: str, hub: Hub) -> None:
+    await websocket.accept()
+    templates = templates_of(websocket)
+    if language not in templates.languages:
+        language = templates.language_of(websocket).tag
+    browser = Browser(person.account, person.role.value, language, outlet_of(websocket.scope))
+    hub.join(browser)
+    writing = asyncio.create_task(_write(websocket, browser))
+    try:
+        await _listen(websocket, browser, hub)
+    except (WebSocketDisconnect, msgspec.DecodeError, TimeoutError, KeyError, RuntimeError):
+        with suppress(RuntimeError):
+            await websocket.close()
+    finally:
+        hub.leave(browser)
+        writing.cancel()
+
+
+async def _write(websocket: WebSocket, browser: Browser) -> None:
+    with suppress(WebSocketDisconnect, RuntimeError):
+        while True:
+            for text in await browser.next():
+                await websocket.send_text(text)
+
+
+async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
+    """A page that says more than its share is listened to more slowly."""
+    messages = Bucket(MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE)
+    snapshots = Bucket(SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE)
+    while True:
+        async with asyncio.timeout(SILENCE_ENDS_S):
+            said = _decoder.decode(await websocket.receive_text())
+        if not messages.take(time.monotonic()):
+            await asyncio.sleep(1 / MESSAGES_A_SECOND)
+        may_trace = Role(browser.role).includes(Role.ENGINEER)
+        hub.follow(browser, frozenset(_unit(key) for key in said.units), said.trace if may_trace else "")
+        if said.want == "snapshot":
+            if not snapshots.take(time.monotonic()):
+                await asyncio.sleep(1 / SNAPSHOTS_A_SECOND)
+            hub.send_snapshot(browser)
+
+
+def _unit(key: str) -> tuple[str, int]:
+    bus, _, number = key.rpartition("/")
+    return (bus, int(number)) if number.isdecimal() and len(number) < 4 else ("", 0)

@@ -1,0 +1,93 @@
+"""What is abnormal on the line, the worst first. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from app.live.diagnosis.cause import Cause, unit_cause
+from app.live.diagnosis.rungs import Level
+from app.live.diagnosis.suspicion import suspicion
+from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.onset import Onset
+from bus.contract import UnitLinkState
+
+LEVELS: tuple[Level, ...] = ("urgent", "high", "low")
+_BEFORE_ALL = frozenset(
+    ("worker_lost", "worker_silent", "port_lost", "unit_unknown", "unit_offline", "estop_active")
+)
+"""While one of these holds, nothing else about a unit matters."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnitView:
+    """How a unit looks at one moment. ``cause``: what its first line names; None where there is nothing."""
+
+    unit: UnitLive
+    link: UnitLinkState
+    cause: Cause | None
+    blocked: str = ""
+
+    @property
+    def level(self) -> Level:
+        """How soon it needs a person."""
+        return self.cause.level if self.cause is not None else ""
+
+
+@dataclass(slots=True)
+class Tally:
+    """How many units are in which state."""
+
+    units: int = 0
+    online: int = 0
+    at_speed: int = 0
+    at_zero: int = 0
+    ramping: int = 0
+    off_speed: int = 0
+
+    def count(self, view: UnitView) -> None:
+        """Take in one unit. A unit that does not respond is in no state."""
+        self.units += 1
+        if view.link != "online":
+            return
+        state = view.unit.motion.state
+        self.online += 1
+        self.at_speed += state == "at_speed"
+        self.at_zero += state == "at_zero"
+        self.ramping += state.startswith("ramping")
+        self.off_speed += state in ("off_speed", "stopped", "stopping", "turning")
+
+
+def shown_cause(bus: BusLive, unit: UnitLive, now: float, *, blocked: str, drifted: str) -> Cause | None:
+    """What the first line of a unit names: the first broken rung, else what else is abnormal about it.
+
+    ``blocked``: why commands are blocked, ``drifted``: in what it departs from its golden set; "": not so.
+    """
+    cause = unit_cause(bus, unit, now)
+    if cause is not None and cause.code in _BEFORE_ALL:
+        return cause
+    return next(_others(cause, suspicion(bus, unit), blocked, drifted), cause)
+
+
+def _others(cause: Cause | None, suspected: str, blocked: str, drifted: str) -> Iterator[Cause]:
+    if suspected:
+        yield Cause("address_suspect", "high", params={"why": suspected})
+    if cause is not None and cause.level:
+        yield cause
+    if blocked:
+        yield Cause("blocked", "low", params={"why": blocked})
+    if drifted:
+        yield Cause("drift", "low", params={"why": drifted})
+
+
+def all_offline(views: list[UnitView]) -> Cause | None:
+    """That no unit of a whole bus responds: one cause for all of them."""
+    silent = [
+        view.cause for view in views if view.cause and view.cause.code in ("unit_offline", "unit_unknown")
+    ]
+    if len(views) < 2 or len(silent) < len(views):
+        return None
+    lost = [cause.onset.at for cause in silent if cause.onset is not None]
+    if not lost:
+        return Cause("no_unit_yet", "low")
+    return Cause("no_unit_responds", "urgent", Onset(max(lost)))

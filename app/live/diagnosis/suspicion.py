@@ -1,0 +1,32 @@
+"""Whether another unit may be answering in a unit's name. Pure.
+
+An answer bears the address that was asked and nothing else, so one that comes from a unit with a broken
+address decoder looks like the right one. Two things speak: the address that whoever answers reads in its own
+#17, and that every answer but its own comes twice.
+"""
+
+from __future__ import annotations
+
+from app.live.state.bus_live import BusLive, UnitLive
+from bus.catalogue.numbers import OWN_ADDRESS
+
+
+def suspicion(bus: BusLive, unit: UnitLive) -> str:
+    """Why the values shown for ``unit`` may be another's, in words; empty where nothing says so.
+
+    It warns and forbids nothing: an address changed at the panel (#17) may hold from the next power-up only.
+    """
+    own = unit.parameter_raw(OWN_ADDRESS)
+    if own not in (None, unit.settings.id) and _most_read_their_own_address(bus):
+        return f"perhaps unit {own} answers for it (#17)"
+    everybody = bus.figures.answers_for_all if bus.figures is not None else 0
+    if everybody not in (0, unit.settings.id):
+        return f"perhaps unit {everybody} answers for it (each answer comes twice)"
+    return ""
+
+
+def _most_read_their_own_address(bus: BusLive) -> bool:
+    """Where they do not, #17 says something else in these units, and nothing about who answers."""
+    read = [(unit.parameter_raw(OWN_ADDRESS), unit.settings.id) for unit in bus.units.values()]
+    said = [own == address for own, address in read if own is not None]
+    return 2 * sum(said) > len(said)

@@ -1,0 +1,1 @@
+"""The state as the texts that a page shows. Pure."""

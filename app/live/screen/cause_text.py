@@ -1,0 +1,119 @@
+"""A cause in the words of a reader's language: what is so, since when, and what to check. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from app.live.diagnosis.cause import Cause
+from app.live.screen.fields import Voice
+
+MINUTE_S, LONG_RAMP_S = 60, 120
+
+CAUSE_TEXTS = {
+    "estop_active": "e-stop input active",
+    "run_off": "run input off",
+    "running_without_run": "turning without run",
+    "not_in_remote": "in {mode}",
+    "link_stale": "response overdue",
+    "unit_offline": "offline",
+    "unit_unknown": "no response yet",
+    "no_unit_yet": "no unit has responded yet",
+    "no_unit_responds": "no unit responds",
+    "port_lost": "port closed",
+    "worker_lost": "bus worker not connected",
+    "worker_silent": "bus worker does not respond",
+    "address_suspect": "address in doubt",
+    "blocked": "commands blocked",
+}
+"""By code. What a unit does meanwhile stands before it (:data:`MOTION_TEXTS`), and why after it; a drift has
+nothing but that."""
+MOTION_TEXTS = {
+    "stopped": "stopped",
+    "stopping": "still turning",
+    "turning": "turning",
+    "off_speed": "off speed",
+}
+STOPPED_WITH_RUN = "stopped with run input on"
+CHECK_TEXTS = {
+    "estop_active": "Check the e-stop chain of this unit",
+    "run_off": "Check the run contact at the drive",
+    "running_without_run": "Check what turns this section, and keep away from it",
+    "not_in_remote": "Commands from here are refused; set REMOTE at the unit's panel",
+    "link_stale": "Check its power and the cable",
+    "unit_offline": "Check its power and the cable",
+    "unit_unknown": "Check its power, its address and the cable",
+    "port_lost": "Check the adapter and its cable",
+    "worker_lost": "Check that the bus worker runs and reaches this server",
+    "worker_silent": "Check that the bus worker runs and reaches this server",
+    "address_suspect": "Check that every unit has an address of its own (#17)",
+    "not_at_speed": "Check the load and the speed feedback",
+}
+"""What a person does about it, by code; nothing where only time or a decision helps."""
+
+
+def cause_text(cause: Cause, voice: Voice) -> str:
+    """What is so, without its time: ``Stopped: run input off``."""
+    return sentence(_motion(cause, voice), _what(cause, voice), _why(cause, voice))
+
+
+def cause_line(cause: Cause, voice: Voice, now: float) -> str:
+    """What is so and since when: ``Stopped: run input off since 02:22``."""
+    what = f"{_what(cause, voice)} {since_text(cause, voice, now)}".rstrip()
+    return sentence(_motion(cause, voice), what, _why(cause, voice))
+
+
+def since_text(cause: Cause, voice: Voice, now: float) -> str:
+    """``since 02:22``; empty where no time is known. A ramp says how long it still takes instead."""
+    onset = cause.onset
+    if onset is None or cause.code == "ramping":
+        return ""
+    time = voice.formats.since(onset.at, now)
+    return voice.t("since {time}", time=time) if onset.exact else voice.t("since at least {time}", time=time)
+
+
+def check_text(cause: Cause | None, voice: Voice) -> str:
+    """What to check; empty where nothing is to be done."""
+    text = CHECK_TEXTS.get(cause.code, "") if cause is not None else ""
+    return voice.t(text) if text else ""
+
+
+def sentence(*parts: str) -> str:
+    """Parts that explain each other as one text with a capital at its head; empty ones are left out."""
+    text = ": ".join(part for part in parts if part)
+    return text[:1].upper() + text[1:]
+
+
+def _motion(cause: Cause, voice: Voice) -> str:
+    motion = cause.params.get("motion", "")
+    return voice.t(MOTION_TEXTS[motion]) if motion and cause.code != "not_at_speed" else ""
+
+
+def _what(cause: Cause, voice: Voice) -> str:
+    if cause.code == "not_at_speed":
+        return voice.t(
+            STOPPED_WITH_RUN if cause.params.get("motion") == "stopped" else MOTION_TEXTS["off_speed"]
+        )
+    if cause.code == "ramping":
+        return _ramp(cause.params, voice)
+    text = CAUSE_TEXTS.get(cause.code, "")
+    return voice.t(text, **_named(cause)) if text else ""
+
+
+def _named(cause: Cause) -> dict[str, Any]:
+    return {"mode": cause.params["mode"]} if "mode" in cause.params else {}
+
+
+def _why(cause: Cause, voice: Voice) -> str:
+    why = cause.params.get("why")
+    return voice.t(why) if why else ""
+
+
+def _ramp(params: Mapping[str, Any], voice: Voice) -> str:
+    target = voice.formats.fixed(params["target_raw"], params["decimals"])
+    left = params["seconds_left"]
+    if not left:
+        return voice.t("ramping to {target}", target=target)
+    if left < LONG_RAMP_S:
+        return voice.t("ramping to {target}, about {n} s left", target=target, n=left)
+    return voice.t("ramping to {target}, about {n} min left", target=target, n=round(left / MINUTE_S))

@@ -1,0 +1,238 @@
+"""One unit, one bus, as the texts and positions that a browser puts on the page. Pure.
+
+A group (``bus/unit``, ``bus``, ``line``) has fields; a field is a short text, rendered here once per
+language for all browsers. Positions are fractions as text; bits are strings of ``0`` and
+``1``, of which a lamp shows one place. An empty text means: not known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from app.live.state.age import figures_now, offline_after_s, scan_s_of, stale_after_s
+from app.live.state.bus_live import BusLive, UnitLive, follower, speed_decimals
+from app.live.state.conditions import bits_of, mode_of
+from app.live.state.motion import State
+from app.messages import Language
+from app.web.formats import UNKNOWN, Formats
+from bus.catalogue.numbers import (
+    ANALOG_IN_HIGH,
+    ANALOG_IN_LOW,
+    AT_SPEED_WINDOW,
+    DECIMALS,
+    MAX_DISPLAY,
+    RATIO_SETPOINT,
+)
+from bus.catalogue.status import StatusBits
+from bus.catalogue.values import RATIO_DECIMALS, analog_input_value
+from bus.contract import Reading, UnitFigures, UnitLinkState
+from bus.errors import unit_error
+from bus.messages import Message
+
+DEVIATION_WINDOWS = 3
+"""Half the width of a deviation bar in at-speed windows, so that the band is its middle third."""
+
+STATE_WORDS: dict[State, str] = {
+    "": "not known",
+    "at_speed": "at speed",
+    "at_zero": "at zero",
+    "ramping_up": "ramping up",
+    "ramping_down": "ramping down",
+    "off_speed": "off speed",
+    "stopped": "stopped",
+    "stopping": "still turning",
+    "turning": "turning without run",
+}
+MODE_WORDS = {"": UNKNOWN, "remote": "REMOTE", "local": "LOCAL", "keylock": "KEYLOCK"}
+PORT_WORDS = {"open": "open", "closed": "closed"}
+
+Fields = dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Voice:
+    """How one language says things."""
+
+    language: Language
+    formats: Formats
+
+    def t(self, text: str | Message, /, **values: object) -> str:
+        """The text in this language."""
+        return self.language.t(text, **values)
+
+    def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
+        """The text for a count: ``one`` for exactly one, else ``many``; ``{n}`` in it is the count."""
+        return self.language.tn(one, many, n, **values)
+
+
+def unit_key(bus: str, unit: int) -> str:
+    """The group of a unit's fields."""
+    return f"{bus}/{unit}"
+
+
+def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, voice: Voice) -> Fields:
+    """What a page shows of one unit as it reads."""
+    state = unit.motion.state
+    fields = {"link": link, "staged": _staged(unit, voice), "ratio": _ratio(bus, unit, voice)}
+    reading = unit.reading
+    if reading is None:
+        return fields | _NEVER | {"state_text": voice.t(STATE_WORDS[""])}
+    bits = bits_of(bus, reading)
+    mode = mode_of(unit, bits)
+    # One dictionary that grows, thirty-seven times a second: | would make a new one at each step.
+    fields |= _numbers(bus, unit, reading, voice)
+    fields |= _positions(unit, reading)
+    fields |= {
+        "at": f"{reading.at:.2f}",
+        "state": state,
+        "state_text": voice.t(STATE_WORDS[state]),
+        "mode": mode,
+        "mode_text": MODE_WORDS[mode],
+        "inputs": _inputs(bits),
+        "outputs": _bits(*bits.outputs),
+    }
+    return fields
+
+
+def bus_fields(bus: BusLive, voice: Voice, now: float) -> Fields:
+    """The figures of one bus, and for how long its units' readings count as fresh."""
+    scan_s = scan_s_of(bus)
+    cause = voice.t(bus.link.cause) if bus.link.cause is not None and bus.link.link == "closed" else ""
+    fields = {
+        "link": bus.link.link,
+        "link_text": voice.t(PORT_WORDS[bus.link.link]),
+        "baud": f"{bus.baud}",
+        "carries": voice.t("of what {baud} baud can carry", baud=bus.baud),
+        "cause": cause,
+        "worker": "1" if bus.worker_connected else "0",
+        "stale_after": f"{stale_after_s(scan_s):.2f}",
+        "offline_after": f"{offline_after_s(scan_s):.2f}",
+        "scan": UNKNOWN,
+        "rate": UNKNOWN,
+        "wire": UNKNOWN,
+        "wire_fill": "0",
+        "one_more": UNKNOWN,
+        "noise": UNKNOWN,
+        "diagnosis": cause,
+    }
+    figures = figures_now(bus, now)
+    if figures is None:
+        return fields
+    number = voice.formats.number
+    return fields | {
+        "scan": f"{number(figures.scan_s, 2)} s",
+        "rate": number(figures.scan_hz, 1),
+        "wire": f"{number(100 * figures.wire_utilisation)} %",
+        "wire_fill": f"{min(1.0, figures.wire_utilisation):.3f}",
+        "one_more": f"{number(figures.scan_s_with_one_more, 2)} s",
+        "noise": f"{figures.noise_bytes}",
+        "diagnosis": " ".join(map(voice.t, figures.diagnosis)),
+    }
+
+
+def health_fields(figures: UnitFigures, voice: Voice) -> Fields:
+    """How one unit answers, for whoever has its page open."""
+    naks = [f"{count} x {voice.t(unit_error(code))}" for code, count in sorted(figures.naks.items())]
+    median, most = figures.answer_s_median, figures.answer_s_max
+    times = ""
+    if median is not None and most is not None:
+        number = voice.formats.number
+        times = voice.t(
+            "{median} ms, at most {most} ms", median=number(1000 * median, 1), most=number(1000 * most, 1)
+        )
+    return {
+        "answers": f"{figures.answers}",
+        "timeouts": f"{figures.timeouts}",
+        "checksums": f"{figures.checksum_errors}",
+        "naks": ", ".join(naks) or "0",
+        "answer_time": times,
+    }
+
+
+_NEVER: Fields = {
+    "at": "",
+    "actual": UNKNOWN,
+    "commanded": UNKNOWN,
+    "deviation": UNKNOWN,
+    "analog": UNKNOWN,
+    "fill": "",
+    "mark": "",
+    "band": "",
+    "off": "",
+    "state": "",
+    "mode": "",
+    "mode_text": UNKNOWN,
+    "inputs": "",
+    "outputs": "",
+}
+
+
+def _numbers(bus: BusLive, unit: UnitLive, reading: Reading, voice: Voice) -> Fields:
+    decimals = speed_decimals(bus, unit)
+    return {
+        "actual": voice.formats.fixed(reading.actual, decimals),
+        "commanded": voice.formats.fixed(reading.commanded, decimals),
+        "deviation": _signed(reading.actual - reading.commanded, decimals, voice),
+        "analog": _analog(unit, reading.analog, voice),
+    }
+
+
+def _staged(unit: UnitLive, voice: Voice) -> str:
+    if unit.staged is None:
+        return ""
+    decimals = RATIO_DECIMALS if follower(unit) else unit.parameter_raw(DECIMALS)
+    return voice.formats.fixed(unit.staged, decimals)
+
+
+def _ratio(bus: BusLive, unit: UnitLive, voice: Voice) -> str:
+    """What a follower holds to its master: where its commanded speed is a speed, #37 as last read."""
+    if not follower(unit):
+        return ""
+    if bus.settings.follower_speed == "speed":
+        raw = unit.parameter_raw(RATIO_SETPOINT)
+    else:
+        raw = unit.reading.commanded if unit.reading is not None else None
+    return "" if raw is None else voice.formats.fixed(raw, RATIO_DECIMALS)
+
+
+def _signed(raw: int, decimals: int | None, voice: Voice) -> str:
+    """Nothing too has its sign: the three are of one width in a typeface, where a space is not."""
+    sign = "+" if raw > 0 else "−" if raw < 0 else "±"  # noqa: RUF001 (a true minus sign)
+    return sign + voice.formats.fixed(abs(raw), decimals)
+
+
+def _analog(unit: UnitLive, atd: int, voice: Voice) -> str:
+    low, high = unit.parameter_raw(ANALOG_IN_LOW), unit.parameter_raw(ANALOG_IN_HIGH)
+    if low is None or high is None:
+        return UNKNOWN
+    span = abs(high - low)
+    digits = 0 if span >= 200 else 1 if span >= 20 else 2
+    return voice.formats.number(analog_input_value(atd, low, high), digits)
+
+
+def _positions(unit: UnitLive, reading: Reading) -> Fields:
+    span, window = unit.parameter_raw(MAX_DISPLAY), unit.parameter_raw(AT_SPEED_WINDOW)
+    deviation = _deviation(reading, window or (span or 0) // 100)
+    if not span:
+        return {"fill": "", "mark": "", "band": "", "off": deviation}
+    return {
+        "fill": f"{min(1.0, reading.actual / span):.4f}",
+        "mark": f"{min(1.0, reading.commanded / span):.4f}",
+        "band": f"{min(1.0, 2 * (window or 0) / span):.4f}",
+        "off": deviation,
+    }
+
+
+def _deviation(reading: Reading, window: int) -> str:
+    if window <= 0:
+        return ""
+    share = (reading.actual - reading.commanded) / (window * 2 * DEVIATION_WINDOWS)
+    return f"{0.5 + max(-0.5, min(0.5, share)):.3f}"
+
+
+def _inputs(bits: StatusBits) -> str:
+    return _bits(bits.run, bits.estop_active, bits.preset, bits.reverse, bits.up, bits.down, bits.follower)
+
+
+def _bits(*bits: bool) -> str:
+    return "".join(["1" if bit else "0" for bit in bits])

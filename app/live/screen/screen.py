@@ -1,0 +1,127 @@
+"""The line as it stands on the browsers' pages in one language: what is shown, and what changed.
+
+Between the live state and the sockets: no I/O and no clock. Order of use: :meth:`Screen.see` for what
+a worker reported, :meth:`Screen.settle` once a second for what only time changes; both give the
+fields that are different now.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from app.live.diagnosis.abnormal import UnitView, shown_cause
+from app.live.screen.cause_text import cause_line, check_text, sentence
+from app.live.screen.fields import Fields, Voice, bus_fields, unit_fields, unit_key
+from app.live.screen.sources import Sources
+from app.live.screen.totals import Entry, entries_of, line_fields
+from app.live.state.age import unit_link_now
+from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.live_state import LiveState
+
+Groups = dict[str, Fields]
+WHOLE_LINE = "whole_line"
+"""The group of the totals: a name that no bus can have (a slug holds no underscore)."""
+_DECIDES = {"link", "state", "level", "cause"}
+"""A change of these in a unit may change the strip and the totals of the line."""
+MOST_DEPARTED = 3
+"""Named one by one; more are a number, and the page of recipes has them all."""
+
+
+@dataclass(slots=True)
+class Screen:
+    """What the pages in one language show now."""
+
+    live: LiveState
+    voice: Voice
+    sources: Sources
+    shown: Groups = field(default_factory=dict)
+    entries: list[Entry] = field(default_factory=list)
+    _views: dict[str, UnitView] = field(default_factory=dict)
+
+    def see(self, bus_name: str, units: Iterable[int], now: float, *, whole_bus: bool) -> Groups:
+        """Render what a report touched; gives what is different now."""
+        bus = self.live.buses[bus_name]
+        changed: Groups = {}
+        for number in units:
+            self._put(changed, unit_key(bus_name, number), self._unit(bus_name, bus, bus.units[number], now))
+        if whole_bus:
+            fields = bus_fields(bus, self.voice, now) | {"recipe": self._recipe(bus_name)}
+            self._put(changed, bus_name, fields)
+        if whole_bus or not all(_DECIDES.isdisjoint(fields) for fields in changed.values()):
+            self._put(changed, WHOLE_LINE, self._line(now))
+        return changed
+
+    def settle(self, now: float) -> Groups:
+        """Render everything whose quality has changed by time alone."""
+        changed: Groups = {}
+        for name, bus in self.live.buses.items():
+            aged = [
+                number
+                for number, unit in bus.units.items()
+                if self.shown.get(unit_key(name, number), {}).get("link") != unit_link_now(bus, unit, now)
+                or unit_link_now(bus, unit, now) == "stale"
+            ]
+            for group, fields in self.see(name, aged, now, whole_bus=True).items():
+                changed.setdefault(group, {}).update(fields)
+        return changed
+
+    def refresh(self, now: float) -> Groups:
+        """Render everything anew."""
+        changed: Groups = {}
+        for name, bus in self.live.buses.items():
+            for group, fields in self.see(name, bus.units, now, whole_bus=True).items():
+                changed.setdefault(group, {}).update(fields)
+        return changed
+
+    def put(self, group: str, fields: Fields) -> Groups:
+        """Show something that is no unit and no bus; gives what is different now."""
+        changed: Groups = {}
+        self._put(changed, group, fields)
+        return changed
+
+    def flat(self) -> Fields:
+        """Everything shown, by ``group.field``, for the first paint of a page."""
+        return {
+            f"{group}.{name}": text for group, fields in self.shown.items() for name, text in fields.items()
+        }
+
+    def _put(self, changed: Groups, group: str, fields: Fields) -> None:
+        shown = self.shown.setdefault(group, {})
+        different = {name: text for name, text in fields.items() if shown.get(name) != text}
+        if different:
+            shown.update(different)
+            changed.setdefault(group, {}).update(different)
+
+    def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: float) -> Fields:
+        number = unit.settings.id
+        blocked = self.sources.guards.block_reason(bus_name, number)
+        drifted = self.sources.drift.summary(bus_name, number, self.voice, now)
+        cause = shown_cause(bus, unit, now, blocked=blocked, drifted=drifted.words)
+        view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
+        self._views[unit_key(bus_name, number)] = view
+        fields = unit_fields(bus, unit, view.link, self.voice)
+        line = cause_line(cause, self.voice, now) if cause is not None else ""
+        return fields | {
+            "level": view.level,
+            "cause": line if view.level else "",
+            "status": line or sentence(fields["state_text"]),
+            "check": check_text(cause, self.voice),
+            "blocked": blocked,
+            "drift": drifted.key,
+        }
+
+    def _recipe(self, bus_name: str) -> str:
+        loaded = self.sources.recipes.loaded_words(bus_name)
+        if loaded is None:
+            return ""
+        name, departed = loaded
+        if not departed:
+            return name
+        if len(departed) > MOST_DEPARTED:
+            return self.voice.t("{name}, {n} units departed", name=name, n=len(departed))
+        return self.voice.t("{name}, departed: {units}", name=name, units=", ".join(departed))
+
+    def _line(self, now: float) -> Fields:
+        self.entries = entries_of(self.live, self._views, self.voice, now)
+        return line_fields(self.live, self._views, self.entries, self.voice, now)

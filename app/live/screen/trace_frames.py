@@ -1,0 +1,20 @@
+"""A frame that passed the wire, as the page of a bus shows it, in the page's language."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from app.live.screen.fields import Voice
+from bus.contract import LONGEST_MEANING, Frame
+
+
+def frame_fields(frame: Frame, voice: Voice) -> dict[str, Any]:
+    """``at``: seconds since the epoch; ``hex``: the bytes as they passed; ``meaning``: in the language of
+    ``voice``."""
+    return {
+        "at": round(frame.at, 4),
+        "direction": frame.direction,
+        "hex": frame.data.hex(" ").upper(),
+        "meaning": "; ".join(map(voice.t, frame.meanings))[:LONGEST_MEANING],
+        "valid": frame.valid,
+    }

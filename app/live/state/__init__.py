@@ -1,0 +1,1 @@
+"""The present state of every bus and unit, and what follows from a reading."""

@@ -1,0 +1,69 @@
+"""Whether a unit's word is still to be trusted, from its age. Pure: the time is passed in."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bus.contract import BusFigures, UnitLinkState
+from bus.contract.durations import POLL_BYTES
+from bus.settings import BusSettings, wire_seconds
+
+if TYPE_CHECKING:
+    from app.live.state.bus_live import BusLive, UnitLive
+
+OFFLINE_SCANS = 5
+WORKER_SILENT_AFTER_S = 2.0
+"""A worker tells its figures every second, and beside them whatever its units say."""
+
+
+def stale_after_s(scan_s: float) -> float:
+    """An answer older than this is overdue: two seconds, or two scans where those take longer."""
+    return max(2.0, 2 * scan_s)
+
+
+def offline_after_s(scan_s: float) -> float:
+    """No answer for this long: the unit counts as lost."""
+    return max(10.0, OFFLINE_SCANS * scan_s)
+
+
+def scan_s_of(bus: BusLive) -> float:
+    """How long one round over all units takes: as the worker measured it, else what the wire allows."""
+    if bus.figures is not None and bus.figures.scan_s > 0:
+        return bus.figures.scan_s
+    return scan_s_at_best(bus.settings)
+
+
+def scan_s_at_best(settings: BusSettings) -> float:
+    """The wire time of one poll of every configured unit, seconds."""
+    return wire_seconds(len(settings.unit) * POLL_BYTES, settings.baud)
+
+
+def unit_link_now(bus: BusLive, unit: UnitLive, now: float) -> UnitLinkState:
+    """The worker's opinion, made worse by the age of the reading and by a closed port, never better."""
+    if unit.reading is None:
+        return "unknown"
+    said = unit.link.link
+    if said == "offline":
+        return "offline"
+    age = now - unit.reading.at
+    scan_s = scan_s_of(bus)
+    if age > offline_after_s(scan_s):
+        return "offline"
+    if said != "online" or bus.link.link == "closed" or age > stale_after_s(scan_s):
+        return "stale"
+    return "online"
+
+
+def worker_is_silent(bus: BusLive, now: float) -> bool:
+    """Whether a worker that is connected says nothing: its process stands still, or the way to it is cut."""
+    if not bus.worker_connected or bus.figures is None:
+        return False
+    since = now - WORKER_SILENT_AFTER_S
+    return bus.figures.at < since and all(
+        unit.reading is None or unit.reading.at < since for unit in bus.units.values()
+    )
+
+
+def figures_now(bus: BusLive, now: float) -> BusFigures | None:
+    """The figures of a bus as far as they are of this moment."""
+    return None if bus.link.link == "closed" or worker_is_silent(bus, now) else bus.figures

@@ -1,0 +1,43 @@
+"""What is said of users, tokens, passwords and PINs."""
+
+from __future__ import annotations
+
+from bus.messages.texts.plural import EnglishText
+
+TEXTS: dict[str, EnglishText] = {
+    "token_exists": "there is a token {name} already; revoke it or choose another name",
+    "no_such_token": "there is no token {name}",
+    "user_exists": "there is a user {name} already; choose another name",
+    "no_such_user": "there is no user {name}",
+    "last_admin": "{name} is the last admin; give another user the role admin first",
+    "panel_pin_by_admin": "the PIN of a panel is changed by an admin",
+    "new_passwords_differ": "the two new passwords differ; nothing was changed",
+    "no_account": "only somebody who signed in has an account to change",
+    "no_such_language": "there is no language '{language}'",
+    "name_not_allowed": "the name '{name}' is not allowed; write 1 to 40 letters, digits, . _ @ or -",
+    "panel_role_too_high": "a panel is operator at most; {role} is for people who sign in",
+    "token_not_for_bus": "a token of role {role} is not for one bus; leave the bus out",
+    "worker_token_needs_bus": "a worker's token is for one bus; name it: {known}",
+    "token_days_out_of_range": "a token expires after 1 to {most} days; {days} is outside",
+    "home_page_elsewhere": "a home page is a path on this server, like / or /units/dry-end/1",
+    "present_password_wrong": "the present password is not right; nothing was changed",
+    "too_many_sign_ins": "too many sign-ins failed; try again in {seconds} s",
+    "panel_with_higher_role": (
+        "the panel {called} has the role {role}; a panel is operator at most; an admin can change it"
+    ),
+    "password_length": "a password has {least} to {most} characters; this one has {count}",
+    "password_contains_user": "the password contains the user name; choose another",
+    "password_contains_site": "the password contains the name of the site; choose another",
+    "password_easy_to_guess": (
+        "the password is easy to guess (common words, repetition, sequences, key runs); choose another"
+    ),
+    "pin_length": "a PIN is 6 to 12 digits",
+    "pin_easy_to_guess": "the PIN is easy to guess (repetition, sequences, key runs); choose another",
+    "token_days_malformed": "the days until a token expires are a whole number, or empty",
+    "worker_token_without_bus": (
+        "the token {called} is for no bus; an admin can create one with --role worker --bus BUS"
+    ),
+    "no_such_role": "there is no role '{role}'; choose one of {known}",
+    "role_needed": "this needs the role {role}; {name} is {present}",
+    "sign_in_needed": "sign in, or send a token that is valid",
+}

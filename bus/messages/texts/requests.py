@@ -1,0 +1,69 @@
+"""What is said of requests: what they address, how they are written, how large they are."""
+
+from __future__ import annotations
+
+from bus.messages.texts.plural import EnglishText, Plural
+
+TEXTS: dict[str, EnglishText] = {
+    "no_such_bus": "there is no bus '{bus}'; there are: {known}",
+    "no_such_unit": "bus '{bus}' has no unit {unit} in lineside.toml",
+    "parameter_unknown_none": "{name}: there is no such parameter; there are none; nothing was sent",
+    "parameter_unknown": "{name}: there is no such parameter; there are: {known}; nothing was sent",
+    "parameter_twice": "{name}: it is given twice; nothing was sent",
+    "too_many_members": "an object has more than {n} members; nothing was sent",
+    "field_unknown": "{name}: there is no such field; nothing was sent",
+    "sent_at_malformed": (
+        "Lineside-Sent-At: write one ISO 8601 time with its zone, such as "
+        "2026-11-21T03:12:00.250Z; nothing was sent"
+    ),
+    "sent_at_in_future": (
+        "Lineside-Sent-At is {ahead} s in the future; set the clock of the sender; nothing was sent"
+    ),
+    "no_such_file": "there is no file {path}",
+    "body_over_megabytes": "more than {n} MB were sent; nothing was done",
+    "body_over_kilobytes": "more than {n} kB were sent; nothing was done",
+    "address_too_long": "nothing here has so long an address",
+    "content_type_too_long": "the Content-Type is too long; nothing was done",
+    "form_charset": "a form has no charset but UTF-8; nothing was done",
+    "came_too_late": (
+        "this came too late: it is {age} s old, and {allowed} s were allowed; nothing was sent. "
+        "Send it again if it is still wanted"
+    ),
+    "two_host_headers": "the request has two Host headers; nothing was done",
+    "host_not_served": "this server is not called '{host}'; ask it under a name of allowed_hosts",
+    "body_not_json": "the body is not JSON; nothing was sent",
+    "body_not_readable": "the body cannot be read; nothing was sent",
+    "body_not_utf8": "the body is not UTF-8 text; nothing was sent",
+    "server_failed": "the server failed at this; its log says why",
+    "foreign_origin": "this came from a page of {origin}, not from here; nothing was done",
+    "too_many_requests": "too many of your requests wait already; let some end",
+    "too_many_pages": "too many pages are open; close some",
+    "nothing_at_path": "there is nothing at {path}",
+    "method_not_for_path": "{method} is not for {path}; nothing was done",
+    "fields_malformed": "{faults}; nothing was sent",
+    "fault_at": "{where}: {fault}",
+    "fault_other": "{text}",
+    "fault_missing": "it is missing",
+    "fault_no_such_field": "there is no such field",
+    "fault_not_an_object": 'it must be a JSON object, {"…": …}, sent as Content-Type: application/json',
+    "fault_at_most_characters": Plural(
+        "String should have at most 1 character", "String should have at most {n} characters"
+    ),
+    "fault_at_least_characters": Plural(
+        "String should have at least 1 character", "String should have at least {n} characters"
+    ),
+    "fault_pattern": "String should match pattern {text}",
+    "fault_at_least": "Input should be greater than or equal to {limit}",
+    "fault_at_most": "Input should be less than or equal to {limit}",
+    "fault_allowed": "Input should be {values}",
+    "fault_integer_unreadable": "Input should be a valid integer, unable to parse string as an integer",
+    "fault_not_an_integer": "Input should be a valid integer",
+    "fault_number_unreadable": "Input should be a valid number, unable to parse string as a number",
+    "fault_not_a_number": "Input should be a valid number",
+    "fault_not_a_text": "Input should be a valid string",
+    "control_character": "character {n} is a control character ({code}); leave it out",
+    "number_given_twice": "{number} is given twice",
+    "raw_or_value": "give either raw (the integer on the wire) or value (as shown)",
+    "value_not_a_number": "value is a number as shown",
+    "no_setpoint_left": "lowest is above highest, so no setpoint would be left",
+}

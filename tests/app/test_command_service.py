@@ -1,0 +1,203 @@
+"""The way from a wish to the wire: written down before it is sent, sent once, one fate whatever happens."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Any
+
+import pytest
+
+from app.audit.store import Filter
+from app.commands.rules.timeouts import timeout_s_for
+from app.errors import Problem, StoreError
+from app.live.state.live_state import LiveState
+from app.web.access import Person, Role
+from app.web.deadline import DEFAULT_TIMEOUT_S
+from bus.contract import (
+    Action,
+    Cancel,
+    ChangeBaud,
+    Command,
+    Progress,
+    ReadParameters,
+    SetLine,
+    SetSpeed,
+    Update,
+    WriteParameter,
+)
+from bus.messages import term
+from tests.app.stage import PlayedWorker, Stage, answering, bus_settings, fate
+
+ANNA = Person("anna", Role.OPERATOR, "token")
+WISH = SetSpeed(unit=1, raw=5)
+
+
+async def commands(stage: Stage) -> list[dict[str, Any]]:
+    """The commands in the events, newest first."""
+    found, _ = await stage.events.page(Filter(kind="command"), 100)
+    return found
+
+
+async def test_the_intent_is_on_disk_before_anything_is_sent(stage: Stage, worker: PlayedWorker) -> None:
+    seen: list[Any] = []
+
+    async def play(command: Command) -> Sequence[Update]:
+        seen.extend((event["what"], event["outcome"]) for event in await commands(stage))
+        return [fate(command, "verified")]
+
+    worker.play = play
+    await stage.desk.ask(ANNA, "dry-end", WISH)
+    assert seen == [("set speed (84h)", None)]
+    assert (await commands(stage))[0]["outcome"] == "verified"
+
+
+async def test_what_cannot_be_written_down_is_not_sent(
+    stage: Stage, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def full(*_: object) -> list[int]:
+        raise StoreError("the disk is full")
+
+    monkeypatch.setattr(stage.events, "intend_together", full)
+    answer = await stage.ask("POST", "/units/1/speed", {"raw": 5})
+    assert (answer.status_code, answer.json()["code"]) == (503, "store")
+    assert worker.commands == []
+
+
+async def test_a_fate_that_cannot_be_written_down_is_told_all_the_same(
+    stage: Stage, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def full(*_: object) -> None:
+        raise StoreError("the disk is full")
+
+    worker.play = answering("verified")
+    monkeypatch.setattr(stage.events, "conclude", full)
+    assert (await stage.desk.ask(ANNA, "dry-end", WISH)).outcome == "verified"
+
+
+async def test_progress_is_told_and_a_change_can_be_given_up(stage: Stage, worker: PlayedWorker) -> None:
+    heard: list[Progress] = []
+    asked = asyncio.create_task(stage.desk.ask(ANNA, "dry-end", WISH, id="mine", listener=heard.append))
+    command = await worker.hear(Command)
+    assert isinstance(command, Command)
+    await worker.update(
+        Progress(id=command.id, at=1.0, stage="sent"), Progress(id="mine", at=1.0, stage="sent")
+    )
+    await stage.desk.cancel("dry-end", command.id)
+    assert await worker.hear(Cancel) == Cancel(id=command.id)
+    await worker.update(fate(command, "not_sent", message=term("given up")))
+    assert (await asked).outcome == "not_sent"
+    assert [progress.stage for progress in heard] == ["sent"]
+
+
+async def test_whoever_asked_may_go_and_the_fate_is_still_written_down(
+    stage: Stage, worker: PlayedWorker
+) -> None:
+    asked = asyncio.create_task(stage.desk.ask(ANNA, "dry-end", WISH, id="mine"))
+    command = await worker.hear(Command)
+    assert isinstance(command, Command)
+    asked.cancel()
+    await worker.update(fate(command, "verified"))
+    assert (await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")).outcome == "verified"
+    assert [event["outcome"] for event in await commands(stage)] == ["verified"]
+    assert len(worker.commands) == 1
+
+
+async def test_whoever_has_lost_the_right_sends_nothing(stage: Stage, worker: PlayedWorker) -> None:
+    stage.rights.withdrawn["anna"] = "rights withdrawn: the role was lowered; nothing more was sent"
+    for action in (WISH, ReadParameters(unit=1, numbers=[6])):
+        with pytest.raises(Problem, match="the role was lowered") as refused:
+            await stage.desk.ask(ANNA, "dry-end", action)
+        assert (refused.value.status, refused.value.code) == (403, "rights_withdrawn")
+    assert worker.commands == []
+    assert (await commands(stage))[-1]["outcome"] == "rights_withdrawn"
+
+
+async def block(stage: Stage) -> str:
+    await stage.guards.block(ANNA, "dry-end", 2, "belt off")
+    return "unit 2 is blocked by anna: belt off"
+
+
+async def withdraw(stage: Stage) -> str:
+    stage.rights.withdrawn["anna"] = "rights withdrawn"
+    return "rights withdrawn"
+
+
+async def hand_over(stage: Stage) -> str:
+    stage.guards.control.required = True
+    stage.guards.control.hand_over("dry-end", "", "ben", time.time(), by_force=True)
+    return "ben holds control of this line"
+
+
+@pytest.mark.parametrize("trouble", [block, withdraw, hand_over])
+@pytest.mark.parametrize(
+    "action", [ChangeBaud(baud=4800), SetLine(setpoints={1: 5, 2: 6})], ids=["baud", "line"]
+)
+async def test_a_long_command_is_given_up_when_it_may_not_go_on(
+    stage: Stage, worker: PlayedWorker, trouble: Callable[[Stage], Awaitable[str]], action: Action
+) -> None:
+    asked = asyncio.create_task(
+        stage.desk.ask(ANNA, "dry-end", action, timeout_s=30, confirm=True, id="mine")
+    )
+    command = await worker.hear(Command)
+    assert isinstance(command, Command)
+    reason = await trouble(stage)
+    assert await worker.hear(Cancel) == Cancel(command.id)
+    await worker.update(fate(command, "not_sent", message=term("given up: every unit is back")))
+    assert str((await asked).message) == f"{reason}; given up: every unit is back"
+    event = next(event for event in await commands(stage) if event["unit"] is None)
+    assert (event["outcome"], event["message"]) == ("not_sent", f"{reason}; given up: every unit is back")
+
+
+@pytest.mark.parametrize("trouble", [block, withdraw, hand_over])
+async def test_what_changes_after_the_check_is_seen_before_the_command_is_sent(
+    stage: Stage, worker: PlayedWorker, trouble: Callable[[Stage], Awaitable[str]]
+) -> None:
+    """What a unit was is stored between the check and the sending, and a disk may be slow."""
+    reasons: list[str] = []
+
+    async def keep(*_: object, **__: object) -> None:
+        reasons.append(await trouble(stage))
+
+    worker.play = answering("verified")
+    stage.desk.on_write(keep)
+    result = await stage.desk.ask(ANNA, "dry-end", WriteParameter(unit=2, number=6, raw=50))
+    assert (result.outcome, str(result.message)) == ("not_sent", reasons[0])
+    assert worker.commands == []
+    event = (await commands(stage))[-1]
+    assert (event["outcome"], event["message"]) == ("not_sent", reasons[0])
+
+
+async def test_checking_alone_sends_and_writes_nothing(stage: Stage, worker: PlayedWorker) -> None:
+    stage.desk.check(ANNA, "dry-end", WISH)
+    with pytest.raises(Problem) as refused:
+        stage.desk.check(ANNA, "dry-end", WriteParameter(unit=1, number=19, raw=0))
+    assert (refused.value.status, refused.value.code) == (409, "dangerous")
+    assert worker.commands == []
+    assert await commands(stage) == []
+
+
+async def test_what_is_wanted_before_a_write_comes_first(stage: Stage, worker: PlayedWorker) -> None:
+    order: list[str] = []
+
+    async def keep(person: Person, bus: str, units: Sequence[int], *, parameters: bool) -> None:
+        order.append(f"kept {person.name} {bus} {[*units]}{' for parameters' if parameters else ''}")
+
+    async def play(command: Command) -> Sequence[Update]:
+        order.append("sent")
+        return [fate(command, "verified")]
+
+    worker.play = play
+    stage.desk.on_write(keep)
+    await stage.desk.ask(ANNA, "dry-end", WriteParameter(unit=1, number=6, raw=50))
+    await stage.desk.ask(ANNA, "dry-end", WISH)
+    await stage.desk.ask(ANNA, "dry-end", ReadParameters(unit=1, numbers=[6]))
+    kept = "kept anna dry-end [1]"
+    assert order == [f"{kept} for parameters", "sent", kept, "sent", "sent"]
+
+
+def test_a_change_of_several_is_given_the_time_of_its_staging() -> None:
+    live = LiveState([bus_settings(turnaround_ms=0)], started_at=0.0).buses["dry-end"]
+    assert timeout_s_for(live) == DEFAULT_TIMEOUT_S
+    assert timeout_s_for(live, 255) == pytest.approx(DEFAULT_TIMEOUT_S + 255 * 220 / 9600)

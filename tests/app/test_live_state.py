@@ -1,0 +1,95 @@
+"""The present state: changed by what workers say and by nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from app.live.state.live_state import NO_WORKER, LiveState
+from app.live.state.snapshot import updates_of
+from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitLink, Update
+from tests.app.stage import bus_settings, reading, snapshot
+
+
+@pytest.fixture
+def live() -> LiveState:
+    return LiveState([bus_settings()], 100.0)
+
+
+def test_at_first_nothing_is_known(live: LiveState) -> None:
+    bus = live.buses["dry-end"]
+    assert (bus.link.link, bus.link.cause, bus.worker_connected) == ("closed", NO_WORKER, False)
+    assert list(bus.units) == [1, 2, 16]
+    assert {unit.link.link for unit in bus.units.values()} == {"unknown"}
+    assert all(unit.reading is None for unit in bus.units.values())
+
+
+def test_each_word_changes_what_it_is_about(live: LiveState) -> None:
+    figures = BusFigures(at=1.0, scan_hz=4.0, scan_s=0.25, wire_utilisation=0.9, scan_s_with_one_more=0.3)
+    link = UnitLink(unit=2, at=1.0, link="online")
+    port = BusLink(at=1.0, link="open")
+    said = reading(2, 55)
+    live.apply("dry-end", [port, figures, link, said, ParameterValue(2, 3, 1.0, 1), Staged(2, 1.0, 77)])
+    bus, unit = live.buses["dry-end"], live.buses["dry-end"].units[2]
+    assert (bus.link, bus.figures) == (port, figures)
+    assert (unit.link, unit.reading, unit.staged, unit.parameter_raw(3)) == (link, said, 77, 1)
+    assert unit.parameter_raw(4) is None
+    live.apply("dry-end", [Staged(2, 2.0, None)])
+    assert unit.staged is None
+    assert live.buses["dry-end"].units[1].reading is None
+
+
+def test_the_rate_is_what_the_worker_said_last(live: LiveState) -> None:
+    bus = live.buses["dry-end"]
+    live.apply("dry-end", [BusLink(at=1.0, link="open")])
+    assert bus.baud == 9600, "as configured where an older worker says none"
+    live.apply("dry-end", [BusLink(at=1.0, link="open", baud=4800)])
+    assert bus.baud == 4800
+
+
+def test_a_unit_that_is_not_configured_is_passed_over(live: LiveState) -> None:
+    live.apply("dry-end", [reading(99), reading(1, 5)])
+    found = live.buses["dry-end"].units[1].reading
+    assert found is not None
+    assert found.commanded == 5
+
+
+def test_a_snapshot_is_the_same_as_its_updates(live: LiveState) -> None:
+    whole = snapshot()
+    other = LiveState([bus_settings()], 100.0)
+    live.worker_came("dry-end", whole, "1.0")
+    other.apply("dry-end", updates_of(whole))
+    assert live.buses["dry-end"].units == other.buses["dry-end"].units
+    assert live.buses["dry-end"].worker_software == "1.0"
+
+
+def test_a_lost_worker_leaves_the_readings_and_takes_the_trust(live: LiveState) -> None:
+    live.worker_came("dry-end", snapshot(), "1.0")
+    live.apply("dry-end", [UnitLink(unit=16, at=1.0, link="offline")])
+    live.worker_went("dry-end", 9.0)
+    bus = live.buses["dry-end"]
+    assert (bus.link, bus.figures) == (BusLink(at=9.0, link="closed", cause=NO_WORKER), None)
+    assert bus.units[1].reading is not None
+    assert [unit.link.link for unit in bus.units.values()] == ["stale", "stale", "offline"]
+
+
+def test_subscribers_hear_every_change_until_they_leave(live: LiveState) -> None:
+    heard: list[tuple[str, Sequence[Update]]] = []
+    leave = live.subscribe(lambda bus, updates: heard.append((bus, updates)))
+    said = [reading(1)]
+    live.apply("dry-end", said)
+    leave()
+    live.apply("dry-end", [reading(1)])
+    assert heard == [("dry-end", said)]
+
+
+def test_a_subscriber_that_fails_keeps_nobody_from_hearing(live: LiveState) -> None:
+    def fail(bus: str, updates: Sequence[Update]) -> None:
+        raise RuntimeError(bus, updates)
+
+    heard: list[str] = []
+    live.subscribe(fail)
+    live.subscribe(lambda bus, _: heard.append(bus))
+    live.apply("dry-end", [reading(1, 5)])
+    assert heard == ["dry-end"]
