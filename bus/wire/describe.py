@@ -214,8 +214,9 @@ def _in_context(reply: Reply, asked: Request, wire: bytes, dialect: Dialect) -> 
             return Described(reply.unit, "parameter_value", fields, _of_unit(reply.unit, value), wire)
         case _:
             data = reply.data if isinstance(reply, Ack) else b""
-            code = "request_accepted_with_value" if data else "request_accepted"
-            accepted = Message.of(code, request=_name_of(asked))
+            accepted = Message.of(
+                "request_accepted_with_value" if data else "request_accepted", request=_name_of(asked)
+            )
             return Described(reply.unit, "ack", _data_fields(data), _of_unit(reply.unit, accepted), wire)
 
 
@@ -239,8 +240,8 @@ def _without_request(mark: int, data: bytes) -> tuple[str, dict[str, Json], Mess
             _data_fields(data),
             Message.of("ack_with_value", raw=int.from_bytes(data, "big")),
         )
-    code = "ack_of_wrong_length" if mark == ACK else "nak_of_wrong_length"
-    return "unknown", {"data": data.hex(" ").upper()}, Message.of(code, count=len(data))
+    meaning = Message.of("ack_of_wrong_length" if mark == ACK else "nak_of_wrong_length", count=len(data))
+    return "unknown", {"data": data.hex(" ").upper()}, meaning
 
 
 def _data_fields(data: bytes) -> dict[str, Json]:
