@@ -25,6 +25,7 @@ from app.auth.passwords import Passwords
 from app.auth.rights import Rights
 from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
+from app.bus_service import BusService
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import Desk
 from app.database import Database
@@ -35,13 +36,14 @@ from app.history.service import History
 from app.history.status import sentence
 from app.history.status_words import status_words
 from app.live.browsers.hub import Hub
+from app.live.change_recorder import ChangeRecorder
 from app.live.screen.fields import Voice
 from app.live.screen.sources import Sources
 from app.live.state.live_state import LiveState
 from app.live.state.onset_lookup import OnsetLookup
 from app.metrics.counts import Counts
 from app.metrics.measured import MetricSources
-from app.pipeline import Pipeline
+from app.pipeline import record_history_faults
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore
 from app.sets.first_write import FirstWrites
@@ -86,7 +88,8 @@ class Services:
     live: LiveState
     sources: Sources
     history: History
-    pipeline: Pipeline
+    buses: Mapping[str, BusService]
+    recorder: ChangeRecorder
     workers: Workers
     hub: Hub
     safeguards: Safeguards
@@ -112,14 +115,17 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
     assets = Assets(static_dir())
     compiled = settings.server.data / "compiled"
     templates = Templates(templates_dir(), assets, settings.site, demo=demo, kept_in=compiled)
-    buses, site = [bus.name for bus in settings.bus], settings.site
-    accounts = Accounts(database, passwords, events, buses=buses, site=site.name)
+    site = settings.site
+    names = [bus.name for bus in settings.bus]
+    accounts = Accounts(database, passwords, events, buses=names, site=site.name)
     rights = Rights(database, accounts)
     lifetimes = Lifetimes.of(settings.server.sessions)
     sign_in = SignIn(database, passwords, events, lifetimes, site=site.name)
     live, history = LiveState(settings.bus, time()), History(settings)
-    pipeline = Pipeline(live, history, events)
-    workers = Workers(buses, pipeline)
+    recorder = ChangeRecorder(events)
+    record_history_faults(history, recorder)
+    buses = {name: BusService(bus, history, events) for name, bus in live.buses.items()}
+    workers = Workers({name: bus.feed for name, bus in buses.items()}, recorder)
     safeguards = Safeguards(
         database,
         events,
@@ -128,7 +134,8 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         rights=rights,
         sessions=sign_in,
     )
-    desk = Desk(live, workers.channels, events, database, safeguards, rights)
+    channels = {name: bus.channel for name, bus in buses.items()}
+    desk = Desk(live, channels, events, database, safeguards, rights)
     reader = ParameterReader(live, desk)
     sets = SetKeeper(live, reader, SetStore(database), events, rights)
     restores = RestoreDesk(reader, desk, events, RestoreStore(database))
@@ -141,7 +148,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         notices=partial(_notices, history, anchoring),
         history_fault=lambda: history.status.message,
     )
-    hub = Hub(live, sources, templates, workers.watch, time)
+    hub = Hub(live, sources, templates, {name: bus.feed.watch for name, bus in buses.items()}, time)
     return Services(
         settings=settings,
         assets=assets,
@@ -157,7 +164,8 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         live=live,
         sources=sources,
         history=history,
-        pipeline=pipeline,
+        buses=buses,
+        recorder=recorder,
         workers=workers,
         hub=hub,
         safeguards=safeguards,
@@ -194,7 +202,8 @@ async def running(services: Services) -> AsyncIterator[None]:
     works = (
         *((services.anchoring.follow,) if services.anchoring else ()),
         services.events.repeated.follow,
-        services.pipeline.record,
+        services.recorder.follow,
+        *(bus.recorder.follow for bus in services.buses.values()),
         services.hub.beat,
         services.onsets.follow,
         services.history.inspect_daily,
@@ -211,7 +220,8 @@ async def running(services: Services) -> AsyncIterator[None]:
     finally:
         with suppress(TimeoutError):
             async with asyncio.timeout(RECORDED_WITHIN_S):
-                await services.pipeline.recorded()
+                for recorder in (services.recorder, *(bus.recorder for bus in services.buses.values())):
+                    await recorder.recorded()
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)

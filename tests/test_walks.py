@@ -94,9 +94,9 @@ class PlayedConnection:
 
 
 async def connected(house: House) -> PlayedConnection:
-    services, connection = house.services, PlayedConnection()
-    channel, bucket = services.workers.channels[BUS], Bucket(1000.0, 1000)
-    connection.ingest = Ingest(hello(), Received("w1"), channel, services.pipeline, connection, bucket)
+    bus, connection = house.services.buses[BUS], PlayedConnection()
+    bucket = Bucket(1000.0, 1000)
+    connection.ingest = Ingest(hello(), Received("w1"), bus.channel, bus.pipeline, connection, bucket)
     await connection.ingest.receive(encode(snapshot()))
     return connection
 

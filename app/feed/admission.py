@@ -4,21 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from app.feed.holders import Credential, Holder
+from app.feed.holders import Credential
 from bus.contract import CONTRACT_VERSION, Hello
 
-HELD = "another worker has this bus, or had it a moment ago"
 
-
-def refusal(
-    hello: Hello,
-    credential: Credential,
-    buses: Collection[str],
-    holder: Holder | None,
-    now: float,
-) -> str:
-    """Why a worker is refused, in words for whoever runs it; empty where it is admitted. ``buses``: those of
-    the configuration; ``holder``: of the bus that it says hello for; ``now``: monotonic."""
+def refusal(hello: Hello, credential: Credential, buses: Collection[str]) -> str:
+    """Why no bus is for this worker, in words for its operator; empty where there is one. ``buses``: those of
+    the configuration."""
     if hello.version != CONTRACT_VERSION:
         return (
             f"this dashboard speaks version {CONTRACT_VERSION} of the link and the worker {hello.version}: "
@@ -29,6 +21,4 @@ def refusal(
     if hello.bus not in buses:
         known = ", ".join(buses) or "none"
         return f"no [[bus]] is called {hello.bus} in this dashboard's lineside.toml (it has: {known})"
-    if holder is not None and not holder.yields_to(hello.worker, credential, now):
-        return HELD
     return ""

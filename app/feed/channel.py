@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from app.feed.plausibility import result_for
-from app.live.state.live_state import NO_WORKER
+from app.live.state.bus_live import NO_WORKER
 from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, Reserve, Result, Watch
 from bus.messages import Message
 
@@ -57,8 +57,7 @@ class _Asked:
 class Channel:
     """Commands and wishes for one bus, over whichever connection its worker has now."""
 
-    def __init__(self, bus: str, *, patience_s: float = PATIENCE_S, reask_s: float = REASK_WITHIN_S) -> None:
-        self.bus = bus
+    def __init__(self, *, patience_s: float = PATIENCE_S, reask_s: float = REASK_WITHIN_S) -> None:
         self._patience_s = patience_s
         self._reask_s = reask_s
         self._connection: Connection | None = None

@@ -54,14 +54,14 @@ class Ingest:
         bucket: Bucket,
         now: Callable[[], float] = time.time,
     ) -> None:
-        self.hello = hello
+        self._hello = hello
         self._received = received
         self._channel = channel
         self._pipeline = pipeline
         self._connection = connection
         self._bucket = bucket
         self._now = now
-        self._units: Collection[int] = pipeline.units_of(hello.bus)
+        self._units: Collection[int] = pipeline.units
         self._clock = WorkerClock()
         self._snapshot_seq: int | None = None
         self._snapshot_wanted = False
@@ -109,9 +109,9 @@ class Ingest:
         self._snapshot_seq = snapshot.seq
         self._snapshot_wanted = False
         whole = judge_snapshot(shifted(snapshot, self._clock.offset_s), self._units, self._now())
-        self._pipeline.snapshot(self.hello.bus, whole, self.hello.software)
+        self._pipeline.snapshot(whole, self._hello.software)
         if first:
-            await self._channel.opened(self._connection, self.hello.worker)
+            await self._channel.opened(self._connection, self._hello.worker)
 
     async def _take_batch(self, batch: Batch) -> None:
         if self._snapshot_seq is None:
@@ -130,11 +130,11 @@ class Ingest:
             if isinstance(update, Result | Progress):
                 self._channel.on_update(update, self._connection)
         if updates.late:
-            self._pipeline.batch(self.hello.bus, updates.late, live=False)
+            self._pipeline.batch(updates.late, live=False)
         if updates.live:
-            self._pipeline.batch(self.hello.bus, updates.live, live=True)
+            self._pipeline.batch(updates.live, live=True)
         if updates.refused:
-            self._pipeline.updates_refused(self.hello.bus, self._now(), updates.refused)
+            self._pipeline.updates_refused(self._now(), updates.refused)
 
     async def _miss(self, batch: Batch, expected: int) -> None:
         if batch.seq > expected and not self._snapshot_wanted:
@@ -150,4 +150,4 @@ class Ingest:
         now = self._now()
         step = self._clock.hear(sent_at, now, time.monotonic())
         if step:
-            self._pipeline.clock_stepped(self.hello.bus, step, now)
+            self._pipeline.clock_stepped(step, now)

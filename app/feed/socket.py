@@ -9,8 +9,9 @@ from fastapi import APIRouter, WebSocket
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from app.errors import Problem
+from app.feed.bus_feed import WorkerLeft
 from app.feed.holders import Credential
-from app.feed.workers import WorkerLeft, Workers
+from app.feed.workers import Workers
 from app.web.access import Worker
 from app.web.services import service_of
 from bus.contract import AppMessage, MalformedMessageError, encode
@@ -27,7 +28,7 @@ REASON_BYTES = 123
 
 
 class WorkerSocket:
-    """Starlette's WebSocket with the words of :class:`app.feed.workers.Socket`."""
+    """Starlette's WebSocket with the words of :class:`app.feed.bus_feed.WorkerConnection`."""
 
     def __init__(self, websocket: WebSocket) -> None:
         self._websocket = websocket

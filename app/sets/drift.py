@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from app.audit.log import Event, EventLog
 from app.live.screen.fields import Voice
@@ -56,7 +57,8 @@ class Drifts:
         self._found: dict[Key, dict[int, Departure]] = {}
         self._background = Background()
         self._subscribers: list[UnitSubscriber] = []
-        state.subscribe(self._see)
+        for name, bus in state.buses.items():
+            bus.subscribe(partial(self._see, name))
 
     def on_change(self, subscriber: UnitSubscriber) -> None:
         """Call ``subscriber`` when the departures of a unit have changed."""

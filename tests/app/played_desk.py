@@ -150,12 +150,11 @@ def a_bus() -> LiveState:
 def answering(live: LiveState, commanded: int = 1000, *, run: bool = False, remote: bool = True) -> None:
     """Both units have answered, with all that is needed to show them."""
     outputs, inputs = REMOTE if remote else 0, HEALTHY | (RUN if run else 0)
-    live.apply("dry-end", [BusLink(at=1.0, link="open")])
+    live.buses["dry-end"].apply([BusLink(at=1.0, link="open")])
     for unit in (1, 2):
         needed = {2: 20000, 3: 1, 6: 100, 7: 50, 8: 0}
-        live.apply("dry-end", [UnitLink(unit=unit, at=1.0, link="online")])
-        live.apply(
-            "dry-end",
+        live.buses["dry-end"].apply([UnitLink(unit=unit, at=1.0, link="online")])
+        live.buses["dry-end"].apply(
             [Reading(unit, fresh(), commanded, commanded, 0, outputs, inputs)]
             + [ParameterValue(unit=unit, number=number, at=1.0, raw=raw) for number, raw in needed.items()],
         )
@@ -187,4 +186,4 @@ class SetScene:
     def tells(self, unit: int, *numbers: int, raw: int = 30) -> None:
         """A unit says that these of its parameters are ``raw``."""
         values = [ParameterValue(unit=unit, number=number, at=1.0, raw=raw) for number in numbers]
-        self.live.apply("dry-end", values)
+        self.live.buses["dry-end"].apply(values)

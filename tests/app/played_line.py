@@ -67,13 +67,13 @@ class PlayedLine:
             case ReadParameters(unit=unit, numbers=numbers):
                 values = [_value(unit, number, self.memory[unit][number]) for number in numbers]
                 await self.before_read(unit)
-                self.live.apply(BUS, values)
+                self.live.buses[BUS].apply(values)
                 self.channel.on_update(Result(command.id, time.time(), "verified", values=values), self)
             case WriteParameter(unit=unit, number=number, raw=raw):
                 await self.before_write(len(self.written))
                 self.memory[unit][number] = raw
                 self.written.append((unit, number, raw))
-                self.live.apply(BUS, [_value(unit, number, raw)])
+                self.live.buses[BUS].apply([_value(unit, number, raw)])
                 self.channel.on_update(Result(command.id, time.time(), "verified", read_back=raw), self)
             case _:
                 self.held.append(command)
@@ -85,11 +85,11 @@ def _value(unit: int, number: int, raw: int) -> ParameterValue:
 
 async def played_line(services: Services) -> PlayedLine:
     """Both units of ``settings_in`` are online, in REMOTE, and stand still."""
-    line = PlayedLine(services.workers.channels[BUS], services.live)
+    line = PlayedLine(services.buses[BUS].channel, services.live)
     now = time.time()
-    services.live.apply(BUS, [BusLink(at=now, link="open")])
+    services.live.buses[BUS].apply([BusLink(at=now, link="open")])
     for unit in line.memory:
-        services.live.apply(BUS, [UnitLink(unit=unit, at=now, link="online")])
-        services.live.apply(BUS, [Reading(unit, now, 0, 0, 0, REMOTE, HEALTHY)])
+        services.live.buses[BUS].apply([UnitLink(unit=unit, at=now, link="online")])
+        services.live.buses[BUS].apply([Reading(unit, now, 0, 0, 0, REMOTE, HEALTHY)])
     await line.channel.opened(line, "w1")
     return line

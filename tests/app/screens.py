@@ -27,12 +27,14 @@ def line(units: int = 2) -> LiveState:
     )
     live = LiveState([BusSettings(name="dry", port="/dev/null", unit=settings)], 0.0)
     live.buses["dry"].worker_lost = None
-    live.apply("dry", [BusLink(at=100.0, link="open")])
+    live.buses["dry"].apply([BusLink(at=100.0, link="open")])
     for number in range(1, units + 1):
         parameters = [
             ParameterValue(unit=number, number=n, at=100.0, raw=raw) for n, raw in PARAMETERS.items()
         ]
-        live.apply("dry", [UnitLink(unit=number, at=100.0, link="online"), *parameters, reading(number)])
+        live.buses["dry"].apply(
+            [UnitLink(unit=number, at=100.0, link="online"), *parameters, reading(number)]
+        )
     return live
 
 

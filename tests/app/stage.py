@@ -22,6 +22,7 @@ from websockets.exceptions import ConnectionClosed
 
 from app.audit.api import router as events_router
 from app.audit.log import EventLog
+from app.bus_service import BusService
 from app.commands.api.commands import router as commands_router
 from app.commands.api.safeguards import router as safeguards_router
 from app.commands.api.trace import router as trace_router
@@ -32,9 +33,9 @@ from app.feed.socket import router as feed_router
 from app.feed.workers import Workers
 from app.history.status import Status
 from app.live.api.routes import router as live_router
+from app.live.change_recorder import ChangeRecorder
 from app.live.screen.sources import Sources
 from app.live.state.live_state import LiveState
-from app.pipeline import Pipeline
 from app.settings import Settings, Site
 from app.web.access import Person, Role, Via
 from app.web.assets import Assets, static_dir, templates_dir
@@ -114,12 +115,6 @@ class History:
     def __init__(self) -> None:
         self.updates: list[Update] = []
         self.status = Status()
-
-    def on_clock_step(self, _subscriber: Callable[[float, float], None]) -> None:
-        """Its clock is never stepped."""
-
-    def on_damage(self, _subscriber: Callable[[str, float], None]) -> None:
-        """Nothing of it is damaged."""
 
     def append(self, bus: str, updates: Sequence[Update]) -> None:
         """As the real one."""
@@ -216,15 +211,17 @@ class Stage:
         self.events = EventLog(self.database)
         self.live = LiveState([settings], time.time())
         self.history = History()
-        self.pipeline = Pipeline(self.live, self.history, self.events)
         self.skipped_s = 0.0
         """By how much the clock of the leases is ahead of the real one."""
-        self.workers = Workers(
-            [settings.name],
-            self.pipeline,
+        self.bus = BusService(
+            self.live.buses[settings.name],
+            self.history,
+            self.events,
             monotonic=lambda: time.monotonic() + self.skipped_s,
-            silent_ticks=silent_ticks,
+            timeout_ticks=silent_ticks,
         )
+        self.channels = {settings.name: self.bus.channel}
+        self.workers = Workers({settings.name: self.bus.feed}, ChangeRecorder(self.events))
         self.rights = PlayedRights()
         self.guards = Safeguards(
             self.database,
@@ -234,9 +231,7 @@ class Stage:
             rights=self.rights,
             sessions=self.rights,
         )
-        self.desk = Desk(
-            self.live, self.workers.channels, self.events, self.database, self.guards, self.rights
-        )
+        self.desk = Desk(self.live, self.channels, self.events, self.database, self.guards, self.rights)
         self.app = FastAPI()
         sources = Sources(
             self.guards,
@@ -293,7 +288,7 @@ class Stage:
         await played.say(whole)
         if not before:
             await until(lambda: self.live.buses["dry-end"].worker_connected, "the snapshot taken in")
-        await until(lambda: self.workers.channels["dry-end"].connected, "the way down open")
+        await until(lambda: self.bus.channel.connected, "the way down open")
         return played
 
     async def connect(self, role: str = "worker", bus: str = "dry-end", name: str = "") -> PlayedWorker:
@@ -334,7 +329,7 @@ async def staged(
     )
     server = uvicorn.Server(config)
     serving = asyncio.create_task(server.serve())
-    recording = asyncio.create_task(stage.pipeline.record())
+    recording = asyncio.create_task(stage.bus.recorder.follow())
     await until(lambda: server.started, "the server listening")
     stage.url = f"127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
     try:

@@ -21,7 +21,7 @@ def shown(
 ) -> tuple[str, str] | None:
     """Level and code of what the first line of a unit names."""
     live = line()
-    live.apply("dry", [UnitLink(unit=1, at=NOW, link=link), reading(**changes)])  # type: ignore[arg-type]
+    live.buses["dry"].apply([UnitLink(unit=1, at=NOW, link=link), reading(**changes)])  # type: ignore[arg-type]
     bus = live.buses["dry"]
     found = shown_cause(bus, bus.units[1], NOW, blocked=blocked, drifted=drifted)
     return (found.level, found.code) if found else None
@@ -68,7 +68,7 @@ def test_a_unit_in_whose_name_another_may_answer_is_abnormal(
 ) -> None:
     live = line()
     bus = live.buses["dry"]
-    live.apply("dry", [reading(), said])
+    live.buses["dry"].apply([reading(), said])
     cause = shown_cause(bus, bus.units[1], NOW, blocked="", drifted="")
     assert (cause and (cause.level, cause.params["why"])) == (found and ("high", found))
     assert unit_json(bus, bus.units[1], NOW, lambda _bus, _unit: "", voice())["suspect"] == found
@@ -77,11 +77,11 @@ def test_a_unit_in_whose_name_another_may_answer_is_abnormal(
 def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:
     live = line(4)
     bus = live.buses["dry"]
-    live.apply("dry", [reading(), ParameterValue(1, 17, NOW, 3), ParameterValue(2, 17, NOW, 3)])
+    live.buses["dry"].apply([reading(), ParameterValue(1, 17, NOW, 3), ParameterValue(2, 17, NOW, 3)])
     assert suspicion(bus, bus.units[1]) == ""
-    live.apply("dry", [ParameterValue(3, 17, NOW, 3)])
+    live.buses["dry"].apply([ParameterValue(3, 17, NOW, 3)])
     assert suspicion(bus, bus.units[1]) == "", "units whose #17 says something else"
-    live.apply("dry", [ParameterValue(2, 17, NOW, 2)])
+    live.buses["dry"].apply([ParameterValue(2, 17, NOW, 2)])
     assert suspicion(bus, bus.units[1]) == "perhaps unit 3 answers for it (#17)"
     assert suspicion(bus, bus.units[2]) == ""
 
@@ -90,11 +90,11 @@ def test_a_bus_says_worker_or_port_and_since_when() -> None:
     live = line()
     bus = live.buses["dry"]
     assert bus_cause(bus, 100.5) is None
-    live.apply("dry", [BusLink(at=101.0, link="closed", cause=term("no such device"))])
-    live.apply("dry", [BusLink(at=105.0, link="closed", cause=term("permission denied"))])
+    live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("no such device"))])
+    live.buses["dry"].apply([BusLink(at=105.0, link="closed", cause=term("permission denied"))])
     denied = {"why": term("permission denied")}
     assert bus_cause(bus, 110.0) == Cause("port_lost", "urgent", Onset(101.0), denied)
-    live.worker_went("dry", 120.0)
+    live.buses["dry"].lose_worker(120.0)
     assert bus_cause(bus, 130.0) == Cause("worker_lost", "urgent", Onset(120.0))
 
 
@@ -102,10 +102,10 @@ def test_a_worker_that_stands_still_is_named_before_its_units() -> None:
     live = line()
     bus = live.buses["dry"]
     figures = BusFigures(at=NOW, scan_hz=4.8, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3)
-    live.apply("dry", [figures])
+    live.buses["dry"].apply([figures])
     assert bus_cause(bus, 101.9) is None
     assert bus_cause(bus, 102.1) == Cause("worker_silent", "urgent", Onset(NOW))
-    live.apply("dry", [reading(at=102.0)])
+    live.buses["dry"].apply([reading(at=102.0)])
     assert bus_cause(bus, 102.1) is None, "a unit was heard through it"
 
 

@@ -20,10 +20,10 @@ def bus_of(said: UnitLinkState = "online", *, port: str = "open", scan_s: float 
     live = LiveState([bus_settings()], 0.0)
     read = reading(1)
     word = type(read)(1, READ_AT, read.commanded, read.actual, read.analog, read.outputs, read.inputs)
-    live.apply("dry-end", [word, UnitLink(unit=1, at=READ_AT, link=said)])
-    live.apply("dry-end", [BusLink(at=0.0, link="open" if port == "open" else "closed")])
+    live.buses["dry-end"].apply([word, UnitLink(unit=1, at=READ_AT, link=said)])
+    live.buses["dry-end"].apply([BusLink(at=0.0, link="open" if port == "open" else "closed")])
     if scan_s is not None:
-        live.apply("dry-end", [BusFigures(0.0, 1 / scan_s, scan_s, 0.9, scan_s)])
+        live.buses["dry-end"].apply([BusFigures(0.0, 1 / scan_s, scan_s, 0.9, scan_s)])
     return live.buses["dry-end"]
 
 

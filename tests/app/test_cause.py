@@ -23,10 +23,10 @@ STOPPED = {"outputs": REMOTE, "actual": 0}
 def after(changes: dict[str, int], *, seconds: float = 10.0, link: str = "online") -> LiveState:
     """A unit at speed whose readings are changed from 02:22 on, for some seconds."""
     live = line()
-    live.apply("dry", [reading(1, at=NOW - 0.2)])
+    live.buses["dry"].apply([reading(1, at=NOW - 0.2)])
     steps = int(seconds / 0.2)
-    live.apply("dry", [reading(1, at=NOW + 0.2 * step, **changes) for step in range(steps + 1)])
-    live.apply("dry", [UnitLink(unit=1, at=NOW + seconds, link=link)])  # type: ignore[arg-type]
+    live.buses["dry"].apply([reading(1, at=NOW + 0.2 * step, **changes) for step in range(steps + 1)])
+    live.buses["dry"].apply([UnitLink(unit=1, at=NOW + seconds, link=link)])  # type: ignore[arg-type]
     return live
 
 
@@ -121,9 +121,9 @@ def test_a_rung_hides_those_that_need_it(changes: dict[str, int], code: str) -> 
 
 def test_while_it_slows_down_it_is_not_said_to_be_stopped() -> None:
     live = line()
-    live.apply("dry", [reading(1, at=NOW - 0.2)])
+    live.buses["dry"].apply([reading(1, at=NOW - 0.2)])
     slowing = [reading(1, at=NOW + 0.2 * n, inputs=HEALTHY, actual=1200 - 50 * n) for n in range(10)]
-    live.apply("dry", slowing)
+    live.buses["dry"].apply(slowing)
     assert said(live, NOW + 2) == ("high", "Still turning: run input off since 02:22")
 
 
@@ -134,7 +134,9 @@ def test_slowing_down_to_a_commanded_zero_without_run_is_not_abnormal() -> None:
 
 def test_turning_is_dated_from_when_it_began_and_not_from_when_run_went_off() -> None:
     live = after(STOPPED | {"inputs": HEALTHY})
-    live.apply("dry", [reading(1, at=NOW + 10 + 0.2 * n, inputs=HEALTHY, actual=40) for n in range(620)])
+    live.buses["dry"].apply(
+        [reading(1, at=NOW + 10 + 0.2 * n, inputs=HEALTHY, actual=40) for n in range(620)]
+    )
     assert said(live, NOW + 134)[1] == "Turning without run since 02:22"
     found = cause_of(live, NOW + 134)
     assert found is not None
@@ -155,18 +157,17 @@ def test_of_a_unit_that_is_offline_nothing_else_is_claimed() -> None:
 
 def test_a_lost_port_is_the_cause_of_its_units_and_abnormal_once() -> None:
     live = after({})
-    live.apply("dry", [BusLink(at=NOW + 10, link="closed", cause=term("the port is closed"))])
+    live.buses["dry"].apply([BusLink(at=NOW + 10, link="closed", cause=term("the port is closed"))])
     assert said(live, NOW + 70) == ("", "Port closed since 02:22: the port is closed")
 
 
 def test_a_silent_worker_is_the_cause_of_its_units() -> None:
     live = after({})
-    live.apply(
-        "dry",
+    live.buses["dry"].apply(
         [BusFigures(at=NOW + 10, scan_hz=5, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3)],
     )
     assert said(live, NOW + 70)[1] == "Bus worker does not respond since 02:22"
-    live.worker_went("dry", NOW + 80)
+    live.buses["dry"].lose_worker(NOW + 80)
     assert said(live, NOW + 90)[1] == "Bus worker not connected since 02:23"
 
 
@@ -197,20 +198,20 @@ def test_a_ramp_says_where_to_and_how_long_where_that_is_known(
 ) -> None:
     live = after({"outputs": REMOTE, "actual": 900}, seconds=1.0)
     values = [ParameterValue(1, n, NOW, raw, available=raw is not None) for n, raw in parameters.items()]
-    live.apply("dry", values)
+    live.buses["dry"].apply(values)
     assert said(live, NOW + 1) == ("", text)
 
 
 def test_a_ramp_down_takes_the_deceleration() -> None:
     live = line()
-    live.apply("dry", [reading(1, at=NOW, commanded=0, actual=1000, outputs=REMOTE)])
+    live.buses["dry"].apply([reading(1, at=NOW, commanded=0, actual=1000, outputs=REMOTE)])
     assert said(live, NOW)[1] == "Ramping to 0.0, about 10 s left"
 
 
 def test_what_was_there_at_the_start_is_first_seen_then() -> None:
     live = line()
     live.buses["dry"].units[1] = LiveState([live.buses["dry"].settings], 0.0).buses["dry"].units[1]
-    live.apply("dry", [reading(1, at=NOW, **(STOPPED | {"inputs": HEALTHY}))])
+    live.buses["dry"].apply([reading(1, at=NOW, **(STOPPED | {"inputs": HEALTHY}))])
     assert said(live)[1] == "Stopped: run input off since at least 02:22"
     assert said(live, tag="de")[1] == "Steht: Lauf-Eingang aus mindestens seit 02:22"
 
@@ -229,7 +230,7 @@ def test_every_text_that_is_checked_has_a_cause() -> None:
 
 def test_keylock_is_named_where_19_says_so() -> None:
     live = after({"outputs": AT_SPEED})
-    live.apply("dry", [ParameterValue(1, 19, NOW, 2)])
+    live.buses["dry"].apply([ParameterValue(1, 19, NOW, 2)])
     assert said(live)[1] == "In KEYLOCK since 02:22"
 
 
@@ -239,5 +240,5 @@ def test_units_that_read_ratios_are_not_said_to_stand_or_turn() -> None:
     live.buses["dry"].worker_lost = None
     values: list[Any] = [BusLink(at=NOW, link="open"), ParameterValue(1, 8, NOW, 1)]
     ratio: list[Reading] = [reading(1, at=NOW + n, inputs=HEALTHY, outputs=REMOTE) for n in range(10)]
-    live.apply("dry", [*values, UnitLink(unit=1, at=NOW, link="online"), *ratio])
+    live.buses["dry"].apply([*values, UnitLink(unit=1, at=NOW, link="online"), *ratio])
     assert said(live)[1] == "Run input off since at least 02:22"

@@ -33,12 +33,12 @@ def verified() -> Result:
 
 
 async def test_without_a_worker_nothing_is_sent() -> None:
-    result = await Channel("bus").ask(COMMAND)
+    result = await Channel().ask(COMMAND)
     assert result.outcome == "bus_closed"
 
 
 async def test_a_worker_that_never_says_leaves_it_unverified() -> None:
-    channel, connection = Channel("bus", patience_s=0.0), Connection()
+    channel, connection = Channel(patience_s=0.0), Connection()
     await channel.opened(connection, "w")
     result = await channel.ask(COMMAND)
     assert (result.id, result.outcome) == ("a", "unverified")
@@ -54,7 +54,7 @@ def quick_looks(monkeypatch: pytest.MonkeyPatch) -> float:
 
 @pytest.mark.usefixtures("quick_looks")
 async def test_a_silent_worker_is_not_waited_for_past_the_deadline() -> None:
-    channel = Channel("bus")
+    channel = Channel()
     await channel.opened(Connection(), "w")
     result = await channel.ask(COMMAND)
     assert result.outcome == "unverified"
@@ -62,7 +62,7 @@ async def test_a_silent_worker_is_not_waited_for_past_the_deadline() -> None:
 
 
 async def test_a_worker_that_speaks_of_other_things_is_waited_for(quick_looks: float) -> None:
-    channel, connection = Channel("bus"), Connection()
+    channel, connection = Channel(), Connection()
     await channel.opened(connection, "w")
     asked = asyncio.create_task(channel.ask(COMMAND))
     for _ in range(3 * SILENT_LOOKS):
@@ -73,7 +73,7 @@ async def test_a_worker_that_speaks_of_other_things_is_waited_for(quick_looks: f
 
 
 async def test_a_worker_that_does_not_come_back_leaves_it_unverified() -> None:
-    channel, connection = Channel("bus", reask_s=0.0), Connection(broken=True)
+    channel, connection = Channel(reask_s=0.0), Connection(broken=True)
     await channel.opened(connection, "w")
     result = await channel.ask(COMMAND)
     assert result.outcome == "unverified"
@@ -82,7 +82,7 @@ async def test_a_worker_that_does_not_come_back_leaves_it_unverified() -> None:
 
 
 async def test_a_broken_send_is_said_again_to_the_same_worker() -> None:
-    channel, back = Channel("bus"), Connection()
+    channel, back = Channel(), Connection()
     await channel.opened(Connection(broken=True), "w")
     asked = asyncio.create_task(channel.ask(COMMAND))
     await asyncio.sleep(0)
@@ -93,7 +93,7 @@ async def test_a_broken_send_is_said_again_to_the_same_worker() -> None:
 
 
 async def test_the_first_fate_counts_and_old_news_is_passed_over() -> None:
-    channel, connection = Channel("bus"), Connection()
+    channel, connection = Channel(), Connection()
     await channel.opened(connection, "w")
     asked = asyncio.create_task(channel.ask(COMMAND))
     await asyncio.sleep(0)
@@ -106,7 +106,7 @@ async def test_the_first_fate_counts_and_old_news_is_passed_over() -> None:
 
 
 async def test_a_result_counts_only_from_the_connection_that_the_command_was_sent_to() -> None:
-    channel, connection, other = Channel("bus", patience_s=0.2), Connection(), Connection()
+    channel, connection, other = Channel(patience_s=0.2), Connection(), Connection()
     await channel.opened(connection, "w")
     asked = asyncio.create_task(channel.ask(COMMAND))
     await asyncio.sleep(0)
@@ -124,14 +124,14 @@ async def test_a_send_that_fails_late_does_not_close_the_connection_that_came_me
             await channel.opened(newer, "w")
             raise ConnectionError("gone")
 
-    channel, newer = Channel("bus"), Connection()
+    channel, newer = Channel(), Connection()
     await channel.opened(Slow(), "w")
     await channel.reserve()
     assert channel.connected
 
 
 async def test_an_older_connection_that_ends_later_closes_nothing() -> None:
-    channel, older, newer = Channel("bus"), Connection(), Connection()
+    channel, older, newer = Channel(), Connection(), Connection()
     await channel.opened(older, "w")
     await channel.opened(newer, "w")
     channel.closed(older)
@@ -140,7 +140,7 @@ async def test_an_older_connection_that_ends_later_closes_nothing() -> None:
 
 @pytest.mark.parametrize("units", [[], [2, 1]])
 async def test_what_is_watched_is_said_once_and_to_the_next_worker(units: list[int]) -> None:
-    channel, connection, later = Channel("bus"), Connection(), Connection()
+    channel, connection, later = Channel(), Connection(), Connection()
     await channel.opened(connection, "w")
     await channel.watch(units, trace=False)
     await channel.watch(units, trace=False)

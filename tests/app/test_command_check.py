@@ -39,7 +39,7 @@ BLOCK = Block("belt off, do not run", "anna", 0.0)
 def bus_with(*updates: Update, **settings: object) -> BusLive:
     """The three units, after these updates."""
     live = LiveState([bus_settings(**settings)], time.time())
-    live.apply("dry-end", updates)
+    live.buses["dry-end"].apply(updates)
     return live.buses["dry-end"]
 
 

@@ -30,7 +30,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 @pytest.mark.parametrize("units", [1, 5, 16, 255])
 def test_the_worker_never_refuses_for_want_of_time_what_the_app_gives_time_for(units: int, baud: int) -> None:
     live = a_bus()
-    live.apply("dry-end", [BusLink(at=1.0, link="open", baud=baud)])
+    live.buses["dry-end"].apply([BusLink(at=1.0, link="open", baud=baud)])
     assert units * stage_s(baud) < timeout_s_for(live.buses["dry-end"], units) - 1
 
 
@@ -51,7 +51,7 @@ async def test_pages_programs_and_recipes_give_a_change_the_same_time_at_any_bau
         return Result("x", time.time(), "verified")
 
     monkeypatch.setattr(house.services.desk, "ask", ask)
-    house.services.live.apply("dry-end", [BusLink(at=1.0, link="open", baud=300)])
+    house.services.live.buses["dry-end"].apply([BusLink(at=1.0, link="open", baud=300)])
     operator = await house.signed_in(Role.OPERATOR)
     setpoints = {"raw-1": "700", "was-1": "1000", "raw-2": "800", "was-2": "1000"}
     form = {"bus": "dry-end", "id": "c" * 32, "reviewed_at": f"{time.time()}"} | setpoints

@@ -10,7 +10,7 @@ from tests.app.screens import AT_SPEED, REMOTE, line, reading, voice
 def fields(tag: str = "en", **changes: int) -> dict[str, str]:
     live = line()
     bus = live.buses["dry"]
-    live.apply("dry", [reading(**changes)])
+    live.buses["dry"].apply([reading(**changes)])
     return unit_fields(bus, bus.units[1], "online", voice(tag))
 
 
@@ -44,7 +44,7 @@ def test_more_than_the_span_fills_the_bar_and_no_more() -> None:
 def test_without_the_span_there_is_no_position() -> None:
     live = line()
     bus = live.buses["dry"]
-    live.apply("dry", [ParameterValue(unit=1, number=2, at=100.0, raw=None, available=False)])
+    live.buses["dry"].apply([ParameterValue(unit=1, number=2, at=100.0, raw=None, available=False)])
     shown = unit_fields(bus, bus.units[1], "online", voice())
     assert (shown["fill"], shown["mark"], shown["band"]) == ("", "", "")
 
@@ -68,7 +68,7 @@ def test_local_and_keylock_are_told_apart_by_parameter_19() -> None:
     assert fields(outputs=0)["mode_text"] == "LOCAL"
     live = line()
     bus = live.buses["dry"]
-    live.apply("dry", [reading(outputs=0), ParameterValue(unit=1, number=19, at=100.0, raw=2)])
+    live.buses["dry"].apply([reading(outputs=0), ParameterValue(unit=1, number=19, at=100.0, raw=2)])
     assert unit_fields(bus, bus.units[1], "online", voice())["mode_text"] == "KEYLOCK"
 
 
@@ -84,15 +84,14 @@ def test_a_bus_without_figures_says_that_it_does_not_know() -> None:
 
 def test_the_rate_of_a_bus_is_said_wherever_it_is_shown() -> None:
     live = line()
-    live.apply("dry", [BusLink(at=100.0, link="open", baud=4800)])
+    live.buses["dry"].apply([BusLink(at=100.0, link="open", baud=4800)])
     shown = bus_fields(live.buses["dry"], voice("de"), 100.5)
     assert (shown["baud"], shown["carries"]) == ("4800", "dessen, was 4800 Baud tragen")
 
 
 def test_a_bus_s_figures_are_texts() -> None:
     live = line()
-    live.apply(
-        "dry",
+    live.buses["dry"].apply(
         [BusFigures(at=100.0, scan_hz=4.8, scan_s=1.5, wire_utilisation=0.976, scan_s_with_one_more=1.6)],
     )
     shown = bus_fields(live.buses["dry"], voice("de"), 100.5)

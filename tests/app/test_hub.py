@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import pytest
@@ -29,7 +30,8 @@ class World:
     def __post_init__(self) -> None:
         templates = Templates(templates_dir(), Assets(static_dir()), Site())
         sources = played_sources(controls=self.controls)
-        self.hub = Hub(self.live, sources, templates, self.watch, lambda: self.now)
+        watchers = {bus: partial(self.watch, bus) for bus in self.live.buses}
+        self.hub = Hub(self.live, sources, templates, watchers, lambda: self.now)
 
     def watch(self, bus: str, units: list[int], trace: bool) -> None:
         self.watched.append((bus, units, trace))
@@ -54,7 +56,7 @@ async def test_the_whole_comes_first_then_what_changed(world: World) -> None:
     first, _people = await told(browser)
     assert first["is"] == "snapshot"
     assert first["f"]["dry/1"]["actual"] == "120.0"
-    world.live.apply("dry", [reading(1, at=100.1, actual=1210)])
+    world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
     (diff,) = await told(browser)
     assert diff["f"]["dry/1"]["actual"] == "121.0"
     assert "dry/2" not in diff["f"]
@@ -65,7 +67,7 @@ async def test_numbers_follow_each_other_without_a_gap(world: World) -> None:
     browser = world.join()
     last = (await told(browser))[-1]["n"]
     for step in range(1, 20):
-        world.live.apply("dry", [reading(1, at=100 + step / 10, actual=1200 + step)])
+        world.live.buses["dry"].apply([reading(1, at=100 + step / 10, actual=1200 + step)])
         (diff,) = await told(browser)
         assert diff["p"] == last
         last = diff["n"]
@@ -75,7 +77,7 @@ async def test_every_language_is_told_in_its_own_words(world: World) -> None:
     english, german = world.join("anna", "en"), world.join("bernd", "de")
     await told(english)
     await told(german)
-    world.live.apply("dry", [reading(1, at=100.1, actual=1210)])
+    world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
     assert (await told(english))[-1]["f"]["dry/1"]["actual"] == "121.0"
     assert (await told(german))[-1]["f"]["dry/1"]["actual"] == "121,0"
 
@@ -84,7 +86,7 @@ async def test_the_same_text_goes_to_all_of_a_language(world: World) -> None:
     one, other = world.join("anna"), world.join("bernd")
     await told(one)
     await told(other)
-    world.live.apply("dry", [reading(1, at=100.1, actual=1210)])
+    world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
     (first,), (second,) = await one.next(), await other.next()
     assert first is second
 
@@ -121,7 +123,7 @@ async def test_who_is_here_is_said_once_per_name(world: World) -> None:
 async def test_how_far_a_command_is_goes_to_the_pages_and_is_not_kept(world: World) -> None:
     browser = world.join("bernd", "de")
     await told(browser)
-    world.live.apply("dry", [Progress(id="x1", at=100.1, stage="sent")])
+    world.live.buses["dry"].apply([Progress(id="x1", at=100.1, stage="sent")])
     (diff,) = await told(browser)
     assert diff["f"] == {"command/x1": {"stage": "gesendet"}}
     assert "command/x1" not in world.hub.screen("de").shown
@@ -132,7 +134,7 @@ async def test_a_page_finds_its_command_by_the_key_that_it_gave(world: World) ->
     await told(browser)
     command_id = new_command_id("form#7")
     assert command_id != new_command_id("form#7")
-    world.live.apply("dry", [Progress(id=command_id, at=100.1, stage="sent")])
+    world.live.buses["dry"].apply([Progress(id=command_id, at=100.1, stage="sent")])
     (diff,) = await told(browser)
     assert diff["f"] == {"command/form#7": {"stage": "gesendet"}}
     unnamed = new_command_id()
@@ -142,7 +144,7 @@ async def test_a_page_finds_its_command_by_the_key_that_it_gave(world: World) ->
 async def test_how_far_a_search_is_goes_to_whoever_looks_at_the_bus(world: World) -> None:
     browser = world.join("bernd", "de")
     await told(browser)
-    world.live.apply("dry", [Progress(id="x1", at=100.1, stage="searching", done=17, of=255)])
+    world.live.buses["dry"].apply([Progress(id="x1", at=100.1, stage="searching", done=17, of=255)])
     (diff,) = await told(browser)
     assert diff["f"] == {"dry": {"searched": "gefragte Adressen: 17/255"}}
     assert "searched" not in world.hub.screen("de").shown["dry"]
@@ -153,13 +155,8 @@ async def test_frames_go_only_to_who_follows(world: World) -> None:
     await told(follower)
     await told(other)
     world.hub.follow(follower, frozenset(), "dry")
-    frame = Frame(
-        at=100.1,
-        direction="out",
-        data=b"\x10\x02",
-        meanings=[term("a beginning")],
-    )
-    world.live.apply("dry", [Frames(frames=[frame])])
+    frame = Frame(at=100.1, direction="out", data=b"\x10\x02", meanings=[term("a beginning")])
+    world.live.buses["dry"].apply([Frames(frames=[frame])])
     (shown,) = await told(follower)
     assert shown["frames"][0]["hex"] == "10 02"
     world.hub.tick()
@@ -179,8 +176,7 @@ async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
     world.hub.follow(browser, frozenset({("dry", 2)}), "")
     await told(browser)
     units = [UnitFigures(unit=n, polls=5, answers=5) for n in (1, 2)]
-    world.live.apply(
-        "dry",
+    world.live.buses["dry"].apply(
         [
             BusFigures(
                 at=100.1, scan_hz=4, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3, units=units

@@ -26,7 +26,7 @@ WISH = SetSpeed(unit=1, raw=5)
 
 def restarted(stage: Stage) -> Desk:
     """The desk of a server that remembers nothing but what is on disk."""
-    return Desk(stage.live, stage.workers.channels, stage.events, stage.database, stage.guards, stage.rights)
+    return Desk(stage.live, stage.channels, stage.events, stage.database, stage.guards, stage.rights)
 
 
 async def test_a_known_fate_is_given_again_and_nothing_is_sent(stage: Stage, worker: PlayedWorker) -> None:

@@ -30,26 +30,26 @@ def test_each_word_changes_what_it_is_about(live: LiveState) -> None:
     link = UnitLink(unit=2, at=1.0, link="online")
     port = BusLink(at=1.0, link="open")
     said = reading(2, 55)
-    live.apply("dry-end", [port, figures, link, said, ParameterValue(2, 3, 1.0, 1), Staged(2, 1.0, 77)])
+    live.buses["dry-end"].apply([port, figures, link, said, ParameterValue(2, 3, 1.0, 1), Staged(2, 1.0, 77)])
     bus, unit = live.buses["dry-end"], live.buses["dry-end"].units[2]
     assert (bus.link, bus.figures) == (port, figures)
     assert (unit.link, unit.reading, unit.staged, unit.parameter_raw(3)) == (link, said, 77, 1)
     assert unit.parameter_raw(4) is None
-    live.apply("dry-end", [Staged(2, 2.0, None)])
+    live.buses["dry-end"].apply([Staged(2, 2.0, None)])
     assert unit.staged is None
     assert live.buses["dry-end"].units[1].reading is None
 
 
 def test_the_rate_is_what_the_worker_said_last(live: LiveState) -> None:
     bus = live.buses["dry-end"]
-    live.apply("dry-end", [BusLink(at=1.0, link="open")])
+    live.buses["dry-end"].apply([BusLink(at=1.0, link="open")])
     assert bus.baud == 9600, "as configured where an older worker says none"
-    live.apply("dry-end", [BusLink(at=1.0, link="open", baud=4800)])
+    live.buses["dry-end"].apply([BusLink(at=1.0, link="open", baud=4800)])
     assert bus.baud == 4800
 
 
 def test_a_unit_that_is_not_configured_is_passed_over(live: LiveState) -> None:
-    live.apply("dry-end", [reading(99), reading(1, 5)])
+    live.buses["dry-end"].apply([reading(99), reading(1, 5)])
     found = live.buses["dry-end"].units[1].reading
     assert found is not None
     assert found.commanded == 5
@@ -58,16 +58,16 @@ def test_a_unit_that_is_not_configured_is_passed_over(live: LiveState) -> None:
 def test_a_snapshot_is_the_same_as_its_updates(live: LiveState) -> None:
     whole = snapshot()
     other = LiveState([bus_settings()], 100.0)
-    live.worker_came("dry-end", whole, "1.0")
-    other.apply("dry-end", updates_of(whole))
+    live.buses["dry-end"].take_snapshot(whole, "1.0")
+    other.buses["dry-end"].apply(updates_of(whole))
     assert live.buses["dry-end"].units == other.buses["dry-end"].units
     assert live.buses["dry-end"].worker_software == "1.0"
 
 
 def test_a_lost_worker_leaves_the_readings_and_takes_the_trust(live: LiveState) -> None:
-    live.worker_came("dry-end", snapshot(), "1.0")
-    live.apply("dry-end", [UnitLink(unit=16, at=1.0, link="offline")])
-    live.worker_went("dry-end", 9.0)
+    live.buses["dry-end"].take_snapshot(snapshot(), "1.0")
+    live.buses["dry-end"].apply([UnitLink(unit=16, at=1.0, link="offline")])
+    live.buses["dry-end"].lose_worker(9.0)
     bus = live.buses["dry-end"]
     assert (bus.link, bus.figures) == (BusLink(at=9.0, link="closed", cause=NO_WORKER), None)
     assert bus.units[1].reading is not None
@@ -75,21 +75,22 @@ def test_a_lost_worker_leaves_the_readings_and_takes_the_trust(live: LiveState) 
 
 
 def test_subscribers_hear_every_change_until_they_leave(live: LiveState) -> None:
-    heard: list[tuple[str, Sequence[Update]]] = []
-    leave = live.subscribe(lambda bus, updates: heard.append((bus, updates)))
+    heard: list[Sequence[Update]] = []
+    leave = live.buses["dry-end"].subscribe(heard.append)
     said = [reading(1)]
-    live.apply("dry-end", said)
+    live.buses["dry-end"].apply(said)
     leave()
-    live.apply("dry-end", [reading(1)])
-    assert heard == [("dry-end", said)]
+    live.buses["dry-end"].apply([reading(1)])
+    assert heard == [said]
 
 
 def test_a_subscriber_that_fails_keeps_nobody_from_hearing(live: LiveState) -> None:
-    def fail(bus: str, updates: Sequence[Update]) -> None:
-        raise RuntimeError(bus, updates)
+    def fail(updates: Sequence[Update]) -> None:
+        raise RuntimeError(updates)
 
-    heard: list[str] = []
-    live.subscribe(fail)
-    live.subscribe(lambda bus, _: heard.append(bus))
-    live.apply("dry-end", [reading(1, 5)])
-    assert heard == ["dry-end"]
+    heard: list[Sequence[Update]] = []
+    live.buses["dry-end"].subscribe(fail)
+    live.buses["dry-end"].subscribe(heard.append)
+    said = [reading(1, 5)]
+    live.buses["dry-end"].apply(said)
+    assert heard == [said]

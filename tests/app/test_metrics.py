@@ -45,7 +45,7 @@ async def test_what_the_workers_say(house: House) -> None:
     figures = BusFigures(
         at=now, scan_hz=4.5, scan_s=0.2, wire_utilisation=0.97, scan_s_with_one_more=0.3, units=[unit]
     )
-    house.services.live.apply("dry-end", [BusLink(at=now, link="open"), figures])
+    house.services.live.buses["dry-end"].apply([BusLink(at=now, link="open"), figures])
     found = await samples(house)
     assert found["lineside_polls_total", "dry-end", "2"] == 50
     assert found["lineside_timeouts_total", "dry-end", "2"] == 2

@@ -36,7 +36,7 @@ class Scene:
         self.asked: list[float] = []
         self.changed: list[tuple[str, int]] = []
         self.live = LiveState([bus_settings()], SEEN_AT)
-        self.live.apply("dry-end", [reading(SEEN_AT, RUN_OFF)])
+        self.live.buses["dry-end"].apply([reading(SEEN_AT, RUN_OFF)])
         self.lookup = OnsetLookup(
             self.live, self.words, lambda bus, unit: self.changed.append((bus, unit)), lambda: self.now
         )
@@ -98,7 +98,7 @@ async def test_a_store_that_fails_is_asked_again_at_the_next_time() -> None:
 
 async def test_a_condition_that_has_passed_meanwhile_is_left_alone() -> None:
     scene = Scene(*HELD)
-    scene.live.apply("dry-end", [reading(SEEN_AT + 0.2, WELL)])
+    scene.live.buses["dry-end"].apply([reading(SEEN_AT + 0.2, WELL)])
     scene.now = SEEN_AT + 5
     await scene.lookup.look()
     assert scene.changed == []
@@ -125,7 +125,7 @@ def snapshot(word: int, at: float) -> Snapshot:
 
 
 def take(house: House, *readings: Reading) -> None:
-    house.services.pipeline.batch("dry-end", list(readings), live=True)
+    house.services.buses["dry-end"].pipeline.batch(list(readings), live=True)
 
 
 async def cause_of(house: House, token: str) -> dict[str, Any]:
@@ -140,12 +140,12 @@ async def test_after_a_restart_the_api_says_since_when_it_really_is(tmp_path: Pa
     changed_at = round(now - 40, 3)
     async with whole_app(tmp_path) as house:
         token = await house.token(Role.VIEWER)
-        house.services.pipeline.snapshot("dry-end", snapshot(WELL, now - 60), "1")
+        house.services.buses["dry-end"].pipeline.snapshot(snapshot(WELL, now - 60), "1")
         well = [reading(now - 60 + n / 5, WELL) for n in range(100)]
         off = [reading(changed_at + n / 5, RUN_OFF) for n in range(100)]
         take(house, *well, *off)
     async with whole_app(tmp_path) as house:
-        house.services.pipeline.snapshot("dry-end", snapshot(RUN_OFF, time.time()), "1")
+        house.services.buses["dry-end"].pipeline.snapshot(snapshot(RUN_OFF, time.time()), "1")
         first = await cause_of(house, token)
         onsets = house.services.live.buses["dry-end"].units[1].onsets
         await until(lambda: onsets.of["run_off"].exact, "the time of the change")

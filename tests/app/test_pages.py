@@ -37,7 +37,7 @@ def test_the_view_follows_the_number_of_units(units: int, view: str) -> None:
 def test_a_number_has_room_for_the_highest_speed(decimals: int, span: int, digits: int) -> None:
     live = line()
     values = [ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((2, span), (3, decimals))]
-    live.apply("dry", list(values))
+    live.buses["dry"].apply(list(values))
     assert digits_of(live.buses["dry"].units[1]) == digits
 
 
@@ -66,7 +66,7 @@ async def test_bounds_without_decimals_are_numbers_of_the_wire_and_have_no_unit(
     assert "raw</span>" in unread
     assert f"raw {unit}</span>" not in unread
     values = [ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((2, 2000), (3, 1))]
-    house.services.live.apply("dry-end", list(values))
+    house.services.live.buses["dry-end"].apply(list(values))
     assert f"200.0 {unit}</span>" in (await client.get("/units/dry-end/1")).text
 
 

@@ -20,7 +20,7 @@ def test_a_change_says_from_where_to_where_and_how_long() -> None:
 
 def test_a_ramp_that_is_not_known_is_not_guessed() -> None:
     live = line()
-    live.apply("dry", [ParameterValue(unit=1, number=6, at=1, raw=None, available=False)])
+    live.buses["dry"].apply([ParameterValue(unit=1, number=6, at=1, raw=None, available=False)])
     bus = live.buses["dry"]
     assert ramp_of(bus.units[1], 1200, 1600) == Ramp(6, None, None)
     assert ramp_of(bus.units[1], None, 1600) == Ramp(6, None, None)
@@ -30,7 +30,7 @@ def test_a_ramp_that_is_not_known_is_not_guessed() -> None:
 
 def test_without_its_span_a_ramp_of_nothing_is_still_known() -> None:
     live = line()
-    live.apply("dry", [ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((2, 0), (6, 0))])
+    live.buses["dry"].apply([ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((2, 0), (6, 0))])
     unit = live.buses["dry"].units[1]
     assert ramp_of(unit, 1200, 1600) == Ramp(6, 0, 0.0)
     assert ramp_of(unit, 1200, 800) == Ramp(7, 200, None)
@@ -47,8 +47,7 @@ def test_the_range_is_said_with_the_change() -> None:
 
 def test_a_follower_s_setpoint_is_its_ratio() -> None:
     live = line()
-    live.apply(
-        "dry",
+    live.buses["dry"].apply(
         [ParameterValue(unit=1, number=8, at=1, raw=1), ParameterValue(unit=1, number=37, at=1, raw=10250)],
     )
     bus = live.buses["dry"]
@@ -60,5 +59,5 @@ def test_a_follower_s_setpoint_is_its_ratio() -> None:
 def test_nudges_suit_the_span() -> None:
     live = line()
     assert nudges(live.buses["dry"].units[1]) == (2, 20)
-    live.apply("dry", [ParameterValue(unit=1, number=2, at=1, raw=50), reading(1)])
+    live.buses["dry"].apply([ParameterValue(unit=1, number=2, at=1, raw=50), reading(1)])
     assert nudges(live.buses["dry"].units[1]) == (1, 1)

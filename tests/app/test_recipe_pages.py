@@ -39,7 +39,7 @@ async def load(client: httpx.AsyncClient, **changed: str) -> httpx.Response:
 )
 async def test_only_what_was_reviewed_is_loaded(house: House, changed: dict[str, str], said: str) -> None:
     unit_1 = [ParameterValue(unit=1, number=number, at=1, raw=raw) for number, raw in ((3, 1), (8, 0))]
-    house.services.live.apply("dry-end", list(unit_1))
+    house.services.live.buses["dry-end"].apply(list(unit_1))
     await house.services.recipes.save(ANNA, "dry-end", "Board", "", {1: 700})
     answer = await load(await house.signed_in(Role.OPERATOR), **changed)
     assert said in answer.text
@@ -48,7 +48,7 @@ async def test_only_what_was_reviewed_is_loaded(house: House, changed: dict[str,
 
 async def test_the_name_of_a_unit_is_no_word_of_the_page(house: House) -> None:
     unit = house.services.live.buses["dry-end"].units[1]
-    house.services.live.apply("dry-end", [ParameterValue(unit=1, number=8, at=1, raw=0)])
+    house.services.live.buses["dry-end"].apply([ParameterValue(unit=1, number=8, at=1, raw=0)])
     object.__setattr__(unit.settings, "name", "Line")
     recipe = await house.services.recipes.save(ANNA, "dry-end", "Board", "", {1: 700})
     viewer = await house.signed_in(Role.VIEWER)

@@ -91,7 +91,7 @@ async def test_what_stands_in_the_way_is_said_and_nothing_is_sent(
     answering(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100, 2: raw})
     answering(scene.live, remote=remote)
-    scene.live.apply("dry-end", [ParameterValue(unit=2, number=8, at=2.0, raw=mode)])
+    scene.live.buses["dry-end"].apply([ParameterValue(unit=2, number=8, at=2.0, raw=mode)])
     with pytest.raises(Problem, match=says):
         await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id=None)
     assert scene.desk.asked == []
@@ -100,7 +100,7 @@ async def test_what_stands_in_the_way_is_said_and_nothing_is_sent(
 async def test_a_silent_line_cannot_be_loaded(scene: Scene) -> None:
     answering(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100})
-    scene.live.worker_went("dry-end", 5.0)
+    scene.live.buses["dry-end"].lose_worker(5.0)
     run = scene.book.try_out(ANNA, recipe)
     assert not run.loadable
     assert run.steps[0].obstacle == "no link to the bus"
@@ -140,8 +140,7 @@ async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_de
 
 async def test_the_dry_run_says_in_words_what_will_happen(scene: Scene) -> None:
     answering(scene.live, commanded=1000)
-    scene.live.apply(
-        "dry-end",
+    scene.live.buses["dry-end"].apply(
         [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()],
     )
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 11000, 2: 10100})
@@ -155,13 +154,13 @@ async def test_the_dry_run_says_in_words_what_will_happen(scene: Scene) -> None:
 async def test_a_ratio_read_before_the_recipe_was_loaded_is_no_departure(scene: Scene) -> None:
     answering(scene.live)
     follower = [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()]
-    scene.live.apply("dry-end", follower)
+    scene.live.buses["dry-end"].apply(follower)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {2: 10100})
     await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id="one")
     assert scene.book.departed("dry-end") == []
     loaded = scene.book.loaded("dry-end")
     assert loaded is not None
-    scene.live.apply("dry-end", [ParameterValue(unit=2, number=37, at=loaded.at + 60, raw=9900)])
+    scene.live.buses["dry-end"].apply([ParameterValue(unit=2, number=37, at=loaded.at + 60, raw=9900)])
     assert [one.now for one in scene.book.departed("dry-end")] == ["0.9900"]
 
 
@@ -189,8 +188,8 @@ def test_what_a_unit_has_now_is_unknown_until_it_was_read() -> None:
 
 def test_a_unit_whose_mode_was_not_read_cannot_be_loaded() -> None:
     live = a_bus()
-    live.apply("dry-end", [BusLink(at=1.0, link="open"), UnitLink(unit=1, at=1.0, link="online")])
-    live.apply("dry-end", [Reading(1, fresh(), 1000, 1000, 0, REMOTE, HEALTHY)])
+    live.buses["dry-end"].apply([BusLink(at=1.0, link="open"), UnitLink(unit=1, at=1.0, link="online")])
+    live.buses["dry-end"].apply([Reading(1, fresh(), 1000, 1000, 0, REMOTE, HEALTHY)])
     [step] = steps_of(live, Setpoint(1, 1200, "speed"))
     assert step.obstacle == "whether it follows by ratio (#8) has not been read yet"
 
@@ -202,7 +201,7 @@ def test_a_recipe_begins_from_the_setpoints_that_are_known() -> None:
     follower = [
         ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in ((8, 1), (37, 9900))
     ]
-    live.apply("dry-end", follower)
+    live.buses["dry-end"].apply(follower)
     assert setpoints_now(live.buses["dry-end"].units.values()) == (
         Setpoint(1, 1000, "speed"),
         Setpoint(2, 9900, "ratio"),

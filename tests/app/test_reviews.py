@@ -34,13 +34,13 @@ def say(
 ) -> None:
     """A unit responds like this."""
     at = time.time() - more["age"] if more else fresh()
-    house.services.live.apply("dry-end", [Reading(unit, at, 1000, 1000, 0, outputs, inputs)])
+    house.services.live.buses["dry-end"].apply([Reading(unit, at, 1000, 1000, 0, outputs, inputs)])
 
 
 def tell(house: House, unit: int, number: int, raw: int | None) -> None:
     """A unit has this parameter."""
     value = ParameterValue(unit=unit, number=number, at=1.0, raw=raw, available=raw is not None)
-    house.services.live.apply("dry-end", [value])
+    house.services.live.buses["dry-end"].apply([value])
 
 
 def remarks(answer: httpx.Response) -> list[tuple[str, str]]:

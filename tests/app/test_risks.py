@@ -17,7 +17,7 @@ KNOWN = Ramp(6, 100, 2.0)
 def after(*updates: Update) -> LiveState:
     """The line, after these."""
     live = line()
-    live.apply("dry", updates)
+    live.buses["dry"].apply(updates)
     return live
 
 

@@ -14,7 +14,7 @@ def figures(scan_s: float = 0.3) -> BusFigures:
 def test_only_what_changed_is_given() -> None:
     live = line()
     shown = screen(live)
-    live.apply("dry", [reading(1, at=100.2, actual=1199)])
+    live.buses["dry"].apply([reading(1, at=100.2, actual=1199)])
     changed = shown.see("dry", [1], 100.2, whole_bus=False)
     assert changed == {
         "dry/1": {"at": "100.20", "actual": "119.9", "deviation": "−0.1", "fill": "0.5995", "off": "0.483"}  # noqa: RUF001
@@ -26,7 +26,7 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     live = line()
     shown = screen(live)
     assert shown.shown["whole_line"]["at"] == ""
-    live.apply("dry", [reading(2, at=100.2, inputs=1)])
+    live.buses["dry"].apply([reading(2, at=100.2, inputs=1)])
     changed = shown.see("dry", [2], 100.2, whole_bus=False)
     assert {name: changed["whole_line"][name] for name in ("at", "level", "verdict", "counts")} == {
         "at": "/units/dry/2",
@@ -35,7 +35,7 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
         "counts": "1 abnormal",
     }
     assert changed["dry/2"]["status"] == "Still turning: e-stop input active since 00:01"
-    live.apply("dry", [reading(2, at=100.4)])
+    live.buses["dry"].apply([reading(2, at=100.4)])
     well = shown.see("dry", [2], 100.4, whole_bus=False)["whole_line"]
     assert (well["verdict"], well["at"], well["counts"]) == ("All 2 units at speed", "", "")
 
@@ -44,8 +44,10 @@ def test_the_strip_has_what_is_abnormal_beside_the_worst() -> None:
     live = line(3)
     shown = screen(live)
     for unit, at, inputs in ((1, 115.0, 2), (2, 135.0, 1), (3, 150.0, 2)):
-        live.apply("dry", [reading(unit, at=at - 0.2), reading(unit, at=at, inputs=inputs, actual=0)])
-    live.apply("dry", [reading(unit, at=150.2, inputs=inputs, actual=0) for unit, inputs in ((1, 2), (2, 1))])
+        live.buses["dry"].apply([reading(unit, at=at - 0.2), reading(unit, at=at, inputs=inputs, actual=0)])
+    live.buses["dry"].apply(
+        [reading(unit, at=150.2, inputs=inputs, actual=0) for unit, inputs in ((1, 2), (2, 1))]
+    )
     changed = shown.see("dry", [1, 2, 3], 150.2, whole_bus=False)["whole_line"]
     assert changed["verdict"] == "Unit 2 · Stopped: e-stop input active since 00:02"
     assert changed["strip"].split("\n") == [
@@ -57,7 +59,7 @@ def test_the_strip_has_what_is_abnormal_beside_the_worst() -> None:
 def test_a_unit_says_nothing_of_a_cable_that_its_bus_has_lost() -> None:
     live = line()
     shown = screen(live)
-    live.apply("dry", [BusLink(at=101.0, link="closed", cause=term("unplugged"))])
+    live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
     shown.see("dry", [1, 2], 130.0, whole_bus=True)
     assert [shown.shown["dry/1"][name] for name in ("link", "level", "cause", "status")] == [
         *("offline", "", ""),
@@ -75,7 +77,7 @@ def test_time_alone_makes_stale_then_offline() -> None:
 def test_a_closed_port_is_one_entry_and_not_one_for_each_unit() -> None:
     live = line()
     shown = screen(live)
-    live.apply("dry", [BusLink(at=101.0, link="closed", cause=term("unplugged"))])
+    live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
     changed = shown.see("dry", [1, 2], 101.0, whole_bus=True)
     said = {name: changed["whole_line"][name] for name in ("verdict", "at", "abnormal")}
     assert said == {"verdict": "dry · Port closed since 00:01: unplugged", "at": "/bus/dry", "abnormal": "1"}
@@ -85,7 +87,7 @@ def test_a_closed_port_is_one_entry_and_not_one_for_each_unit() -> None:
 def test_the_line_s_figures_are_the_worst_of_all_buses() -> None:
     live = line()
     shown = screen(live)
-    live.apply("dry", [figures()])
+    live.buses["dry"].apply([figures()])
     assert shown.see("dry", [], 100.1, whole_bus=True)["whole_line"] == {"scan": "0.30 s", "wire": "90 %"}
 
 
@@ -103,7 +105,7 @@ def test_the_first_paint_has_the_same_texts() -> None:
 def test_the_strip_has_an_end() -> None:
     live = line(60)
     shown = screen(live)
-    live.apply("dry", [reading(n, at=100.2, inputs=1) for n in range(1, 61)])
+    live.buses["dry"].apply([reading(n, at=100.2, inputs=1) for n in range(1, 61)])
     changed = shown.see("dry", list(range(1, 61)), 100.2, whole_bus=False)
     assert len(changed["whole_line"]["strip"].split("\n")) == 30
     assert changed["whole_line"]["abnormal"] == "60"
@@ -134,7 +136,7 @@ def test_the_verdict_of_a_line_that_is_well_is_one_sentence(
     readings: list[dict[str, int]], verdict: str, german: str
 ) -> None:
     live = line()
-    live.apply("dry", [reading(unit, **changes) for unit, changes in enumerate(readings, 1)])
+    live.buses["dry"].apply([reading(unit, **changes) for unit, changes in enumerate(readings, 1)])
     for tag, text in (("en", verdict), ("de", german)):
         shown = screen(live, tag).shown["whole_line"]
         assert (shown["verdict"], shown["counts"], shown["level"]) == (text, "", "")
@@ -149,7 +151,7 @@ def test_the_verdict_of_a_line_that_is_well_is_one_sentence(
 )
 def test_the_verdict_of_one_unit(changes: dict[str, int], verdict: str, german: str) -> None:
     live = line(1)
-    live.apply("dry", [reading(1, **changes)])
+    live.buses["dry"].apply([reading(1, **changes)])
     assert screen(live).shown["whole_line"]["verdict"] == verdict
     assert screen(live, "de").shown["whole_line"]["verdict"] == german
 
@@ -166,9 +168,9 @@ def test_the_first_line_of_a_unit_that_is_well_is_its_state() -> None:
 def test_a_ramp_is_told_to_its_unit_and_not_to_the_whole_line_each_second() -> None:
     live = line()
     shown = screen(live)
-    live.apply("dry", [reading(1, at=101.0, outputs=0x40, actual=200)])
+    live.buses["dry"].apply([reading(1, at=101.0, outputs=0x40, actual=200)])
     shown.see("dry", [1], 101.0, whole_bus=False)
-    live.apply("dry", [reading(1, at=103.0, outputs=0x40, actual=500)])
+    live.buses["dry"].apply([reading(1, at=103.0, outputs=0x40, actual=500)])
     changed = shown.see("dry", [1], 103.0, whole_bus=False)
     assert changed["dry/1"]["status"] == "Ramping to 120.0, about 4 s left"
     assert "whole_line" not in changed
@@ -177,7 +179,7 @@ def test_a_ramp_is_told_to_its_unit_and_not_to_the_whole_line_each_second() -> N
 def test_what_to_check_is_said_with_the_cause() -> None:
     live = line()
     shown = screen(live)
-    live.apply("dry", [reading(1, at=100.2, inputs=2, actual=0)])
+    live.buses["dry"].apply([reading(1, at=100.2, inputs=2, actual=0)])
     assert (
         shown.see("dry", [1], 100.2, whole_bus=False)["dry/1"]["check"]
         == "Check the run contact at the drive"

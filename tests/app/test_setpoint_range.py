@@ -30,8 +30,7 @@ FOLLOWER = {8: 1, 31: 15000, 38: 5000}
 def unit(parameters: dict[int, int | None]) -> UnitLive:
     """A unit of which this was read; None: it does not have it (NAK 82h)."""
     live = a_bus()
-    live.apply(
-        "dry-end",
+    live.buses["dry-end"].apply(
         [
             ParameterValue(unit=1, number=number, at=1.0, raw=raw, available=raw is not None)
             for number, raw in parameters.items()
@@ -151,7 +150,7 @@ async def test_a_person_gets_no_review_above_the_maximum(
 
 
 async def test_what_was_reviewed_below_a_maximum_that_has_sunk_since_is_refused(house: House) -> None:
-    house.services.live.apply("dry-end", [ParameterValue(unit=1, number=2, at=2.0, raw=900)])
+    house.services.live.buses["dry-end"].apply([ParameterValue(unit=1, number=2, at=2.0, raw=900)])
     browser = await house.signed_in(Role.OPERATOR)
     recipe = await house.services.recipes.save(ANNA, "dry-end", "Board", "", {1: 1000})
     reviewed = {"id": "c" * 32, "reviewed_at": f"{time.time()}", "raw-1": "1000", "was-1": "1000"}

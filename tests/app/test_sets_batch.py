@@ -39,9 +39,9 @@ def test_a_value_that_moved_since_the_review_is_not_written() -> None:
     live = line(run=False)
     reviewed = {row.unit: row.reviewed for row in typed(live, 6, "20", "")}
     refuse_moved(typed(live, 6, "20", ""), reviewed)
-    live.apply("dry-end", [ParameterValue(unit=2, number=6, at=2.0, raw=101)])
+    live.buses["dry-end"].apply([ParameterValue(unit=2, number=6, at=2.0, raw=101)])
     refuse_moved(typed(live, 6, "20", ""), reviewed)
-    live.apply("dry-end", [ParameterValue(unit=1, number=6, at=2.0, raw=101)])
+    live.buses["dry-end"].apply([ParameterValue(unit=1, number=6, at=2.0, raw=101)])
     refuse_moved(typed(live, 6, "20", ""), {})
     with pytest.raises(Problem, match="Unwind: the value has moved") as refused:
         refuse_moved(typed(live, 6, "20", ""), reviewed)
@@ -50,7 +50,7 @@ def test_a_value_that_moved_since_the_review_is_not_written() -> None:
 
 def test_the_review_of_a_secret_holds_nothing_of_it() -> None:
     live = line(run=False)
-    live.apply("dry-end", [ParameterValue(unit=1, number=21, at=2.0, raw=4711)])
+    live.buses["dry-end"].apply([ParameterValue(unit=1, number=21, at=2.0, raw=4711)])
     [row, _] = typed(live, 21, "12", "")
     assert (row.reviewed, row.changes) == ("", True)
     refuse_moved([row], {1: row.reviewed})

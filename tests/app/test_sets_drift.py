@@ -41,7 +41,7 @@ class Scene:
         await self.drifts.load()
 
     def reads(self, number: int, raw: int) -> None:
-        self.live.apply("dry-end", [ParameterValue(unit=1, number=number, at=self.now, raw=raw)])
+        self.live.buses["dry-end"].apply([ParameterValue(unit=1, number=number, at=self.now, raw=raw)])
 
     async def asked(self, who: str, number: int, raw: int | None, outcome: str | None = "verified") -> None:
         said: dict[str, Any] = {"who": who, "origin": "api", "bus": "dry-end", "unit": 1, "new_raw": raw}
@@ -123,9 +123,9 @@ async def test_after_a_restart_the_events_still_tell(scene: Scene) -> None:
     live = a_bus()
     again = Drifts(live, scene.store, scene.events)
     await again.load()
-    live.apply("dry-end", [ParameterValue(unit=1, number=41, at=NOW, raw=7)])
+    live.buses["dry-end"].apply([ParameterValue(unit=1, number=41, at=NOW, raw=7)])
     assert again.unread("dry-end", 1) == 40, "what a scan asks beyond the list is none of the forty"
-    live.apply("dry-end", [ParameterValue(unit=1, number=12, at=NOW + 5, raw=21)])
+    live.buses["dry-end"].apply([ParameterValue(unit=1, number=12, at=NOW + 5, raw=21)])
     [one] = await again.traced("dry-end", 1)
     assert one.change is not None
     assert (one.change["who"], one.traced) == ("anna", True)

@@ -30,7 +30,7 @@ class Scene(SetScene):
         self.first = FirstWrites(self.live, self.desk, self.keeper, lambda: self.now)
 
     def link(self, unit: int, state: UnitLinkState) -> None:
-        self.live.apply("dry-end", [UnitLink(unit=unit, at=1.0, link=state)])
+        self.live.buses["dry-end"].apply([UnitLink(unit=unit, at=1.0, link=state)])
 
     async def kept(self, unit: int) -> list[str]:
         return [summary.origin for summary in await self.store.summaries("dry-end", unit)]

@@ -230,7 +230,7 @@ async def test_a_lost_answer_of_a_unit_that_is_heard_is_no_silence(
 ) -> None:
     swap, live, wire = await scene.begin(), line(2), Wire(seen)
     swap.bus = "dry"
-    live.apply("dry", [UnitLink(unit=2, at=101.0, link=link)])
+    live.buses["dry"].apply([UnitLink(unit=2, at=101.0, link=link)])
     shown_now = await look(wire, live, ANNA, swap)  # type: ignore[arg-type]
     assert (shown_now.at_target, wire.seen) == (at_target, [])
 

@@ -26,7 +26,7 @@ NULL_BEFORE_READ = CONTRACT_UNIT - {"id", "name", "link"}
 def live_with(**settings: Any) -> LiveState:
     """Three units that were heard."""
     live = LiveState([bus_settings(**settings)], time.time())
-    live.worker_came("dry-end", snapshot(), "1.0")
+    live.buses["dry-end"].take_snapshot(snapshot(), "1.0")
     return live
 
 
@@ -56,7 +56,7 @@ def test_what_was_never_read_is_null() -> None:
 
 def test_a_unit_in_its_own_decimals() -> None:
     live = live_with()
-    live.apply("dry-end", [reading(1, 12345, actual=12300, analog=51)])
+    live.buses["dry-end"].apply([reading(1, 12345, actual=12300, analog=51)])
     unit = shown(live)
     assert unit.keys() >= CONTRACT_UNIT
     assert (unit["commanded_raw"], unit["actual_raw"], unit["decimals"]) == (12345, 12300, 1)
@@ -68,7 +68,7 @@ def test_a_unit_in_its_own_decimals() -> None:
 
 def test_without_decimals_no_number_is_made_up() -> None:
     live = LiveState([bus_settings()], time.time())
-    live.apply("dry-end", [reading(1, 12345), UnitLink(unit=1, at=time.time(), link="online")])
+    live.buses["dry-end"].apply([reading(1, 12345), UnitLink(unit=1, at=time.time(), link="online")])
     unit = shown(live)
     assert unit["commanded_raw"] == 12345
     assert unit["commanded"] is unit["actual"] is unit["decimals"] is unit["analog"] is unit["rpm"] is None
@@ -91,13 +91,13 @@ def test_the_age_is_by_the_servers_clock() -> None:
 )
 def test_output_bits(outputs: int, inputs: int, expected: dict[str, Any]) -> None:
     live = live_with()
-    live.apply("dry-end", [reading(1, outputs=outputs, inputs=inputs)])
+    live.buses["dry-end"].apply([reading(1, outputs=outputs, inputs=inputs)])
     assert shown(live).items() >= expected.items()
 
 
 def test_keylock_is_told_from_local_by_its_parameter() -> None:
     live = live_with()
-    live.apply("dry-end", [reading(1, outputs=0), parameter(19, 2)])
+    live.buses["dry-end"].apply([reading(1, outputs=0), parameter(19, 2)])
     assert shown(live)["mode"] == "KEYLOCK"
 
 
@@ -106,7 +106,7 @@ def test_keylock_is_told_from_local_by_its_parameter() -> None:
 )
 def test_estop_is_true_when_one_is_active_in_this_dialect(healthy: int, bit: int, active: bool) -> None:
     live = live_with(estop_healthy=healthy)
-    live.apply("dry-end", [reading(1, inputs=bit << 1)])
+    live.buses["dry-end"].apply([reading(1, inputs=bit << 1)])
     assert shown(live)["inputs"]["estop"] is active
 
 
@@ -114,7 +114,7 @@ def test_every_input_has_its_name() -> None:
     names = ("run", "estop", "preset", "reverse", "up", "down", "slave")
     for position, name in enumerate(names):
         live = live_with(estop_healthy=0)
-        live.apply("dry-end", [reading(1, inputs=1 << position)])
+        live.buses["dry-end"].apply([reading(1, inputs=1 << position)])
         inputs = shown(live)["inputs"]
         assert [key for key in names if inputs[key]] == [name]
         assert set(inputs) == set(names)
@@ -123,7 +123,7 @@ def test_every_input_has_its_name() -> None:
 def test_a_follower_stages_a_ratio_and_shows_a_speed_or_a_ratio_by_dialect() -> None:
     for follower_speed, commanded in (("speed", "1000.0"), ("ratio", "1.0000")):
         live = live_with(follower_speed=follower_speed)
-        live.apply("dry-end", [reading(1, 10000), parameter(8, 1), Staged(unit=1, at=0.0, raw=12345)])
+        live.buses["dry-end"].apply([reading(1, 10000), parameter(8, 1), Staged(unit=1, at=0.0, raw=12345)])
         unit = shown(live)
         assert unit["follower"] is True
         assert (unit["commanded"], unit["staged"]) == (commanded, "1.2345")
@@ -135,7 +135,7 @@ def test_a_bus_with_and_without_figures() -> None:
     assert bus.keys() >= CONTRACT_BUS
     assert (bus["link"], bus["scan_hz"], len(bus["units"])) == ("open", None, 3)
     figures = BusFigures(at=1.0, scan_hz=12.5, scan_s=0.08, wire_utilisation=0.98, scan_s_with_one_more=0.1)
-    live.apply("dry-end", [figures, BusLink(at=2.0, link="closed", cause=term("unplugged"))])
+    live.buses["dry-end"].apply([figures, BusLink(at=2.0, link="closed", cause=term("unplugged"))])
     bus = bus_json(live.buses["dry-end"], time.time(), not_blocked, voice())
     assert (bus["link"], bus["link_cause"], bus["scan_hz"]) == ("closed", "unplugged", 12.5)
 
@@ -148,7 +148,7 @@ def test_the_line_has_every_bus() -> None:
 
 def test_a_parameter_as_read_unread_and_not_there() -> None:
     live = live_with()
-    live.apply("dry-end", [parameter(6, 50), parameter(40, None, available=False)])
+    live.buses["dry-end"].apply([parameter(6, 50), parameter(40, None, available=False)])
     unit = live.buses["dry-end"].units[1]
     ramp = parameter_json(unit, 6)
     wanted = {"number": 6, "raw": 50, "value": "5.0", "unit": "s", "min": 0, "max": 9999, "available": True}
@@ -163,7 +163,7 @@ def test_a_parameter_as_read_unread_and_not_there() -> None:
 
 def test_the_password_is_masked() -> None:
     live = live_with()
-    live.apply("dry-end", [parameter(21, 4242)])
+    live.buses["dry-end"].apply([parameter(21, 4242)])
     row = parameter_json(live.buses["dry-end"].units[1], 21)
     assert row["raw"] is None
     assert row["masked"] is True

@@ -18,14 +18,14 @@ def test_every_unit_that_can_take_it_does() -> None:
 
 def test_followers_come_down_with_their_master() -> None:
     live = line()
-    live.apply("dry", [ParameterValue(unit=2, number=8, at=1, raw=1)])
+    live.buses["dry"].apply([ParameterValue(unit=2, number=8, at=1, raw=1)])
     plan = plan_zero(live.buses["dry"], nobody, 100.0)
     assert (list(plan.units), plan.followers, plan.left_out) == ([1], 1, [])
 
 
 def test_each_that_cannot_take_it_has_its_reason() -> None:
     live = line(4)
-    live.apply("dry", [reading(1, outputs=AT_SPEED), reading(2, at=50.0)])
+    live.buses["dry"].apply([reading(1, outputs=AT_SPEED), reading(2, at=50.0)])
     plan = plan_zero(live.buses["dry"], lambda unit: "belt off" if unit == 3 else "", 100.0)
     assert list(plan.units) == [4]
     assert [(name, reason.code) for name, reason in plan.left_out] == [
@@ -37,12 +37,12 @@ def test_each_that_cannot_take_it_has_its_reason() -> None:
 
 def test_with_the_port_closed_all_are_left_out() -> None:
     live = line()
-    live.apply("dry", [BusLink(at=100.0, link="closed")])
+    live.buses["dry"].apply([BusLink(at=100.0, link="closed")])
     assert plan_zero(live.buses["dry"], nobody, 100.0).units == {}
 
 
 def test_a_unit_without_a_ramp_and_one_that_does_not_run_are_named() -> None:
     live = line()
-    live.apply("dry", [ParameterValue(unit=1, number=7, at=1, raw=0), reading(2, inputs=HEALTHY)])
+    live.buses["dry"].apply([ParameterValue(unit=1, number=7, at=1, raw=0), reading(2, inputs=HEALTHY)])
     plan = plan_zero(live.buses["dry"], nobody, 100.0)
     assert [(name, risk.code) for name, risk in plan.risks] == [("Unit 1", "no_ramp"), ("Unit 2", "run_off")]

@@ -19,10 +19,11 @@ from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
 from app.audit.store import Filter
+from app.feed.bus_feed import WorkerLeft
 from app.feed.holders import Credential
 from app.feed.ingest import Ingest
 from app.feed.rates import HELLOS_AT_ONCE, update_bucket
-from app.feed.workers import TOO_OFTEN, WorkerLeft
+from app.feed.workers import TOO_OFTEN
 from app.live.browsers.browser import Browser
 from app.web.access import Role
 from bus.contract import (
@@ -92,7 +93,8 @@ class Scene:
         self.page = Browser("ada", "admin", "de", units=frozenset({(BUS, 1)}), trace=BUS)
         house.services.hub.join(self.page)
         self._skipped_s = 0.0
-        house.services.workers._monotonic = lambda: time.monotonic() + self._skipped_s
+        for timed in (house.services.workers, house.services.buses[BUS].feed):
+            timed._monotonic = lambda: time.monotonic() + self._skipped_s
 
     async def attack(self, *messages: bytes) -> HostileSocket:
         """One connection that sends them after a hello; the worker before is gone for long."""
@@ -177,7 +179,7 @@ def test_values_from_outside_the_window_are_refused_and_counted(runner: asyncio.
         await scene.attack(encode(snapshot()), encode(Batch(1, now, [*updates, *unknown])))
         unit = (await scene.admin.get("/api/v1/buses/dry-end/units/1")).json()
         assert unit["commanded_raw"] != 7777
-        await scene.house.services.pipeline.recorded()
+        await scene.house.services.buses[BUS].recorder.recorded()
         events, _ = await scene.house.services.events.page(Filter(kind="worker"), 10)
         refused = [event for event in events if event["what"] == "updates of the bus worker refused"]
         assert refused[0]["new"] == "4"
@@ -188,8 +190,8 @@ def test_values_from_outside_the_window_are_refused_and_counted(runner: asyncio.
 def test_a_state_without_a_plausible_time_still_holds(runner: asyncio.Runner, scene: Scene) -> None:
     async def attack() -> None:
         closed = BusLink(at=time.time() + 1e9, link="closed", cause=term("cut"))
-        live, seen = scene.house.services.live, []
-        end = live.subscribe(lambda _, updates: seen.extend(updates))
+        live, seen = scene.house.services.buses[BUS].live, []
+        end = live.subscribe(seen.extend)
         await scene.attack(encode(snapshot()), encode(Batch(1, time.time(), [closed])))
         end()
         (taken,) = [update for update in seen if isinstance(update, BusLink) and update.cause == term("cut")]
@@ -213,7 +215,7 @@ def test_only_the_parts_of_a_result_that_belong_to_its_command_count(
     runner: asyncio.Runner, scene: Scene
 ) -> None:
     async def attack() -> None:
-        channel = scene.house.services.workers.channels[BUS]
+        channel = scene.house.services.buses[BUS].channel
         frame = Frame(time.time(), "in", b"\x10\x02", [])
         values = [ParameterValue(1, 20, time.time(), 4711)]
 
@@ -255,7 +257,7 @@ def test_a_flood_of_events_is_summed_up(runner: asyncio.Runner, scene: Scene) ->
         ]
         batches = [encode(Batch(seq, time.time(), flips)) for seq in range(1, 7)]
         await scene.attack(encode(snapshot()), *batches)
-        await scene.house.services.pipeline.recorded()
+        await scene.house.services.buses[BUS].recorder.recorded()
         found, _ = await events.page(Filter(), 1000)
         fresh = [event for event in found if event["id"] > before]
         assert len(fresh) < 100
@@ -293,7 +295,7 @@ def test_what_is_over_the_rate_is_not_read_yet(
         await scene.attack(encode(snapshot()), *batches)
 
     monkeypatch.setattr(Ingest, "_hold_back", hold_back)
-    monkeypatch.setattr(scene.house.services.workers, "_update_buckets", {BUS: update_bucket()})
+    monkeypatch.setattr(scene.house.services.buses[BUS].feed, "_bucket", update_bucket())
     runner.run(attack())
     # 20,000 updates, of which a quarter of an hour's backlog may come at once.
     assert sum(pause > 0 for pause in pauses) > 10

@@ -40,4 +40,4 @@ async def _ask(desk: Desk, raw: int) -> Result:
 
 
 def _restarted(stage: Stage) -> Desk:
-    return Desk(stage.live, stage.workers.channels, stage.events, stage.database, stage.guards, stage.rights)
+    return Desk(stage.live, stage.channels, stage.events, stage.database, stage.guards, stage.rights)

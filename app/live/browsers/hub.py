@@ -8,7 +8,8 @@ second; the same tick is the heartbeat that every page draws.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 from app.live.browsers.admission import Admission
 from app.live.browsers.browser import Browser
@@ -40,8 +41,8 @@ _OF_A_BUS = {BusFigures, BusLink}
 """What changes more than the units that it names."""
 _PASSED_ON = {Progress, Frames, BusFigures}
 """What says something that is not part of the state."""
-Watcher = Callable[[str, list[int], bool], None]
-"""Told of a bus, the units that someone has open there, and whether someone follows its trace."""
+Watcher = Callable[[list[int], bool], None]
+"""Called with the units of a bus that someone has open, and whether someone follows its trace."""
 
 
 class Hub:
@@ -52,13 +53,13 @@ class Hub:
         live: LiveState,
         sources: Sources,
         templates: Templates,
-        watch: Watcher,
+        watchers: Mapping[str, Watcher],
         clock: Callable[[], float],
     ) -> None:
         self.live = live
         self._sources = sources
         self._templates = templates
-        self._watch = watch
+        self._watchers = watchers
         self._clock = clock
         self._readers: dict[str, Readers] = {}
         """Of every language that was asked for once; most have nobody now."""
@@ -67,7 +68,8 @@ class Hub:
         self._pages = Watched({name: bus.units for name, bus in live.buses.items()})
         self._tellings = Bucket(WATCH_TOLD_A_SECOND, MOST_TOLD_AT_ONCE)
         self._watched_is_due = False
-        live.subscribe(self._on_updates)
+        for name, bus in live.buses.items():
+            bus.subscribe(partial(self._on_updates, name))
         sources.guards.on_block(self.refresh_unit)
         sources.drift.on_change(self.refresh_unit)
 
@@ -235,4 +237,4 @@ class Hub:
             wish = (units, self._pages.is_traced(bus))
             if self._watched.get(bus, ([], False)) != wish:
                 self._watched[bus] = wish
-                self._watch(bus, *wish)
+                self._watchers[bus](*wish)

@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+
+import structlog
 
 from app.live.state.age import offline_after_s, scan_s_of
 from app.live.state.conditions import bits_of, conditions_of
 from app.live.state.motion import Motion
 from app.live.state.onset import Onset, Onsets
+from app.live.state.snapshot import updates_of
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.values import MOST_DECIMALS, RATIO_DECIMALS, is_follower
-from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink
+from bus.contract import (
+    BusFigures,
+    BusLink,
+    ParameterValue,
+    Reading,
+    Snapshot,
+    Staged,
+    UnitLink,
+    Update,
+)
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
+
+log = structlog.get_logger()
+
+NO_WORKER = Message("worker_not_connected")
+BusSubscriber = Callable[[Sequence[Update]], None]
+"""Called with the updates of a bus after they were applied."""
 
 
 @dataclass(slots=True)
@@ -39,7 +58,8 @@ class UnitLive:
 
 @dataclass(slots=True)
 class BusLive:
-    """One bus: its port as the worker sees it, its figures, its units in floor order."""
+    """One bus: its port as the worker sees it, its figures, its units in floor order. It has one writer: what
+    the worker reports. A command never changes it."""
 
     settings: BusSettings
     link: BusLink
@@ -50,6 +70,7 @@ class BusLive:
     worker_software: str = ""
     figures: BusFigures | None = None
     units: dict[int, UnitLive] = field(default_factory=dict)
+    _subscribers: list[BusSubscriber] = field(default_factory=list, compare=False)
 
     @property
     def worker_connected(self) -> bool:
@@ -61,14 +82,71 @@ class BusLive:
         """The present rate: what the worker says, as #18 may have moved it; else as configured."""
         return self.link.baud or self.settings.baud
 
-    def take_link(self, link: BusLink) -> None:
-        """Take in how the port is. A worker says it when it changes."""
+    def subscribe(self, subscriber: BusSubscriber) -> Callable[[], None]:
+        """Call ``subscriber`` with the updates after each change; the result ends it."""
+        self._subscribers.append(subscriber)
+        return lambda: self._subscribers.remove(subscriber)
+
+    def apply(self, updates: Sequence[Update]) -> None:
+        """Take in what the worker reported, in order, and call the subscribers; none of them can stop it. A
+        unit that is not configured is passed over."""
+        for update in updates:
+            self._apply_one(update)
+        for subscriber in tuple(self._subscribers):
+            try:
+                subscriber(updates)
+            except Exception:
+                log.exception("subscriber of the live state failed", bus=self.settings.name)
+
+    def take_snapshot(self, snapshot: Snapshot, software: str) -> list[Update]:
+        """A worker connected, with its whole state; returns that as updates."""
+        if not self.worker_connected:
+            self.worker_lost = None
+            # It says how its port is, and not since when.
+            self.link, self.link_onset = snapshot.bus, Onset(snapshot.bus.at, exact=False)
+        self.worker_software = software
+        updates = updates_of(snapshot)
+        self.apply(updates)
+        return updates
+
+    def lose_worker(self, at: float, cause: Message = NO_WORKER) -> None:
+        """The worker's connection ended: the port counts as closed, nothing counts as fresh."""
+        self.worker_lost = Onset(at)
+        self.figures = None
+        units = [unit for unit in self.units.values() if unit.link.link == "online"]
+        stale = [UnitLink(unit=unit.settings.id, at=at, link="stale", cause=cause) for unit in units]
+        self.apply([BusLink(at=at, link="closed", cause=cause), *stale])
+
+    def _apply_one(self, update: Update) -> None:
+        match update:
+            case BusLink():
+                self._take_link(update)
+            case BusFigures():
+                self.figures = update
+            case Reading() | UnitLink() | ParameterValue() | Staged():
+                unit = self.units.get(update.unit)
+                if unit is not None:
+                    self._apply_to_unit(unit, update)
+
+    def _apply_to_unit(self, unit: UnitLive, update: Reading | UnitLink | ParameterValue | Staged) -> None:
+        match update:
+            case Reading():
+                self.take_reading(unit, update)
+            case UnitLink():
+                unit.link = update
+            case ParameterValue():
+                unit.parameters[update.number] = update
+            case Staged():
+                unit.staged = update.raw
+
+    def _take_link(self, link: BusLink) -> None:
+        """A worker says how its port is when that changes."""
         if link.link != self.link.link:
             self.link_onset = Onset(link.at)
         self.link = link
 
     def take_reading(self, unit: UnitLive, reading: Reading) -> None:
-        """Take in what a unit of this bus reads, with all that follows from it."""
+        """With all that follows from it."""
         unit.reading = reading
         bits, scan_s = bits_of(self, reading), scan_s_of(self)
         unit.motion.see(reading, bits, scan_s=scan_s, ratio=reads_ratio(self, unit))
@@ -91,11 +169,11 @@ def speed_decimals(bus: BusLive, unit: UnitLive) -> int | None:
     return RATIO_DECIMALS if reads_ratio(bus, unit) else unit.parameter_raw(DECIMALS)
 
 
-def never_seen(settings: BusSettings, at: float, cause: Message) -> BusLive:
-    """A bus of which nothing is known, for ``cause``; first seen so at ``at``."""
+def never_seen(settings: BusSettings, at: float) -> BusLive:
+    """A bus that no worker has reported yet; first seen so at ``at``."""
     units = {
         unit.id: UnitLive(settings=unit, link=UnitLink(unit=unit.id, at=at, link="unknown"))
         for unit in settings.unit
     }
     first_seen = Onset(at, exact=False)
-    return BusLive(settings, BusLink(at, "closed", cause), first_seen, first_seen, units=units)
+    return BusLive(settings, BusLink(at, "closed", NO_WORKER), first_seen, first_seen, units=units)

@@ -1,0 +1,173 @@
+"""Which worker has one bus, and how far it was followed."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+import structlog
+
+from app.feed.channel import Channel, Connection
+from app.feed.holders import Credential, Ending, Holder
+from app.feed.ingest import Ingest, Received
+from app.feed.rates import update_bucket
+from app.live.state.bus_live import NO_WORKER
+from app.pipeline import Pipeline
+from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome
+from bus.messages import Message
+
+_log = structlog.get_logger()
+
+HELD = "another worker has this bus, or had it a moment ago"
+SILENT = Message("worker_silent")
+MALFORMED = Message("worker_malformed")
+REPLACED = "another worker connected for this bus"
+TICK_S = 1.0
+TIMEOUT_TICKS = 5
+"""A worker tells its figures every second; one that says nothing for so long is gone or stuck. Ticks are
+counted, not seconds, so that a stall of the app itself makes nobody look silent."""
+
+
+class WorkerLeft(ConnectionError):
+    """The worker announced that it leaves."""
+
+
+class WorkerSilent(ConnectionError):
+    """Nothing came from the worker for too long."""
+
+
+class WorkerConnection(Connection, Protocol):
+    """A worker's WebSocket as this package sees it."""
+
+    async def receive(self) -> bytes:
+        """The next message. Raises ConnectionError when there is none (WorkerLeft where that was announced),
+        MalformedMessageError for text."""
+
+    async def close(self, reason: str) -> None:
+        """End it, with a reason in words. Raises nothing."""
+
+
+class BusFeed:
+    """The feed of one bus. ``now`` is Unix time in seconds, ``monotonic`` times what is kept for a worker
+    that may come back."""
+
+    def __init__(
+        self,
+        channel: Channel,
+        pipeline: Pipeline,
+        now: Callable[[], float] = time.time,
+        monotonic: Callable[[], float] = time.monotonic,
+        *,
+        timeout_ticks: int = TIMEOUT_TICKS,
+    ) -> None:
+        self._channel = channel
+        self._pipeline = pipeline
+        self._now = now
+        self._monotonic = monotonic
+        self._timeout_ticks = timeout_ticks
+        self._bucket = update_bucket()
+        self._received = Received("")
+        self._holder: Holder | None = None
+        self._connection: WorkerConnection | None = None
+        self._watches: set[asyncio.Task[None]] = set()
+
+    def watch(self, units: list[int], trace: bool) -> None:
+        """Tell the worker which units are on an open page, and whether someone follows its trace."""
+        watch = asyncio.create_task(self._channel.watch(units, trace=trace))
+        self._watches.add(watch)
+        watch.add_done_callback(self._watches.discard)
+
+    async def serve(
+        self, hello: Hello, connection: WorkerConnection, credential: Credential, refused: str = ""
+    ) -> None:
+        """Serve a worker to its end, or send it away where it is ``refused`` or the bus is another's. Raises
+        ConnectionError when it is gone before it was admitted."""
+        holder = self._holder
+        if not refused and holder is not None:
+            is_free = holder.yields_to(hello.worker, credential, self._monotonic())
+            refused = "" if is_free else HELD
+        if refused:
+            held_by = "" if holder is None else str(holder.credential)
+            self._pipeline.worker_refused(self._now(), held_by, str(credential), refused)
+            await send_away(connection, refused, self._now())
+            return
+        # Taken in the same turn of the loop: of two that say hello together, the second meets the first.
+        former = self._take(hello, connection, credential)
+        try:
+            await self._serve_holder(hello, connection, former)
+        finally:
+            self._release(connection, NO_WORKER, Ending.LOST)
+
+    def _take(
+        self, hello: Hello, connection: WorkerConnection, credential: Credential
+    ) -> WorkerConnection | None:
+        """Give the bus to this worker; the connection that it had until now, if it is still open."""
+        again = self._holder is not None and self._received.worker == hello.worker
+        if not again:
+            self._received = Received(hello.worker)
+        self._holder = Holder(hello.worker, credential)
+        former, self._connection = self._connection, connection
+        if former is not None:
+            self._channel.closed(former)
+        self._pipeline.worker_connected(hello, self._now(), again=again)
+        return former
+
+    async def _serve_holder(
+        self, hello: Hello, connection: WorkerConnection, former: WorkerConnection | None
+    ) -> None:
+        if former is not None:
+            await former.close(REPLACED)
+        try:
+            await connection.send(Welcome(CONTRACT_VERSION, self._received.seq, self._now()))
+            await self._follow(hello, connection)
+        except MalformedMessageError as error:
+            _log.warning("bus worker sent a malformed message", bus=hello.bus, why=str(error))
+            self._release(connection, MALFORMED, Ending.LOST)
+            await connection.close(str(error))
+        except WorkerSilent:
+            self._release(connection, SILENT, Ending.CUT)
+            await connection.close(str(SILENT))
+        except WorkerLeft:
+            self._release(connection, NO_WORKER, Ending.LEFT)
+
+    async def _follow(self, hello: Hello, connection: WorkerConnection) -> None:
+        channel, pipeline, bucket = self._channel, self._pipeline, self._bucket
+        ingest = Ingest(hello, self._received, channel, pipeline, connection, bucket, self._now)
+        works = (self._receive(ingest, connection), self._tick(ingest))
+        tasks = {asyncio.create_task(work) for work in works}
+        try:
+            ended, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in ended:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _receive(self, ingest: Ingest, connection: WorkerConnection) -> None:
+        while self._connection is connection:
+            await ingest.receive(await connection.receive())
+            if self._holder is not None:
+                self._holder.port_seen |= self._pipeline.port_is_open
+
+    async def _tick(self, ingest: Ingest) -> None:
+        while ingest.silent_ticks < self._timeout_ticks:
+            await ingest.tick()
+            await asyncio.sleep(TICK_S)
+        raise WorkerSilent(str(SILENT))
+
+    def _release(self, connection: WorkerConnection, cause: Message, ending: Ending) -> None:
+        """This connection has ended. Nothing where it was released already, or another has its place."""
+        self._channel.closed(connection)
+        if self._connection is connection and self._holder is not None:
+            self._connection = None
+            self._holder.connection_ended(ending, self._monotonic())
+            self._pipeline.worker_disconnected(self._now(), cause)
+
+
+async def send_away(connection: WorkerConnection, reason: str, now: float) -> None:
+    """Refuse a worker, in words for its operator."""
+    await connection.send(Welcome(CONTRACT_VERSION, 0, now, reason))
+    await connection.close(reason)

@@ -1,0 +1,94 @@
+"""Records the changes of a bus in the event log, in order and within a budget, and never holds up who reports
+them: what cannot be written now waits."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import structlog
+
+from app.audit.budget import BURST, EventBudget, Summary
+from app.audit.log import EventLog
+from app.errors import StoreError
+from app.live.changes import Change
+
+RETRY_AFTER_S = 1.0
+FEW = 6
+"""How often a port or a worker comes and goes before that is summed up."""
+DUE_EVERY_S = 1.0
+"""How often it is looked for summaries."""
+
+log = structlog.get_logger()
+
+
+class ChangeRecorder:
+    """Of one bus; of the site without ``bus``. ``monotonic`` times the budget, in seconds."""
+
+    def __init__(
+        self, events: EventLog, bus: str | None = None, monotonic: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._events = events
+        self._bus = bus
+        self._monotonic = monotonic
+        self._budget: EventBudget[Change] = EventBudget()
+        self._queue: asyncio.Queue[Change] = asyncio.Queue()
+
+    def note(self, change: Change) -> None:
+        """Record this soon, on its own or in a summary."""
+        key = (change.unit, change.kind, change.series)
+        burst = FEW if change.kind in ("bus", "worker") else BURST
+        if self._budget.admits(key, change, self._monotonic(), burst=burst):
+            self._queue.put_nowait(change)
+
+    async def follow(self) -> None:
+        """Write what was noted into the events, in order, until cancelled."""
+        fault = ""
+        while True:
+            self._note_due()
+            try:
+                async with asyncio.timeout(DUE_EVERY_S):
+                    change = await self._queue.get()
+            except TimeoutError:
+                continue
+            while why := await self._write(change):
+                if why != fault:
+                    log.error("events wait", error=why, bus=self._bus)
+                fault = why
+                await asyncio.sleep(RETRY_AFTER_S)
+            self._queue.task_done()
+
+    async def recorded(self) -> None:
+        """Wait until everything that was noted is in the events, also what was kept for a summary."""
+        self._note_due(everything=True)
+        await self._queue.join()
+
+    async def _write(self, change: Change) -> str:
+        """Returns why it could not be written; empty when it is on disk."""
+        try:
+            await self._events.record(
+                kind=change.kind,
+                bus=self._bus,
+                unit=change.unit,
+                what=change.what,
+                old=change.old,
+                new=change.new,
+                message=change.message,
+                at=change.at,
+            )
+        except StoreError as error:
+            return str(error)
+        return ""
+
+    def _note_due(self, *, everything: bool = False) -> None:
+        for summary in self._budget.due(self._monotonic(), everything=everything):
+            self._queue.put_nowait(_summed_up(summary))
+
+
+def _summed_up(summary: Summary[Change]) -> Change:
+    if summary.count == 1:
+        return summary.last
+    said = f"the last of {summary.count} events within {summary.seconds:.0f} s; the others are not recorded"
+    return replace(summary.last, message=said)
