@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Sequence
 from typing import Protocol
 
 from app.live.change_recorder import ChangeRecorder
-from app.live.changes import Change, Changes
+from app.live.changes import Changes, LineEvent
 from app.live.state.bus_live import BusLive
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
 from bus.messages import Message
@@ -74,7 +74,7 @@ class Pipeline:
     def worker_connected(self, hello: Hello, at: float, *, again: bool) -> None:
         """A worker said hello: ``again`` the one that this app knew, else one that was started."""
         what = f"bus worker {'is back' if again else 'started'}, port {hello.port}"
-        self._recorder.note(Change("worker", None, at, what, "", "connected"))
+        self._recorder.note(LineEvent("worker", None, at, what, "", "connected"))
 
     def worker_refused(self, at: float, holder: str, refused: str, reason: str) -> None:
         """A worker's hello was refused. ``holder`` and ``refused``: the tokens and their addresses."""
@@ -83,12 +83,12 @@ class Pipeline:
     def updates_refused(self, at: float, count: int) -> None:
         """Updates of a worker were not taken in: their time cannot be, or their unit is not configured."""
         what = "updates of the bus worker refused"
-        self._recorder.note(Change("worker", None, at, what, "", str(count), IMPLAUSIBLE, series=what))
+        self._recorder.note(LineEvent("worker", None, at, what, "", str(count), IMPLAUSIBLE, series=what))
 
     def worker_disconnected(self, at: float, cause: Message) -> None:
         """A worker's connection ended."""
         self._live.lose_worker(at, cause)
-        self._recorder.note(Change("worker", None, at, str(cause), "connected", "gone"))
+        self._recorder.note(LineEvent("worker", None, at, str(cause), "connected", "gone"))
 
     def clock_stepped(self, step_s: float, at: float) -> None:
         """The worker's clock was set."""
@@ -101,14 +101,14 @@ class Pipeline:
 def record_history_faults(history: HistoryFaults, recorder: ChangeRecorder) -> None:
     """From now on record when the app's own clock was stepped, and what of the history cannot be read."""
     history.on_clock_step(lambda step_s, at: recorder.note(_clock_step("the app", step_s, at)))
-    history.on_damage(lambda what, at: recorder.note(Change("server", None, at, what, "", "")))
+    history.on_damage(lambda what, at: recorder.note(LineEvent("server", None, at, what, "", "")))
 
 
-def refusal_of_worker(at: float, holder: str, refused: str, reason: str) -> Change:
+def refusal_of_worker(at: float, holder: str, refused: str, reason: str) -> LineEvent:
     """The event of a worker whose hello was refused."""
     what = "bus worker refused"
-    return Change("worker", None, at, what, holder, refused, reason, series=what)
+    return LineEvent("worker", None, at, what, holder, refused, reason, series=what)
 
 
-def _clock_step(whose: str, step_s: float, at: float) -> Change:
-    return Change("clock", None, at, f"clock of {whose} stepped by {step_s:+.3f} s", "", "")
+def _clock_step(whose: str, step_s: float, at: float) -> LineEvent:
+    return LineEvent("clock", None, at, f"clock of {whose} stepped by {step_s:+.3f} s", "", "")

@@ -26,7 +26,7 @@ from bus.configuration import ConfigurationError
 from bus.settings import BusSettings, Strict
 from bus.text import OneLine
 
-__all__ = ["ConfigurationError", "Server", "Sessions", "Settings", "Site", "load"]
+__all__ = ["ConfigurationError", "ServerSettings", "Sessions", "Settings", "Site", "load"]
 
 _HOST_NAME = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?:\.[A-Za-z0-9-]{1,63})*")
 
@@ -94,7 +94,7 @@ def _host_name(written: str) -> str:
     return bare
 
 
-Network = Annotated[IPv4Network | IPv6Network, BeforeValidator(_network)]
+TrustedNetwork = Annotated[IPv4Network | IPv6Network, BeforeValidator(_network)]
 HostName = Annotated[str, AfterValidator(_host_name)]
 
 
@@ -117,7 +117,7 @@ class Sessions(Strict):
         return self
 
 
-class Server(Strict):
+class ServerSettings(Strict):
     """Where the dashboard listens and keeps its data."""
 
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
@@ -125,7 +125,7 @@ class Server(Strict):
     """0 takes any free port."""
     data: Path = Path("data")
     """Relative to the file; absolute once loaded."""
-    trusted_proxies: tuple[Network, ...] = ()
+    trusted_proxies: tuple[TrustedNetwork, ...] = ()
     """Whose X-Forwarded-For, -Proto and -Host are believed."""
     allowed_hosts: tuple[HostName, ...] = ()
     """The names under which the dashboard answers; empty: any."""
@@ -137,7 +137,7 @@ class Server(Strict):
         return self.data / "lineside.db"
 
 
-class History(Strict):
+class HistorySettings(Strict):
     """How long readings are kept."""
 
     raw_days: Annotated[int, Field(strict=True, ge=1, le=3650)] = 30
@@ -159,8 +159,8 @@ class Settings(Strict):
     """The whole configuration."""
 
     site: Site = Site()
-    server: Server = Server()
-    history: History = History()
+    server: ServerSettings = ServerSettings()
+    history: HistorySettings = HistorySettings()
     audit: Audit = Audit()
     bus: tuple[BusSettings, ...] = ()
     _file: Path | None = PrivateAttr(None)

@@ -27,7 +27,7 @@ from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
 from app.bus_service import BusService
 from app.commands.safeguards.service import Safeguards
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.database import Database
 from app.database.private import make_private
 from app.feed.workers import Workers
@@ -37,7 +37,7 @@ from app.history.status import sentence
 from app.history.status_words import status_words
 from app.live.browsers.hub import Hub
 from app.live.change_recorder import ChangeRecorder
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 from app.live.screen.sources import Sources
 from app.live.state.live_state import LiveState
 from app.live.state.onset_lookup import OnsetLookup
@@ -49,13 +49,13 @@ from app.recipes.store import RecipeStore
 from app.sets.first_write import FirstWrites
 from app.sets.keeper import SetKeeper
 from app.sets.reading import ParameterReader
-from app.sets.restore import RestoreDesk
+from app.sets.restore import RestoreService
 from app.sets.restore_store import RestoreStore
 from app.sets.schedule import SetSchedule
 from app.sets.store import SetStore
 from app.sets.taking import Takings
 from app.settings import Settings
-from app.swap.desk import SwapDesk
+from app.swap.desk import SwapService
 from app.swap.store import SwapStore
 from app.web.access import Person, Role
 from app.web.assets import Assets, static_dir, templates_dir
@@ -93,13 +93,13 @@ class Services:
     workers: Workers
     hub: Hub
     safeguards: Safeguards
-    desk: Desk
+    desk: CommandService
     sets: SetKeeper
     set_schedule: SetSchedule
     first_writes: FirstWrites
     takings: Takings
-    restores: RestoreDesk
-    swaps: SwapDesk
+    restores: RestoreService
+    swaps: SwapService
     recipes: RecipeBook
     measured: MetricSources
     onsets: OnsetLookup
@@ -135,10 +135,10 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         sessions=sign_in,
     )
     channels = {name: bus.channel for name, bus in buses.items()}
-    desk = Desk(live, channels, events, database, safeguards, rights)
+    desk = CommandService(live, channels, events, database, safeguards, rights)
     reader = ParameterReader(live, desk)
     sets = SetKeeper(live, reader, SetStore(database), events, rights)
-    restores = RestoreDesk(reader, desk, events, RestoreStore(database))
+    restores = RestoreService(reader, desk, events, RestoreStore(database))
     recipes = RecipeBook(live, desk, RecipeStore(database), events)
     local_time = partial(datetime.now, ZoneInfo(site.zone))
     sources = Sources(
@@ -175,7 +175,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         first_writes=FirstWrites(live, desk, sets, local_time),
         takings=Takings(sets),
         restores=restores,
-        swaps=SwapDesk(events, SwapStore(database), restores, time),
+        swaps=SwapService(events, SwapStore(database), restores, time),
         recipes=recipes,
         measured=MetricSources(live, hub, Counts(events), partial(_anchor_status, anchoring)),
         onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, time),
@@ -186,7 +186,7 @@ def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
     return AnchorStatus() if anchoring is None else anchoring.status
 
 
-def _notices(history: History, anchoring: Anchoring | None, voice: Voice, now: float) -> str:
+def _notices(history: History, anchoring: Anchoring | None, voice: Translator, now: float) -> str:
     """What of the records is not well, in the reader's language; mostly nothing."""
     found = (
         sentence(history.status, voice.t, voice.formats, now),

@@ -14,7 +14,7 @@ from pathlib import Path
 from app.audit.log import EventLog
 from app.database.connection import Database
 from app.history.service import History
-from app.settings import Server, Settings
+from app.settings import ServerSettings, Settings
 from bus.contract import Reading
 
 UNITS = 130
@@ -24,7 +24,7 @@ EVENTS_FROM_STEP = 5
 
 
 async def _live(folder: Path) -> None:
-    history = History(Settings(server=Server(data=folder / "flood")))
+    history = History(Settings(server=ServerSettings(data=folder / "flood")))
     events = EventLog(Database(folder / "flood" / "lineside.db"))
     history.start()
     step = 0

@@ -17,7 +17,7 @@ from typing import Any, cast
 import pytest
 from websockets.asyncio.client import ClientConnection
 
-from app.feed.ingest import Ingest, Received
+from app.feed.ingest import Ingest, IngestPosition
 from app.live.browsers.browser import Browser
 from app.web.access import Role
 from bus.bucket import Bucket
@@ -96,7 +96,7 @@ class PlayedConnection:
 async def connected(house: House) -> PlayedConnection:
     bus, connection = house.services.buses[BUS], PlayedConnection()
     bucket = Bucket(1000.0, 1000)
-    connection.ingest = Ingest(hello(), Received("w1"), bus.channel, bus.pipeline, connection, bucket)
+    connection.ingest = Ingest(hello(), IngestPosition("w1"), bus.channel, bus.pipeline, connection, bucket)
     await connection.ingest.receive(encode(snapshot()))
     return connection
 

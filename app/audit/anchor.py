@@ -35,7 +35,7 @@ class AnchorError(StoreError):
         super().__init__(f"the anchor {path} cannot be used: {self.why}; check anchor in [audit]")
 
 
-class _Line(msgspec.Struct):
+class _AnchorLine(msgspec.Struct):
     id: int
     hash: str
     time: str
@@ -62,7 +62,7 @@ def anchor_line(head: Head, at: float, ring: KeyRing) -> bytes:
     """A head as a line of the file. ``at``: Unix time in seconds."""
     time = datetime.fromtimestamp(at, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     seal = ring.seal("anchor", str(head.id), head.hash, time)
-    return msgspec.json.encode(_Line(head.id, head.hash, time, ring.newest, seal)) + b"\n"
+    return msgspec.json.encode(_AnchorLine(head.id, head.hash, time, ring.newest, seal)) + b"\n"
 
 
 def read_anchors(lines: Iterable[bytes], ring: KeyRing) -> Anchors:
@@ -74,7 +74,7 @@ def read_anchors(lines: Iterable[bytes], ring: KeyRing) -> Anchors:
         if not text.strip():
             continue
         try:
-            line = msgspec.json.decode(text, type=_Line)
+            line = msgspec.json.decode(text, type=_AnchorLine)
         except (msgspec.MsgspecError, UnicodeError):
             unreadable += 1
             continue

@@ -16,7 +16,7 @@ from pydantic import AwareDatetime, BaseModel, Field
 from starlette.responses import Response, StreamingResponse
 
 from app.audit.entry import is_moment
-from app.audit.kinds import Kind
+from app.audit.kinds import EventKind
 from app.audit.log import Event, EventLog
 from app.audit.store import Filter
 from app.web.access import Admin, Viewer
@@ -77,12 +77,12 @@ class EventPage(BaseModel):
 
 
 Events = Annotated[EventLog, service(EventLog)]
-Number = Annotated[int | None, Query(ge=1, le=2**62)]
+EntryNumber = Annotated[int | None, Query(ge=1, le=2**62)]
 
 
 async def wanted_events(
-    before: Number = None,
-    kind: Literal[Kind, ""] | None = None,
+    before: EntryNumber = None,
+    kind: Literal[EventKind, ""] | None = None,
     bus: str | None = None,
     unit: Annotated[int | None, Query(ge=1, le=255)] = None,
     who: str | None = None,
@@ -127,7 +127,7 @@ def _page_json(found: list[Event], after: int | None) -> bytes:
     return msgspec.json.encode({"events": [shown(event) for event in found], "next": after})
 
 
-class Proof(BaseModel):
+class AuditVerification(BaseModel):
     """Whether the log is whole; ``broken`` is the first entry that is not, ``fault`` says how."""
 
     entries: int
@@ -138,9 +138,9 @@ class Proof(BaseModel):
 
 
 @router.get("/events/proof", dependencies=[DOWNLOAD])
-async def prove_events(_: Admin, events: Events) -> Proof:
+async def prove_events(_: Admin, events: Events) -> AuditVerification:
     """Walk the whole log as ``lineside audit verify`` does, without the anchor."""
-    return Proof.model_validate(vars(await events.prove()))
+    return AuditVerification.model_validate(vars(await events.prove()))
 
 
 @router.get("/events.csv", response_class=StreamingResponse, responses=CSV, dependencies=[DOWNLOAD])

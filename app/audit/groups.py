@@ -17,7 +17,7 @@ MOST_PARTS = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class EventRow:
     """One row of the events page: an event, with the parts of a change of several units by address."""
 
     event: Event
@@ -36,7 +36,7 @@ def link_parts(connection: sqlite3.Connection, count: int) -> None:
     connection.executemany("INSERT INTO event_parts (event, whole) VALUES (?, ?)", rows)
 
 
-async def page(events: EventLog, wanted: Filter, limit: int) -> tuple[list[Row], int | None]:
+async def page(events: EventLog, wanted: Filter, limit: int) -> tuple[list[EventRow], int | None]:
     """Rows newest first, at most ``limit``, and the number to ask on from (None at the end). A part stands by
     itself where the filter leaves its whole out."""
     found, after = await events.page(replace(wanted, folded=True), limit)
@@ -47,7 +47,7 @@ async def page(events: EventLog, wanted: Filter, limit: int) -> tuple[list[Row],
         # Newest first: the change of the last part may have more than were read; newer ones have all.
         cut = _whole_of(parts[-1], sorted(wholes))
         found, after = [event for event in found if event["id"] > cut], cut + 1
-    return [Row(event, by_whole.get(event["id"], [])) for event in found], after
+    return [EventRow(event, by_whole.get(event["id"], [])) for event in found], after
 
 
 def _by_whole(parts: Sequence[Event], wholes: Sequence[int]) -> dict[int, list[Event]]:

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import msgspec
 
-from app.audit.keyring import KEY_BYTES, KeyRing, Origin
+from app.audit.keyring import KEY_BYTES, KeyOrigin, KeyRing
 from app.errors import StoreError
 
 _MOST_BYTES = 65_536
@@ -50,7 +50,7 @@ def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
         return _ring(path, file.read(_MOST_BYTES))
 
 
-def make_key_file(path: Path, origin: Origin) -> None:
+def make_key_file(path: Path, origin: KeyOrigin) -> None:
     """Make the file with a first key, for a log that ends at ``origin``, unless another process was faster.
     Raises KeyFileError."""
     ring = KeyRing((secrets.token_bytes(KEY_BYTES),), origin)
@@ -139,5 +139,5 @@ def _ring(path: Path, content: bytes) -> KeyRing:
             f"the audit key {path} is damaged ({error}); restore it from your backup of it, or move it away: "
             "then a new one is made, and what was sealed with the old one is only as good as it is now"
         ) from error
-    origin = Origin(decoded.log.id, decoded.log.hash)
+    origin = KeyOrigin(decoded.log.id, decoded.log.hash)
     return KeyRing(tuple(bytes.fromhex(key) for key in decoded.keys), origin)

@@ -19,7 +19,7 @@ Purpose = Literal["entry", "head", "anchor", "command", "decoy"]
 
 
 @dataclass(frozen=True)
-class Origin:
+class KeyOrigin:
     """The newest entry of the log when its first key was made; entries up to it have no seal of that key."""
 
     id: int = 0
@@ -31,7 +31,7 @@ class KeyRing:
     """Every key that a log was ever sealed with, the newest last; the newest seals what is written now."""
 
     keys: tuple[bytes, ...]
-    origin: Origin = Origin()
+    origin: KeyOrigin = KeyOrigin()
 
     @cached_property
     def _ranks(self) -> dict[str, int]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from app.audit.chain import Head
 from app.audit.key_file import KeyFileError, make_key_file, read_key_file, replace_key_file
-from app.audit.keyring import KEY_BYTES, KeyRing, Origin
+from app.audit.keyring import KEY_BYTES, KeyOrigin, KeyRing
 
 
 class Keys:
@@ -50,7 +50,7 @@ def open_keys(paths: Sequence[Path], store: Path, head: Head) -> Keys:
     """The keys of the log in ``store``, whose newest entry is ``head``, from the first of the files that is
     there. Where none is, the first that can be made is made. Raises KeyFileError."""
     owners = owners_of(store)
-    path = find_key_file(paths) or _made(paths, Origin(head.id, head.hash))
+    path = find_key_file(paths) or _made(paths, KeyOrigin(head.id, head.hash))
     ring = read_key_file(path, owners)
     if ring is None:
         raise KeyFileError(f"the audit key {path} was removed while it was read; start again")
@@ -67,7 +67,7 @@ def owners_of(store: Path) -> frozenset[int]:
     return frozenset({os.geteuid(), 0, store.stat().st_uid})
 
 
-def _made(paths: Sequence[Path], origin: Origin) -> Path:
+def _made(paths: Sequence[Path], origin: KeyOrigin) -> Path:
     *others, last = paths
     for path in others:
         with suppress(KeyFileError):

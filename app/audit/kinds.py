@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-Kind = Literal[
+EventKind = Literal[
     "access_refused",
     "audit",
     "block",

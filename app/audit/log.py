@@ -14,7 +14,7 @@ from app.audit import search, store
 from app.audit.entry import Event as Event
 from app.audit.entry import is_moment, new_entry
 from app.audit.keys import Keys, passing_keys
-from app.audit.kinds import Kind
+from app.audit.kinds import EventKind
 from app.audit.proof import LogProof
 from app.audit.repeated import RepeatedEvents
 from app.audit.store import Filter
@@ -25,7 +25,7 @@ from bus.contract import Frame, Outcome
 
 log = structlog.get_logger()
 
-Subscriber = Callable[[Event], None]
+EventSubscriber = Callable[[Event], None]
 Also = Callable[[sqlite3.Connection], None]
 """What else is written in the transaction of an event."""
 
@@ -51,9 +51,9 @@ class EventLog:
         self.repeated = RepeatedEvents(self.record, clock)
         self._database = database
         self._clock = clock
-        self._subscribers: list[Subscriber] = []
+        self._subscribers: list[EventSubscriber] = []
 
-    def subscribe(self, subscriber: Subscriber) -> Callable[[], None]:
+    def subscribe(self, subscriber: EventSubscriber) -> Callable[[], None]:
         """Hear of each event, and of a command again with its fate. Returns what ends it."""
         self._subscribers.append(subscriber)
         return lambda: self._subscribers.remove(subscriber)
@@ -61,7 +61,7 @@ class EventLog:
     async def intend(
         self,
         *,
-        kind: Kind = "command",
+        kind: EventKind = "command",
         who: str,
         origin: str,
         bus: str,
@@ -108,7 +108,7 @@ class EventLog:
     async def record(
         self,
         *,
-        kind: Kind,
+        kind: EventKind,
         what: str,
         who: str = "",
         origin: str = "",
@@ -144,7 +144,7 @@ class EventLog:
         return (await self._append_all([entry]))[0]
 
     async def count(
-        self, kind: Kind, what: str, *, who: str = "", origin: str = "", message: str = ""
+        self, kind: EventKind, what: str, *, who: str = "", origin: str = "", message: str = ""
     ) -> None:
         """Something that a stranger can cause as often as they like: see `RepeatedEvents`."""
         await self.repeated.count(kind, what, who=who, origin=origin, message=message)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 
-from app.audit.kinds import Kind
+from app.audit.kinds import EventKind
 from app.audit.tally import WINDOW_S, Counted, Tally
 
 MANY = "many addresses"
 """The origin of what is counted for more places than are told apart."""
-_Said = tuple[Kind, str, str, str, str]
+_Said = tuple[EventKind, str, str, str, str]
 """Kind, what, who, origin and message."""
 
 
@@ -25,7 +25,7 @@ class RepeatedEvents:
         self._clock = clock
         self._tally: Tally[_Said] = Tally()
 
-    async def count(self, kind: Kind, what: str, *, who: str, origin: str, message: str) -> None:
+    async def count(self, kind: EventKind, what: str, *, who: str, origin: str, message: str) -> None:
         """It happened once more."""
         told = self._tally.note(f"{kind} {who}", (kind, what, who, origin, message), self._clock())
         if told is not None:

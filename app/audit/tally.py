@@ -10,35 +10,35 @@ WINDOW_S = 60.0
 MOST_KEYS = 20
 """How many of a group have events of their own in a minute."""
 
-Said = TypeVar("Said", bound=Hashable)
+Item = TypeVar("Item", bound=Hashable)
 
 
 @dataclass(slots=True)
-class _Window(Generic[Said]):
-    said: Said
+class _Window(Generic[Item]):
+    said: Item
     began: float
     count: int = 0
     last: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class Counted(Generic[Said]):
+class Counted(Generic[Item]):
     """What happened ``count`` times more since it was last told; ``last``: when, Unix time in seconds.
     ``is_many``: ``said`` is the last of several that are counted together."""
 
-    said: Said
+    said: Item
     count: int
     last: float
     is_many: bool
 
 
-class Tally(Generic[Said]):
+class Tally(Generic[Item]):
     """Counts what is said, by group. Beyond `MOST_KEYS` different ones all others of a group are one."""
 
     def __init__(self) -> None:
-        self._groups: dict[str, dict[Said | None, _Window[Said]]] = {}
+        self._groups: dict[str, dict[Item | None, _Window[Item]]] = {}
 
-    def note(self, group: str, said: Said, now: float) -> Counted[Said] | None:
+    def note(self, group: str, said: Item, now: float) -> Counted[Item] | None:
         """It happened: gives what is to be told at once, None where it is counted."""
         windows = self._groups.setdefault(group, {})
         key = said if said in windows or len(windows) < MOST_KEYS else None
@@ -50,16 +50,16 @@ class Tally(Generic[Said]):
         window.count += 1
         return None
 
-    def due(self, now: float) -> list[Counted[Said]]:
+    def due(self, now: float) -> list[Counted[Item]]:
         """What was counted in windows that are over. A window in which nothing was is forgotten; one that
         began later than ``now`` is over too, for the clock was set back."""
         return list(self._take(lambda window: not 0 <= now - window.began < WINDOW_S, now))
 
-    def rest(self, now: float) -> list[Counted[Said]]:
+    def rest(self, now: float) -> list[Counted[Item]]:
         """Everything that was counted and not told yet."""
         return list(self._take(lambda _: True, now))
 
-    def _take(self, is_over: Callable[[_Window[Said]], bool], now: float) -> Iterator[Counted[Said]]:
+    def _take(self, is_over: Callable[[_Window[Item]], bool], now: float) -> Iterator[Counted[Item]]:
         for windows in self._groups.values():
             for key, window in list(windows.items()):
                 if not is_over(window):

@@ -6,7 +6,7 @@ import sqlite3
 import time
 from collections.abc import Callable, Collection
 
-from app.audit.kinds import Kind
+from app.audit.kinds import EventKind
 from app.audit.log import EventLog
 from app.auth import rules, store, strength
 from app.auth.passwords import Passwords
@@ -182,7 +182,7 @@ class Accounts:
 
         await self._database.write(guarded)
 
-    async def _note(self, kind: Kind, what: str, by: str, origin: str, kept: str = "") -> None:
+    async def _note(self, kind: EventKind, what: str, by: str, origin: str, kept: str = "") -> None:
         await self._events.record(kind=kind, what=what, who=by, origin=origin)
         for subscriber in self._subscribers:
             await subscriber(kept)

@@ -25,7 +25,7 @@ router = APIRouter(include_in_schema=False)
 
 SigningIn = Annotated[SignIn, service(SignIn)]
 Keeping = Annotated[Accounts, service(Accounts)]
-Text = Annotated[str, Form()]
+FormText = Annotated[str, Form()]
 DEVICE_COOKIE = "lineside_device"
 """Tells a browser in which somebody has signed in before from those of strangers; it signs nobody in."""
 DEVICE_KNOWN_S = 365 * rules.DAY
@@ -50,7 +50,7 @@ async def login_page(
 
 @router.post("/login", dependencies=[Depends(public)])
 async def log_in(
-    request: Request, sign_in: SigningIn, name: Text = "", password: Text = "", next: Text = "/"
+    request: Request, sign_in: SigningIn, name: FormText = "", password: FormText = "", next: FormText = "/"
 ) -> Response:
     """A person, by password."""
     return await _sign_in(request, sign_in, name.strip(), password, next, panel=False)
@@ -58,7 +58,7 @@ async def log_in(
 
 @router.post("/login/panel", dependencies=[Depends(public)])
 async def log_panel_in(
-    request: Request, sign_in: SigningIn, name: Text = "", pin: Text = "", next: Text = "/"
+    request: Request, sign_in: SigningIn, name: FormText = "", pin: FormText = "", next: FormText = "/"
 ) -> Response:
     """A panel on the wall, by PIN."""
     return await _sign_in(request, sign_in, name.strip(), pin, next, panel=True)
@@ -83,7 +83,7 @@ async def account_page(request: Request, _: Viewer, done: str = "") -> HTMLRespo
 
 @router.post("/account/language")
 async def choose_language(
-    request: Request, person: Viewer, accounts: Keeping, language: Text = ""
+    request: Request, person: Viewer, accounts: Keeping, language: FormText = ""
 ) -> Response:
     """Empty: what the browser asks for."""
     if language and language not in templates_of(request).languages:
@@ -99,9 +99,9 @@ async def change_password(
     person: Viewer,
     accounts: Keeping,
     sign_in: SigningIn,
-    present: Text = "",
-    password: Text = "",
-    again: Text = "",
+    present: FormText = "",
+    password: FormText = "",
+    again: FormText = "",
 ) -> Response:
     """Every other session of the user ends, this one goes on."""
     _refuse_programs(person.via)

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil
 
-from app.audit.kinds import Kind
+from app.audit.kinds import EventKind
 from app.audit.log import EventLog
 from app.auth import rules, store, strength
 from app.auth.passwords import Passwords, is_outdated
@@ -206,7 +206,7 @@ class SignIn:
         who = name if known else "unknown name"
         await self._count_refusal("login_refused", "sign-in refused", who, address)
 
-    async def _count_refusal(self, kind: Kind, what: str, who: str, address: str) -> None:
+    async def _count_refusal(self, kind: EventKind, what: str, who: str, address: str) -> None:
         # Without an event a refusal is as good: the disk may be full.
         with suppress(StoreError):
             await self._events.count(kind, what, who=who, origin=source_of(address))

@@ -45,7 +45,7 @@ class _Failures:
         return self.count if now - self.at < FORGOTTEN_AFTER_S else 0
 
 
-class _Kept(Generic[K, V]):
+class _Bounded(Generic[K, V]):
     """Values by key, no more than ``most``; ``new`` makes what is there for a key without one."""
 
     def __init__(self, most: int, new: Callable[[], V]) -> None:
@@ -92,12 +92,12 @@ class Throttle:
     """What failed in the last quarter of an hour."""
 
     def __init__(self, most: int = MOST_KEPT) -> None:
-        self._pairs: _Kept[tuple[str, str], _Failures] = _Kept(most, _Failures)
-        self._places: _Kept[str, Bucket] = _Kept(
+        self._pairs: _Bounded[tuple[str, str], _Failures] = _Bounded(most, _Failures)
+        self._places: _Bounded[str, Bucket] = _Bounded(
             most, lambda: Bucket(OF_ADDRESS / OF_ADDRESS_WINDOW_S, OF_ADDRESS)
         )
-        self._names: _Kept[str, Bucket] = _Kept(most, lambda: Bucket(1 / OF_NAME_EVERY_S, OF_NAME))
-        self._panels: _Kept[str, Bucket] = _Kept(most, lambda: Bucket(1 / OF_PANEL_EVERY_S, OF_NAME))
+        self._names: _Bounded[str, Bucket] = _Bounded(most, lambda: Bucket(1 / OF_NAME_EVERY_S, OF_NAME))
+        self._panels: _Bounded[str, Bucket] = _Bounded(most, lambda: Bucket(1 / OF_PANEL_EVERY_S, OF_NAME))
 
     def wait_s(self, attempt: Attempt, now: float) -> float:
         """For how many seconds this is not to be tried; 0.0: now."""
@@ -124,7 +124,7 @@ class Throttle:
         if not attempt.known:
             self._names_of(attempt).kept(attempt.name).pour(-1, now)
 
-    def _names_of(self, attempt: Attempt) -> _Kept[str, Bucket]:
+    def _names_of(self, attempt: Attempt) -> _Bounded[str, Bucket]:
         return self._panels if attempt.panel else self._names
 
     def _wait_of_pair(self, attempt: Attempt, now: float) -> float:

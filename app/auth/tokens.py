@@ -6,7 +6,7 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
-from app.auth.pages import Keeping, Text, address_of
+from app.auth.pages import FormText, Keeping, address_of
 from app.auth.users_view import answer_to_change, users_view
 from app.web.access import Admin, Role, role_named
 from app.web.templating import render
@@ -21,10 +21,10 @@ async def create_token(
     request: Request,
     person: Admin,
     accounts: Keeping,
-    token: Text = "",
-    token_role: Text = "viewer",
-    token_bus: Text = "",
-    expires: Text = "",
+    token: FormText = "",
+    token_role: FormText = "viewer",
+    token_bus: FormText = "",
+    expires: FormText = "",
 ) -> HTMLResponse:
     """The token is on this one answer and nowhere else."""
     try:

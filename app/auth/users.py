@@ -6,7 +6,7 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
-from app.auth.pages import Keeping, Text, address_of
+from app.auth.pages import FormText, Keeping, address_of
 from app.auth.users_view import answer_to_change, users_view
 from app.web.access import Admin, role_named
 from app.web.templating import render
@@ -25,9 +25,9 @@ async def add_user(
     request: Request,
     person: Admin,
     accounts: Keeping,
-    name: Text = "",
-    role: Text = "viewer",
-    password: Text = "",
+    name: FormText = "",
+    role: FormText = "viewer",
+    password: FormText = "",
 ) -> Response:
     """A person, by password."""
     by, origin = person.name, address_of(request)
@@ -40,10 +40,10 @@ async def add_panel(
     request: Request,
     person: Admin,
     accounts: Keeping,
-    panel: Text = "",
-    panel_role: Text = "viewer",
-    pin: Text = "",
-    home: Text = "/",
+    panel: FormText = "",
+    panel_role: FormText = "viewer",
+    pin: FormText = "",
+    home: FormText = "/",
 ) -> Response:
     """A panel on the wall, by PIN; it only looks unless it is given more."""
     by, origin = person.name, address_of(request)
@@ -54,7 +54,7 @@ async def add_panel(
 
 @router.post("/users/{name}/role")
 async def set_role(
-    request: Request, person: Admin, accounts: Keeping, name: str, role: Text = ""
+    request: Request, person: Admin, accounts: Keeping, name: str, role: FormText = ""
 ) -> Response:
     """What somebody may do from now on."""
     change = accounts.set_role(name, role_named(role), by=person.name, origin=address_of(request))
@@ -77,7 +77,7 @@ async def enable(request: Request, person: Admin, accounts: Keeping, name: str) 
 
 @router.post("/users/{name}/password")
 async def reset_password(
-    request: Request, person: Admin, accounts: Keeping, name: str, password: Text = ""
+    request: Request, person: Admin, accounts: Keeping, name: str, password: FormText = ""
 ) -> Response:
     """A new password (a PIN for a panel); every session ends."""
     reset = accounts.set_password(name, password, by=person.name, origin=address_of(request))

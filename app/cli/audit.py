@@ -13,7 +13,7 @@ import typer
 from app.audit.anchor import Anchors, read_anchor_file
 from app.audit.chain import Head
 from app.audit.key_file import read_key_file
-from app.audit.keyring import KeyRing, Origin
+from app.audit.keyring import KeyOrigin, KeyRing
 from app.audit.keys import find_key_file, open_keys, owners_of
 from app.audit.log import EventLog
 from app.audit.store import head_of, prove
@@ -106,7 +106,7 @@ def _ring(paths: Sequence[Path], store: Path, head: Head) -> KeyRing:
     ring = read_key_file(path, owners_of(store)) if path else None
     if ring is None and head.key:
         raise StoreError(f"there is no audit key {paths[0]}, and the log is sealed; restore your copy of it")
-    return ring or KeyRing((), Origin(head.id, head.hash))
+    return ring or KeyRing((), KeyOrigin(head.id, head.hash))
 
 
 def _remarks(verdict: Verdict, anchors: Anchors) -> list[str]:

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from app.cli.counted import counted
-from app.cli.credentials import Token, TokenFile, bearer_token
+from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import Dashboard, DashboardError, dashboard
 from app.cli.ending import ending
 from app.database.private import write_file
@@ -38,7 +38,7 @@ def backup(
     url: Url,
     bus: Bus,
     out: Annotated[Path, typer.Option(help="The TOML file to write.")],
-    token: Token = "",
+    token: TokenOption = "",
     token_file: TokenFile = None,
     unit: Annotated[int | None, typer.Option(help="One unit; without it the whole bus.")] = None,
     as_json: AsJson = False,

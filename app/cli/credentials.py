@@ -18,7 +18,7 @@ from bus.errors import CallerError
 TOKEN_VARIABLE = "LINESIDE_TOKEN"
 MOST_BYTES = 4096
 
-Token = Annotated[
+TokenOption = Annotated[
     str,
     typer.Option(
         "--token",

@@ -11,7 +11,7 @@ from typing import Any
 
 import httpx
 
-from app.sets.model import Row, UnitRows
+from app.sets.model import ParameterRow, UnitRows
 from bus.errors import CallerError, LinesideError
 
 _AUTHORITIES = ("SSL_CERT_FILE", "SSL_CERT_DIR")
@@ -113,10 +113,10 @@ def _is_untrusted(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _row(given: Mapping[str, Any]) -> Row:
+def _row(given: Mapping[str, Any]) -> ParameterRow:
     read_at = given.get("read_at")
     at = datetime.fromisoformat(read_at).timestamp() if isinstance(read_at, str) else read_at
-    return Row(given["number"], given["raw"], bool(given["available"]), at)
+    return ParameterRow(given["number"], given["raw"], bool(given["available"]), at)
 
 
 def _problem_text(response: httpx.Response) -> str:

@@ -10,7 +10,7 @@ import typer
 
 from app.cli.backup import AsJson
 from app.cli.counted import counted
-from app.cli.credentials import Token, TokenFile, bearer_token
+from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import dashboard
 from app.cli.ending import ending
 from app.sets.compare import Compared, differences
@@ -32,7 +32,7 @@ def diff(
         list[Path], typer.Argument(help="One file and a live unit, or two files.", metavar="FILE [FILE]")
     ],
     url: Annotated[str, typer.Option(help="Address of the dashboard.", envvar="LINESIDE_URL")] = "",
-    token: Token = "",
+    token: TokenOption = "",
     token_file: TokenFile = None,
     bus: Annotated[str, typer.Option(help="Name of the bus.")] = "",
     unit: Annotated[int | None, typer.Option(help="The unit to compare with.")] = None,

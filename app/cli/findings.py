@@ -15,7 +15,7 @@ from app.cli.audit_findings import audit_findings
 from app.cli.counted import counted
 from app.cli.finding import Finding, is_visible, user
 from app.cli.listening import ListenError, listen
-from app.settings import Server, Settings
+from app.settings import ServerSettings, Settings
 from bus.line.port.open_error import why_not
 from bus.settings import BusSettings
 
@@ -36,7 +36,7 @@ def findings(settings: Settings) -> Iterator[Finding]:
         yield from _bus(bus)
 
 
-def _address(server: Server) -> Finding:
+def _address(server: ServerSettings) -> Finding:
     where = f"dashboard at {server.host} port {server.port}"
     try:
         listen(server.host, server.port, "choose another").close()

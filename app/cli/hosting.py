@@ -19,7 +19,7 @@ import uvloop
 from app.auth.rules import new_secret
 from app.cli.listening import url_of
 from app.cli.loading import loading
-from app.cli.workers import Workers
+from app.cli.workers import WorkerProcesses
 from app.database.private import make_folder
 from app.settings import Settings
 from bus.errors import LinesideError
@@ -68,7 +68,7 @@ def host(settings: Settings, config: Path, listening: socket.socket, *, demo: bo
 async def _host(settings: Settings, config: Path, listening: socket.socket, *, demo: bool) -> None:
     """The workers begin while the dashboard is still being read, and end before it does."""
     url, tokens = url_of(*listening.getsockname()[:2]), {bus.name: new_secret() for bus in settings.bus}
-    workers = Workers(config, tokens, url)
+    workers = WorkerProcesses(config, tokens, url)
     asked = _ending_asked()
     workers.start()
     try:

@@ -11,7 +11,7 @@ import typer
 
 from app.cli.backup import AsJson, Bus, Url
 from app.cli.counted import counted
-from app.cli.credentials import Token, TokenFile, bearer_token
+from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import Dashboard, dashboard
 from app.cli.diff import load, rows_for
 from app.cli.ending import ending
@@ -32,7 +32,7 @@ def restore(
     url: Url,
     bus: Bus,
     unit: Annotated[int, typer.Option(min=1, max=255, help="The unit to write to.")],
-    token: Token = "",
+    token: TokenOption = "",
     token_file: TokenFile = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
     include: Annotated[

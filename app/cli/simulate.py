@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from bus.catalogue import numbers
 from bus.settings import BAUDS, Baud, Dialect
-from bus.simulator.control import Control
+from bus.simulator.control import SimulatorControl
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import Faults
 from bus.simulator.line import SimulatedLine
@@ -85,7 +85,7 @@ def simulate(
     line = SimulatedLine(plant, Faults(seed), baud, speedup)
     with LineServer(line, _open(tcp, link, baud)) as server:
         typer.echo(server.port.name)
-        hands = None if control is None else Control(server, control)
+        hands = None if control is None else SimulatorControl(server, control)
         if hands is not None:
             typer.echo(f"control 127.0.0.1:{hands.port}")
         signal.sigwait(_ENDINGS)

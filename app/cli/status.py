@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import httpx
 import typer
 
-from app.cli.credentials import Token, TokenFile, token_if_given
+from app.cli.credentials import TokenFile, TokenOption, token_if_given
 from app.cli.dashboard import dashboard
 from app.cli.ending import ending
 from app.cli.listening import url_of
@@ -30,7 +30,7 @@ def register(cli: typer.Typer) -> None:
 
 def status(
     config: Config = LINESIDE_TOML,
-    token: Token = "",
+    token: TokenOption = "",
     token_file: TokenFile = None,
     as_json: Annotated[bool, typer.Option("--json", help="The result as JSON.")] = False,
 ) -> None:

@@ -15,7 +15,7 @@ from app.web.access import Role, role_named
 
 tokens = typer.Typer(help="Keys for programs.", no_args_is_help=True)
 
-Name = Annotated[str, typer.Argument(help="What the token is for; unique.")]
+TokenName = Annotated[str, typer.Argument(help="What the token is for; unique.")]
 
 
 def register(cli: typer.Typer) -> None:
@@ -25,7 +25,7 @@ def register(cli: typer.Typer) -> None:
 
 @tokens.command()
 def create(
-    name: Name,
+    name: TokenName,
     role: Annotated[str, typer.Option(help=f"One of {', '.join(Role)}.")],
     bus: Annotated[str, typer.Option(help="The one bus that a token of role worker is for.")] = "",
     expires: Annotated[
@@ -56,7 +56,7 @@ def list_all(config: Config = LINESIDE_TOML) -> None:
 
 
 @tokens.command()
-def revoke(name: Name, config: Config = LINESIDE_TOML) -> None:
+def revoke(name: TokenName, config: Config = LINESIDE_TOML) -> None:
     """Refuse a token from now on."""
     with ending():
         with_accounts(config, lambda accounts: accounts.revoke_token(name, by=who_calls(), origin=ORIGIN))

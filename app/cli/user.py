@@ -16,7 +16,7 @@ LONGEST_LINE = 10_000
 
 users = typer.Typer(help="Who may sign in.", no_args_is_help=True)
 
-Name = Annotated[str, typer.Argument(help="The name to sign in with.")]
+UserName = Annotated[str, typer.Argument(help="The name to sign in with.")]
 FromInput = Annotated[bool, typer.Option("--password-stdin", help="Read the password from standard input.")]
 
 
@@ -27,7 +27,7 @@ def register(cli: typer.Typer) -> None:
 
 @users.command()
 def add(
-    name: Name,
+    name: UserName,
     role: Annotated[str, typer.Option(help=f"One of {', '.join(PEOPLE_ROLES)}.")],
     password_stdin: FromInput = False,
     config: Config = LINESIDE_TOML,
@@ -50,7 +50,7 @@ def list_all(config: Config = LINESIDE_TOML) -> None:
 
 
 @users.command()
-def password(name: Name, password_stdin: FromInput = False, config: Config = LINESIDE_TOML) -> None:
+def password(name: UserName, password_stdin: FromInput = False, config: Config = LINESIDE_TOML) -> None:
     """Give somebody a new password; every session of theirs ends."""
     with ending():
         new = _password(password_stdin)
@@ -60,7 +60,7 @@ def password(name: Name, password_stdin: FromInput = False, config: Config = LIN
 
 
 @users.command()
-def remove(name: Name, config: Config = LINESIDE_TOML) -> None:
+def remove(name: UserName, config: Config = LINESIDE_TOML) -> None:
     """Remove somebody; what they did stays in the events."""
     with ending():
         with_accounts(config, lambda accounts: accounts.remove_user(name, by=who_calls(), origin=ORIGIN))

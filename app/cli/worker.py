@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.credentials import Token, TokenFile, bearer_token
+from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.ending import ending
 from bus.configuration import load_bus
 from bus.errors import CallerError
@@ -23,7 +23,7 @@ def register(cli: typer.Typer) -> None:
 def worker(
     bus: Annotated[str, typer.Option(help="Name of the bus, as the configuration says it.")],
     app: Annotated[str, typer.Option(help="Address of the dashboard, http://host:port.")],
-    token: Token = "",
+    token: TokenOption = "",
     token_file: TokenFile = None,
     config: Annotated[Path, typer.Option(help="The configuration that has the bus.")] = Path("lineside.toml"),
 ) -> None:

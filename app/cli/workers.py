@@ -25,7 +25,7 @@ GRACE_S = 2.3
 """A worker finishes or withdraws the change in flight and leaves within 2 s of SIGTERM."""
 
 
-class Workers:
+class WorkerProcesses:
     """One child for each bus, over the same WebSocket as a worker far away. ``tokens``: by bus, what its
     child opens the feed with."""
 

@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 from app.commands import wording
 from app.commands.rules import action_checks, new_setpoints
 from app.commands.rules.new_setpoints import NewSetpoint, staged_setpoints
-from app.commands.rules.objection import Circumstances
+from app.commands.rules.objection import RuleContext
 from app.commands.rules.timeouts import timeout_s_for
 from app.commands.wording import Wording
 from app.live.state.bus_live import BusLive
@@ -44,7 +44,7 @@ READ_S, READ_IN_GAPS_S = 30.0, 600.0
 SCAN_S = 180.0
 
 
-def _no_check(_: Action, _now: Circumstances) -> None: ...
+def _no_check(_: Action, _now: RuleContext) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class CommandKind(Generic[A]):
     """The units at which it, or its broadcast, can change something."""
     setpoints: Callable[[A, BusLive], Iterable[NewSetpoint]] = lambda _, _bus: ()
     """The setpoints that it would bring about, as far as they are known; each is judged."""
-    check: Callable[[A, Circumstances], None] = _no_check
+    check: Callable[[A, RuleContext], None] = _no_check
     """Raises ObjectionError for what it refuses by itself."""
     danger: Callable[[A], str] = lambda _: ""
     """Why it must be confirmed; empty where it need not be."""

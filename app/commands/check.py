@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from app.commands.catalogue import kind_of_command
-from app.commands.rules.objection import Circumstances, ObjectionError
+from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.rules.setpoint import check_setpoint
 from bus.contract import Action
+from bus.messages import Message, term
 
 
-def check(action: Action, now: Circumstances) -> None:
+def check(action: Action, now: RuleContext) -> None:
     """Raises ObjectionError for the first reason not to send ``action``."""
     kind = kind_of_command(action)
     for unit in kind.units_written(action, now.bus):
@@ -18,15 +19,14 @@ def check(action: Action, now: Circumstances) -> None:
         check_setpoint(setpoint.unit, setpoint.raw, now, setpoint.kind)
     danger = kind.danger(action)
     if danger and not now.confirm:
-        raise ObjectionError("dangerous", danger, unit=action.only_unit)
+        raise ObjectionError("dangerous", term(danger), unit=action.only_unit)
 
 
-def _check_not_blocked(unit: int, now: Circumstances) -> None:
+def _check_not_blocked(unit: int, now: RuleContext) -> None:
     block = now.block(unit)
     if block is not None:
         raise ObjectionError(
             "blocked",
-            "unit {unit} is blocked by {who}: {reason}",
+            Message.of("unit_blocked", unit=unit, who=block.set_by, reason=block.reason),
             unit=unit,
-            params={"unit": unit, "who": block.set_by, "reason": block.reason},
         )

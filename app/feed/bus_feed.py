@@ -9,9 +9,9 @@ from typing import Protocol
 
 import structlog
 
-from app.feed.channel import Channel, Connection
+from app.feed.channel import Channel, MessageSink
 from app.feed.holders import Credential, Ending, Holder
-from app.feed.ingest import Ingest, Received
+from app.feed.ingest import Ingest, IngestPosition
 from app.feed.rates import update_bucket
 from app.live.state.bus_live import NO_WORKER
 from app.pipeline import Pipeline
@@ -38,7 +38,7 @@ class WorkerSilent(ConnectionError):
     """Nothing came from the worker for too long."""
 
 
-class WorkerConnection(Connection, Protocol):
+class WorkerConnection(MessageSink, Protocol):
     """A worker's WebSocket as this package sees it."""
 
     async def receive(self) -> bytes:
@@ -68,7 +68,7 @@ class BusFeed:
         self._monotonic = monotonic
         self._timeout_ticks = timeout_ticks
         self._bucket = update_bucket()
-        self._received = Received("")
+        self._received = IngestPosition("")
         self._holder: Holder | None = None
         self._connection: WorkerConnection | None = None
         self._watches: set[asyncio.Task[None]] = set()
@@ -106,7 +106,7 @@ class BusFeed:
         """Give the bus to this worker; the connection that it had until now, if it is still open."""
         again = self._holder is not None and self._received.worker == hello.worker
         if not again:
-            self._received = Received(hello.worker)
+            self._received = IngestPosition(hello.worker)
         self._holder = Holder(hello.worker, credential)
         former, self._connection = self._connection, connection
         if former is not None:

@@ -34,7 +34,7 @@ AWAY_LOOKS = 20
 ProgressListener = Callable[[Progress], None]
 
 
-class Connection(Protocol):
+class MessageSink(Protocol):
     """What the channel needs of a worker's WebSocket."""
 
     async def send(self, message: AppMessage) -> None:
@@ -42,7 +42,7 @@ class Connection(Protocol):
 
 
 @dataclass(slots=True)
-class _Asked:
+class _OpenCommand:
     command: Command
     worker: str
     fate: asyncio.Future[Result]
@@ -50,7 +50,7 @@ class _Asked:
     """Its deadline, on the monotonic clock like ``give_up_at``."""
     give_up_at: float
     listener: ProgressListener | None
-    sent_to: Connection | None = None
+    sent_to: MessageSink | None = None
     """Only what this connection reports of it counts."""
 
 
@@ -60,10 +60,10 @@ class Channel:
     def __init__(self, *, patience_s: float = PATIENCE_S, reask_s: float = REASK_WITHIN_S) -> None:
         self._patience_s = patience_s
         self._reask_s = reask_s
-        self._connection: Connection | None = None
+        self._connection: MessageSink | None = None
         self._worker = ""
         self._words = 0
-        self._asked: dict[str, _Asked] = {}
+        self._asked: dict[str, _OpenCommand] = {}
         self._watch = Watch(units=[])
 
     @property
@@ -71,7 +71,7 @@ class Channel:
         """Whether a worker is there to ask."""
         return self._connection is not None
 
-    async def opened(self, connection: Connection, worker: str) -> None:
+    async def opened(self, connection: MessageSink, worker: str) -> None:
         """A worker is ready: tell it what is watched, ask again what was under way."""
         self._connection, self._worker = connection, worker
         if self._watch.units or self._watch.trace:
@@ -83,7 +83,7 @@ class Channel:
                 asked.give_up_at = self._last_moment(asked.command)
                 await self._send_command(asked)
 
-    def closed(self, connection: Connection) -> None:
+    def closed(self, connection: MessageSink) -> None:
         """The connection ended. What is under way waits a while for the worker's return."""
         if self._connection is not connection:
             return
@@ -100,7 +100,9 @@ class Channel:
         if self._connection is None:
             return Result(id=command.id, at=time.time(), outcome="bus_closed", message=NO_WORKER)
         fate: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
-        asked = _Asked(command, self._worker, fate, _due_at(command), self._last_moment(command), listener)
+        asked = _OpenCommand(
+            command, self._worker, fate, _due_at(command), self._last_moment(command), listener
+        )
         self._asked[command.id] = asked
         try:
             await self._send_command(asked)
@@ -124,7 +126,7 @@ class Channel:
             self._watch = wanted
             await self._send(wanted)
 
-    def on_update(self, update: Result | Progress, connection: Connection) -> None:
+    def on_update(self, update: Result | Progress, connection: MessageSink) -> None:
         """Take in the result or progress of a command. It counts only from the connection that the command
         went to; an unknown id belongs to a command that has ended."""
         asked = self._asked.get(update.id)
@@ -140,7 +142,7 @@ class Channel:
     def _last_moment(self, command: Command) -> float:
         return _due_at(command) + self._patience_s
 
-    async def _send_command(self, asked: _Asked) -> None:
+    async def _send_command(self, asked: _OpenCommand) -> None:
         asked.sent_to = self._connection
         await self._send(asked.command)
 
@@ -153,7 +155,7 @@ class Channel:
         except ConnectionError:
             self.closed(connection)
 
-    async def _fate_of(self, asked: _Asked) -> Result:
+    async def _fate_of(self, asked: _OpenCommand) -> Result:
         words, silent_looks = self._words, 0
         while (left := self._time_left(asked, silent_looks)) > 0 and not asked.fate.done():
             await asyncio.wait({asked.fate}, timeout=min(left, LOOK_S))
@@ -163,7 +165,7 @@ class Channel:
             _end(asked, "unverified", self._why_no_fate(silent_looks))
         return asked.fate.result()
 
-    def _time_left(self, asked: _Asked, silent_looks: int) -> float:
+    def _time_left(self, asked: _OpenCommand, silent_looks: int) -> float:
         """Seconds for which its fate is still waited for, as things are now."""
         stuck = silent_looks >= (SILENT_LOOKS if self.connected else AWAY_LOOKS)
         return (min(asked.due_at, asked.give_up_at) if stuck else asked.give_up_at) - time.monotonic()
@@ -180,6 +182,6 @@ def _due_at(command: Command) -> float:
     return time.monotonic() + max(0.0, command.deadline - time.time())
 
 
-def _end(asked: _Asked, outcome: Outcome, message: Message) -> None:
+def _end(asked: _OpenCommand, outcome: Outcome, message: Message) -> None:
     if not asked.fate.done():
         asked.fate.set_result(Result(id=asked.command.id, at=time.time(), outcome=outcome, message=message))

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from app.feed.channel import Channel, Connection
+from app.feed.channel import Channel, MessageSink
 from app.feed.clock import WorkerClock, shifted
 from app.feed.plausibility import Sorted, judge_snapshot, sort_updates
 from app.feed.rates import cost_of
@@ -34,7 +34,7 @@ from bus.contract import (
 
 
 @dataclass(slots=True)
-class Received:
+class IngestPosition:
     """How far the app has followed one worker. ``seq``: its last batch that is safe here."""
 
     worker: str
@@ -47,10 +47,10 @@ class Ingest:
     def __init__(
         self,
         hello: Hello,
-        received: Received,
+        received: IngestPosition,
         channel: Channel,
         pipeline: Pipeline,
-        connection: Connection,
+        connection: MessageSink,
         bucket: Bucket,
         now: Callable[[], float] = time.time,
     ) -> None:

@@ -13,11 +13,11 @@ from app.errors import DamagedStoreError, StoreError
 from app.history.intake.tail import Tail
 from app.history.intake.upkeep import Keep
 from app.history.intake.writer import Writer
-from app.history.query.query import Answer, Question, answer
+from app.history.query.query import QueryResult, SeriesQuery, answer
 from app.history.series.runs import SECOND
 from app.history.status import Status
 from app.history.store import tables
-from app.history.store.damage import Block
+from app.history.store.damage import BlockKey
 from app.history.store.inspection import damaged_blocks, pages_are_whole
 from app.settings import Settings
 from bus.contract import Update
@@ -85,14 +85,14 @@ class History:
         """Whether history is well, and if not, why."""
         return self._writer.status
 
-    async def ask(self, questions: Sequence[Question]) -> list[Answer]:
+    async def ask(self, questions: Sequence[SeriesQuery]) -> list[QueryResult]:
         """What each value was. Raises StoreError when the store cannot be read."""
         found = await self.read(lambda c, tail: [answer(c, tail, question) for question in questions])
         for each in found:
             self.report(each.damaged)
         return found
 
-    def report(self, damaged: Iterable[Block]) -> None:
+    def report(self, damaged: Iterable[BlockKey]) -> None:
         """Blocks that could not be read: the writer sets them aside and says it."""
         self._writer.report(damaged)
 
@@ -116,7 +116,7 @@ class History:
         except StoreError as error:
             log.warning("history could not be inspected", why=str(error))
 
-    async def read(self, work: Callable[[tables.Connection, Tail], T]) -> T:
+    async def read(self, work: Callable[[tables.StoreConnection, Tail], T]) -> T:
         """``work`` on a read-only connection and the tail, in a thread. Raises StoreError."""
         tail = self._writer.tail
         try:

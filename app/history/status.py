@@ -8,7 +8,7 @@ from typing import Literal
 
 from app.web.formats import Formats
 
-State = Literal["ok", "low", "scarce", "paused", "failed"]
+StoreState = Literal["ok", "low", "scarce", "paused", "failed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +16,7 @@ class Status:
     """``ok``; ``low``: the disk is nearly full; ``scarce``: the oldest readings are being given up;
     ``paused``: nothing is stored; ``failed``: the store cannot be used. Times in seconds."""
 
-    state: State = "ok"
+    state: StoreState = "ok"
     message: str = ""
     cause: str = ""
     """Why the store cannot be used."""
@@ -32,7 +32,7 @@ class Status:
     """How often something that was kept turned out to be damaged, in the last seven days."""
 
 
-WORDS: dict[State, str] = {
+WORDS: dict[StoreState, str] = {
     "ok": "",
     "low": "the disk with the history is nearly full: free some space soon",
     "scarce": "the disk with the history is nearly full: the oldest readings are being given up",

@@ -10,15 +10,15 @@ from app.history.store import tables
 
 MOST_SPANS = 50_000
 """Bits that change more often than this over a span are not read: nothing is said of them."""
-Span = tuple[float, float, int]
+StatusSpan = tuple[float, float, int]
 
 
-async def status_words(history: History, bus: str, unit: int, start: float, end: float) -> list[Span]:
+async def status_words(history: History, bus: str, unit: int, start: float, end: float) -> list[StatusSpan]:
     """From when until when (Unix time, seconds) which bits, ST2 * 256 + ST1, in order of time. Raises
     StoreError."""
     wanted = micros(start), micros(end)
 
-    def read(connection: tables.Connection, tail: Tail) -> list[Interval]:
+    def read(connection: tables.StoreConnection, tail: Tail) -> list[Interval]:
         key = tables.find_unit(connection, bus, unit)
         if key is None:
             return []

@@ -13,7 +13,7 @@ import structlog
 from app.audit.budget import BURST, EventBudget, Summary
 from app.audit.log import EventLog
 from app.errors import StoreError
-from app.live.changes import Change
+from app.live.changes import LineEvent
 
 RETRY_AFTER_S = 1.0
 FEW = 6
@@ -33,10 +33,10 @@ class ChangeRecorder:
         self._events = events
         self._bus = bus
         self._monotonic = monotonic
-        self._budget: EventBudget[Change] = EventBudget()
-        self._queue: asyncio.Queue[Change] = asyncio.Queue()
+        self._budget: EventBudget[LineEvent] = EventBudget()
+        self._queue: asyncio.Queue[LineEvent] = asyncio.Queue()
 
-    def note(self, change: Change) -> None:
+    def note(self, change: LineEvent) -> None:
         """Record this soon, on its own or in a summary."""
         key = (change.unit, change.kind, change.series)
         burst = FEW if change.kind in ("bus", "worker") else BURST
@@ -65,7 +65,7 @@ class ChangeRecorder:
         self._note_due(everything=True)
         await self._queue.join()
 
-    async def _write(self, change: Change) -> str:
+    async def _write(self, change: LineEvent) -> str:
         """Returns why it could not be written; empty when it is on disk."""
         try:
             await self._events.record(
@@ -87,7 +87,7 @@ class ChangeRecorder:
             self._queue.put_nowait(_summed_up(summary))
 
 
-def _summed_up(summary: Summary[Change]) -> Change:
+def _summed_up(summary: Summary[LineEvent]) -> LineEvent:
     if summary.count == 1:
         return summary.last
     said = f"the last of {summary.count} events within {summary.seconds:.0f} s; the others are not recorded"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from app.audit.kinds import Kind
+from app.audit.kinds import EventKind
 from app.live.state.conditions import Condition, status_conditions
 from bus.catalogue.status import status_bits
 from bus.contract import BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
@@ -13,10 +13,10 @@ from bus.settings import BusSettings
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class LineEvent:
     """An event to be recorded. ``unit`` None: the whole bus."""
 
-    kind: Kind
+    kind: EventKind
     unit: int | None
     at: float
     what: str
@@ -27,7 +27,7 @@ class Change:
     """Tells series of one unit and kind apart, where one must not crowd out the other."""
 
 
-_RECORDED: dict[Condition, tuple[Kind, str, tuple[str, str]]] = {
+_RECORDED: dict[Condition, tuple[EventKind, str, tuple[str, str]]] = {
     "not_in_remote": ("mode", "mode", ("REMOTE", "LOCAL")),
     "estop_active": ("estop", "emergency stop input", ("healthy", "active")),
     "run_off": ("run", "run input", ("on", "off")),
@@ -49,7 +49,7 @@ class Changes:
     _port: BusLinkState | None = None
     _units: dict[int, _UnitMemory] = field(default_factory=dict)
 
-    def see(self, update: Update) -> list[Change]:
+    def see(self, update: Update) -> list[LineEvent]:
         """What this update changes, compared with the one before."""
         match update:
             case Reading():
@@ -63,7 +63,7 @@ class Changes:
     def _memory(self, unit: int) -> _UnitMemory:
         return self._units.setdefault(unit, _UnitMemory())
 
-    def _see_reading(self, reading: Reading) -> list[Change]:
+    def _see_reading(self, reading: Reading) -> list[LineEvent]:
         memory = self._memory(reading.unit)
         before = memory.conditions
         now = status_conditions(status_bits(reading.outputs, reading.inputs, self.settings.estop_healthy))
@@ -71,12 +71,12 @@ class Changes:
         if before is None or before == now:
             return []
         return [
-            Change(kind, reading.unit, reading.at, what, words[name in before], words[name in now])
+            LineEvent(kind, reading.unit, reading.at, what, words[name in before], words[name in now])
             for name, (kind, what, words) in _RECORDED.items()
             if (name in before) != (name in now)
         ]
 
-    def _see_unit_link(self, update: UnitLink) -> list[Change]:
+    def _see_unit_link(self, update: UnitLink) -> list[LineEvent]:
         memory = self._memory(update.unit)
         before = memory.link
         if update.link not in ("online", "offline") or update.link == before:
@@ -87,14 +87,14 @@ class Changes:
         if before == "unknown":
             return []
         what = "unit is back" if update.link == "online" else _with_cause("unit lost", update.cause)
-        return [Change("unit", update.unit, update.at, what, before, update.link)]
+        return [LineEvent("unit", update.unit, update.at, what, before, update.link)]
 
-    def _see_port(self, update: BusLink) -> list[Change]:
+    def _see_port(self, update: BusLink) -> list[LineEvent]:
         before, self._port = self._port, update.link
         if before is None or before == update.link:
             return []
         what = "port opened" if update.link == "open" else _with_cause("port closed", update.cause)
-        return [Change("bus", None, update.at, what, before, update.link)]
+        return [LineEvent("bus", None, update.at, what, before, update.link)]
 
 
 def _with_cause(what: str, cause: Message | None) -> str:

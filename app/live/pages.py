@@ -24,7 +24,7 @@ from bus.settings import UnitLabels
 router = APIRouter(include_in_schema=False)
 
 View = Literal["tiles", "rows", "board"]
-Choice = Literal["auto", "tiles", "rows", "board"]
+ViewSize = Literal["auto", "tiles", "rows", "board"]
 MOST_TILES = 12
 MOST_ROWS = 40
 VIEW_COOKIE = "lineside_view"
@@ -72,7 +72,7 @@ class BusOnLine:
 
 
 @router.get("/")
-async def line(request: Request, _: Viewer, view: Choice | None = None) -> Response:
+async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Response:
     """Every unit in floor order, what is abnormal first."""
     hub = service_of(request, Hub)
     screen = hub.screen(templates_of(request).language_of(request).tag)
@@ -123,7 +123,7 @@ def digits_of(unit: UnitLive) -> int:
     return max(len(str(span)), decimals + 1) + (1 if decimals else 0)
 
 
-def _remembered(request: Request) -> Choice:
+def _remembered(request: Request) -> ViewSize:
     match request.cookies.get(VIEW_COOKIE):
         case ("tiles" | "rows" | "board") as view:
             return view

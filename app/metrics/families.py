@@ -22,7 +22,7 @@ _COUNTED = {
 }
 
 
-class _Line(Collector):
+class _LineCollector(Collector):
     """One reading of everything."""
 
     def __init__(self, measured: MetricSources) -> None:
@@ -77,5 +77,5 @@ def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
 def text(measured: MetricSources) -> bytes:
     """All of it, as Prometheus reads it."""
     registry = CollectorRegistry()
-    registry.register(_Line(measured))
+    registry.register(_LineCollector(measured))
     return generate_latest(registry)

@@ -23,24 +23,24 @@ from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
 from app.web.numbers import whole_number
 from app.web.services import service
-from app.web.shape import Strict
+from app.web.shape import StrictBody
 from bus.messages import Message
 from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["recipes"], route_class=ApiRoute)
 
-Raw = Annotated[int, Field(ge=0, le=99999)]
+RecipeRaw = Annotated[int, Field(ge=0, le=99999)]
 
 
-class SaveRecipe(Strict):
+class SaveRecipe(StrictBody):
     """``setpoints``: unit → raw; without any, the setpoints that the line has now."""
 
     name: Annotated[OneLine, Field(min_length=1, max_length=80)]
     comment: Annotated[Lines, Field(max_length=1000)] = ""
-    setpoints: Annotated[dict[str, Raw], Field(max_length=255, default_factory=dict)]
+    setpoints: Annotated[dict[str, RecipeRaw], Field(max_length=255, default_factory=dict)]
 
 
-class LoadRecipe(Strict):
+class LoadRecipe(StrictBody):
     """``confirm``: steps that an engineer wants reviewed have been reviewed."""
 
     confirm: bool = False

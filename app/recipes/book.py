@@ -8,11 +8,19 @@ from functools import partial
 
 from app.audit.log import EventLog
 from app.commands.catalogue import SET_LINE
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.bus_live import BusLive
 from app.live.state.live_state import LiveState
-from app.recipes.rules import Departure, DryRun, Recipe, Setpoint, departures, dry_run, setpoint_kind
+from app.recipes.rules import (
+    DryRun,
+    Recipe,
+    RecipeDeparture,
+    RecipeSetpoint,
+    departures,
+    dry_run,
+    setpoint_kind,
+)
 from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person
 from app.web.deadline import Deadline, Instant
@@ -26,7 +34,7 @@ MOST_RECIPES = 1000
 class RecipeBook:
     """One for the app."""
 
-    def __init__(self, state: LiveState, desk: Desk, store: RecipeStore, events: EventLog) -> None:
+    def __init__(self, state: LiveState, desk: CommandService, store: RecipeStore, events: EventLog) -> None:
         self._state = state
         self._desk = desk
         self.store = store
@@ -41,7 +49,7 @@ class RecipeBook:
         """The recipe that a bus was loaded with last."""
         return self._loaded.get(bus)
 
-    def departed(self, bus: str) -> list[Departure]:
+    def departed(self, bus: str) -> list[RecipeDeparture]:
         """What has left the loaded recipe since."""
         loaded = self._loaded.get(bus)
         return departures(loaded.recipe, self._state.buses[bus], loaded.at) if loaded is not None else []
@@ -135,11 +143,11 @@ class RecipeBook:
         return bus
 
 
-def _setpoint(bus: BusLive, unit: int, raw: int) -> Setpoint:
+def _setpoint(bus: BusLive, unit: int, raw: int) -> RecipeSetpoint:
     live = bus.units.get(unit)
     if live is None:
         raise Problem(422, "invalid", Message.of("recipe_unit_missing", bus=bus.settings.name, unit=unit))
     kind = setpoint_kind(live)
     if kind is None:
         raise Problem(422, "invalid", Message.of("unit_mode_unknown", unit=unit))
-    return Setpoint(unit, raw, kind)
+    return RecipeSetpoint(unit, raw, kind)

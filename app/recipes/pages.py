@@ -8,7 +8,7 @@ from fastapi import APIRouter, Form, Request, Response
 
 from app.commands.catalogue import SET_LINE
 from app.commands.forms.line_change import followers_of, proven, reviewed
-from app.commands.forms.page_context import Desks
+from app.commands.forms.page_context import Page
 from app.commands.forms.review import keep_their_setpoint, know_ramps
 from app.commands.review.ramp import present_setpoint
 from app.commands.review.risks import by_remark
@@ -19,7 +19,7 @@ from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.live.state.bus_live import BusLive
 from app.recipes.api import Book, recipe_or_404
-from app.recipes.rules import Setpoint, present_raw, setpoint_kind, setpoint_text
+from app.recipes.rules import RecipeSetpoint, present_raw, setpoint_kind, setpoint_text
 from app.web.access import Engineer, Person, Viewer
 from app.web.templating import render
 from bus.catalogue.numbers import DECIMALS
@@ -83,7 +83,7 @@ async def one_page(request: Request, person: Viewer, book: Book, recipe_id: int)
 
 @router.get("/recipes/{recipe_id}/review")
 async def review(
-    person: Annotated[Person, permitted(SET_LINE)], desk: Desks, book: Book, recipe_id: int
+    person: Annotated[Person, permitted(SET_LINE)], desk: Page, book: Book, recipe_id: int
 ) -> Response:
     """The second step before loading."""
     recipe = await recipe_or_404(book, recipe_id)
@@ -111,7 +111,7 @@ async def review(
 async def load(
     request: Request,
     person: Annotated[Person, permitted(SET_LINE)],
-    desk: Desks,
+    desk: Page,
     book: Book,
     recipe_id: int,
     id: Annotated[str, Form(min_length=8)],
@@ -147,7 +147,7 @@ def _present(bus: BusLive) -> dict[int, str]:
         kind = setpoint_kind(unit)
         raw = None if kind is None else present_raw(unit, kind)
         known = kind is not None and raw is not None
-        shown[number] = setpoint_text(unit, Setpoint(number, raw or 0, kind)) if known and kind else ""
+        shown[number] = setpoint_text(unit, RecipeSetpoint(number, raw or 0, kind)) if known and kind else ""
     return shown
 
 

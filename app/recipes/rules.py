@@ -8,24 +8,24 @@ from typing import Literal
 
 from app.commands.measure import measure_of_setpoint
 from app.commands.review.ramp import ramp_of
-from app.commands.review.risks import Facts, Remark, facts_of, obstacle_of, risks_of
+from app.commands.review.risks import Remark, RiskInputs, facts_of, obstacle_of, risks_of
 from app.live.state.bus_live import BusLive, UnitLive
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
 from bus.catalogue.values import ratio_text, speed_text
 from bus.contract.durations import change_s
 
-Kind = Literal["speed", "ratio"]
+RecipeKind = Literal["speed", "ratio"]
 
 NOT_CONFIGURED = "not in the configuration"
 
 
 @dataclass(frozen=True, slots=True)
-class Setpoint:
+class RecipeSetpoint:
     """``raw``: display units of the unit, or ratio times 10000 for a follower."""
 
     unit: int
     raw: int
-    kind: Kind
+    kind: RecipeKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,13 +37,13 @@ class Recipe:
     comment: str
     who: str
     saved_at: float
-    setpoints: tuple[Setpoint, ...]
+    setpoints: tuple[RecipeSetpoint, ...]
     version: int = 0
     id: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class LoadStep:
     """What loading does to one unit. Texts of values are in ``measure``. ``ramp_s`` None where not known.
 
     ``words``: what will happen, a template for ``old``, ``new`` and ``seconds``.
@@ -77,7 +77,7 @@ class Step:
 class DryRun:
     """``wire_s``: time on the wire at best; ``ramp_s``: the longest known ramp of any unit."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[LoadStep, ...]
     wire_s: float
     ramp_s: float | None
 
@@ -88,7 +88,7 @@ class DryRun:
 
 
 @dataclass(frozen=True, slots=True)
-class Departure:
+class RecipeDeparture:
     """A unit whose commanded value is no longer what the loaded recipe says, or that is gone."""
 
     unit: int
@@ -97,7 +97,7 @@ class Departure:
     now: str
 
 
-def setpoint_kind(unit: UnitLive) -> Kind | None:
+def setpoint_kind(unit: UnitLive) -> RecipeKind | None:
     """What a setpoint of this unit is: by #8, None while that has not been read."""
     mode = unit.parameter_raw(FOLLOWER_MODE)
     if mode is None:
@@ -105,7 +105,7 @@ def setpoint_kind(unit: UnitLive) -> Kind | None:
     return "speed" if mode == 0 else "ratio"
 
 
-def setpoint_text(unit: UnitLive, setpoint: Setpoint) -> str:
+def setpoint_text(unit: UnitLive, setpoint: RecipeSetpoint) -> str:
     """The setpoint as the unit would show it; the bare integer while its decimals are not known."""
     if setpoint.kind == "ratio":
         return ratio_text(setpoint.raw)
@@ -121,17 +121,17 @@ def dry_run(recipe: Recipe, bus: BusLive, refusal: Callable[[int, int], str], no
     return DryRun(steps, change_s(len(steps), bus.baud), max(ramps, default=None))
 
 
-def departures(recipe: Recipe, bus: BusLive, since: float = 0.0) -> list[Departure]:
+def departures(recipe: Recipe, bus: BusLive, since: float = 0.0) -> list[RecipeDeparture]:
     """Units that no longer command what the recipe says. ``since``: when it was loaded."""
     found = (_departure(setpoint, bus.units.get(setpoint.unit), since) for setpoint in recipe.setpoints)
     return [departure for departure in found if departure is not None]
 
 
-def _step(setpoint: Setpoint, bus: BusLive, refusal: Callable[[int, int], str], now: float) -> Step:
+def _step(setpoint: RecipeSetpoint, bus: BusLive, refusal: Callable[[int, int], str], now: float) -> LoadStep:
     unit = bus.units.get(setpoint.unit)
     if unit is None:
         text = str(setpoint.raw)
-        return Step(
+        return LoadStep(
             setpoint.unit,
             f"unit {setpoint.unit}",
             setpoint.raw,
@@ -144,7 +144,7 @@ def _step(setpoint: Setpoint, bus: BusLive, refusal: Callable[[int, int], str], 
     ramp = ramp_of(unit, present, setpoint.raw)
     ramp_s = 0.0 if present == setpoint.raw else None if ramp is None else ramp.seconds
     facts = facts_of(bus, unit, now, ramp=ramp, setpoint=setpoint.raw)
-    return Step(
+    return LoadStep(
         unit=setpoint.unit,
         name=unit.settings.name,
         raw=setpoint.raw,
@@ -158,7 +158,7 @@ def _step(setpoint: Setpoint, bus: BusLive, refusal: Callable[[int, int], str], 
     )
 
 
-def _words(setpoint: Setpoint, present: int | None, ramp_s: float | None) -> str:
+def _words(setpoint: RecipeSetpoint, present: int | None, ramp_s: float | None) -> str:
     """What will happen to a unit whose setpoint is ``present``."""
     if present is None:
         return "becomes {new}; what it has now is not known"
@@ -170,7 +170,7 @@ def _words(setpoint: Setpoint, present: int | None, ramp_s: float | None) -> str
     return f"{way} from {{old}} to {{new}}" + ("" if ramp_s is None else " in {seconds} s")
 
 
-def _obstacle(setpoint: Setpoint, unit: UnitLive, facts: Facts) -> str:
+def _obstacle(setpoint: RecipeSetpoint, unit: UnitLive, facts: RiskInputs) -> str:
     if obstacle := obstacle_of(facts):
         return obstacle.text
     kind = setpoint_kind(unit)
@@ -181,33 +181,35 @@ def _obstacle(setpoint: Setpoint, unit: UnitLive, facts: Facts) -> str:
     return ""
 
 
-def _present_text(unit: UnitLive, kind: Kind) -> str:
+def _present_text(unit: UnitLive, kind: RecipeKind) -> str:
     if unit.reading is None:
         return "unknown"
     present = present_raw(unit, kind)
-    return "unknown" if present is None else setpoint_text(unit, Setpoint(unit.settings.id, present, kind))
+    return (
+        "unknown" if present is None else setpoint_text(unit, RecipeSetpoint(unit.settings.id, present, kind))
+    )
 
 
-def present_raw(unit: UnitLive, kind: Kind) -> int | None:
+def present_raw(unit: UnitLive, kind: RecipeKind) -> int | None:
     """What the unit is commanded now: CS of its last answer, or #37 for a ratio."""
     if kind == "ratio":
         return unit.parameter_raw(RATIO_SETPOINT)
     return unit.reading.commanded if unit.reading is not None else None
 
 
-def _departure(setpoint: Setpoint, unit: UnitLive | None, since: float) -> Departure | None:
+def _departure(setpoint: RecipeSetpoint, unit: UnitLive | None, since: float) -> RecipeDeparture | None:
     if unit is None:
-        return Departure(setpoint.unit, f"unit {setpoint.unit}", str(setpoint.raw), NOT_CONFIGURED)
+        return RecipeDeparture(setpoint.unit, f"unit {setpoint.unit}", str(setpoint.raw), NOT_CONFIGURED)
     if not _told_since(unit, setpoint.kind, since):
         return None
     now = present_raw(unit, setpoint.kind)
     if now is None or now == setpoint.raw:
         return None
-    shown = setpoint_text(unit, Setpoint(setpoint.unit, now, setpoint.kind))
-    return Departure(setpoint.unit, unit.settings.name, setpoint_text(unit, setpoint), shown)
+    shown = setpoint_text(unit, RecipeSetpoint(setpoint.unit, now, setpoint.kind))
+    return RecipeDeparture(setpoint.unit, unit.settings.name, setpoint_text(unit, setpoint), shown)
 
 
-def _told_since(unit: UnitLive, kind: Kind, moment: float) -> bool:
+def _told_since(unit: UnitLive, kind: RecipeKind, moment: float) -> bool:
     """#37 is read in the slow circle: what it said before the recipe was loaded says nothing about it."""
     if kind == "speed":
         return unit.reading is not None
@@ -215,12 +217,12 @@ def _told_since(unit: UnitLive, kind: Kind, moment: float) -> bool:
     return read is not None and read.at > moment
 
 
-def setpoints_now(units: Iterable[UnitLive]) -> tuple[Setpoint, ...]:
+def setpoints_now(units: Iterable[UnitLive]) -> tuple[RecipeSetpoint, ...]:
     """The present setpoints of units that have told theirs, to begin a recipe from."""
-    found: list[Setpoint] = []
+    found: list[RecipeSetpoint] = []
     for unit in units:
         kind = setpoint_kind(unit)
         raw = present_raw(unit, kind) if kind is not None else None
         if kind is not None and raw is not None:
-            found.append(Setpoint(unit.settings.id, raw, kind))
+            found.append(RecipeSetpoint(unit.settings.id, raw, kind))
     return tuple(found)

@@ -7,8 +7,8 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
-Time = Annotated[str, Field(description="ISO 8601 in UTC, milliseconds.")]
-UnitAddress = Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
+from app.live.api.schemas import Time, UnitAddress
+
 RampS = Annotated[float | None, Field(description="Duration of the ramp, seconds; null: not known.")]
 
 

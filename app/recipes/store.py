@@ -6,7 +6,7 @@ import sqlite3
 from dataclasses import dataclass
 
 from app.database import Database
-from app.recipes.rules import Recipe, Setpoint
+from app.recipes.rules import Recipe, RecipeSetpoint
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ def _load(connection: sqlite3.Connection, recipe_id: int) -> Recipe | None:
         "SELECT unit, raw, kind FROM recipe_row WHERE recipe_id = ? ORDER BY unit", (recipe_id,)
     )
     bus, name, comment, who, saved_at, version = head
-    setpoints = tuple(Setpoint(*row) for row in rows)
+    setpoints = tuple(RecipeSetpoint(*row) for row in rows)
     return Recipe(bus, name, comment, who, saved_at, setpoints, version, recipe_id)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.live.state.bus_live import BusLive
-from app.recipes.rules import Departure, DryRun, Recipe, setpoint_text
+from app.recipes.rules import DryRun, Recipe, RecipeDeparture, setpoint_text
 from app.recipes.shown import DryRunShown, LoadedShown, RecipeShown
 from app.recipes.store import Loaded
 from app.web.shape import iso
@@ -54,7 +54,7 @@ def dry_run_json(run: DryRun) -> DryRunShown:
     }
 
 
-def loaded_json(loaded: Loaded, departed: list[Departure]) -> LoadedShown:
+def loaded_json(loaded: Loaded, departed: list[RecipeDeparture]) -> LoadedShown:
     """Which recipe a bus was loaded with, and which units no longer command what it says."""
     return {
         "id": loaded.recipe.id,

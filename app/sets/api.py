@@ -22,7 +22,7 @@ from app.sets.shown import (
     ComparedShown,
     DriftShown,
     GoldenShown,
-    OwedShown,
+    OverdueShown,
     ScheduleShown,
     SetShown,
     SummaryShown,
@@ -32,7 +32,7 @@ from app.web.access import Engineer, Person, Role, Viewer
 from app.web.api_route import ApiRoute
 from app.web.schema_problem import problems
 from app.web.services import service
-from app.web.shape import Strict, Units
+from app.web.shape import StrictBody, UnitAddresses
 from bus.messages import Message
 from bus.text import Lines, OneLine
 
@@ -44,34 +44,34 @@ DOCUMENT: dict[int | str, dict[str, Any]] = {
 }
 
 
-class TakeSet(Strict):
+class TakeSet(StrictBody):
     """Which units to read now (all of the bus when empty)."""
 
-    units: Annotated[Units, Field(default_factory=list)]
+    units: Annotated[UnitAddresses, Field(default_factory=list)]
     name: Annotated[OneLine, Field(max_length=80)] = ""
     comment: Annotated[Lines, Field(max_length=1000)] = ""
 
 
-class GoldenMark(Strict):
+class GoldenMark(StrictBody):
     """The unit whose golden set this becomes."""
 
     unit: int
 
 
-class Schedule(Strict):
+class SaveScheduleRequest(StrictBody):
     """Minute of the local day at which all units of the bus are read; null ends it."""
 
     minute_of_day: Annotated[int, Field(ge=0, le=1439)] | None
 
 
-Keeper = Annotated[SetKeeper, service(SetKeeper)]
+ParameterSets = Annotated[SetKeeper, service(SetKeeper)]
 Schedules = Annotated[SetSchedule, service(SetSchedule)]
 
 
 @router.get("/sets")
 async def list_sets(
     _: Viewer,
-    keeper: Keeper,
+    keeper: ParameterSets,
     bus: str | None = None,
     unit: int | None = None,
     before: int | None = None,
@@ -83,7 +83,9 @@ async def list_sets(
 
 
 @router.post("/buses/{bus}/sets", status_code=201, responses=problems(504))
-async def take_set(person: Engineer, keeper: Keeper, live: Live, bus: str, wanted: TakeSet) -> SetShown:
+async def take_set(
+    person: Engineer, keeper: ParameterSets, live: Live, bus: str, wanted: TakeSet
+) -> SetShown:
     """Read the units now and keep what they say; nothing is kept when one does not answer."""
     known = bus_or_404(live, bus).units
     units = wanted.units or list(known)
@@ -93,14 +95,14 @@ async def take_set(person: Engineer, keeper: Keeper, live: Live, bus: str, wante
 
 
 @router.get("/sets/{set_id}")
-async def one_set(_: Viewer, keeper: Keeper, set_id: int) -> SetShown:
+async def one_set(_: Viewer, keeper: ParameterSets, set_id: int) -> SetShown:
     """A whole set with the evidence of each value; #21 masked."""
     return set_json(await set_or_404(keeper, set_id))
 
 
 @router.get("/sets/{set_id}/document", response_class=Response, responses=DOCUMENT)
 async def set_document(
-    person: Viewer, keeper: Keeper, events: Events, set_id: int, secrets: bool = False
+    person: Viewer, keeper: ParameterSets, events: Events, set_id: int, secrets: bool = False
 ) -> Response:
     """The set as a TOML file. With ``secrets`` (engineer) #21 is in it, and the asking is an event."""
     stored = await set_or_404(keeper, set_id)
@@ -113,7 +115,7 @@ async def set_document(
 
 
 @router.post("/sets/{set_id}/golden")
-async def mark_golden(person: Engineer, keeper: Keeper, set_id: int, mark: GoldenMark) -> GoldenShown:
+async def mark_golden(person: Engineer, keeper: ParameterSets, set_id: int, mark: GoldenMark) -> GoldenShown:
     """From now on the unit ought to be as this set says."""
     await keeper.mark_golden(person, set_id, mark.unit)
     return {"set": set_id, "unit": mark.unit, "golden": True}
@@ -122,7 +124,7 @@ async def mark_golden(person: Engineer, keeper: Keeper, set_id: int, mark: Golde
 @router.get("/sets/{set_id}/compare/{other_id}")
 async def compare_sets(
     _: Viewer,
-    keeper: Keeper,
+    keeper: ParameterSets,
     set_id: int,
     other_id: int,
     unit: int,
@@ -136,7 +138,7 @@ async def compare_sets(
 
 
 @router.get("/buses/{bus}/units/{unit}/drift")
-async def unit_drift(_: Viewer, keeper: Keeper, live: Live, bus: str, unit: int) -> DriftShown:
+async def unit_drift(_: Viewer, keeper: ParameterSets, live: Live, bus: str, unit: int) -> DriftShown:
     """Where the unit as last read departs from its golden set, and who changed it: ``changed_by`` null is
     somebody at the panel. ``unread``: parameters that could not be compared yet."""
     unit_or_404(live, bus, unit)
@@ -149,17 +151,17 @@ async def unit_drift(_: Viewer, keeper: Keeper, live: Live, bus: str, unit: int)
 
 @router.get("/buses/{bus}/set-schedule")
 async def read_schedule(
-    _: Viewer, keeper: Keeper, schedules: Schedules, live: Live, bus: str
+    _: Viewer, keeper: ParameterSets, schedules: Schedules, live: Live, bus: str
 ) -> ScheduleShown:
     """At which minute of the day the units of the bus are read, and which are owed since, with why."""
     bus_or_404(live, bus)
-    owed: list[OwedShown] = [{"unit": unit, "why": owed.why} for unit, owed in schedules.owed(bus).items()]
+    owed: list[OverdueShown] = [{"unit": unit, "why": owed.why} for unit, owed in schedules.owed(bus).items()]
     return {"minute_of_day": (await keeper.store.schedule()).get(bus), "owed": owed}
 
 
 @router.put("/buses/{bus}/set-schedule")
 async def write_schedule(
-    person: Engineer, schedules: Schedules, live: Live, bus: str, wanted: Schedule
+    person: Engineer, schedules: Schedules, live: Live, bus: str, wanted: SaveScheduleRequest
 ) -> ScheduleShown:
     """Read all units of the bus daily, or no longer."""
     bus_or_404(live, bus)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, UnitLive
 from app.sets.compare import with_unit
@@ -78,7 +78,7 @@ def refuse_moved(rows: Iterable[BatchRow], reviewed: Mapping[int, str]) -> None:
             raise Problem(409, "moved", Message.of("value_moved", name=row.name))
 
 
-async def learn(desk: Desk, person: Person, bus: BusLive, number: int) -> None:
+async def learn(desk: CommandService, person: Person, bus: BusLive, number: int) -> None:
     """Ask the units that answer for a parameter that was never read from them; who stays silent stays
     unknown."""
 
@@ -94,7 +94,7 @@ async def learn(desk: Desk, person: Person, bus: BusLive, number: int) -> None:
 
 
 async def write_batch(
-    desk: Desk, person: Person, bus: str, number: int, rows: list[BatchRow], *, confirm: bool
+    desk: CommandService, person: Person, bus: str, number: int, rows: list[BatchRow], *, confirm: bool
 ) -> list[BatchResult]:
     """Write the rows that change something, one after another. A refusal of one unit does not end the rest, a
     refusal of the person does."""
@@ -136,7 +136,7 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
 
 
 async def _write(
-    desk: Desk, person: Person, bus: str, number: int, row: BatchRow, *, confirm: bool
+    desk: CommandService, person: Person, bus: str, number: int, row: BatchRow, *, confirm: bool
 ) -> BatchResult:
     action = WriteParameter(unit=row.unit, number=number, raw=row.wanted or 0)
     try:

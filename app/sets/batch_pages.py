@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter, Request, Response
 from starlette.datastructures import FormData
 
-from app.commands.service.writer import AskDesk
+from app.commands.service.writer import Commands
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
@@ -22,7 +22,7 @@ router = APIRouter(include_in_schema=False)
 
 @router.get("/batch/{bus}")
 async def batch_page(
-    request: Request, person: Engineer, live: Live, desk: AskDesk, bus: str, number: int = 6
+    request: Request, person: Engineer, live: Live, desk: Commands, bus: str, number: int = 6
 ) -> Response:
     """The present values of one parameter over all units; one that was never read is asked for now."""
     parameter = _writable_or_404(number)
@@ -44,7 +44,7 @@ async def batch_review(request: Request, _: Engineer, live: Live, bus: str) -> R
 
 
 @router.post("/batch/{bus}/write")
-async def batch_write(request: Request, person: Engineer, live: Live, desk: AskDesk, bus: str) -> Response:
+async def batch_write(request: Request, person: Engineer, live: Live, desk: Commands, bus: str) -> Response:
     """Write what the review showed."""
     number, typed = await _typed(request)
     parameter = _writable_or_404(number)

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 from app.sets.effects import OPERATING_VALUES
-from app.sets.model import Row, UnitRows
+from app.sets.model import ParameterRow, UnitRows
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.parameters import PARAMETERS, Parameter
 from bus.catalogue.values import is_follower, parameter_text, parameter_unit
 
-Kind = Literal["equal", "differs", "unavailable", "unknown"]
+Comparison = Literal["equal", "differs", "unavailable", "unknown"]
 
 _MEANINGS: dict[int, str] = {
     1: "full scale is {new} instead of {old}",
@@ -37,9 +37,9 @@ class Compared:
     """One row of a comparison. ``meaning`` is a template for ``old`` (left) and ``new`` (right) text."""
 
     number: int
-    left: Row | None
-    right: Row | None
-    kind: Kind
+    left: ParameterRow | None
+    right: ParameterRow | None
+    kind: Comparison
     old: str
     new: str
     meaning: str
@@ -79,7 +79,7 @@ def _compare_row(parameter: Parameter, left: UnitRows, right: UnitRows, toleranc
     )
 
 
-def _words(number: int, kind: Kind) -> str:
+def _words(number: int, kind: Comparison) -> str:
     if kind == "differs":
         return meaning(number)
     return _ANY_MEANING if kind == "unavailable" else ""
@@ -92,7 +92,7 @@ def meaning(number: int) -> str:
     return _MEANINGS.get(number, _ANY_MEANING)
 
 
-def _kind(left: Row | None, right: Row | None, tolerance: int) -> Kind:
+def _kind(left: ParameterRow | None, right: ParameterRow | None, tolerance: int) -> Comparison:
     if left is None or right is None:
         return "unknown"
     if not left.available and not right.available:

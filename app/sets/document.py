@@ -10,11 +10,12 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from app.sets.compare import with_unit
-from app.sets.model import ParameterSet, Row, UnitRows
-from app.web.shape import Strict
+from app.sets.model import ParameterRow, ParameterSet, UnitRows
+from app.web.faults import fault_message
+from app.web.shape import StrictBody
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
-from bus.messages import Message
+from bus.messages import Message, term
 
 DOCUMENT_FORMAT = "lineside parameter set"
 DOCUMENT_VERSION = 1
@@ -22,8 +23,6 @@ LONGEST_DOCUMENT = 1_500_000
 """Characters of a file; all 255 units of a bus take half of it."""
 MOST_KEY_STEPS = 2_000_000
 """Of Python's parser, which takes half a second for them."""
-TOO_LONG = "{source} is too long for a parameter set"
-OUTSIDE = "{source}: unit {unit}: parameter {number} ({name}): {raw} is outside {lowest} to {highest}"
 _KEYS = frozenset(str(number) for number in PARAMETERS)
 """As they are written: 06 beside 6 would be one parameter twice."""
 
@@ -32,7 +31,7 @@ class DocumentError(CallerError):
     """The file is not a parameter set that can be used; nothing was written to any unit."""
 
 
-class _Parameter(Strict):
+class _Parameter(StrictBody):
     name: str = ""
     raw: int | None = None
     value: str = ""
@@ -40,14 +39,14 @@ class _Parameter(Strict):
     masked: bool = False
 
 
-class _Unit(Strict):
+class _Unit(StrictBody):
     id: Annotated[int, Field(ge=1, le=255)]
     name: str = ""
     read_at: datetime | None = None
     parameters: Annotated[dict[str, _Parameter], Field(max_length=len(PARAMETERS))]
 
 
-class _Document(Strict):
+class _Document(StrictBody):
     format: Literal["lineside parameter set"]
     version: Annotated[int, Field(ge=1)]
     bus: str = ""
@@ -83,7 +82,7 @@ def _unit_lines(unit: UnitRows, with_secrets: bool) -> list[str]:
     return lines + [_row_line(row, unit, with_secrets) for _, row in sorted(unit.rows.items())]
 
 
-def _row_line(row: Row, unit: UnitRows, with_secrets: bool) -> str:
+def _row_line(row: ParameterRow, unit: UnitRows, with_secrets: bool) -> str:
     parameter = PARAMETERS[row.number]
     fields = [f"name = {_quoted(parameter.name)}"]
     if not row.available:
@@ -104,8 +103,7 @@ def read_document(text: str, source: str = "the file") -> ParameterSet:
     document = _parse(text, source)
     units = tuple(_unit_rows(unit, source) for unit in document.unit)
     if len({unit.unit for unit in units}) < len(units):
-        detail = "{source}: a unit is given twice; keep one [[unit]] for each address"
-        raise DocumentError(detail, params={"source": source})
+        raise DocumentError(Message.of("source_takes_unit_twice", source=source))
     return ParameterSet(
         bus=document.bus,
         taken_at=_seconds(document.taken_at, source),
@@ -120,26 +118,27 @@ def read_document(text: str, source: str = "the file") -> ParameterSet:
 def _parse(text: str, source: str) -> _Document:
     content = _content(text, source)
     if content.get("format") != DOCUMENT_FORMAT:
-        params = {"source": source, "format": _quoted(DOCUMENT_FORMAT)}
-        raise DocumentError("{source}: not a parameter set: it lacks format = {format}", params=params)
+        raise DocumentError(
+            Message.of("source_no_parameter_set", source=source, format=_quoted(DOCUMENT_FORMAT))
+        )
     version = content.get("version")
     if isinstance(version, int) and version > DOCUMENT_VERSION:
-        detail = "{source}: written by a newer Lineside (version {version}); update this one"
-        raise DocumentError(detail, params={"source": source, "version": version})
+        raise DocumentError(Message.of("source_of_newer_version", source=source, version=version))
     try:
         return _Document.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        fault = {"source": source, "where": where, "fault": CallerError(first["msg"])}
-        raise DocumentError("{source}: {where}: {fault}", params=fault) from error
+        raise DocumentError(
+            Message.of("source_fault", source=source, where=where, fault=fault_message(first))
+        ) from error
 
 
 def _content(text: str, source: str) -> dict[str, Any]:
     if len(text) > LONGEST_DOCUMENT:
         raise DocumentError(Message.of("source_too_long", source=source))
     if _key_steps(text) > MOST_KEY_STEPS:
-        raise DocumentError("{source}: a key has too many dotted parts", params={"source": source})
+        raise DocumentError(Message.of("source_key_too_deep", source=source))
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -159,12 +158,10 @@ def _key_steps(text: str) -> int:
 
 
 def _unreadable(source: str, error: Exception) -> DocumentError:
-    params: dict[str, object] = {"source": source, "why": str(error)}
-    if isinstance(error, RecursionError):
-        params["why"] = CallerError(Message("nested_too_deeply"))
+    why = Message("nested_too_deeply") if isinstance(error, RecursionError) else str(error)
     if "end of document" in str(error):
-        return DocumentError("{source}: not readable as TOML, perhaps cut off: {why}", params=params)
-    return DocumentError("{source}: not readable as TOML: {why}", params=params)
+        return DocumentError(Message.of("source_cut_off", source=source, why=why))
+    return DocumentError(Message.of("source_not_toml", source=source, why=why))
 
 
 def _seconds(moment: datetime, source: str) -> float:
@@ -172,20 +169,20 @@ def _seconds(moment: datetime, source: str) -> float:
     try:
         return moment.timestamp()
     except (ValueError, OverflowError, OSError) as error:
-        params = {"source": source, "time": moment.isoformat()}
-        raise DocumentError("{source}: {time} is no time that a unit was read at", params=params) from error
+        raise DocumentError(
+            Message.of("source_time_unknown", source=source, time=moment.isoformat())
+        ) from error
 
 
 def _unit_rows(unit: _Unit, source: str) -> UnitRows:
     read_at = None if unit.read_at is None else _seconds(unit.read_at, source)
-    rows: dict[int, Row] = {}
+    rows: dict[int, ParameterRow] = {}
     for key, given in unit.parameters.items():
         if key not in _KEYS:
-            detail = "{source}: unit {unit}: there is no parameter '{key}'; a DIGIMAX IV has 1 to 40"
-            raise DocumentError(detail, params={"source": source, "unit": unit.id, "key": key})
+            raise DocumentError(Message.of("source_no_such_parameter", source=source, unit=unit.id, key=key))
         number = int(key)
         _check_range(number, given.raw, unit.id, source)
-        rows[number] = Row(number, given.raw if given.available else None, given.available, read_at)
+        rows[number] = ParameterRow(number, given.raw if given.available else None, given.available, read_at)
     return UnitRows(unit.id, unit.name, rows)
 
 
@@ -193,10 +190,19 @@ def _check_range(number: int, raw: int | None, unit: int, source: str) -> None:
     parameter = PARAMETERS[number]
     if raw is None or parameter.minimum <= raw <= parameter.maximum:
         return
-    shown = "hidden" if parameter.secret else raw
-    params = {"source": source, "unit": unit, "number": number, "name": parameter.name, "raw": shown}
-    params |= {"lowest": parameter.minimum, "highest": parameter.maximum}
-    raise DocumentError(OUTSIDE, params=params)
+    shown: int | Message = term("hidden") if parameter.secret else raw
+    raise DocumentError(
+        Message.of(
+            "source_value_outside",
+            source=source,
+            unit=unit,
+            number=number,
+            name=parameter.name,
+            raw=shown,
+            lowest=parameter.minimum,
+            highest=parameter.maximum,
+        )
+    )
 
 
 def _quoted(text: str) -> str:

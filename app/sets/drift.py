@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from app.audit.log import Event, EventLog
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 from app.live.screen.sources import Drifted, UnitSubscriber
 from app.live.state.live_state import LiveState
 from app.sets.background import Background
@@ -19,11 +19,11 @@ from app.sets.store import SetStore
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, Update
 
-Key = tuple[str, int]
+DriftKey = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Departure:
+class DriftedParameter:
     """One row that is not as in the golden set. ``change``: our command that made it so; None: none of us
     did, so somebody at the panel. ``traced`` False: the events have not been asked yet."""
 
@@ -41,7 +41,7 @@ class Departure:
         left, right = (None if side is None else side.raw for side in (self.row.left, self.row.right))
         return f"{self.row.number}={left}>{right}@{self.change['id'] if self.change else ''}"
 
-    def same(self, other: Departure) -> bool:
+    def same(self, other: DriftedParameter) -> bool:
         """Whether both say the same of the unit, whoever changed it."""
         return self._told == other._told
 
@@ -53,8 +53,8 @@ class Drifts:
         self._state = state
         self._store = store
         self._events = events
-        self._golden: dict[Key, UnitRows] = {}
-        self._found: dict[Key, dict[int, Departure]] = {}
+        self._golden: dict[DriftKey, UnitRows] = {}
+        self._found: dict[DriftKey, dict[int, DriftedParameter]] = {}
         self._background = Background()
         self._subscribers: list[UnitSubscriber] = []
         for name, bus in state.buses.items():
@@ -75,7 +75,7 @@ class Drifts:
         """Ask the events no more."""
         await self._background.close()
 
-    def marked(self) -> list[Key]:
+    def marked(self) -> list[DriftKey]:
         """Bus and address of every configured unit that has a golden set."""
         return [(bus, unit) for bus, unit in self._golden if self._is_known(bus, unit)]
 
@@ -83,11 +83,11 @@ class Drifts:
         """What a unit ought to be, where somebody has said so."""
         return self._golden.get((bus, unit))
 
-    def of(self, bus: str, unit: int) -> list[Departure]:
+    def of(self, bus: str, unit: int) -> list[DriftedParameter]:
         """Rows in which a unit, as last read, departs from its golden set."""
         return list(self._found.get((bus, unit), {}).values())
 
-    async def traced(self, bus: str, unit: int) -> list[Departure]:
+    async def traced(self, bus: str, unit: int) -> list[DriftedParameter]:
         """The same, after the events have been asked of every one now."""
         await self._trace(bus, unit, self.of(bus, unit))
         return self.of(bus, unit)
@@ -97,7 +97,7 @@ class Drifts:
         known = self._state.buses[bus].units[unit].parameters
         return sum(number not in known for number in PARAMETERS)
 
-    def summary(self, bus: str, unit: int, voice: Voice, now: float) -> Drifted:
+    def summary(self, bus: str, unit: int, voice: Translator, now: float) -> Drifted:
         """The same for the line, and what the list of them on the unit's page depends on."""
         if (bus, unit) not in self._golden:
             return Drifted()
@@ -121,33 +121,33 @@ class Drifts:
         """Compare anew; ``numbers`` were read, so who changed them is asked again."""
         before, asked = self._found.get((bus, unit), {}), frozenset(numbers)
         rows = drift(self._golden[bus, unit], known_rows(self._state.buses[bus].units[unit]))
-        found = {row.number: _known_before(Departure(row), before) for row in rows}
+        found = {row.number: _known_before(DriftedParameter(row), before) for row in rows}
         self._found[bus, unit] = found
         ask = [one for one in found.values() if not one.traced or one.row.number in asked]
         if ask:
             self._background.begin(self._trace(bus, unit, ask), f"who changed unit {unit} of {bus}")
 
-    async def _trace(self, bus: str, unit: int, departures: list[Departure]) -> None:
+    async def _trace(self, bus: str, unit: int, departures: list[DriftedParameter]) -> None:
         before = self.of(bus, unit)
         for one in departures:
             change = await who_changed(self._events, bus, unit, one.row)
             present = self._found.get((bus, unit), {})
             if one.row.number in present and one.same(present[one.row.number]):
-                present[one.row.number] = Departure(one.row, change, traced=True)
+                present[one.row.number] = DriftedParameter(one.row, change, traced=True)
         if self.of(bus, unit) != before:
             for subscriber in self._subscribers:
                 subscriber(bus, unit)
 
 
-def _known_before(departure: Departure, before: dict[int, Departure]) -> Departure:
+def _known_before(departure: DriftedParameter, before: dict[int, DriftedParameter]) -> DriftedParameter:
     """What the events said of the very same value stays said until they have been asked again."""
     earlier = before.get(departure.row.number)
     if earlier is None or not departure.same(earlier):
         return departure
-    return Departure(departure.row, earlier.change, earlier.traced)
+    return DriftedParameter(departure.row, earlier.change, earlier.traced)
 
 
-def _sentence(found: list[Departure], voice: Voice, now: float) -> str:
+def _sentence(found: list[DriftedParameter], voice: Translator, now: float) -> str:
     head = {"number": found[0].row.number, "n": len(found)}
     text = "#{number} differs from golden" if len(found) == 1 else "{n} values differ from golden"
     if not all(one.traced for one in found):
@@ -165,7 +165,7 @@ def _sentence(found: list[Departure], voice: Voice, now: float) -> str:
     return voice.t("{n} values differ from golden: {parts}", n=len(found), parts=", ".join(parts))
 
 
-def _latest_of_each(found: list[Departure]) -> list[tuple[Event, int]]:
+def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
     """The last change of every person, newest first, and how many rows are theirs."""
     by_person: dict[str, list[Event]] = {}
     for one in found:
@@ -177,5 +177,5 @@ def _latest_of_each(found: list[Departure]) -> list[tuple[Event, int]]:
     return sorted(latest, key=lambda each: -float(each[0]["time"]))
 
 
-def _by(change: Event, voice: Voice, now: float) -> dict[str, str]:
+def _by(change: Event, voice: Translator, now: float) -> dict[str, str]:
     return {"who": change["who"], "when": voice.formats.since(change["time"], now)}

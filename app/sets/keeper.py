@@ -13,7 +13,7 @@ from app.commands.authority import Authority
 from app.errors import Problem
 from app.live.state.live_state import LiveState
 from app.sets.drift import Drifts
-from app.sets.model import Origin, ParameterSet, UnitRows
+from app.sets.model import ParameterSet, SetOrigin, UnitRows
 from app.sets.reading import ParameterReader
 from app.sets.store import SetStore
 from app.web.access import Person
@@ -49,7 +49,7 @@ class SetKeeper:
         units: Sequence[int],
         name: str,
         comment: str,
-        origin: Origin = "by hand",
+        origin: SetOrigin = "by hand",
     ) -> ParameterSet:
         """Read the units now, one after another, and keep what they say.
 
@@ -97,7 +97,7 @@ class SetKeeper:
             _log.info("a unit with a golden set was not read", bus=bus, unit=unit, why=problem.detail)
 
     async def keep(
-        self, person: Person, bus: str, rows: Sequence[UnitRows], name: str, comment: str, origin: Origin
+        self, person: Person, bus: str, rows: Sequence[UnitRows], name: str, comment: str, origin: SetOrigin
     ) -> ParameterSet:
         """Store what was read as a set, with an event. Reading takes a while: raises Problem 403 when the
         rights of the person were withdrawn meanwhile."""

@@ -8,7 +8,7 @@ from app.errors import Problem
 from app.sets.document import LONGEST_DOCUMENT, DocumentError, read_document
 from app.sets.keeper import SetKeeper
 from app.sets.model import ParameterSet, UnitRows
-from app.sets.restore import RestoreDesk
+from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
 from app.web.parsing import parse_apart
 from bus.messages import Message
@@ -71,7 +71,7 @@ def unit_rows_or_404(stored: ParameterSet, unit: int) -> UnitRows:
     return rows
 
 
-async def restore_or_404(restores: RestoreDesk, restore_id: str) -> Restore:
+async def restore_or_404(restores: RestoreService, restore_id: str) -> Restore:
     """A restore that was begun, or a plan of this run of the server."""
     restore = await restores.find(restore_id)
     if restore is None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-Origin = Literal[
+SetOrigin = Literal[
     "by hand",
     "on schedule",
     "before the first write of the day",
@@ -16,7 +16,7 @@ Origin = Literal[
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ParameterRow:
     """One parameter as a unit gave it: ``raw`` on the wire, when it was read, by which frame.
 
     ``raw`` None with ``available`` False: the unit does not have it. ``raw`` None otherwise: not
@@ -36,7 +36,7 @@ class UnitRows:
 
     unit: int
     name: str
-    rows: Mapping[int, Row]
+    rows: Mapping[int, ParameterRow]
 
     def raw(self, number: int) -> int | None:
         """The raw value of one parameter, None when it is not known or not there."""
@@ -51,7 +51,7 @@ class ParameterSet:
     bus: str
     taken_at: float
     who: str
-    origin: Origin
+    origin: SetOrigin
     units: tuple[UnitRows, ...]
     name: str = ""
     comment: str = ""

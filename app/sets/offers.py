@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from app.live.state.live_state import LiveState
-from app.sets.sides import Choice, choices
+from app.sets.sides import SideOption, choices
 from app.sets.store import SetSummary
 
 
@@ -15,9 +15,9 @@ class Offers:
     """``own``: sets of the unit, newest first; ``sisters``: the newest and the golden set of every other
     unit, those of the same group first; ``neighbours``: the other units as they are now."""
 
-    own: list[Choice]
-    sisters: list[Choice]
-    neighbours: list[Choice]
+    own: list[SideOption]
+    sisters: list[SideOption]
+    neighbours: list[SideOption]
 
     @property
     def golden(self) -> str:
@@ -44,19 +44,19 @@ def offers(live: LiveState, sets: Sequence[SetSummary], bus: str, unit: int) -> 
     )
 
 
-def _is(choice: Choice, bus: str, unit: int) -> bool:
+def _is(choice: SideOption, bus: str, unit: int) -> bool:
     return (choice.bus, choice.unit) == (bus, unit)
 
 
-def _group(live: LiveState, choice: Choice) -> str | None:
+def _group(live: LiveState, choice: SideOption) -> str | None:
     bus = live.buses.get(choice.bus)
     unit = None if bus is None else bus.units.get(choice.unit)
     return None if unit is None else unit.settings.group
 
 
-def _newest_and_golden(sets: Sequence[Choice]) -> list[Choice]:
+def _newest_and_golden(sets: Sequence[SideOption]) -> list[SideOption]:
     seen: set[tuple[str, int]] = set()
-    found: list[Choice] = []
+    found: list[SideOption] = []
     for choice in sets:
         if choice.golden or (choice.bus, choice.unit) not in seen:
             found.append(choice)

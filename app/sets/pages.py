@@ -9,7 +9,7 @@ from fastapi import APIRouter, Form, Request, Response
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
-from app.sets.api import Keeper, Schedules
+from app.sets.api import ParameterSets, Schedules
 from app.sets.compare import compare
 from app.sets.lookup import set_or_404
 from app.sets.sides import choices, side
@@ -17,7 +17,7 @@ from app.sets.taking import Taking, Takings
 from app.sets.view import set_json
 from app.web.access import Engineer, Viewer
 from app.web.services import service
-from app.web.shape import Units
+from app.web.shape import UnitAddresses
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
@@ -36,7 +36,7 @@ MOST_LISTED = 100
 async def list_page(
     request: Request,
     _: Viewer,
-    keeper: Keeper,
+    keeper: ParameterSets,
     schedules: Schedules,
     live: Live,
     bus: str = "",
@@ -64,7 +64,7 @@ async def take(
     live: Live,
     readings: Readings,
     bus: Annotated[str, Form()],
-    unit: Annotated[Units | None, Form()] = None,
+    unit: Annotated[UnitAddresses | None, Form()] = None,
     name: Annotated[OneLine, Form(max_length=80)] = "",
     comment: Annotated[Lines, Form(max_length=1000)] = "",
 ) -> Response:
@@ -103,7 +103,7 @@ async def schedule(
 async def compare_page(
     request: Request,
     _: Viewer,
-    keeper: Keeper,
+    keeper: ParameterSets,
     live: Live,
     left: str = "",
     right: str = "",
@@ -131,7 +131,7 @@ async def compare_page(
 
 
 @router.get("/sets/{set_id}")
-async def one_page(request: Request, _: Viewer, keeper: Keeper, live: Live, set_id: int) -> Response:
+async def one_page(request: Request, _: Viewer, keeper: ParameterSets, live: Live, set_id: int) -> Response:
     """A stored set, each value with its evidence."""
     stored = await set_or_404(keeper, set_id)
     others = await keeper.store.summaries(stored.bus)
@@ -147,7 +147,9 @@ async def one_page(request: Request, _: Viewer, keeper: Keeper, live: Live, set_
 
 
 @router.post("/sets/{set_id}/golden")
-async def golden(person: Engineer, keeper: Keeper, set_id: int, unit: Annotated[int, Form()]) -> Response:
+async def golden(
+    person: Engineer, keeper: ParameterSets, set_id: int, unit: Annotated[int, Form()]
+) -> Response:
     """Mark it as what the unit ought to be."""
     await keeper.mark_golden(person, set_id, unit)
     return go_to(f"/sets/{set_id}")
@@ -155,7 +157,7 @@ async def golden(person: Engineer, keeper: Keeper, set_id: int, unit: Annotated[
 
 @router.get("/units/{bus}/{unit}/drift")
 async def drift_fragment(
-    request: Request, _: Viewer, keeper: Keeper, live: Live, bus: str, unit: int
+    request: Request, _: Viewer, keeper: ParameterSets, live: Live, bus: str, unit: int
 ) -> Response:
     """Where the unit departs from its golden set, and who changed it."""
     unit_or_404(live, bus, unit)

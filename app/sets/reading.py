@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.live_state import LiveState
-from app.sets.model import Row, UnitRows
+from app.sets.model import ParameterRow, UnitRows
 from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, status_bits
@@ -19,10 +19,11 @@ READ_TIMEOUT_S = 300.0
 """A full list waits for gaps in the scan; at 300 baud one unit takes half a minute of wire alone."""
 
 
-def rows_of(values: Iterable[ParameterValue]) -> dict[int, Row]:
+def rows_of(values: Iterable[ParameterValue]) -> dict[int, ParameterRow]:
     """What units answered, by parameter number."""
     return {
-        value.number: Row(value.number, value.raw, value.available, value.at, value.frame) for value in values
+        value.number: ParameterRow(value.number, value.raw, value.available, value.at, value.frame)
+        for value in values
     }
 
 
@@ -41,7 +42,7 @@ def status_of(bus: BusLive, unit: UnitLive) -> StatusBits | None:
 class ParameterReader:
     """Reads units now; an unread or partly read unit is an answer too, never a guess."""
 
-    def __init__(self, state: LiveState, desk: Desk) -> None:
+    def __init__(self, state: LiveState, desk: CommandService) -> None:
         self._state = state
         self._desk = desk
 

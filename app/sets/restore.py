@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Callable
 import structlog
 
 from app.audit.log import EventLog
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.errors import Problem, StoreError
 from app.sets.background import Background
 from app.sets.model import UnitRows
@@ -35,10 +35,12 @@ _KEEP_FINISHED = 50
 _UNDER_WAY_AT_END = "the server ended while it was under way"
 
 
-class RestoreDesk:
+class RestoreService:
     """Plans restores, runs them one at a time per unit, and remembers how they went, also on disk."""
 
-    def __init__(self, reader: ParameterReader, desk: Desk, events: EventLog, store: RestoreStore) -> None:
+    def __init__(
+        self, reader: ParameterReader, desk: CommandService, events: EventLog, store: RestoreStore
+    ) -> None:
         self._reader = reader
         self._desk = desk
         self._events = events

@@ -9,9 +9,9 @@ from pydantic import Field
 
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
-from app.sets.api import Keeper
+from app.sets.api import ParameterSets
 from app.sets.lookup import restore_or_404, wanted_rows
-from app.sets.restore import RestoreDesk
+from app.sets.restore import RestoreService
 from app.sets.restore_shown import RestoreShown
 from app.sets.restore_view import restore_json
 from app.sets.selection import Selection
@@ -20,18 +20,18 @@ from app.web.api_route import ApiRoute
 from app.web.bounds import MOST_BODY_BYTES
 from app.web.schema_problem import problems
 from app.web.services import service
-from app.web.shape import Numbers, Strict
+from app.web.shape import Numbers, StrictBody
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
 
-Restores = Annotated[RestoreDesk, service(RestoreDesk)]
+Restores = Annotated[RestoreService, service(RestoreService)]
 Included = Annotated[
     Numbers, Field(description="rows that are left out unless named: the setpoints #20 and #37")
 ]
 Excluded = Annotated[Numbers, Field(description="rows not to write")]
 
 
-class PlanRestore(Strict):
+class PlanRestore(StrictBody):
     """What a unit shall become: a stored set, or a TOML document with one unit (or with this one).
     ``ticked``: dangerous rows (#18, #19, #27) to write, each confirmed by its number."""
 
@@ -43,7 +43,7 @@ class PlanRestore(Strict):
     ticked: Annotated[Numbers, Field(default_factory=list)]
 
 
-class StartRestore(Strict):
+class StartRestore(StrictBody):
     """Another choice of rows than the plan was made with; what is left out or null stays as planned."""
 
     include: Included | None = None
@@ -57,7 +57,13 @@ class StartRestore(Strict):
     max_body_size=MOST_BODY_BYTES,
 )
 async def plan_unit_restore(
-    person: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int, wanted: PlanRestore
+    person: Engineer,
+    keeper: ParameterSets,
+    restores: Restores,
+    live: Live,
+    bus: str,
+    unit: int,
+    wanted: PlanRestore,
 ) -> RestoreShown:
     """Read the unit and say what a restore would write. Nothing is written."""
     unit_or_404(live, bus, unit)

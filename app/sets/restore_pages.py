@@ -10,7 +10,7 @@ from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
 from app.live.state.live_state import LiveState
-from app.sets.api import Keeper
+from app.sets.api import ParameterSets
 from app.sets.compare import compare
 from app.sets.effects import OPERATING_VALUES
 from app.sets.form_source import Chosen, FormSource, post_source
@@ -26,7 +26,7 @@ from app.sets.selection import Selection
 from app.sets.shown import ComparedShown
 from app.sets.sides import side
 from app.sets.view import compared_json
-from app.swap.desk import SwapDesk
+from app.swap.desk import SwapService
 from app.web.access import Engineer
 from app.web.services import service_of
 from app.web.templating import render
@@ -40,7 +40,7 @@ Ticks = Annotated[list[int] | None, Form()]
 
 @router.get("/units/{bus}/{unit}/restore")
 async def restore_page(
-    request: Request, _: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int
+    request: Request, _: Engineer, keeper: ParameterSets, restores: Restores, live: Live, bus: str, unit: int
 ) -> Response:
     """Choose what the unit shall become; and the results of earlier restores of it."""
     live_unit = unit_or_404(live, bus, unit)
@@ -56,7 +56,13 @@ async def restore_page(
 
 @post_source(router, "/units/{bus}/{unit}/restore")
 async def plan_page(
-    person: Engineer, keeper: Keeper, restores: Restores, live: Live, bus: str, unit: int, chosen: Chosen
+    person: Engineer,
+    keeper: ParameterSets,
+    restores: Restores,
+    live: Live,
+    bus: str,
+    unit: int,
+    chosen: Chosen,
 ) -> Response:
     """Read the unit and say what would be written. Nothing is."""
     unit_or_404(live, bus, unit)
@@ -78,7 +84,7 @@ async def restore_progress(request: Request, _: Engineer, restores: Restores, re
         planned_at=restore.planned_at,
         name=restore.before.name,
         tickable=dangerous,
-        swap=service_of(request, SwapDesk).of(restore.bus, restore.unit),
+        swap=service_of(request, SwapService).of(restore.bus, restore.unit),
         proven=_proof(restore.wanted, restore.proven),
     )
     if restore.state != "running":

@@ -13,9 +13,9 @@ from app.sets.remarks import remarks
 from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from bus.contract import Outcome
 
-State = Literal["planned", "running", "proving", "equal", "different", "stopped"]
-ENDS: frozenset[State] = frozenset({"equal", "different", "stopped"})
-UNDER_WAY: frozenset[State] = frozenset({"running", "proving"})
+RestoreState = Literal["planned", "running", "proving", "equal", "different", "stopped"]
+ENDS: frozenset[RestoreState] = frozenset({"equal", "different", "stopped"})
+UNDER_WAY: frozenset[RestoreState] = frozenset({"running", "proving"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Restore:
     plan: RestorePlan
     rows: list[RowResult]
     planned_at: float
-    state: State = "planned"
+    state: RestoreState = "planned"
     cause: str = ""
     cause_code: str | None = None
     proven: UnitRows | None = None

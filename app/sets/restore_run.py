@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.sets.effects import warning_of
 from app.sets.plan import plan_restore
@@ -27,7 +27,12 @@ class RestoreRun:
     """Carries out what was reviewed, for ``person``. Raises Problem for whatever stops it."""
 
     def __init__(
-        self, reader: ParameterReader, desk: Desk, store: RestoreStore, person: Person, restore: Restore
+        self,
+        reader: ParameterReader,
+        desk: CommandService,
+        store: RestoreStore,
+        person: Person,
+        restore: Restore,
     ) -> None:
         self._reader = reader
         self._desk = desk

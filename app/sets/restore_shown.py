@@ -7,10 +7,11 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
+from app.live.api.schemas import UnitAddress
 from app.sets.effects import Effect
 from app.sets.plan import Reason
-from app.sets.restore_record import State
-from app.sets.shown import ComparedShown, Number, Raw, UnitAddress
+from app.sets.restore_record import RestoreState
+from app.sets.shown import ComparedShown, Number, StoredRaw
 from bus.contract import Outcome
 
 MaybeReason = Annotated[
@@ -23,8 +24,8 @@ class RestoreValues(TypedDict):
 
     number: Number
     name: str
-    present_raw: Raw
-    wanted_raw: Raw
+    present_raw: StoredRaw
+    wanted_raw: StoredRaw
     present: Annotated[str | None, Field(description="As shown to people; null: not known.")]
     wanted: Annotated[str | None, Field(description="As shown to people; null: not known.")]
 
@@ -45,7 +46,7 @@ class RestoreRowShown(RestoreValues):
     meaning: Annotated[str, Field(description="What the change means.")]
     outcome: Annotated[Outcome | None, Field(description="null: not written yet.")]
     message: str
-    read_back: Raw
+    read_back: StoredRaw
 
 
 class LeftOutShown(RestoreValues):
@@ -67,7 +68,7 @@ class RestoreShown(TypedDict):
     bus: str
     unit: UnitAddress
     who: str
-    state: State
+    state: RestoreState
     cause: Annotated[str, Field(description="Why it stopped; empty: it did not.")]
     cause_code: Annotated[str | None, Field(description="The cause, for programs; null: it did not stop.")]
     running: Annotated[

@@ -6,7 +6,7 @@ import sqlite3
 from collections.abc import Mapping
 
 from app.database import Database
-from app.sets.model import Row, UnitRows
+from app.sets.model import ParameterRow, UnitRows
 from app.sets.order import Write
 from app.sets.plan import LeftOut, RestorePlan
 from app.sets.restore_record import UNDER_WAY, Restore, RowResult
@@ -102,7 +102,7 @@ def _insert(connection: sqlite3.Connection, restore: Restore) -> None:
 
 
 def _insert_values(
-    connection: sqlite3.Connection, restore_id: str, side: str, rows: Mapping[int, Row]
+    connection: sqlite3.Connection, restore_id: str, side: str, rows: Mapping[int, ParameterRow]
 ) -> None:
     connection.executemany(
         "INSERT OR REPLACE INTO restore_value VALUES (?, ?, ?, ?, ?, ?)",
@@ -193,9 +193,12 @@ def _left_out(connection: sqlite3.Connection, restore_id: str) -> tuple[LeftOut,
     )
 
 
-def _values(connection: sqlite3.Connection, restore_id: str, side: str) -> dict[int, Row]:
+def _values(connection: sqlite3.Connection, restore_id: str, side: str) -> dict[int, ParameterRow]:
     found = connection.execute(
         "SELECT number, raw, available, read_at FROM restore_value WHERE restore_id = ? AND side = ?",
         (restore_id, side),
     )
-    return {number: Row(number, raw, bool(available), read_at) for number, raw, available, read_at in found}
+    return {
+        number: ParameterRow(number, raw, bool(available), read_at)
+        for number, raw, available, read_at in found
+    }

@@ -19,14 +19,14 @@ from app.web.access import Person
 
 _log = structlog.get_logger(__name__)
 
-Clock = Callable[[], datetime]
+LocalClock = Callable[[], datetime]
 LOOK_EVERY_S = 5.0
 SAID_AFTER = timedelta(seconds=15)
 """A unit that has not been heard for so long after it was due is said to be silent."""
 
 
 @dataclass(slots=True)
-class Owed:
+class OverdueSet:
     """A unit whose set of the day is not taken yet. ``since``: when that was noticed; ``why``: what was in
     the way at the last try, empty before one."""
 
@@ -37,14 +37,14 @@ class Owed:
 class SetSchedule:
     """One for the app. ``clock`` gives the local time with its zone."""
 
-    def __init__(self, state: LiveState, keeper: SetKeeper, events: EventLog, clock: Clock) -> None:
+    def __init__(self, state: LiveState, keeper: SetKeeper, events: EventLog, clock: LocalClock) -> None:
         self._state = state
         self._keeper = keeper
         self._events = events
         self._clock = clock
-        self._owed: dict[str, dict[int, Owed]] = {}
+        self._owed: dict[str, dict[int, OverdueSet]] = {}
 
-    def owed(self, bus: str) -> Mapping[int, Owed]:
+    def owed(self, bus: str) -> Mapping[int, OverdueSet]:
         """The units of a bus whose set of the day could not be taken yet."""
         return {unit: owed for unit, owed in self._owed.get(bus, {}).items() if owed.why}
 
@@ -73,7 +73,7 @@ class SetSchedule:
         """Take what came due after ``seen``, up to ``now``, and what is owed from before."""
         for at, bus in due_between(await self._keeper.store.schedule(), seen, now):
             if bus in self._state.buses:
-                self._owed[bus] = {unit: Owed(now) for unit in await self._without_set(bus, at)}
+                self._owed[bus] = {unit: OverdueSet(now) for unit in await self._without_set(bus, at)}
         for bus, units in tuple(self._owed.items()):
             heard = [unit for unit in units if self._is_heard(bus, unit)]
             if heard:
@@ -93,7 +93,7 @@ class SetSchedule:
             if not await store.has_set_since(bus, unit, at.timestamp(), "on schedule")
         ]
 
-    async def _take(self, person: Person, bus: str, units: list[int], owed: dict[int, Owed]) -> None:
+    async def _take(self, person: Person, bus: str, units: list[int], owed: dict[int, OverdueSet]) -> None:
         read, silent = await read_together(self._keeper, person, bus, units)
         if read and await self._keep(person, bus, read):
             for rows in read:
@@ -109,7 +109,7 @@ class SetSchedule:
             return False
         return True
 
-    async def _not_taken(self, person: Person, bus: str, unit: int, owed: Owed, why: str) -> None:
+    async def _not_taken(self, person: Person, bus: str, unit: int, owed: OverdueSet, why: str) -> None:
         """Said once; tried again as long as it is owed."""
         first, owed.why = not owed.why, why
         if first:

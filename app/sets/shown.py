@@ -7,13 +7,13 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.sets.compare import Kind
+from app.live.api.schemas import MaybeTime, Time, UnitAddress
+from app.sets.compare import Comparison
 
-Time = Annotated[str, Field(description="ISO 8601 in UTC, milliseconds.")]
-MaybeTime = Annotated[str | None, Field(description="ISO 8601 in UTC, milliseconds; null: never.")]
-UnitAddress = Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
 Number = Annotated[int, Field(description="Number of the parameter, 1 to 40.")]
-Raw = Annotated[int | None, Field(description="Integer on the wire; null: not known, or a secret (#21).")]
+StoredRaw = Annotated[
+    int | None, Field(description="Integer on the wire; null: not known, or a secret (#21).")
+]
 
 
 class SetHead(TypedDict):
@@ -40,7 +40,7 @@ class SetParameterShown(TypedDict):
 
     number: Number
     name: str
-    raw: Raw
+    raw: StoredRaw
     value: Annotated[str | None, Field(description="As shown to people; null: not known, or a secret.")]
     available: Annotated[bool, Field(description="Whether the unit has it.")]
     read_at: MaybeTime
@@ -74,11 +74,11 @@ class ComparedShown(TypedDict):
 
     number: Number
     name: str
-    kind: Kind
+    kind: Comparison
     left: Annotated[str, Field(description="Value of the first set, as shown to people.")]
     right: Annotated[str, Field(description="Value of the second.")]
-    left_raw: Raw
-    right_raw: Raw
+    left_raw: StoredRaw
+    right_raw: StoredRaw
     meaning: Annotated[str, Field(description="What the difference means; empty: none.")]
 
 
@@ -98,7 +98,7 @@ class DriftShown(TypedDict):
     rows: list[DepartureShown]
 
 
-class OwedShown(TypedDict):
+class OverdueShown(TypedDict):
     """A unit whose set of the day could not be saved yet."""
 
     unit: UnitAddress
@@ -109,4 +109,4 @@ class ScheduleShown(TypedDict):
     """When the sets of a bus are saved."""
 
     minute_of_day: Annotated[int | None, Field(description="Local time, 0 to 1439; null: not by schedule.")]
-    owed: list[OwedShown]
+    owed: list[OverdueShown]

@@ -32,7 +32,7 @@ class Side:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class SideOption:
     """A side that can be chosen: ``text`` as an address names it, ``unit`` and ``name`` of its section,
     ``taken_at``, ``title`` and ``origin`` of a stored set (None: the live unit)."""
 
@@ -46,20 +46,20 @@ class Choice:
     origin: str = ""
 
 
-def choices(live: LiveState, sets: Sequence[SetSummary]) -> list[Choice]:
+def choices(live: LiveState, sets: Sequence[SetSummary]) -> list[SideOption]:
     """Every unit as last read, then every unit of every stored set, newest first."""
     found = [
-        Choice(f"live:{bus}:{number}", bus, number, unit.settings.name)
+        SideOption(f"live:{bus}:{number}", bus, number, unit.settings.name)
         for bus, line in live.buses.items()
         for number, unit in line.units.items()
     ]
     return found + [_stored(live, one, unit) for one in sets for unit in one.units]
 
 
-def _stored(live: LiveState, one: SetSummary, unit: int) -> Choice:
+def _stored(live: LiveState, one: SetSummary, unit: int) -> SideOption:
     known = live.buses[one.bus].units.get(unit) if one.bus in live.buses else None
     name = "" if known is None else known.settings.name
-    return Choice(
+    return SideOption(
         f"set:{one.id}:{unit}",
         one.bus,
         unit,

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from app.database import Database
-from app.sets.model import Origin, ParameterSet, Row, UnitRows
+from app.sets.model import ParameterRow, ParameterSet, SetOrigin, UnitRows
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class SetStore:
         """The golden rows of every unit that has some, by bus and address."""
         return await self._database.read(_golden)
 
-    async def has_set_since(self, bus: str, unit: int, since: float, origin: Origin | None = None) -> bool:
+    async def has_set_since(self, bus: str, unit: int, since: float, origin: SetOrigin | None = None) -> bool:
         """Whether a set of this unit, of this origin if given, was stored at or after ``since`` (seconds
         since the epoch)."""
         return await self._database.read(
@@ -139,14 +139,14 @@ def _load(connection: sqlite3.Connection, set_id: int) -> ParameterSet | None:
     return ParameterSet(bus, taken_at, who, origin, units, name, comment, set_id, golden_for)
 
 
-def _rows(connection: sqlite3.Connection, set_id: int, unit: int) -> dict[int, Row]:
+def _rows(connection: sqlite3.Connection, set_id: int, unit: int) -> dict[int, ParameterRow]:
     found = connection.execute(
         "SELECT number, raw, available, read_at, frame FROM parameter_set_row"
         " WHERE set_id = ? AND unit = ? ORDER BY number",
         (set_id, unit),
     )
     return {
-        number: Row(number, raw, bool(available), read_at, frame)
+        number: ParameterRow(number, raw, bool(available), read_at, frame)
         for number, raw, available, read_at, frame in found
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.sets.compare import Compared, with_unit
-from app.sets.drift import Departure
+from app.sets.drift import DriftedParameter
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.shown import (
     ComparedShown,
@@ -82,7 +82,7 @@ def compared_json(row: Compared) -> ComparedShown:
     }
 
 
-def departure_json(departure: Departure) -> DepartureShown:
+def departure_json(departure: DriftedParameter) -> DepartureShown:
     """A row of a comparison with the golden set, and whose change it is."""
     change = departure.change
     return {

@@ -12,8 +12,8 @@ from app.errors import Problem
 from app.sets.model import ParameterSet
 from app.sets.restore import EndSubscriber
 from app.sets.restore_record import Restore
-from app.swap.record import Source, Swap
-from app.swap.rules import Advice, Sight
+from app.swap.record import Swap, SwapSource
+from app.swap.rules import Advice, SwapState
 from app.swap.store import SwapStore
 from app.web.access import Person
 from bus.messages import Message
@@ -32,7 +32,7 @@ class RestoreLookup(Protocol):
         """Call ``subscriber`` with each restore that has ended."""
 
 
-class SwapDesk:
+class SwapService:
     """Keeps the swap of each unit, until it is ended or another of the unit begins."""
 
     def __init__(
@@ -61,7 +61,7 @@ class SwapDesk:
             raise Problem(404, "unknown_swap", Message.of("swap_not_begun", unit=unit))
         return swap
 
-    async def begin(self, person: Person, bus: str, unit: int, source: Source | None) -> Swap:
+    async def begin(self, person: Person, bus: str, unit: int, source: SwapSource | None) -> Swap:
         """Somebody changes the unit of a section; ``source`` is what the spare shall become.
 
         Raises Problem 409 where another swap of it is under way.
@@ -75,7 +75,7 @@ class SwapDesk:
         await self._record(swap, person.name, f"unit swap begun, from {swap.source_words}")
         return swap
 
-    async def look(self, swap: Swap, look: Callable[[], Coroutine[Any, Any, Sight]]) -> Sight | None:
+    async def look(self, swap: Swap, look: Callable[[], Coroutine[Any, Any, SwapState]]) -> SwapState | None:
         """What the wire shows, or showed at the last look where this one takes long; None before the first.
 
         One look at a time: it takes the gaps of the scan, and a page that asks again must not pile up more.

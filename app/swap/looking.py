@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.live_state import LiveState
 from app.swap.record import Swap
-from app.swap.rules import FACTORY_ADDRESS, Kind, Sight
+from app.swap.rules import FACTORY_ADDRESS, ProbeFinding, SwapState
 from app.web.access import Person
 from bus.catalogue.status import status_bits
 from bus.contract import ScanBus
@@ -16,14 +16,14 @@ LOOKS = 4
 """How often an address is asked whose unit still answers the scan."""
 
 
-async def look(desk: Desk, live: LiveState, person: Person, swap: Swap) -> Sight:
+async def look(desk: CommandService, live: LiveState, person: Person, swap: Swap) -> SwapState:
     """What the wire shows now. Raises Problem 503 where nobody can tell: the bus is closed, or too busy."""
     bus, target = swap.bus, swap.unit
     at_target = await _at_section(desk, live, person, bus, target)
-    at_factory: Kind = "silent"
+    at_factory: ProbeFinding = "silent"
     if at_target == "silent" and target != FACTORY_ADDRESS:
         at_factory = await _answers(desk, person, bus, FACTORY_ADDRESS)
-    return Sight(
+    return SwapState(
         target=target,
         at_target=at_target,
         at_factory=at_factory,
@@ -35,7 +35,9 @@ async def look(desk: Desk, live: LiveState, person: Person, swap: Swap) -> Sight
     )
 
 
-async def _at_section(desk: Desk, live: LiveState, person: Person, bus: str, unit: int) -> Kind:
+async def _at_section(
+    desk: CommandService, live: LiveState, person: Person, bus: str, unit: int
+) -> ProbeFinding:
     """One lost answer is no silence: it would let the old unit, still on the cable, pass for the spare."""
     for _ in range(LOOKS):
         kind = await _answers(desk, person, bus, unit)
@@ -44,7 +46,7 @@ async def _at_section(desk: Desk, live: LiveState, person: Person, bus: str, uni
     return "silent"
 
 
-async def _answers(desk: Desk, person: Person, bus: str, address: int) -> Kind:
+async def _answers(desk: CommandService, person: Person, bus: str, address: int) -> ProbeFinding:
     action = ScanBus(first=address, last=address)
     result = await desk.ask(person, bus, action, timeout_s=LOOK_TIMEOUT_S, origin="unit swap")
     if result.outcome != "verified":

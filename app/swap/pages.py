@@ -7,19 +7,19 @@ from typing import Annotated
 
 from fastapi import APIRouter, Request, Response
 
-from app.commands.service.command_service import Desk
-from app.commands.service.writer import AskDesk
+from app.commands.service.command_service import CommandService
+from app.commands.service.writer import Commands
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
-from app.sets.api import Keeper
+from app.sets.api import ParameterSets
 from app.sets.form_source import Chosen, post_source
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.offers import offers
 from app.sets.restore_api import Restores
 from app.sets.restore_shown import LeftOutShown
 from app.sets.restore_view import restore_json
-from app.swap.desk import SwapDesk, step_text
+from app.swap.desk import SwapService, step_text
 from app.swap.looking import look
 from app.swap.record import Swap
 from app.swap.rules import FACTORY_ADDRESS, PROVEN, STEPS, Advice, advice, done_steps
@@ -32,12 +32,12 @@ from bus.messages import Message
 router = APIRouter(include_in_schema=False)
 
 
-Swaps = Annotated[SwapDesk, service(SwapDesk)]
+Swaps = Annotated[SwapService, service(SwapService)]
 
 
 @router.get("/swap/{bus}/{unit}")
 async def swap_page(
-    request: Request, _: Engineer, keeper: Keeper, live: Live, swaps: Swaps, bus: str, unit: int
+    request: Request, _: Engineer, keeper: ParameterSets, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
     """What the spare shall become, then the path."""
     found = unit_or_404(live, bus, unit)
@@ -49,7 +49,7 @@ async def swap_page(
 
 @post_source(router, "/swap/{bus}/{unit}")
 async def begin(
-    person: Engineer, keeper: Keeper, live: Live, swaps: Swaps, bus: str, unit: int, chosen: Chosen
+    person: Engineer, keeper: ParameterSets, live: Live, swaps: Swaps, bus: str, unit: int, chosen: Chosen
 ) -> Response:
     """Begin it; units are only read."""
     unit_or_404(live, bus, unit)
@@ -59,7 +59,7 @@ async def begin(
 
 @router.get("/swap/{bus}/{unit}/look")
 async def look_again(
-    request: Request, person: Engineer, live: Live, swaps: Swaps, desk: AskDesk, bus: str, unit: int
+    request: Request, person: Engineer, live: Live, swaps: Swaps, desk: Commands, bus: str, unit: int
 ) -> Response:
     """Read the wire, and say where the swap stands and what to do."""
     unit_or_404(live, bus, unit)
@@ -82,7 +82,7 @@ async def look_again(
     )
 
 
-async def _advice(person: Person, live: Live, swaps: SwapDesk, desk: Desk, swap: Swap) -> Advice:
+async def _advice(person: Person, live: Live, swaps: SwapService, desk: CommandService, swap: Swap) -> Advice:
     try:
         sight = await swaps.look(swap, lambda: look(desk, live, person, swap))
     except Problem as problem:
@@ -99,7 +99,7 @@ async def it_is_the_spare(_: Engineer, swaps: Swaps, bus: str, unit: int) -> Res
 
 @router.post("/swap/{bus}/{unit}/restore")
 async def begin_restore(
-    person: Engineer, keeper: Keeper, restores: Restores, live: Live, swaps: Swaps, bus: str, unit: int
+    person: Engineer, keeper: ParameterSets, restores: Restores, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
     """Plan the restore of the spare; the review of it comes next."""
     unit_or_404(live, bus, unit)
@@ -114,7 +114,7 @@ async def begin_restore(
 
 @router.post("/swap/{bus}/{unit}/entered")
 async def entered(
-    person: Engineer, keeper: Keeper, live: Live, swaps: Swaps, bus: str, unit: int
+    person: Engineer, keeper: ParameterSets, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
     """All is entered from the sheet: read the unit whole and keep it as a set."""
     unit_or_404(live, bus, unit)

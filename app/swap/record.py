@@ -6,11 +6,11 @@ import asyncio
 from dataclasses import dataclass, field
 
 from app.sets.restore_record import Restore
-from app.swap.rules import Sight, seen_words
+from app.swap.rules import SwapState, seen_words
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class SwapSource:
     """The unit of a stored set that the spare shall become: mostly the section's own, or a sister's."""
 
     set: int
@@ -30,17 +30,17 @@ class Swap:
     bus: str
     unit: int
     who: str
-    source: Source | None
+    source: SwapSource | None
     began_at: float
     is_new: bool = False
     seen: list[str] = field(default_factory=list)
     restore: Restore | None = None
     proven: bool = False
-    sight: Sight | None = None
+    sight: SwapState | None = None
     """What the last look showed."""
-    look: asyncio.Task[Sight] | None = None
+    look: asyncio.Task[SwapState] | None = None
 
-    def saw(self, sight: Sight) -> bool:
+    def saw(self, sight: SwapState) -> bool:
         """The wire was looked at; whether it showed anything new."""
         self.sight = sight
         before = self.is_new, len(self.seen)

@@ -11,13 +11,13 @@ FACTORY_ADDRESS = 1
 FACTORY_BAUD = 9600
 """Its #18 then, in bits a second."""
 
-Kind = Literal["silent", "digimax", "garbled", "foreign", "late"]
+ProbeFinding = Literal["silent", "digimax", "garbled", "foreign", "late"]
 StepName = Literal["find", "address", "remote", "restore", "proven"]
 STEPS: tuple[StepName, ...] = ("find", "address", "remote", "restore", "proven")
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class SwapState:
     """What the wire shows of a swap. ``remote`` and ``equal`` None: not known yet.
 
     ``at_target``: what answers at the section's address; ``at_factory``: at address 1.
@@ -27,8 +27,8 @@ class Sight:
     """
 
     target: int
-    at_target: Kind
-    at_factory: Kind
+    at_target: ProbeFinding
+    at_factory: ProbeFinding
     remote: bool | None
     equal: bool | None
     is_new: bool = True
@@ -53,7 +53,7 @@ class Advice:
 PROVEN = Advice("proven", "The new unit is what the old one was, proven by a full read.", at_panel=False)
 
 
-def advice(sight: Sight) -> Advice:
+def advice(sight: SwapState) -> Advice:
     """What to do now."""
     if sight.at_target in ("garbled", "foreign", "late"):
         return _at_target_wrong(sight)
@@ -76,7 +76,7 @@ def advice(sight: Sight) -> Advice:
     return PROVEN
 
 
-def _at_target_wrong(sight: Sight) -> Advice:
+def _at_target_wrong(sight: SwapState) -> Advice:
     if sight.at_target == "foreign":
         text = "Something that is no DIGIMAX IV answers at address {target}. Take it off the cable."
     elif sight.at_target == "late":
@@ -93,7 +93,7 @@ def _at_target_wrong(sight: Sight) -> Advice:
     return Advice("address", text, at_panel=True)
 
 
-def _nothing_at_target(sight: Sight) -> Advice:
+def _nothing_at_target(sight: SwapState) -> Advice:
     if sight.at_factory == "garbled":
         text = (
             "Two units answer at address {factory}: the spare still has its factory address, which another "
@@ -120,7 +120,7 @@ def _nothing_at_target(sight: Sight) -> Advice:
     return Advice("find", text, at_panel=True)
 
 
-_KIND_WORDS: dict[Kind, str] = {
+_KIND_WORDS: dict[ProbeFinding, str] = {
     "silent": "nothing answers",
     "digimax": "a unit answers",
     "garbled": "two units answer",
@@ -129,7 +129,7 @@ _KIND_WORDS: dict[Kind, str] = {
 }
 
 
-def seen_words(sight: Sight) -> str:
+def seen_words(sight: SwapState) -> str:
     """What the wire shows, for the record of the swap."""
     words = f"{_KIND_WORDS[sight.at_target]} at address {sight.target}"
     if sight.at_target == "silent" and sight.at_factory != "silent":

@@ -7,7 +7,7 @@ from app.live.state.live_state import LiveState
 from app.sets.form_source import FormSource
 from app.sets.keeper import SetKeeper
 from app.sets.sides import side
-from app.swap.record import Source
+from app.swap.record import SwapSource
 from app.web.access import Person
 from bus.messages import Message
 
@@ -17,20 +17,20 @@ SHEET = "sheet"
 
 async def source_of(
     person: Person, keeper: SetKeeper, live: LiveState, bus: str, unit: int, form: FormSource
-) -> Source | None:
+) -> SwapSource | None:
     """What the form chooses, as a stored set: a neighbor is read now, a file is kept. None: the sheet.
 
     Raises Problem 404, 422 or 504.
     """
     if rows := await form.uploaded(unit):
         kept = await keeper.keep(person, bus, [rows], form.file_name[:80], "", "from a file")
-        return Source(kept.id, rows.unit)
+        return SwapSource(kept.id, rows.unit)
     if form.text == SHEET:
         return None
     if not form.text:
         raise Problem(422, "invalid", Message("spare_not_chosen"))
     chosen = await side(form.text, keeper, live)
     if chosen.kind == "set":
-        return Source(int(chosen.of), chosen.unit)
+        return SwapSource(int(chosen.of), chosen.unit)
     name = f"for the swap of unit {unit}"
-    return Source((await keeper.take(person, chosen.of, [chosen.unit], name, "")).id, chosen.unit)
+    return SwapSource((await keeper.take(person, chosen.of, [chosen.unit], name, "")).id, chosen.unit)

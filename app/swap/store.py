@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 
 from app.database import Database
 from app.sets.restore_record import Restore
-from app.swap.record import Source, Swap
+from app.swap.record import Swap, SwapSource
 
 FindRestore = Callable[[str], Awaitable[Restore | None]]
 
@@ -67,7 +67,7 @@ def _select(connection: sqlite3.Connection) -> list[tuple[Swap, str | None]]:
                 bus,
                 unit,
                 who,
-                None if set_id is None else Source(set_id, set_unit),
+                None if set_id is None else SwapSource(set_id, set_unit),
                 began_at,
                 is_new=bool(is_new),
                 proven=bool(proven),

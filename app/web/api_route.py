@@ -22,7 +22,7 @@ from bus.messages import Message
 
 MOST_MEMBERS = 1000
 """Of a JSON object; the largest has one for each of 255 units. Each unknown one is a fault of its own."""
-Handler = Callable[[Request], Coroutine[Any, Any, Response]]
+RouteHandler = Callable[[Request], Coroutine[Any, Any, Response]]
 
 
 class ApiRoute(APIRoute):
@@ -39,7 +39,7 @@ class ApiRoute(APIRoute):
         usual = usual_problems(path, options.get("methods") or ["GET"])
         super().__init__(path, endpoint, **{**options, "responses": usual | (options.get("responses") or {})})
 
-    def get_route_handler(self) -> Handler:
+    def get_route_handler(self) -> RouteHandler:
         """As FastAPI has it, behind the checks."""
         handle = super().get_route_handler()
         asked = get_flat_params(self.dependant)

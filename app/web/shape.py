@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from bus.messages import Message
 
 
-class Strict(BaseModel):
+class StrictBody(BaseModel):
     """A body in which nothing is unknown, nothing is converted and no number is infinite."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -23,7 +23,7 @@ def _each_once(numbers: list[int]) -> list[int]:
     return numbers
 
 
-Units = Annotated[
+UnitAddresses = Annotated[
     list[Annotated[int, Field(ge=1, le=255)]], Field(max_length=255), AfterValidator(_each_once)
 ]
 """Addresses (#17)."""

@@ -66,7 +66,7 @@ class Parameter:
 class IllegalValue(CallerError):
     """A value that a parameter cannot take; ``nearest`` is the closest that it can."""
 
-    def __init__(self, message: str, nearest: int) -> None:
+    def __init__(self, message: Message, nearest: int) -> None:
         super().__init__(message)
         self.nearest = nearest
 
@@ -85,12 +85,19 @@ def check_writable_value(parameter: Parameter, raw: int) -> None:
         raise IllegalValue(_refusal(parameter, raw, nearest), nearest)
 
 
-def _refusal(parameter: Parameter, raw: int, nearest: int) -> str:
+def _refusal(parameter: Parameter, raw: int, nearest: int) -> Message:
     legal = _legal_values(parameter)
     if parameter.secret:
-        # The sentence goes into the log, and what was typed may be the secret but for one digit too many.
-        return f"#{parameter.number} {parameter.name} takes {legal}"
-    return f"#{parameter.number} {parameter.name} cannot be {raw}: it takes {legal}; the nearest is {nearest}"
+        # The message goes into the log, and what was typed may be the secret but for one digit too many.
+        return Message.of("parameter_takes", number=parameter.number, called=parameter.name, values=legal)
+    return Message.of(
+        "parameter_cannot_be",
+        number=parameter.number,
+        called=parameter.name,
+        raw=raw,
+        values=legal,
+        nearest=nearest,
+    )
 
 
 def nearest_legal(parameter: Parameter, raw: int) -> int:
@@ -100,8 +107,8 @@ def nearest_legal(parameter: Parameter, raw: int) -> int:
     return min(max(raw, parameter.minimum), parameter.maximum)
 
 
-def _legal_values(parameter: Parameter) -> str:
+def _legal_values(parameter: Parameter) -> Message:
     if parameter.allowed is None:
-        return f"{parameter.minimum} to {parameter.maximum}"
-    *others, last = map(str, sorted(parameter.allowed))
-    return f"{', '.join(others)} or {last}"
+        return Message.of("value_range", lowest=parameter.minimum, highest=parameter.maximum)
+    *others, last = sorted(parameter.allowed)
+    return Message.of("one_of_values", others=list(others), last=last)

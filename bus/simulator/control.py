@@ -26,7 +26,7 @@ from bus.simulator.unit import Traits, Unit
 Wish = dict[str, Any]
 
 
-class Control:
+class SimulatorControl:
     """Listens for wishes about the line of ``server`` until ``close``."""
 
     def __init__(self, server: LineServer, port: int = 0) -> None:
@@ -52,7 +52,7 @@ class Control:
 
 
 class Remote:
-    """The other end of ``Control``, for tests and benchmarks in another process."""
+    """The other end of ``SimulatorControl``, for tests and benchmarks in another process."""
 
     def __init__(self, port: int) -> None:
         self._socket = socket.create_connection(("127.0.0.1", port))

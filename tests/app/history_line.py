@@ -11,7 +11,7 @@ from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.upkeep import Keep
 from app.history.intake.writer import MIGRATIONS, Writer
-from app.history.query.query import Answer, Question, answer
+from app.history.query.query import QueryResult, SeriesQuery, answer
 from app.history.series.runs import micros
 from app.history.series.values import VALUES
 from bus.contract import ParameterValue, Reading, Update
@@ -61,9 +61,11 @@ class Shelf:
         """Every minute into its block."""
         self.recorder.fold_everything()
 
-    def ask(self, value: str, start: float, end: float, most: int = 20_000, bus: BusSettings = BUS) -> Answer:
+    def ask(
+        self, value: str, start: float, end: float, most: int = 20_000, bus: BusSettings = BUS
+    ) -> QueryResult:
         """What a value was."""
-        question = Question(bus, 1, VALUES[value], micros(start), micros(end), most)
+        question = SeriesQuery(bus, 1, VALUES[value], micros(start), micros(end), most)
         return self.database.read_now(lambda connection: answer(connection, self.tail, question))
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from app.commands import check
-from app.commands.rules.objection import Circumstances, ObjectionError
+from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.safeguards.limits import NO_LIMITS
 from app.commands.service.command_service import WriteSubscriber
 from app.database import Database
@@ -84,7 +84,7 @@ class PlayedDesk:
     def check(self, person: Person, bus: str, action: Action, *, confirm: bool = False) -> None:
         assert (person.name, bus, confirm) == ("anna", "dry-end", True)
         assert isinstance(action, SetSpeed)
-        now = Circumstances(
+        now = RuleContext(
             self.live.buses[bus], lambda _: NO_LIMITS, lambda _: None, lambda _: 0, confirm=confirm
         )
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 from app.live.screen.sources import Drifted, Sources, UnitSubscriber
 
 
@@ -30,7 +30,7 @@ class PlayedGuards:
 class NoGoldenSets:
     """No unit has a golden set."""
 
-    def summary(self, _bus: str, _unit: int, _voice: Voice, _now: float) -> Drifted:
+    def summary(self, _bus: str, _unit: int, _voice: Translator, _now: float) -> Drifted:
         """Nothing."""
         return Drifted()
 

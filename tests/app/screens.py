@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 from app.live.screen.screen import Screen
 from app.live.state.live_state import LiveState
 from app.messages import Languages
@@ -15,9 +15,9 @@ AT_SPEED, REMOTE, RUN, HEALTHY = 0x80, 0x40, 0x01, 0x02
 PARAMETERS = {2: 2000, 3: 1, 6: 100, 7: 200, 8: 0, 12: 10, 22: 0, 23: 510}
 
 
-def voice(tag: str = "en") -> Voice:
+def voice(tag: str = "en") -> Translator:
     language = Languages()[tag]
-    return Voice(language, Formats(language.locale))
+    return Translator(language, Formats(language.locale))
 
 
 def line(units: int = 2) -> LiveState:

@@ -27,7 +27,7 @@ from app.commands.api.commands import router as commands_router
 from app.commands.api.safeguards import router as safeguards_router
 from app.commands.api.trace import router as trace_router
 from app.commands.safeguards.service import Safeguards
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.database import Database
 from app.feed.socket import router as feed_router
 from app.feed.workers import Workers
@@ -231,7 +231,9 @@ class Stage:
             rights=self.rights,
             sessions=self.rights,
         )
-        self.desk = Desk(self.live, self.channels, self.events, self.database, self.guards, self.rights)
+        self.desk = CommandService(
+            self.live, self.channels, self.events, self.database, self.guards, self.rights
+        )
         self.app = FastAPI()
         sources = Sources(
             self.guards,

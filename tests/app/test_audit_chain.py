@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from app.audit.chain import FIELDS, Head, entry_hash, sealed_entry, sealed_head
 from app.audit.entry import new_entry
-from app.audit.keyring import BEGINNING, KeyRing, Origin
+from app.audit.keyring import BEGINNING, KeyOrigin, KeyRing
 from app.audit.walk import verify as verify_with
 
 Log = list[dict[str, Any]]
@@ -73,14 +73,14 @@ def test_any_changed_field_is_named(number: int, field: str) -> None:
 def test_any_changed_field_of_an_entry_without_a_key_is_named(number: int, field: str) -> None:
     log, head = written_without_key(9)
     log[number - 1][field] = 999
-    assert verify(log, head, KeyRing(RING.keys, Origin(head.id, head.hash))).broken == number
+    assert verify(log, head, KeyRing(RING.keys, KeyOrigin(head.id, head.hash))).broken == number
 
 
 def test_a_changed_entry_that_is_hashed_anew_breaks_the_next() -> None:
     log, head = written_without_key(9)
     log[3]["what"] = "nothing happened"
     log[3]["hash"] = entry_hash(log[3]["previous"], log[3])
-    verdict = verify(log, head, KeyRing(RING.keys, Origin(head.id, head.hash)))
+    verdict = verify(log, head, KeyRing(RING.keys, KeyOrigin(head.id, head.hash)))
     assert (verdict.broken, verdict.fault) == (5, "entry 5 does not continue the one before it")
 
 
@@ -148,7 +148,7 @@ def test_a_seal_of_an_entry_is_none_of_the_head() -> None:
 
 def test_entries_from_before_the_key_are_sealed_by_those_after() -> None:
     old, old_head = written_without_key(5)
-    ring = KeyRing(RING.keys, Origin(5, old_head.hash))
+    ring = KeyRing(RING.keys, KeyOrigin(5, old_head.hash))
     log, head = written(9, ring, old)
     verdict = verify(log, head, ring)
     assert (verdict.broken, verdict.unsealed) == (None, 5)
@@ -160,7 +160,7 @@ def test_entries_from_before_the_key_are_sealed_by_those_after() -> None:
 
 def test_a_log_that_was_cut_off_before_its_key_was_made() -> None:
     old, old_head = written_without_key(5)
-    ring = KeyRing(RING.keys, Origin(5, old_head.hash))
+    ring = KeyRing(RING.keys, KeyOrigin(5, old_head.hash))
     assert verify(old, old_head, ring).broken is None
     assert verify(old[:3], Head(3, old[2]["hash"]), ring).fault == (
         "the log ends at entry 3, but 5 were there when the key was made"

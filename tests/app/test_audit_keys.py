@@ -11,7 +11,7 @@ import pytest
 
 from app.audit.chain import Head
 from app.audit.key_file import KeyFileError
-from app.audit.keyring import KeyRing, Origin
+from app.audit.keyring import KeyOrigin, KeyRing
 from app.audit.keys import Keys, open_keys
 from app.errors import StoreError
 from app.settings import ConfigurationError, Settings, load
@@ -38,7 +38,7 @@ def opened(path: Path, store: Path) -> Keys:
 def test_it_is_made_once_and_read_by_its_user_alone(path: Path, store: Path) -> None:
     made = opened(path, store).ring
     assert path.stat().st_mode & 0o777 == 0o600
-    assert made.origin == Origin(7, "a" * 64)
+    assert made.origin == KeyOrigin(7, "a" * 64)
     assert open_keys([path], store, Head(9, "b" * 64)).ring == made
     assert sorted(entry.name for entry in path.parent.iterdir()) == [path.name, store.name]
 
@@ -188,4 +188,4 @@ def test_the_data_of_another_configuration_comes_without_its_key(tmp_path: Path)
     opened(tmp_path / "one.key", first / "lineside.db")
     shutil.copytree(first, second)
     other = open_keys([tmp_path / "two.key"], second / "lineside.db", Head(3, "c" * 64))
-    assert other.ring.origin == Origin(3, "c" * 64)
+    assert other.ring.origin == KeyOrigin(3, "c" * 64)

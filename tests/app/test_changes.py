@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.live.changes import Change, Changes
+from app.live.changes import Changes, LineEvent
 from bus.contract import BusLink, UnitLink, Update
 from bus.messages import term
 from tests.app.stage import HEALTHY, REMOTE, bus_settings, reading
@@ -13,7 +13,7 @@ from tests.app.stage import HEALTHY, REMOTE, bus_settings, reading
 def seen(*updates: Update, **settings: object) -> list[tuple[str, int | None, str, str]]:
     """Kind, unit, old and new of every change."""
     changes = Changes(bus_settings(**settings))
-    found: list[Change] = []
+    found: list[LineEvent] = []
     for update in updates:
         found += changes.see(update)
     return [(change.kind, change.unit, change.old, change.new) for change in found]

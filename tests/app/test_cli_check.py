@@ -12,7 +12,7 @@ import typer
 from typer.testing import CliRunner, Result
 
 from app.audit.key_file import make_key_file
-from app.audit.keyring import Origin
+from app.audit.keyring import KeyOrigin
 from app.cli import check, findings
 
 cli = typer.Typer()
@@ -154,7 +154,7 @@ def test_it_says_where_the_key_and_the_anchor_of_the_audit_log_are(config: Path,
     key = tmp_path / "lineside.audit.key"
     assert f"audit key {key}, made at the first start\n" in result.stdout
     assert f"audit anchor {tmp_path / 'head.anchor'}\n" in result.stdout
-    make_key_file(key, Origin(0, "0" * 64))
+    make_key_file(key, KeyOrigin(0, "0" * 64))
     assert f"audit key {key}\n" in run(config, text).stdout
 
 

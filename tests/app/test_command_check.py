@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.commands.check import check
-from app.commands.rules.objection import Circumstances, ObjectionError
-from app.commands.safeguards.blocks import Block
+from app.commands.rules.objection import ObjectionError, RuleContext
+from app.commands.safeguards.blocks import CommandBlock
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, NO_LIMITS, Limits
 from app.live.state.bus_live import BusLive
 from app.live.state.live_state import LiveState
@@ -33,7 +33,7 @@ from bus.contract import (
 from tests.app.stage import HEALTHY, bus_settings, reading
 
 RUNNING = HEALTHY | 1
-BLOCK = Block("belt off, do not run", "anna", 0.0)
+BLOCK = CommandBlock("belt off, do not run", "anna", 0.0)
 
 
 def bus_with(*updates: Update, **settings: object) -> BusLive:
@@ -55,9 +55,9 @@ def circumstances(
     blocked: int = 0,
     moved: int = 0,
     confirm: bool = False,
-) -> Circumstances:
+) -> RuleContext:
     """Unit 1 has these limits, unit ``blocked`` is blocked."""
-    return Circumstances(
+    return RuleContext(
         bus=bus or bus_with(reading(1), reading(2), reading(16)),
         limits=lambda unit: limits if unit == 1 else NO_LIMITS,
         block=lambda unit: BLOCK if unit == blocked else None,
@@ -66,7 +66,7 @@ def circumstances(
     )
 
 
-def objection(action: Action, now: Circumstances) -> ObjectionError:
+def objection(action: Action, now: RuleContext) -> ObjectionError:
     """The objection there must be."""
     with pytest.raises(ObjectionError) as caught:
         check(action, now)
@@ -102,7 +102,7 @@ def test_the_nearest_that_is_offered_would_be_allowed(raw: int, one: int, other:
 def test_limits_hold_on_every_path_to_a_setpoint(raw: int, execute: bool) -> None:
     limits = Limits(lowest=500, highest=600)
     staged = circumstances(bus_with(reading(1), Staged(unit=1, at=0.0, raw=raw)), limits=limits)
-    paths: list[tuple[Action, Circumstances]] = [
+    paths: list[tuple[Action, RuleContext]] = [
         (SetSpeed(unit=1, raw=raw, execute=execute), circumstances(limits=limits)),
         (SetLine(setpoints={1: raw, 2: 5}), circumstances(limits=limits)),
         (WriteParameter(unit=1, number=20, raw=raw), circumstances(limits=limits)),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.commands.safeguards.control import LAPSES_AFTER_S, Control, ControlledError
+from bus.messages import Message
 
 
 def test_control_lapses_without_use_and_use_keeps_it() -> None:
@@ -54,10 +55,10 @@ def test_nobody_holds_it_says_so() -> None:
 
 def test_a_review_is_told_who_else_holds_it_and_uses_nothing() -> None:
     control = Control(required=True)
-    assert "nobody" in control.objection("one", "anna", 0.0)
+    assert control.objection("one", "anna", 0.0) == Message("control_not_taken")
     control.take("one", "anna", 0.0)
-    assert control.objection("one", "ben", 5.0) == "anna holds control of this line"
-    assert control.objection("one", "anna", 5.0) == ""
+    assert control.objection("one", "ben", 5.0) == Message.of("control_held", who="anna")
+    assert control.objection("one", "anna", 5.0) is None
     holding = control.holding("one", 5.0)
     assert holding is not None
     assert holding.used_at == 0.0
@@ -65,4 +66,4 @@ def test_a_review_is_told_who_else_holds_it_and_uses_nothing() -> None:
 
 def test_where_it_is_not_required_everybody_may() -> None:
     Control(required=False).use("bus", "anna", 0.0)
-    assert Control(required=False).objection("bus", "anna", 0.0) == ""
+    assert Control(required=False).objection("bus", "anna", 0.0) is None

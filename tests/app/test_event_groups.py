@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from app.audit import groups
-from app.audit.groups import MOST_PARTS, Row, link_parts
+from app.audit.groups import MOST_PARTS, EventRow, link_parts
 from app.audit.store import Filter
 from app.database.migrating import MIGRATIONS, bring_up_to_date
 from app.web.access import Role
@@ -51,7 +51,7 @@ async def change(house: House, units: int, *, failed: int | None = None, who: st
     return event
 
 
-async def rows(house: House, limit: int = 100, **wanted: Any) -> tuple[list[Row], int | None]:
+async def rows(house: House, limit: int = 100, **wanted: Any) -> tuple[list[EventRow], int | None]:
     return await groups.page(house.services.events, Filter(kind="command", **wanted), limit)
 
 

@@ -22,7 +22,7 @@ from app.audit.log import EventLog
 from app.database import Database
 from app.history.api.routes import router
 from app.history.service import History
-from app.settings import Server, Settings, Site
+from app.settings import ServerSettings, Settings, Site
 from app.web.access import Person, Role
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
@@ -46,7 +46,9 @@ class AsViewer:
 
 @pytest.fixture
 async def history(tmp_path: Path) -> AsyncIterator[History]:
-    settings = Settings(site=Site(time_zone="Europe/Berlin"), server=Server(data=tmp_path), bus=(BUS,))
+    settings = Settings(
+        site=Site(time_zone="Europe/Berlin"), server=ServerSettings(data=tmp_path), bus=(BUS,)
+    )
     history = History(settings)
     history.start()
     yield history
@@ -257,7 +259,7 @@ async def test_an_export_of_nothing_has_its_headings(client: httpx.AsyncClient) 
 
 async def test_a_store_that_fails_is_said_and_the_rest_goes_on(tmp_path: Path) -> None:
     (tmp_path / "history.db").write_bytes(b"rubbish" * 1000)
-    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)))
+    history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
     history.start()
     app = FastAPI()
     app.state.registry = Registry((history,))

@@ -15,13 +15,13 @@ from app.history.intake import writer as writing
 from app.history.intake.folding import compact
 from app.history.intake.upkeep import Keep, Upkeep
 from app.history.intake.writer import Writer
-from app.history.query.query import Question, answer
+from app.history.query.query import SeriesQuery, answer
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.history.series.values import VALUES
 from app.history.service import FILE, History
-from app.history.store.damage import Block
+from app.history.store.damage import BlockKey
 from app.history.store.repair import Repair
-from app.settings import Server, Settings
+from app.settings import ServerSettings, Settings
 from tests.app.history_line import BUS, NOON, Shelf, opened, polls, until
 from tests.app.stage import until as arrived
 
@@ -84,7 +84,7 @@ def test_what_can_be_worked_out_again_is(tmp_path: Path, table: str) -> None:
     before = row_of(tmp_path, table, place)
     spoil(tmp_path / FILE, table, place)
     writer = opened(tmp_path, on_damage=words.append)
-    writer.report([Block("hours" if table == "hours" else "minutes", unit_key(tmp_path), place)])
+    writer.report([BlockKey("hours" if table == "hours" else "minutes", unit_key(tmp_path), place)])
     until(lambda: bool(words))
     writer.close()
     assert "worked out again" in words[0]
@@ -120,12 +120,12 @@ async def test_the_daily_look_finds_it_and_it_is_said_once(
 ) -> None:
     monkeypatch.setattr(writing, "LOOK_EVERY_S", 0.0)
     words: list[str] = []
-    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)))
+    history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
     history.start()
     history.append(BUS.name, polls(NOON, NOON + 180))
     history.close()
     spoil(tmp_path / FILE, "raw", START)
-    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)))
+    history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
     history.on_damage(lambda what, _at: words.append(what))
     history.start()
     try:
@@ -148,7 +148,7 @@ async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: P
     writer = opened(tmp_path, on_damage=words.append)
     writer.take((BUS.name, polls(NOON, NOON + 900, NOISE.__getitem__)))
     writer.close()
-    history = History(Settings(server=Server(data=tmp_path), bus=(BUS,)))
+    history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
     history.on_damage(lambda what, _at: words.append(what))
     history.start()
     try:
@@ -157,7 +157,7 @@ async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: P
         await arrived(lambda: bool(words), "the damage")
         history.append(BUS.name, polls(NOON + 1200, NOON + 1260))
         until(lambda: history.status.state == "ok" and history.status.waiting == 0)
-        question = Question(BUS, 1, VALUES["actual"], micros(NOON + 1200), micros(NOON + 1260), 1000)
+        question = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON + 1200), micros(NOON + 1260), 1000)
         assert len((await history.ask([question]))[0].series.at) == 300
     finally:
         history.close()
@@ -180,7 +180,7 @@ def overwrite_pages(path: Path, chance: random.Random) -> None:
 
 
 def readings_of(writer: Writer) -> int:
-    question = Question(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 3600), 20_000)
+    question = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 3600), 20_000)
     found = writer.database.read_now(lambda connection: answer(connection, writer.tail, question))
     return sum(value is not None for value in found.series.average)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from app.history.intake.disk import Reserve, Space, space
+from app.history.intake.disk import DiskReserve, Space, space
 
-RESERVE = Reserve(announce=1000, shed=500, pause=100)
+RESERVE = DiskReserve(announce=1000, shed=500, pause=100)
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from app.history.series.downsampling import Points, grid, in_order, series, thin
 from app.history.series.gaps import Marks
 from app.history.series.runs import HOUR, MINUTE, SECOND
-from app.history.series.scaling import Scale, Scaling
+from app.history.series.scaling import LinearScale, Scaling
 
-PLAIN = Scaling([0], [Scale(decimals=0)])
+PLAIN = Scaling([0], [LinearScale(decimals=0)])
 
 
 def points(values: dict[int, int]) -> Points:
@@ -61,7 +61,7 @@ def test_a_value_that_was_heard_all_the_while_has_no_hole() -> None:
 
 
 def test_a_falling_scale_swaps_least_and_greatest() -> None:
-    falling = Scaling([0], [Scale(100, -100, 255)])
+    falling = Scaling([0], [LinearScale(100, -100, 255)])
     whole = thin(points({0: 0, 1: 255}), 0, SECOND, 1)
     drawn = series(whole, Marks(), falling)
     assert (drawn.least, drawn.greatest, drawn.average) == ([0.0], [100.0], [50.0])

@@ -63,7 +63,7 @@ def months(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
     blob = pack_rollups(minutes, 0)
     hours = pack_rollups([combine(minutes, hour * HOUR) for hour in range(24)], 0)
 
-    def write(connection: tables.Connection) -> None:
+    def write(connection: tables.StoreConnection) -> None:
         unit = tables.unit_id(connection, "line", 1)
         starts = range(end - DAYS * DAY, end, HOUR)
         insert = "INSERT INTO {} VALUES (?, ?, ?)"

@@ -11,7 +11,7 @@ from starlette.datastructures import QueryParams
 from app.history.pages.preload import preload_address
 from app.history.series.runs import micros
 from app.history.service import History
-from app.settings import Server, Settings
+from app.settings import ServerSettings, Settings
 from bus.settings import BusSettings, UnitSettings
 from tests.app.history_line import NOON
 
@@ -21,7 +21,7 @@ UNITS = tuple(UnitSettings(id=number, name=f"Unit {number}") for number in range
 @pytest.fixture
 def history(tmp_path: Path) -> History:
     bus = BusSettings(name="line", port="/dev/null", unit=UNITS)
-    return History(Settings(server=Server(data=tmp_path), bus=(bus,)))
+    return History(Settings(server=ServerSettings(data=tmp_path), bus=(bus,)))
 
 
 def asked(history: History, query: str) -> dict[str, list[str]]:

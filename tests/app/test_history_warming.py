@@ -8,7 +8,7 @@ import pytest
 
 from app.history.pages import warming
 from app.history.service import History
-from app.settings import Server, Settings, Site
+from app.settings import ServerSettings, Settings, Site
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from bus.settings import BusSettings, UnitSettings
@@ -20,7 +20,7 @@ async def test_files_are_packed_templates_read_and_the_store_asked(
 ) -> None:
     monkeypatch.setattr(warming, "AFTER_S", 0.0)
     bus = BusSettings(name="line", port="/dev/null", unit=(UnitSettings(id=1, name="Nip"),))
-    history = History(Settings(server=Server(data=tmp_path), bus=(bus,)))
+    history = History(Settings(server=ServerSettings(data=tmp_path), bus=(bus,)))
     if open_store:
         history.start()
     assets = Assets(static_dir())

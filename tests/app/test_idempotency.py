@@ -11,8 +11,8 @@ import pytest
 
 from app.audit.keyring import KeyRing
 from app.commands.service import idempotency
-from app.commands.service.command_request import Wish, without_secret
-from app.commands.service.command_service import Desk
+from app.commands.service.command_request import CommandRequest, without_secret
+from app.commands.service.command_service import CommandService
 from app.errors import Problem, StoreError
 from app.live.command_ids import key_of
 from app.web.access import Person, Role
@@ -24,9 +24,11 @@ ANNA = Person("anna", Role.ENGINEER, "token")
 WISH = SetSpeed(unit=1, raw=5)
 
 
-def restarted(stage: Stage) -> Desk:
+def restarted(stage: Stage) -> CommandService:
     """The desk of a server that remembers nothing but what is on disk."""
-    return Desk(stage.live, stage.channels, stage.events, stage.database, stage.guards, stage.rights)
+    return CommandService(
+        stage.live, stage.channels, stage.events, stage.database, stage.guards, stage.rights
+    )
 
 
 async def test_a_known_fate_is_given_again_and_nothing_is_sent(stage: Stage, worker: PlayedWorker) -> None:
@@ -145,8 +147,8 @@ async def test_the_order_of_the_setpoints_is_not_part_of_the_command(
     assert len(worker.commands) == 1
 
 
-def wish(key: str | None, action: Action = WISH) -> Wish:
-    return Wish("id", ANNA, "dry-end", action, deadline=0.0, origin="api", key=key)
+def wish(key: str | None, action: Action = WISH) -> CommandRequest:
+    return CommandRequest("id", ANNA, "dry-end", action, deadline=0.0, origin="api", key=key)
 
 
 class Table:
@@ -156,7 +158,7 @@ class Table:
         self._database = stage.database
         self._ring = stage.events.keys.ring
 
-    async def begin(self, wish: Wish, now: float, *, ends: bool = True) -> None:
+    async def begin(self, wish: CommandRequest, now: float, *, ends: bool = True) -> None:
         result = Result("id", now, "verified", read_back=17, units=[UnitOutcome(1, "verified", read_back=17)])
 
         def work(connection: sqlite3.Connection) -> None:
@@ -189,7 +191,7 @@ async def test_a_sender_with_many_keys_forgets_its_own_oldest(
 ) -> None:
     monkeypatch.setattr(idempotency, "MOST_OF_A_SENDER", 10)
     table = Table(stage)
-    others = Wish("id", BEN, "dry-end", WISH, deadline=0.0, origin="api", key="first")
+    others = CommandRequest("id", BEN, "dry-end", WISH, deadline=0.0, origin="api", key="first")
     await table.begin(others, 0.0)
     await table.begin(wish("open"), 0.5, ends=False)
     for number in range(20):

@@ -10,7 +10,7 @@ from app.database import Database
 from app.errors import Problem
 from app.live.state.live_state import LiveState
 from app.recipes.book import RecipeBook
-from app.recipes.rules import Recipe, Setpoint, Step, dry_run, setpoints_now
+from app.recipes.rules import LoadStep, Recipe, RecipeSetpoint, dry_run, setpoints_now
 from app.recipes.store import RecipeStore
 from app.web.deadline import instant_now
 from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
@@ -167,22 +167,22 @@ async def test_a_ratio_read_before_the_recipe_was_loaded_is_no_departure(scene: 
 FOLLOWER = {8: 1, 37: 10000}
 
 
-def a_recipe(*setpoints: Setpoint) -> Recipe:
+def a_recipe(*setpoints: RecipeSetpoint) -> Recipe:
     return Recipe("dry-end", "Kraft 80", "", "anna", 0.0, setpoints)
 
 
-def steps_of(live: LiveState, *setpoints: Setpoint) -> tuple[Step, ...]:
+def steps_of(live: LiveState, *setpoints: RecipeSetpoint) -> tuple[LoadStep, ...]:
     return dry_run(a_recipe(*setpoints), live.buses["dry-end"], lambda _unit, _raw: "", instant_now()).steps
 
 
 def test_a_unit_that_is_not_configured_is_named_by_its_address() -> None:
-    [known, unknown] = steps_of(a_bus(), Setpoint(1, 1200, "speed"), Setpoint(9, 1200, "speed"))
+    [known, unknown] = steps_of(a_bus(), RecipeSetpoint(1, 1200, "speed"), RecipeSetpoint(9, 1200, "speed"))
     assert (known.is_configured, unknown.is_configured) == (True, False)
     assert (unknown.name, unknown.obstacle) == ("unit 9", "not in the configuration")
 
 
 def test_what_a_unit_has_now_is_unknown_until_it_was_read() -> None:
-    [step] = steps_of(a_bus(), Setpoint(1, 1200, "speed"))
+    [step] = steps_of(a_bus(), RecipeSetpoint(1, 1200, "speed"))
     assert (step.old, step.sentence) == ("unknown", "becomes 1200; what it has now is not known")
 
 
@@ -190,7 +190,7 @@ def test_a_unit_whose_mode_was_not_read_cannot_be_loaded() -> None:
     live = a_bus()
     live.buses["dry-end"].apply([BusLink(at=1.0, link="open"), UnitLink(unit=1, at=1.0, link="online")])
     live.buses["dry-end"].apply([Reading(1, fresh(), 1000, 1000, 0, REMOTE, HEALTHY)])
-    [step] = steps_of(live, Setpoint(1, 1200, "speed"))
+    [step] = steps_of(live, RecipeSetpoint(1, 1200, "speed"))
     assert step.obstacle == "whether it follows by ratio (#8) has not been read yet"
 
 
@@ -203,6 +203,6 @@ def test_a_recipe_begins_from_the_setpoints_that_are_known() -> None:
     ]
     live.buses["dry-end"].apply(follower)
     assert setpoints_now(live.buses["dry-end"].units.values()) == (
-        Setpoint(1, 1000, "speed"),
-        Setpoint(2, 9900, "ratio"),
+        RecipeSetpoint(1, 1000, "speed"),
+        RecipeSetpoint(2, 9900, "ratio"),
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from app.audit.store import Filter
-from app.commands.safeguards.blocks import Block, BlockStore
+from app.commands.safeguards.blocks import BlockStore, CommandBlock
 from app.commands.safeguards.limits import NO_LIMITS, Limits, LimitsStore
 from app.database import Database
 from bus.contract import Command, Update
@@ -131,7 +131,10 @@ async def test_lifting_nothing_is_no_event(stage: Stage) -> None:
 
 async def test_limits_and_blocks_survive_a_restart(tmp_path: Path) -> None:
     database = Database(tmp_path / "lineside.db")
-    limits, block = Limits(lowest=1, highest=2, largest_step=3, per_minute=4), Block("why", "anna", 5.0)
+    limits, block = (
+        Limits(lowest=1, highest=2, largest_step=3, per_minute=4),
+        CommandBlock("why", "anna", 5.0),
+    )
     await LimitsStore(database).put("b", 1, limits, "anna", 1.0)
     await BlockStore(database).put("b", 1, block)
     stored_limits, stored_blocks = LimitsStore(database), BlockStore(database)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from app.sets.compare import compare, differences, drift
-from app.sets.model import Row, UnitRows
+from app.sets.model import ParameterRow, UnitRows
 from bus.catalogue.parameters import PARAMETERS
 
 
 def unit(values: dict[int, int | None]) -> UnitRows:
-    return UnitRows(1, "Nip", {number: Row(number, raw) for number, raw in values.items()})
+    return UnitRows(1, "Nip", {number: ParameterRow(number, raw) for number, raw in values.items()})
 
 
 def test_all_forty_rows_are_there_and_the_unread_ones_say_so() -> None:
@@ -40,7 +40,7 @@ def test_the_password_is_compared_but_never_shown() -> None:
 
 
 def test_a_parameter_that_only_one_of_them_has_is_a_difference() -> None:
-    lacking = UnitRows(1, "Nip", {40: Row(40, None, available=False)})
+    lacking = UnitRows(1, "Nip", {40: ParameterRow(40, None, available=False)})
     (row,) = differences(unit({40: 1}), lacking)
     assert (row.kind, row.new) == ("unavailable", "not in this unit")
     assert differences(lacking, lacking) == []

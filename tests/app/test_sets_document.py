@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.sets.document import DocumentError, read_document, write_document
-from app.sets.model import ParameterSet, Row, UnitRows
+from app.sets.model import ParameterRow, ParameterSet, UnitRows
 from bus.catalogue.parameters import PARAMETERS
 
 SECRET = 21
 
 
 def a_set(values: dict[int, int], name: str = "Nip", comment: str = "") -> ParameterSet:
-    rows = {number: Row(number, raw, True, 1_700_000_000.0) for number, raw in values.items()}
+    rows = {number: ParameterRow(number, raw, True, 1_700_000_000.0) for number, raw in values.items()}
     return ParameterSet(
         "dry-end", 1_700_000_000.0, "anna", "by hand", (UnitRows(3, name, rows),), comment=comment
     )
@@ -52,7 +52,7 @@ def test_one_line_a_parameter_in_its_unit() -> None:
 
 
 def test_a_parameter_that_the_unit_lacks_stays_lacking() -> None:
-    rows = {40: Row(40, None, available=False)}
+    rows = {40: ParameterRow(40, None, available=False)}
     text = write_document(ParameterSet("b", 1.0, "anna", "by hand", (UnitRows(1, "A", rows),)))
     assert read_document(text).units[0].rows[40].available is False
 

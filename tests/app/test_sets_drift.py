@@ -11,7 +11,7 @@ from app.audit.log import EventLog
 from app.database import Database
 from app.live.screen.sources import Drifted
 from app.sets.drift import Drifts
-from app.sets.model import ParameterSet, Row, UnitRows
+from app.sets.model import ParameterRow, ParameterSet, UnitRows
 from app.sets.store import SetStore
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue
@@ -34,7 +34,7 @@ class Scene:
         self.drifts.on_change(lambda bus, unit: self.told.append((bus, unit)))
 
     async def golden(self) -> None:
-        rows = {number: Row(number, 0, read_at=GOLDEN_READ) for number in PARAMETERS}
+        rows = {number: ParameterRow(number, 0, read_at=GOLDEN_READ) for number in PARAMETERS}
         unit = UnitRows(1, "Unwind", rows)
         kept = await self.store.save(ParameterSet("dry-end", GOLDEN_READ, "anna", "by hand", (unit,)))
         await self.store.mark_golden("dry-end", 1, kept.id, "anna", GOLDEN_READ)

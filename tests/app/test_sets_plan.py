@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from app.errors import Problem
 from app.sets.effects import NO_RAMP, OPERATING_VALUES, warning_of
-from app.sets.model import Row, UnitRows
+from app.sets.model import ParameterRow, UnitRows
 from app.sets.plan import plan_restore, refuse_unwritable
 from app.sets.remarks import MAY_RUN, RUNS, remarks
 from app.sets.selection import Selection
@@ -17,7 +17,9 @@ from bus.catalogue.parameters import PARAMETERS
 
 def rows(values: dict[int, int | None], **marks: bool) -> UnitRows:
     available = marks.get("available", True)
-    return UnitRows(1, "Nip", {number: Row(number, raw, available, 1.0) for number, raw in values.items()})
+    return UnitRows(
+        1, "Nip", {number: ParameterRow(number, raw, available, 1.0) for number, raw in values.items()}
+    )
 
 
 def every(raw_of: dict[int, int] | None = None) -> dict[int, int | None]:
@@ -150,7 +152,7 @@ def test_setup_during_run_is_allowed_first_and_forbidden_late() -> None:
 
 
 def test_what_a_unit_does_not_have_and_what_the_set_does_not_hold_is_named() -> None:
-    present = UnitRows(1, "Nip", {6: Row(6, 10), 40: Row(40, None, available=False)})
+    present = UnitRows(1, "Nip", {6: ParameterRow(6, 10), 40: ParameterRow(40, None, available=False)})
     plan = plan_restore(rows({6: 50, 40: 1, 21: None}), present, running=False)
     reasons = {left.number: (left.reason, left.text) for left in plan.left_out}
     assert [write.number for write in plan.writes] == [6]

@@ -11,9 +11,9 @@ import pytest
 
 from app.database import Database
 from app.errors import Problem
-from app.sets.model import Row, UnitRows
+from app.sets.model import ParameterRow, UnitRows
 from app.sets.reading import ParameterReader
-from app.sets.restore import RestoreDesk
+from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
 from app.sets.restore_store import RestoreStore
 from app.sets.selection import Selection
@@ -24,7 +24,7 @@ WANTED = {6: 50, 7: 60, 12: 7, 9: 1234}
 
 
 def rows(values: dict[int, int]) -> UnitRows:
-    return UnitRows(2, "Nip", {number: Row(number, raw) for number, raw in values.items()})
+    return UnitRows(2, "Nip", {number: ParameterRow(number, raw) for number, raw in values.items()})
 
 
 class Scene:
@@ -37,9 +37,9 @@ class Scene:
         self.reader, self.store = reader, RestoreStore(database)
         self.restores = self.server()
 
-    def server(self) -> RestoreDesk:
+    def server(self) -> RestoreService:
         """The desk of a server that has just been started."""
-        return RestoreDesk(self.reader, self.desk, self.events, self.store)  # type: ignore[arg-type]
+        return RestoreService(self.reader, self.desk, self.events, self.store)  # type: ignore[arg-type]
 
     async def plan(self, wanted: dict[int, int] = WANTED, **chosen: frozenset[int]) -> Restore:
         return await self.restores.plan(ANNA, "dry-end", 2, rows(wanted), Selection(**chosen))

@@ -7,7 +7,7 @@ import time
 from pydantic import ConfigDict, TypeAdapter, with_config
 
 from app.commands.api.responses import fate_json
-from app.commands.api.schemas import FateShown
+from app.commands.api.schemas import CommandResultShown
 from app.live.api.schemas import BusShown, CauseShown, ParameterShown, UnitShown
 from app.live.api.view import bus_json, parameter_json
 from app.live.state.live_state import LiveState
@@ -42,7 +42,7 @@ def test_fates() -> None:
     result = Result(id="a", at=1.0, outcome="verified", units=parts, frames=[frame])
     for unit in (None, 1):
         fate = fate_json(live.buses["dry-end"], result, unit)
-        TypeAdapter(EXACT(FateShown)).validate_python(fate)
+        TypeAdapter(EXACT(CommandResultShown)).validate_python(fate)
 
 
 async def test_the_api_gives_them(stage: Stage) -> None:

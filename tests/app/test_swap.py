@@ -18,12 +18,12 @@ from app.sets.offers import offers
 from app.sets.order import Write
 from app.sets.plan import LeftOut, RestorePlan
 from app.sets.restore import EndSubscriber
-from app.sets.restore_record import Restore, RowResult, State
+from app.sets.restore_record import Restore, RestoreState, RowResult
 from app.sets.store import SetStore, SetSummary
-from app.swap.desk import SwapDesk, step_text
+from app.swap.desk import SwapService, step_text
 from app.swap.looking import LOOKS, look
-from app.swap.record import Source, Swap
-from app.swap.rules import STEPS, Kind, Sight, advice, done_steps
+from app.swap.record import Swap, SwapSource
+from app.swap.rules import STEPS, ProbeFinding, SwapState, advice, done_steps
 from app.swap.store import SwapStore
 from app.web.access import Person
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
@@ -33,9 +33,9 @@ from tests.app.played_desk import ANNA, Noted
 from tests.app.screens import line
 
 
-def sight(at_target: Kind, at_factory: Kind = "silent", **more: object) -> Sight:
+def sight(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: object) -> SwapState:
     given = {"remote": None, "equal": None, "configured": frozenset({5})} | more
-    return Sight(5, at_target, at_factory, **given)  # type: ignore[arg-type]
+    return SwapState(5, at_target, at_factory, **given)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def sight(at_target: Kind, at_factory: Kind = "silent", **more: object) -> Sight
         (sight("digimax", remote=True, equal=True), "proven", False, "proven"),
     ],
 )
-def test_what_to_do_now(seen: Sight, step: str, at_panel: bool, says: str) -> None:
+def test_what_to_do_now(seen: SwapState, step: str, at_panel: bool, says: str) -> None:
     now = advice(seen)
     assert (now.step, now.at_panel) == (step, at_panel)
     assert says in now.text
@@ -82,9 +82,9 @@ class Scene:
         self.restores: dict[str, Restore] = {}
         self.desk = self.another()
 
-    def another(self) -> SwapDesk:
+    def another(self) -> SwapService:
         """The desk of a server that was started again."""
-        return SwapDesk(self.events, self.store, self, lambda: 100.0)  # type: ignore[arg-type]
+        return SwapService(self.events, self.store, self, lambda: 100.0)  # type: ignore[arg-type]
 
     async def find(self, restore_id: str) -> Restore | None:
         """As the desk of restores."""
@@ -97,7 +97,7 @@ class Scene:
         kept = await SetStore(self.database).save(
             ParameterSet("dry-end", 1.0, "anna", "by hand", (UnitRows(2, "Nip", {}),))
         )
-        return await self.desk.begin(ANNA, "dry-end", unit, Source(kept.id, 2))
+        return await self.desk.begin(ANNA, "dry-end", unit, SwapSource(kept.id, 2))
 
 
 @pytest.fixture
@@ -153,7 +153,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     again = scene.another()
     await again.load()
     known = again.of_or_404("dry-end", 2)
-    assert (known.who, known.began_at, known.source) == ("anna", 100.0, Source(1, 2))
+    assert (known.who, known.began_at, known.source) == ("anna", 100.0, SwapSource(1, 2))
     assert (known.is_new, known.seen, known.equal, known.proven) == (True, swap.seen, False, False)
     with pytest.raises(Problem, match="anna has begun a swap of unit 2 already"):
         await again.begin(ANNA, "dry-end", 2, None)
@@ -198,7 +198,7 @@ def test_a_unit_without_a_set_is_offered_those_of_its_group_first() -> None:
     assert offers(live, sets, "dry-end", 2).best == "set:2:2"
 
 
-async def shown(seen: Sight) -> Sight:
+async def shown(seen: SwapState) -> SwapState:
     return seen
 
 
@@ -206,7 +206,7 @@ async def shown(seen: Sight) -> Sight:
 class Wire:
     """A desk on which each scan of an address sees what is next in ``seen``."""
 
-    seen: list[Kind]
+    seen: list[ProbeFinding]
     outcome: Outcome = "verified"
 
     async def ask(self, _who: Person, _bus: str, action: Action, **_: Any) -> Result:
@@ -226,7 +226,7 @@ class Wire:
     ],
 )
 async def test_a_lost_answer_of_a_unit_that_is_heard_is_no_silence(
-    scene: Scene, link: Literal["online", "offline"], seen: list[Kind], at_target: Kind
+    scene: Scene, link: Literal["online", "offline"], seen: list[ProbeFinding], at_target: ProbeFinding
 ) -> None:
     swap, live, wire = await scene.begin(), line(2), Wire(seen)
     swap.bus = "dry"
@@ -243,7 +243,7 @@ async def test_a_look_that_came_to_no_end_shows_nothing(scene: Scene) -> None:
     assert not swap.is_new
 
 
-def a_restore(state: State, planned_at: float = 101.0) -> Restore:
+def a_restore(state: RestoreState, planned_at: float = 101.0) -> Restore:
     write = Write(6, present=100, wanted=50)
     plan = RestorePlan((write,), (LeftOut(17, "address", "at the keypad"),), equal=38)
     empty = UnitRows(2, "Nip", {})
@@ -263,7 +263,7 @@ async def test_a_page_that_asks_again_does_not_pile_up_looks(
     swap = await scene.begin(5)
     begun, seen = [], asyncio.Event()
 
-    async def look() -> Sight:
+    async def look() -> SwapState:
         begun.append(1)
         await seen.wait()
         return sight("silent")

@@ -10,7 +10,7 @@ from typing import get_args
 
 import pytest
 
-from app.audit.kinds import Kind
+from app.audit.kinds import EventKind
 from app.messages import Languages
 from tests.catalogs import wanted
 
@@ -161,7 +161,7 @@ def noted() -> set[str]:
                 ):
                     given = [*node.args, *(one.value for one in node.keywords)]
                     found |= {text_of(each) for each in given if isinstance(each, ast.Constant)}
-    return found - {""} - set(get_args(Kind))
+    return found - {""} - set(get_args(EventKind))
 
 
 def sentence(node: ast.JoinedStr) -> str:

@@ -12,7 +12,7 @@ import httpx
 from fastapi import FastAPI
 
 from app.main import create_app
-from app.settings import Server, Settings, Site
+from app.settings import ServerSettings, Settings, Site
 from app.web.access import PEOPLE_ROLES, Role
 from app.wiring import Services, running
 from bus.settings import BusSettings, UnitLabels, UnitSettings
@@ -26,7 +26,9 @@ def settings_in(folder: Path, **site: Any) -> Settings:
     unwind = UnitSettings(id=1, name="Unwind", labels=UnitLabels(unit="m/min"))
     units = (unwind, UnitSettings(id=2, name="Nip"))
     bus = BusSettings(name="dry-end", port="/dev/null", unit=units)
-    return Settings(site=Site(**{"name": "Mill 7", **site}), server=Server(data=folder / "data"), bus=(bus,))
+    return Settings(
+        site=Site(**{"name": "Mill 7", **site}), server=ServerSettings(data=folder / "data"), bus=(bus,)
+    )
 
 
 @dataclass
@@ -76,7 +78,7 @@ class House:
 
 @asynccontextmanager
 async def whole_app(
-    folder: Path, *, demo: bool = False, server: Server | None = None, **site: Any
+    folder: Path, *, demo: bool = False, server: ServerSettings | None = None, **site: Any
 ) -> AsyncIterator[House]:
     """From start to end, as the server would."""
     settings = settings_in(folder, **site)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.web.access import Person, Role
 from bus.contract import Result, WriteParameter
@@ -35,9 +35,11 @@ async def test_another_password_with_the_same_key_is_not_verified(tmp_path: Path
         assert [command.action for command in worker.commands] == [password(1234)]
 
 
-async def _ask(desk: Desk, raw: int) -> Result:
+async def _ask(desk: CommandService, raw: int) -> Result:
     return await desk.ask(ANNA, "dry-end", password(raw), id="mine")
 
 
-def _restarted(stage: Stage) -> Desk:
-    return Desk(stage.live, stage.channels, stage.events, stage.database, stage.guards, stage.rights)
+def _restarted(stage: Stage) -> CommandService:
+    return CommandService(
+        stage.live, stage.channels, stage.events, stage.database, stage.guards, stage.rights
+    )

@@ -19,7 +19,7 @@ from app.auth import store
 from app.auth.accounts import Accounts
 from app.auth.passwords import Passwords
 from app.cli import cli
-from app.commands.safeguards.blocks import Block, BlockStore
+from app.commands.safeguards.blocks import BlockStore, CommandBlock
 from app.commands.safeguards.limits import Limits, LimitsStore
 from app.database import Database
 from app.settings import load
@@ -183,7 +183,7 @@ def test_without_an_admin_it_says_how_to_make_one(plant: Plant) -> None:
 
 def test_blocks_and_limits_of_now_stay_in_force(plant: Plant) -> None:
     async def protect(_: Accounts, database: Database) -> None:
-        await BlockStore(database).put("dry-end", 2, Block("belt off", "ann", 1.0))
+        await BlockStore(database).put("dry-end", 2, CommandBlock("belt off", "ann", 1.0))
         await LimitsStore(database).put("dry-end", 2, Limits(highest=500), "ann", 1.0)
 
     plant.change(protect)

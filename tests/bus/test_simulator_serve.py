@@ -14,7 +14,7 @@ import pytest
 import serial
 
 from bus.settings import Dialect
-from bus.simulator.control import Control, Remote
+from bus.simulator.control import Remote, SimulatorControl
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import Port, PtyPort, TcpPort
@@ -162,7 +162,7 @@ def test_an_error_in_a_call_comes_back_to_the_caller_and_the_line_lives() -> Non
 
 def test_hands_from_outside() -> None:
     with served(PtyPort()) as line, opened(line.port.name) as host:
-        control = Control(line)
+        control = SimulatorControl(line)
         hands = Remote(control.port)
         try:
             assert hands.do("port") == line.port.name

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field, StringConstraints, model_validator
 
-from app.web.shape import Strict
+from app.web.shape import StrictBody
 from bus.messages import Message
 
 TimeoutS = Annotated[float, Field(ge=0.05, le=30)]
@@ -16,7 +16,7 @@ UnitKey = Annotated[str, StringConstraints(pattern=r"^[1-9][0-9]{0,2}$")]
 TypedValue = str | int | float
 
 
-class Body(Strict):
+class Body(StrictBody):
     """Of any command."""
 
     timeout_s: Annotated[
@@ -25,7 +25,7 @@ class Body(Strict):
     confirm: Annotated[bool, Field(description="What is dangerous or a large step is meant.")] = False
 
 
-class Quantity(Strict):
+class Quantity(StrictBody):
     """A raw integer of the wire, or what a person would type, not both."""
 
     raw: Annotated[int | None, Field(description="Integer on the wire, 0 to 99999.")] = None

@@ -20,9 +20,9 @@ from app.commands.api.bodies import (
     SetpointsBody,
     SpeedBody,
 )
-from app.commands.api.quantity import Typed
+from app.commands.api.quantity import QuantityConverter
 from app.commands.api.responses import answer
-from app.commands.api.schemas import FateShown
+from app.commands.api.schemas import CommandResultShown
 from app.commands.catalogue import (
     CHANGE_BAUD,
     EXECUTE_ALL,
@@ -36,8 +36,8 @@ from app.commands.catalogue import (
     kind_of_command,
 )
 from app.commands.rules.timeouts import timeout_s_for
-from app.commands.service.command_service import Desk
-from app.commands.service.writer import AskDesk, permitted, permitted_writer
+from app.commands.service.command_service import CommandService
+from app.commands.service.writer import Commands, permitted, permitted_writer
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.api.schemas import ParameterShown
@@ -69,18 +69,18 @@ router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"], route_class=
 FIRST_READ_WITHIN_S = 5.0
 """What a plain look at the parameters waits for those that were never read; the reading itself goes on."""
 FATE: dict[int | str, dict[str, Any]] = {
-    200: {"model": FateShown, "description": "verified or acknowledged"},
+    200: {"model": CommandResultShown, "description": "verified or acknowledged"},
     **problems(404, 409, 423, 504),
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Asking:
+class CommandCall:
     """What every command's request carries beside its body: the key, and when it was made."""
 
     request: Request
     live: LiveState
-    desk: Desk
+    desk: CommandService
     bus: str
     key: str | None
     made_at: Instant
@@ -92,9 +92,11 @@ class Asking:
         bus = bus_or_404(self.live, self.bus)
         return Deadline(self.made_at, timeout_s_for(bus, staged_units) if given is None else given)
 
-    def typed(self, person: Person, unit: int, deadline: Deadline) -> Typed:
+    def typed(self, person: Person, unit: int, deadline: Deadline) -> QuantityConverter:
         """Conversion of typed values for a unit. Raises Problem 404."""
-        return Typed(self.desk, person, self.bus, unit_or_404(self.live, self.bus, unit), deadline)
+        return QuantityConverter(
+            self.desk, person, self.bus, unit_or_404(self.live, self.bus, unit), deadline
+        )
 
     async def ask(
         self,
@@ -116,21 +118,21 @@ class Asking:
 async def asking(
     request: Request,
     live: Live,
-    desk: AskDesk,
+    desk: Commands,
     bus: str,
     timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
     key: Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)] = None,
-) -> Asking:
+) -> CommandCall:
     """This request's."""
-    return Asking(request, live, desk, bus, key, made_at(request), timeout_s)
+    return CommandCall(request, live, desk, bus, key, made_at(request), timeout_s)
 
 
-Ask = Annotated[Asking, Depends(asking)]
+Call = Annotated[CommandCall, Depends(asking)]
 
 
 @router.post("/units/{unit:int}/speed", responses=FATE)
 async def set_speed(
-    person: Annotated[Person, permitted_writer(SET_SPEED)], ask: Ask, unit: int, body: SpeedBody
+    person: Annotated[Person, permitted_writer(SET_SPEED)], ask: Call, unit: int, body: SpeedBody
 ) -> Response:
     """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
     deadline = ask.deadline(body)
@@ -140,7 +142,7 @@ async def set_speed(
 
 @router.post("/units/{unit:int}/execute", responses=FATE)
 async def execute(
-    person: Annotated[Person, permitted_writer(EXECUTE_SPEED)], ask: Ask, unit: int, body: Body | None = None
+    person: Annotated[Person, permitted_writer(EXECUTE_SPEED)], ask: Call, unit: int, body: Body | None = None
 ) -> Response:
     """83h to one unit: its staged speed becomes its commanded speed."""
     return await ask.ask(person, ExecuteSpeed(unit=unit), body or Body(), unit)
@@ -148,7 +150,7 @@ async def execute(
 
 @router.post("/execute", responses=FATE)
 async def execute_all(
-    person: Annotated[Person, permitted_writer(EXECUTE_ALL)], ask: Ask, body: Body | None = None
+    person: Annotated[Person, permitted_writer(EXECUTE_ALL)], ask: Call, body: Body | None = None
 ) -> Response:
     """83h to all, then the proof from every unit."""
     return await ask.ask(person, ExecuteAll(), body or Body())
@@ -156,7 +158,7 @@ async def execute_all(
 
 @router.post("/speeds", responses=FATE)
 async def set_speeds(
-    person: Annotated[Person, permitted_writer(SET_LINE)], ask: Ask, body: SetpointsBody
+    person: Annotated[Person, permitted_writer(SET_LINE)], ask: Call, body: SetpointsBody
 ) -> Response:
     """Stage all, require every acknowledgement, broadcast, prove: all of them or none."""
     deadline = ask.deadline(body, len(body.setpoints))
@@ -170,7 +172,7 @@ async def set_speeds(
 @router.put("/units/{unit:int}/outputs/{number:int}", responses=FATE)
 async def write_output(
     person: Annotated[Person, permitted_writer(WRITE_OUTPUT)],
-    ask: Ask,
+    ask: Call,
     unit: int,
     number: int,
     body: OutputBody,
@@ -185,7 +187,7 @@ async def write_output(
 @router.put("/units/{unit:int}/analog-output", responses=FATE)
 async def write_analog_output(
     person: Annotated[Person, permitted_writer(WRITE_ANALOG_OUTPUT)],
-    ask: Ask,
+    ask: Call,
     unit: int,
     body: AnalogOutputBody,
 ) -> Response:
@@ -195,7 +197,7 @@ async def write_analog_output(
 
 @router.post("/baud", responses=FATE)
 async def change_baud(
-    person: Annotated[Person, permitted_writer(CHANGE_BAUD)], ask: Ask, body: BaudBody
+    person: Annotated[Person, permitted_writer(CHANGE_BAUD)], ask: Call, body: BaudBody
 ) -> Response:
     """#18 of every unit, the host after them, every unit proven; taken back by itself where one is lost."""
     return await ask.ask(person, ChangeBaud(baud=body.baud), body)
@@ -204,7 +206,7 @@ async def change_baud(
 @router.get("/units/{unit:int}/parameters", response_model=list[ParameterShown], responses=problems(504))
 async def get_parameters(
     person: Annotated[Person, permitted(READ_PARAMETERS)],
-    ask: Ask,
+    ask: Call,
     unit: int,
     refresh: bool = False,
     gaps: bool = False,
@@ -224,7 +226,7 @@ async def get_parameters(
     return [parameter_json(found, number) for number in PARAMETERS]
 
 
-async def _read(person: Person, ask: Asking, unit: int, numbers: list[int], *, gaps: bool) -> None:
+async def _read(person: Person, ask: CommandCall, unit: int, numbers: list[int], *, gaps: bool) -> None:
     """Read them from the unit. Raises Problem 503 or 504 when not all of them come."""
     action = ReadParameters(unit=unit, numbers=numbers, urgent=not gaps)
     result = await ask.desk.ask(person, ask.bus, action)
@@ -239,7 +241,7 @@ async def _read(person: Person, ask: Asking, unit: int, numbers: list[int], *, g
 @router.put("/units/{unit:int}/parameters/{number:int}", responses=FATE)
 async def write_parameter(
     person: Annotated[Person, permitted_writer(WRITE_PARAMETER)],
-    ask: Ask,
+    ask: Call,
     unit: int,
     number: int,
     body: ParameterBody,

@@ -6,7 +6,7 @@ Where those are not known yet they are read first, within the time of the comman
 from __future__ import annotations
 
 from app.commands.api.bodies import Quantity
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.commands.service.prior_read import read_first
 from app.errors import Problem
 from app.live.state.bus_live import UnitLive
@@ -21,10 +21,12 @@ from bus.messages import Message
 _NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, FOLLOWER_MODE)}
 
 
-class Typed:
+class QuantityConverter:
     """Converts for one unit within the time of the command. Raises CallerError for what is no number."""
 
-    def __init__(self, desk: Desk, person: Person, bus: str, unit: UnitLive, deadline: Deadline) -> None:
+    def __init__(
+        self, desk: CommandService, person: Person, bus: str, unit: UnitLive, deadline: Deadline
+    ) -> None:
         self._desk = desk
         self._person = person
         self._bus = bus

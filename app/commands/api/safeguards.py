@@ -16,22 +16,26 @@ from app.live.lookup import bus_or_404, unit_or_404
 from app.web.access import Engineer, Operator, Viewer, name_of
 from app.web.api_route import ApiRoute
 from app.web.services import service
-from app.web.shape import Strict, iso
+from app.web.shape import StrictBody, iso
 from bus.messages import Message
 from bus.text import OneLine
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"], route_class=ApiRoute)
 
-Setpoint = Annotated[int, Field(ge=0, le=HIGHEST_SETPOINT)]
+LimitSetpoint = Annotated[int, Field(ge=0, le=HIGHEST_SETPOINT)]
 
 
-class LimitsBody(Strict):
+class LimitsBody(StrictBody):
     """All four in raw setpoint units; null or left out: no limit."""
 
-    lowest: Annotated[Setpoint | None, Field(description="Lowest setpoint, raw.")] = None
-    highest: Annotated[Setpoint | None, Field(description="Highest setpoint, raw.")] = None
-    largest_step: Annotated[Setpoint | None, Field(description="Largest step of one command, raw.")] = None
-    per_minute: Annotated[Setpoint | None, Field(description="Largest movement in a minute, raw.")] = None
+    lowest: Annotated[LimitSetpoint | None, Field(description="Lowest setpoint, raw.")] = None
+    highest: Annotated[LimitSetpoint | None, Field(description="Highest setpoint, raw.")] = None
+    largest_step: Annotated[LimitSetpoint | None, Field(description="Largest step of one command, raw.")] = (
+        None
+    )
+    per_minute: Annotated[LimitSetpoint | None, Field(description="Largest movement in a minute, raw.")] = (
+        None
+    )
 
     @model_validator(mode="after")
     def _leave_something(self) -> LimitsBody:
@@ -40,7 +44,7 @@ class LimitsBody(Strict):
         return self
 
 
-class BlockBody(Strict):
+class BlockBody(StrictBody):
     """Why the unit must not be commanded."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
@@ -48,7 +52,7 @@ class BlockBody(Strict):
     reason: Annotated[OneLine, Field(min_length=1, max_length=200)]
 
 
-class HandOverBody(Strict):
+class HandOverBody(StrictBody):
     """Who shall hold control."""
 
     model_config = ConfigDict(str_strip_whitespace=True)

@@ -48,7 +48,7 @@ class OutcomeMembers(TypedDict):
     unit_error_name: str | None
 
 
-class UnitFateShown(OutcomeMembers):
+class UnitResultShown(OutcomeMembers):
     """The outcome at one unit, with the times of its frames."""
 
     unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
@@ -58,7 +58,7 @@ class UnitFateShown(OutcomeMembers):
     attempts: Attempts
 
 
-class FateShown(OutcomeMembers):
+class CommandResultShown(OutcomeMembers):
     """The one outcome of a command; where it is about one unit, also that unit's times."""
 
     id: Annotated[str, Field(description="Of the command: the Idempotency-Key where one was sent.")]
@@ -71,7 +71,9 @@ class FateShown(OutcomeMembers):
             description="Longest time between the first and the last unit's acting on one broadcast, seconds."
         ),
     ]
-    units: Annotated[dict[str, UnitFateShown], Field(description="The outcome at each unit, by its address.")]
+    units: Annotated[
+        dict[str, UnitResultShown], Field(description="The outcome at each unit, by its address.")
+    ]
     frames: Annotated[list[FrameShown], Field(description="What carried the command; empty for a secret.")]
     sent_at: NotRequired[Moment]
     acknowledged_at: NotRequired[Moment]

@@ -10,24 +10,24 @@ from pydantic import Field
 from app.commands.api.safeguards import Guards
 from app.commands.rules.setpoint_range import Basis, SetpointKind, setpoint_range
 from app.live.api.routes import Live
-from app.live.api.schemas import Shown
+from app.live.api.schemas import DisplayedValue
 from app.live.api.view import setpoint_text
 from app.live.lookup import unit_or_404
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
-from app.web.shape import Strict
+from app.web.shape import StrictBody
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"], route_class=ApiRoute)
 
 
-class SetpointRangeShown(Strict):
+class SetpointRangeShown(StrictBody):
     """What a setpoint of a unit may be, both ends included."""
 
     kind: SetpointKind
     lowest_raw: Annotated[int, Field(description="Integer on the wire, 0 to 99999.")]
     highest_raw: Annotated[int, Field(description="Integer on the wire, 0 to 99999.")]
-    lowest: Shown
-    highest: Shown
+    lowest: DisplayedValue
+    highest: DisplayedValue
     basis: Annotated[Basis, Field(description="What sets it: 82h, #2, #38 and #31, or an engineer.")]
 
 

@@ -18,8 +18,8 @@ from app.commands.api.responses import frame_json
 from app.commands.api.schemas import TraceShown
 from app.commands.api.trace_file import trace_line
 from app.commands.catalogue import READ_TRACE
-from app.commands.service.command_service import Desk
-from app.commands.service.writer import AskDesk, permitted
+from app.commands.service.command_service import CommandService
+from app.commands.service.writer import Commands, permitted
 from app.errors import Problem
 from app.web.access import Person
 from app.web.api_route import ApiRoute
@@ -41,7 +41,7 @@ TRACE: dict[int | str, dict[str, Any]] = {
 @router.get("/trace", responses=TRACE)
 async def get_trace(
     person: Annotated[Person, permitted(READ_TRACE)],
-    desk: AskDesk,
+    desk: Commands,
     bus: str,
     seconds: Annotated[float | None, Query(gt=0, le=HOUR_S)] = None,
     limit: Annotated[int, Query(ge=1, le=PIECE)] = 200,
@@ -61,7 +61,7 @@ async def get_trace(
     return StreamingResponse(_lines(first, pieces), headers=headers, media_type="text/plain; charset=utf-8")
 
 
-async def _pieces(desk: Desk, person: Person, bus: str, since: float) -> AsyncIterator[list[Frame]]:
+async def _pieces(desk: CommandService, person: Person, bus: str, since: float) -> AsyncIterator[list[Frame]]:
     for _ in range(MOST_PIECES):
         result = await desk.ask(person, bus, ReadTrace(since=since, limit=PIECE))
         if result.outcome not in ("verified", "acknowledged"):

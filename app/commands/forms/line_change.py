@@ -11,17 +11,14 @@ from collections.abc import Mapping
 from starlette.datastructures import FormData
 from starlette.responses import Response
 
-from app.commands.forms.outcome import Fate
-from app.commands.forms.page_context import Desktop
+from app.commands.forms.outcome import OutcomeText, ResultRow
+from app.commands.forms.page_context import PageContext
 from app.commands.review.ramp import present_setpoint
 from app.commands.values import shown_setpoint
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, follower
 from bus.contract import Result
 from bus.messages import Message
-
-Proof = tuple[str, str, Fate]
-"""A unit's name, what was asked of it, and its fate."""
 
 
 def reviewed(live: BusLive, form: FormData) -> dict[int, int]:
@@ -46,7 +43,7 @@ def followers_of(live: BusLive) -> set[int]:
 
 
 def proven(
-    desk: Desktop, bus: str, title: str, setpoints: Mapping[int, int], result: Result, form: FormData
+    desk: PageContext, bus: str, title: str, setpoints: Mapping[int, int], result: Result, form: FormData
 ) -> Response:
     """The end of the review: what became of each unit, and the way back where all of them are proven."""
     live = desk.bus(bus)
@@ -70,21 +67,23 @@ def _former(live: BusLive, setpoints: Mapping[int, int], form: FormData) -> dict
     return {number: shown_setpoint(int(text), live.units[number]) for number, text in was.items()}
 
 
-def _fate_of_all(desk: Desktop, result: Result, proofs: list[Proof]) -> Fate:
+def _fate_of_all(desk: PageContext, result: Result, proofs: list[ResultRow]) -> OutcomeText:
     """The whole change in one sentence: how many of its units are proven."""
     fate = desk.fate(result)
     if result.outcome == "verified":
-        return Fate("good", desk.voice.tn("verified", "verified at each of {n} units", len(proofs)))
+        return OutcomeText("good", desk.voice.tn("verified", "verified at each of {n} units", len(proofs)))
     if result.outcome != "unverified":
         return fate
     proven = sum(unit.outcome == "verified" for unit in result.units)
     counted = desk.voice.tn(
         "{good} of {n} unit verified", "{good} of {n} units verified", len(proofs), good=proven
     )
-    return Fate(fate.tone, f"{counted}; {fate.text}")
+    return OutcomeText(fate.tone, f"{counted}; {fate.text}")
 
 
-def _proofs(desk: Desktop, live: BusLive, setpoints: Mapping[int, int], result: Result) -> list[Proof]:
+def _proofs(
+    desk: PageContext, live: BusLive, setpoints: Mapping[int, int], result: Result
+) -> list[ResultRow]:
     """(name, asked, fate) of each unit, in floor order."""
     said = {outcome.unit: outcome for outcome in result.units}
     return [

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 from app.errors import Problem
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 from bus.contract import Outcome, Result, UnitOutcome
 from bus.errors import unit_error
 from bus.messages import Message
 
 Tone = Literal["good", "bad", "doubt"]
-Shown = Callable[[int], str]
+ValueFormat = Callable[[int], str]
 """A read-back integer as people read it."""
 
 
@@ -22,45 +22,49 @@ _OF_A_PART: dict[Outcome, Tone] = {"not_sent": "bad", "unverified": "doubt"}
 
 
 @dataclass(frozen=True, slots=True)
-class Fate:
+class OutcomeText:
     """``good`` it is so; ``bad`` it is not, and nothing is half done; ``doubt`` nobody knows."""
 
     tone: Tone
     text: str
 
 
-def fate_of(result: Result | UnitOutcome, shown: Shown, voice: Voice) -> Fate:
+ResultRow = tuple[str, str, OutcomeText]
+"""A unit's name, the requested value and the result."""
+
+
+def fate_of(result: Result | UnitOutcome, shown: ValueFormat, voice: Translator) -> OutcomeText:
     """The fate of a command, or of one unit's part in it."""
     read = "" if result.read_back is None else shown(result.read_back)
     if isinstance(result, UnitOutcome) and result.message and not read and result.outcome in _OF_A_PART:
-        return Fate(_OF_A_PART[result.outcome], voice.t(result.message))
+        return OutcomeText(_OF_A_PART[result.outcome], voice.t(result.message))
     match result.outcome:
         case "verified":
             said = voice.t("verified: reads {value}", value=read) if read else voice.t("verified")
-            return Fate("good", said)
+            return OutcomeText("good", said)
         case "acknowledged":
-            return Fate("good", voice.t("acknowledged by the unit"))
+            return OutcomeText("good", voice.t("acknowledged by the unit"))
         case "refused":
-            return Fate("bad", voice.t("refused: {reason}", reason=_reason(result, voice)))
+            return OutcomeText("bad", voice.t("refused: {reason}", reason=_reason(result, voice)))
         case "unverified":
             if read:
-                return Fate("doubt", voice.t("reads {value} instead", value=read))
-            return Fate("doubt", voice.t("no answer: whether it was done is not known"))
-    return Fate("bad", _not_sent(result.outcome, result.message, voice))
+                return OutcomeText("doubt", voice.t("reads {value} instead", value=read))
+            return OutcomeText("doubt", voice.t("no answer: whether it was done is not known"))
+    return OutcomeText("bad", _not_sent(result.outcome, result.message, voice))
 
 
-def fate_of_problem(problem: Problem, voice: Voice) -> Fate:
+def fate_of_problem(problem: Problem, voice: Translator) -> OutcomeText:
     """What was refused before anything was sent."""
-    return Fate("bad", voice.formats.sentence(problem.text(voice.t)))
+    return OutcomeText("bad", voice.formats.sentence(problem.text(voice.t)))
 
 
-def _reason(result: Result | UnitOutcome, voice: Voice) -> str:
+def _reason(result: Result | UnitOutcome, voice: Translator) -> str:
     if result.unit_error is not None:
         return voice.t(unit_error(result.unit_error))
     return voice.t(result.message or "")
 
 
-def _not_sent(outcome: Outcome, message: Message | None, voice: Voice) -> str:
+def _not_sent(outcome: Outcome, message: Message | None, voice: Translator) -> str:
     if outcome == "not_sent":
         return voice.t("not sent: the wire was not free in time")
     if outcome == "bus_closed":

@@ -11,17 +11,17 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.catalogue import kind_of_command
-from app.commands.forms.outcome import Fate, fate_of, fate_of_problem
+from app.commands.forms.outcome import OutcomeText, fate_of, fate_of_problem
 from app.commands.review.risks import Remark
 from app.commands.rules.timeouts import timeout_s_for
 from app.commands.safeguards.service import Safeguards
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.commands.values import shown_setpoint
 from app.errors import Problem
 from app.live.browsers.hub import Hub
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.pages import UnitOnLine, unit_on_line
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.live_state import LiveState
 from app.web.access import Person
@@ -36,16 +36,16 @@ REVIEW_LASTS_S = 45.0
 """Thirty seconds on the screen, and something for the way."""
 
 
-class Desktop:
+class PageContext:
     """One request of a page: its unit or bus, its language, and the way to the wire."""
 
     def __init__(self, request: Request) -> None:
         self.request = request
         templates = templates_of(request)
         language = templates.language_of(request)
-        self.voice = Voice(language, templates.formats(language.tag))
+        self.voice = Translator(language, templates.formats(language.tag))
         self.live = service_of(request, LiveState)
-        self.desk = service_of(request, Desk)
+        self.desk = service_of(request, CommandService)
         self.guards = service_of(request, Safeguards)
         self.made_at = made_at(request)
 
@@ -108,7 +108,7 @@ class Desktop:
         deadline = deadline or Deadline(self.made_at, timeout_s)
         return await self.desk.ask(person, bus, action, deadline=deadline, confirm=True, id=id, origin="page")
 
-    def fate(self, result: Result | UnitOutcome, unit: UnitLive | None = None) -> Fate:
+    def fate(self, result: Result | UnitOutcome, unit: UnitLive | None = None) -> OutcomeText:
         """What became of it; what was read back is a setpoint in the decimals of ``unit``, else as it is."""
         if unit is None:
             return fate_of(result, str, self.voice)
@@ -118,7 +118,7 @@ class Desktop:
         """The end of a review that sent nothing, in the dialog."""
         return self.done(title, fate_of_problem(problem, self.voice), status=problem.status)
 
-    def done(self, title: str, fate: Fate, *, status: int = 200, **setpoint: Any) -> Response:
+    def done(self, title: str, fate: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
         """The end of a review, in the dialog. ``setpoint``: what was asked, what field reads it, its undo."""
         context = {"asked": "", "reads": "", "undo": None} | setpoint
         return self.render("unit/_done.html", title=title, fate=fate, status=status, **context)
@@ -129,10 +129,10 @@ def new_id() -> str:
     return uuid.uuid4().hex
 
 
-async def desktop_of(request: Request) -> Desktop:
+async def desktop_of(request: Request) -> PageContext:
     """This request's. Raises Problem 503 for a press that was held up on its way."""
     refuse_late(request)
-    return Desktop(request)
+    return PageContext(request)
 
 
-Desks = Annotated[Desktop, Depends(desktop_of)]
+Page = Annotated[PageContext, Depends(desktop_of)]

@@ -7,10 +7,10 @@ import time
 from collections.abc import Iterable
 from contextlib import suppress
 
-from app.commands.forms.page_context import Desktop
+from app.commands.forms.page_context import PageContext
 from app.commands.review.ramp import ramp_parameters_missing
-from app.commands.review.risks import Facts, Remark, facts_of, obstacle_of
-from app.commands.review.setpoint_change import Change, change_of
+from app.commands.review.risks import Remark, RiskInputs, facts_of, obstacle_of
+from app.commands.review.setpoint_change import SetpointChange, change_of
 from app.commands.service.prior_read import read_first
 from app.errors import Problem
 from app.web.access import Person
@@ -19,7 +19,7 @@ from bus.contract import Action
 
 
 async def judge(
-    desk: Desktop, person: Person, bus: str, action: Action, deadline: Deadline | None = None
+    desk: PageContext, person: Person, bus: str, action: Action, deadline: Deadline | None = None
 ) -> None:
     """All checks of a command; what they need to know of the units is read first, within its time.
 
@@ -30,7 +30,7 @@ async def judge(
     desk.desk.check(person, bus, action, confirm=True)
 
 
-async def know_ramps(desk: Desktop, person: Person, bus: str, units: Iterable[int]) -> None:
+async def know_ramps(desk: PageContext, person: Person, bus: str, units: Iterable[int]) -> None:
     """Read what a ramp takes where that was never read; of a unit that does not tell it stays unknown."""
     deadline = desk.deadline(desk.bus(bus))
 
@@ -42,20 +42,20 @@ async def know_ramps(desk: Desktop, person: Person, bus: str, units: Iterable[in
     await asyncio.gather(*(read(unit, numbers) for unit, numbers in missing.items() if numbers))
 
 
-def change(desk: Desktop, bus: str, unit: int, raw: int) -> Change:
+def change(desk: PageContext, bus: str, unit: int, raw: int) -> SetpointChange:
     """What a new setpoint means for a unit."""
     limits, block = desk.guards.limits.of(bus, unit), desk.guards.block_reason(bus, unit)
     return change_of(desk.bus(bus), desk.unit(bus, unit), raw, limits, time.time(), block=block)
 
 
-def facts(desk: Desktop, bus: str, unit: int) -> Facts:
+def facts(desk: PageContext, bus: str, unit: int) -> RiskInputs:
     """What is known of a unit now, no ramp in view."""
     block = desk.guards.block_reason(bus, unit)
     return facts_of(desk.bus(bus), desk.unit(bus, unit), time.time(), block=block)
 
 
 def keep_their_setpoint(
-    desk: Desktop, bus: str, taking_part: Iterable[int]
+    desk: PageContext, bus: str, taking_part: Iterable[int]
 ) -> tuple[list[tuple[str, Remark]], list[str]]:
     """The units of a bus that are not part of a change: those that could take no setpoint now, each with the
     reason, and the names of the rest."""

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Form
 from starlette.responses import Response
 
 from app.commands.catalogue import CHANGE_BAUD
-from app.commands.forms.page_context import Desks
+from app.commands.forms.page_context import Page
 from app.commands.service.writer import permitted
 from app.errors import Problem
 from app.web.access import Person
@@ -23,7 +23,7 @@ CHANGE_S = 30.0
 
 
 @router.get("")
-async def review(_: Annotated[Person, permitted(CHANGE_BAUD)], desk: Desks, bus: str, baud: int) -> Response:
+async def review(_: Annotated[Person, permitted(CHANGE_BAUD)], desk: Page, bus: str, baud: int) -> Response:
     """The second step; nothing has been sent."""
     live = desk.bus(bus)
     if baud not in BAUDS:
@@ -36,7 +36,7 @@ async def review(_: Annotated[Person, permitted(CHANGE_BAUD)], desk: Desks, bus:
 @router.post("")
 async def change(
     person: Annotated[Person, permitted(CHANGE_BAUD)],
-    desk: Desks,
+    desk: Page,
     bus: str,
     baud: Annotated[int, Form()],
     id: Annotated[str, Form(min_length=8, max_length=200)],

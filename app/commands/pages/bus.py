@@ -8,7 +8,7 @@ from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
 from app.commands.catalogue import SCAN_BUS
-from app.commands.forms.page_context import Desks, Desktop, new_id
+from app.commands.forms.page_context import Page, PageContext, new_id
 from app.commands.safeguards.control import LAPSES_AFTER_S
 from app.commands.service.writer import permitted
 from app.errors import Problem
@@ -23,7 +23,7 @@ SEE_OTHER = 303
 
 
 @router.get("")
-async def first_bus(_: Viewer, desk: Desks) -> Response:
+async def first_bus(_: Viewer, desk: Page) -> Response:
     """The first of them; the page leads to the others."""
     names = list(desk.live.buses)
     if not names:
@@ -32,7 +32,7 @@ async def first_bus(_: Viewer, desk: Desks) -> Response:
 
 
 @router.get("/{bus}")
-async def bus_page(person: Viewer, desk: Desks, bus: str) -> Response:
+async def bus_page(person: Viewer, desk: Page, bus: str) -> Response:
     """One bus."""
     live = desk.bus(bus)
     return desk.render(
@@ -48,18 +48,18 @@ async def bus_page(person: Viewer, desk: Desks, bus: str) -> Response:
 
 
 @router.get("/{bus}/units")
-async def unit_rows(_: Viewer, desk: Desks, bus: str) -> Response:
+async def unit_rows(_: Viewer, desk: Page, bus: str) -> Response:
     """The counters of every unit, for the open page."""
     return desk.render("bus/_units.html", fields=desk.fields(), bus=desk.bus(bus), rows=_rows(desk, bus))
 
 
-def _rows(desk: Desktop, bus: str) -> list[dict[str, object]]:
+def _rows(desk: PageContext, bus: str) -> list[dict[str, object]]:
     live = desk.bus(bus)
     figures = {unit.unit: unit for unit in live.figures.units} if live.figures is not None else {}
     return [_row(desk, bus, number, figures.get(number)) for number in live.units]
 
 
-def _row(desk: Desktop, bus: str, number: int, figures: UnitFigures | None) -> dict[str, object]:
+def _row(desk: PageContext, bus: str, number: int, figures: UnitFigures | None) -> dict[str, object]:
     voice = desk.voice
     naks = figures.naks if figures is not None else {}
     return {
@@ -72,14 +72,14 @@ def _row(desk: Desktop, bus: str, number: int, figures: UnitFigures | None) -> d
     }
 
 
-def _ms(desk: Desktop, seconds: float | None) -> str:
+def _ms(desk: PageContext, seconds: float | None) -> str:
     return desk.voice.formats.number(None if seconds is None else 1000 * seconds, 1)
 
 
 @router.post("/{bus}/scan")
 async def scan(
     person: Annotated[Person, permitted(SCAN_BUS)],
-    desk: Desks,
+    desk: Page,
     bus: str,
     first: Annotated[int, Form(ge=1, le=255)] = 1,
     last: Annotated[int, Form(ge=1, le=255)] = 255,
@@ -99,7 +99,7 @@ async def scan(
 
 
 @router.get("/{bus}/control")
-async def control_now(person: Viewer, desk: Desks, bus: str) -> Response:
+async def control_now(person: Viewer, desk: Page, bus: str) -> Response:
     """Who holds control, for the open page."""
     return _control_part(desk, person, bus)
 
@@ -107,7 +107,7 @@ async def control_now(person: Viewer, desk: Desks, bus: str) -> Response:
 @router.post("/{bus}/control")
 async def control(
     person: Operator,
-    desk: Desks,
+    desk: Page,
     bus: str,
     do: Annotated[str, Form(pattern="^(take|release|hand-over)$")],
     to: Annotated[str, Form(max_length=80)] = "",
@@ -121,7 +121,7 @@ async def control(
     return _control_part(desk, person, bus)
 
 
-async def _move_control(desk: Desktop, person: Person, bus: str, do: str, to: str) -> None:
+async def _move_control(desk: PageContext, person: Person, bus: str, do: str, to: str) -> None:
     match do:
         case "take":
             await desk.guards.take(person, bus)
@@ -133,12 +133,12 @@ async def _move_control(desk: Desktop, person: Person, bus: str, do: str, to: st
             await desk.guards.hand_over(person, bus, to)
 
 
-def _control_part(desk: Desktop, person: Person, bus: str, fault: str = "") -> Response:
+def _control_part(desk: PageContext, person: Person, bus: str, fault: str = "") -> Response:
     context = _control(desk, person, bus) | {"fault": fault}
     return desk.render("bus/_control.html", bus=desk.bus(bus), **context)
 
 
-def _control(desk: Desktop, person: Person, bus: str) -> dict[str, Any]:
+def _control(desk: PageContext, person: Person, bus: str) -> dict[str, Any]:
     return {
         "fault": "",
         "holding": desk.guards.holding(bus),
@@ -147,7 +147,7 @@ def _control(desk: Desktop, person: Person, bus: str) -> dict[str, Any]:
     }
 
 
-def _others(desk: Desktop, person: Person, bus: str) -> list[str]:
+def _others(desk: PageContext, person: Person, bus: str) -> list[str]:
     """Who is here, may set a line and does not hold this one; an admin may take it this way."""
     holder = desk.guards.holder(bus)
     here = {name for name, role in desk.people().items() if Role(role).includes(Role.OPERATOR)}

@@ -8,8 +8,8 @@ from fastapi import APIRouter, Form, Path
 from starlette.responses import Response
 
 from app.commands.catalogue import WRITE_ANALOG_OUTPUT, WRITE_OUTPUT
-from app.commands.forms.outcome import Fate
-from app.commands.forms.page_context import Desks, Desktop
+from app.commands.forms.outcome import OutcomeText
+from app.commands.forms.page_context import Page, PageContext
 from app.commands.forms.review import facts
 from app.commands.review.risks import obstacle_of
 from app.commands.service.writer import permitted, permitted_writer
@@ -24,7 +24,7 @@ from bus.errors import CallerError
 from bus.messages import Message
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
-Number = Annotated[int, Path(ge=1, le=6)]
+OutputPath = Annotated[int, Path(ge=1, le=6)]
 ON, OFF = "on", "off"
 
 
@@ -35,7 +35,7 @@ def output_name(live: UnitLive, number: int) -> str:
 
 @router.get("/outputs/{number:int}")
 async def review_output(
-    person: Annotated[Person, permitted(WRITE_OUTPUT)], desk: Desks, bus: str, unit: int, number: Number
+    person: Annotated[Person, permitted(WRITE_OUTPUT)], desk: Page, bus: str, unit: int, number: OutputPath
 ) -> Response:
     """The other state of an output, to be confirmed."""
     live = desk.unit(bus, unit)
@@ -59,10 +59,10 @@ async def review_output(
 @router.post("/outputs/{number:int}")
 async def set_output(
     person: Annotated[Person, permitted_writer(WRITE_OUTPUT)],
-    desk: Desks,
+    desk: Page,
     bus: str,
     unit: int,
-    number: Number,
+    number: OutputPath,
     on: Annotated[bool, Form()],
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[float, Form()],
@@ -77,14 +77,14 @@ async def set_output(
     fate = desk.fate(result)
     if result.outcome == "verified":
         state = desk.voice.t(ON if on else OFF)
-        fate = Fate("good", desk.voice.t("verified: output {n} is {state}", n=number, state=state))
+        fate = OutcomeText("good", desk.voice.t("verified: output {n} is {state}", n=number, state=state))
     return desk.done(live.settings.name, fate)
 
 
 @router.post("/analog-output/review")
 async def review_analog(
     person: Annotated[Person, permitted(WRITE_ANALOG_OUTPUT)],
-    desk: Desks,
+    desk: Page,
     bus: str,
     unit: int,
     value: Annotated[str, Form(max_length=10)] = "",
@@ -108,7 +108,7 @@ async def review_analog(
 @router.post("/analog-output")
 async def set_analog(
     person: Annotated[Person, permitted_writer(WRITE_ANALOG_OUTPUT)],
-    desk: Desks,
+    desk: Page,
     bus: str,
     unit: int,
     raw: Annotated[int, Form(ge=0)],
@@ -131,7 +131,7 @@ def _whole_number(text: str) -> int:
     return int(text)
 
 
-def _volts(desk: Desktop, live: UnitLive, raw: int) -> str:
+def _volts(desk: PageContext, live: UnitLive, raw: int) -> str:
     low, high = live.parameter_raw(ANALOG_OUT_LOW), live.parameter_raw(ANALOG_OUT_HIGH)
     if low is None or high is None or low == high:
         return ""

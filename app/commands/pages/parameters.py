@@ -9,10 +9,10 @@ from fastapi import APIRouter, Form, Path
 from starlette.responses import Response
 
 from app.commands.api.bodies import Quantity
-from app.commands.api.quantity import Typed
+from app.commands.api.quantity import QuantityConverter
 from app.commands.catalogue import READ_PARAMETERS, WRITE_PARAMETER
-from app.commands.forms.outcome import Fate
-from app.commands.forms.page_context import Desks, Desktop
+from app.commands.forms.outcome import OutcomeText
+from app.commands.forms.page_context import Page, PageContext
 from app.commands.forms.review import facts, judge
 from app.commands.measure import measure_of_value
 from app.commands.review.risks import obstacle_of, risks_of_writing
@@ -30,19 +30,19 @@ from bus.errors import CallerError
 from bus.messages import Message
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}/parameters", include_in_schema=False)
-Number = Annotated[int, Path(ge=1, le=40)]
+ParameterPath = Annotated[int, Path(ge=1, le=40)]
 CONFIRMING_WORD = "WRITE"
 
 
 @router.get("")
-async def parameters(_: Viewer, desk: Desks, bus: str, unit: int) -> Response:
+async def parameters(_: Viewer, desk: Page, bus: str, unit: int) -> Response:
     """All 40 as last read."""
     return desk.render("unit/parameters.html", **_table(desk, bus, unit))
 
 
 @router.post("/read")
 async def read_all(
-    person: Annotated[Person, permitted(READ_PARAMETERS)], desk: Desks, bus: str, unit: int
+    person: Annotated[Person, permitted(READ_PARAMETERS)], desk: Page, bus: str, unit: int
 ) -> Response:
     """All 40 as the unit gives them now."""
     desk.unit(bus, unit)
@@ -52,7 +52,7 @@ async def read_all(
     return desk.render("unit/_parameters.html", missing=missing, **_table(desk, bus, unit))
 
 
-def _table(desk: Desktop, bus: str, unit: int) -> dict[str, Any]:
+def _table(desk: PageContext, bus: str, unit: int) -> dict[str, Any]:
     live = desk.unit(bus, unit)
     rows = [_row(desk, bus, live, number) for number in sorted(PARAMETERS, key=_by_group)]
     groups = [(name, list(members)) for name, members in groupby(rows, key=lambda row: row["group"])]
@@ -66,7 +66,7 @@ def _by_group(number: int) -> tuple[int, int]:
     return _GROUPS.index(PARAMETERS[number].group), number
 
 
-def _row(desk: Desktop, bus: str, live: UnitLive, number: int) -> dict[str, Any]:
+def _row(desk: PageContext, bus: str, live: UnitLive, number: int) -> dict[str, Any]:
     known = live.parameters.get(number)
     lowest, highest = parameter_bounds(live, number, desk.guards.limits.of(bus, live.settings.id))
     shown = {"at": None if known is None else known.at, "min": lowest, "max": highest}
@@ -76,16 +76,16 @@ def _row(desk: Desktop, bus: str, live: UnitLive, number: int) -> dict[str, Any]
 @router.post("/{number:int}/review")
 async def review_parameter(
     person: Annotated[Person, permitted(WRITE_PARAMETER)],
-    desk: Desks,
+    desk: Page,
     bus: str,
     unit: int,
-    number: Number,
+    number: ParameterPath,
     value: Annotated[str, Form(max_length=40)] = "",
 ) -> Response:
     """What was typed, judged and shown again: old → new, range, danger."""
     live, parameter = desk.unit(bus, unit), PARAMETERS[number]
     try:
-        typed = Typed(desk.desk, person, bus, live, desk.deadline(desk.bus(bus)))
+        typed = QuantityConverter(desk.desk, person, bus, live, desk.deadline(desk.bus(bus)))
         raw = await typed.parameter(number, Quantity(value=value))
         await judge(desk, person, bus, WriteParameter(unit=unit, number=number, raw=raw))
     except (CallerError, Problem) as error:
@@ -111,10 +111,10 @@ async def review_parameter(
 @router.post("/{number:int}")
 async def write_parameter(
     person: Annotated[Person, permitted_writer(WRITE_PARAMETER)],
-    desk: Desks,
+    desk: Page,
     bus: str,
     unit: int,
-    number: Number,
+    number: ParameterPath,
     raw: Annotated[int, Form(ge=0)],
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[float, Form()],
@@ -133,18 +133,18 @@ async def write_parameter(
 
 
 async def _write(
-    person: Person, desk: Desktop, bus: str, live: UnitLive, parameter: Parameter, raw: int, id: str
+    person: Person, desk: PageContext, bus: str, live: UnitLive, parameter: Parameter, raw: int, id: str
 ) -> Response:
     unit, number = live.settings.id, parameter.number
     result = await desk.ask(person, bus, WriteParameter(unit=unit, number=number, raw=raw), id)
     fate = desk.fate(result, live)
     if parameter.secret and result.outcome == "unverified":
         # Why, in words: the value that was read back is not here.
-        fate = Fate(fate.tone, desk.voice.t(result.message or ""))
+        fate = OutcomeText(fate.tone, desk.voice.t(result.message or ""))
     elif result.read_back is not None:
         reads = desk.voice.formats.point(text_of(parameter, result.read_back, live))
         said = "verified: reads {value}" if result.outcome == "verified" else "reads {value} instead"
-        fate = Fate(fate.tone, desk.voice.t(said, value=reads))
+        fate = OutcomeText(fate.tone, desk.voice.t(said, value=reads))
     return desk.render(
         "unit/_parameter_done.html",
         title=f"#{number} {parameter.name}",
@@ -155,7 +155,9 @@ async def _write(
     )
 
 
-def _not_so(desk: Desktop, live: UnitLive, parameter: Parameter, error: CallerError | Problem) -> Response:
+def _not_so(
+    desk: PageContext, live: UnitLive, parameter: Parameter, error: CallerError | Problem
+) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     text = "" if nearest is None or parameter.secret else text_of(parameter, nearest, live)
     shown = desk.voice.formats.point(text)

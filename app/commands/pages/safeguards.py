@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
-from app.commands.forms.page_context import Desks
+from app.commands.forms.page_context import Page
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.errors import Problem
 from app.live.state.bus_live import UnitLive, follower
@@ -19,20 +19,20 @@ from bus.messages import Message
 from bus.text import OneLine
 
 router = APIRouter(include_in_schema=False)
-Typed = Annotated[str, Form(max_length=20)]
+TypedLimit = Annotated[str, Form(max_length=20)]
 SEE_OTHER = 303
 
 
 @router.post("/units/{bus}/{unit:int}/limits")
 async def set_limits(
     person: Engineer,
-    desk: Desks,
+    desk: Page,
     bus: str,
     unit: int,
-    lowest: Typed = "",
-    highest: Typed = "",
-    largest_step: Typed = "",
-    per_minute: Typed = "",
+    lowest: TypedLimit = "",
+    highest: TypedLimit = "",
+    largest_step: TypedLimit = "",
+    per_minute: TypedLimit = "",
 ) -> Response:
     """All four at once; an empty field is no limit."""
     live = desk.unit(bus, unit)
@@ -64,7 +64,7 @@ def _raw(live: UnitLive, text: str) -> int | None:
 @router.post("/units/{bus}/{unit:int}/block")
 async def block(
     person: Operator,
-    desk: Desks,
+    desk: Page,
     bus: str,
     unit: int,
     reason: Annotated[OneLine, Form(max_length=200)] = "",
@@ -78,7 +78,7 @@ async def block(
 
 
 @router.post("/units/{bus}/{unit:int}/unblock")
-async def unblock(person: Operator, desk: Desks, bus: str, unit: int) -> Response:
+async def unblock(person: Operator, desk: Page, bus: str, unit: int) -> Response:
     """Free this unit; the events keep who did."""
     desk.unit(bus, unit)
     await desk.guards.lift(person, bus, unit)

@@ -10,10 +10,10 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.api.bodies import Quantity
-from app.commands.api.quantity import Typed
+from app.commands.api.quantity import QuantityConverter
 from app.commands.catalogue import SET_LINE
 from app.commands.forms.line_change import followers_of, proven, reviewed
-from app.commands.forms.page_context import Desks, Desktop
+from app.commands.forms.page_context import Page, PageContext
 from app.commands.forms.review import change, judge, keep_their_setpoint, know_ramps
 from app.commands.measure import measure_of_setpoint
 from app.commands.review.ramp import present_setpoint
@@ -37,7 +37,7 @@ router = APIRouter(include_in_schema=False)
 
 
 @router.get("/setpoints")
-async def setpoints(_: Viewer, desk: Desks) -> Response:
+async def setpoints(_: Viewer, desk: Page) -> Response:
     """Every unit with its present setpoint and room for a new one."""
     buses = [
         (name, [_line_of(desk, name, bus, number) for number in bus.units])
@@ -46,7 +46,7 @@ async def setpoints(_: Viewer, desk: Desks) -> Response:
     return desk.render("setpoints/page.html", fields=desk.fields(), buses=buses)
 
 
-def _line_of(desk: Desktop, name: str, bus: BusLive, number: int) -> dict[str, object]:
+def _line_of(desk: PageContext, name: str, bus: BusLive, number: int) -> dict[str, object]:
     live = bus.units[number]
     present = present_setpoint(bus, live)
     decimals = 4 if follower(live) else live.parameter_raw(DECIMALS)
@@ -64,7 +64,7 @@ def _line_of(desk: Desktop, name: str, bus: BusLive, number: int) -> dict[str, o
 
 @router.post("/setpoints/review")
 async def review_setpoints(
-    request: Request, person: Annotated[Person, permitted(SET_LINE)], desk: Desks
+    request: Request, person: Annotated[Person, permitted(SET_LINE)], desk: Page
 ) -> Response:
     """Each new setpoint that was typed, judged: old → new, limits, ramps, in one table."""
     form = await request.form()
@@ -92,7 +92,9 @@ async def review_setpoints(
     )
 
 
-async def _typed_setpoints(person: Person, desk: Desktop, live: BusLive, form: FormData) -> dict[int, int]:
+async def _typed_setpoints(
+    person: Person, desk: PageContext, live: BusLive, form: FormData
+) -> dict[int, int]:
     """Raw, by unit. Raises CallerError and Problem for what is no setpoint of its unit."""
     fields = {unit: str(form.get(f"new-{unit}", "")).strip() for unit in live.units}
     typed = {unit: text for unit, text in fields.items() if text}
@@ -102,7 +104,7 @@ async def _typed_setpoints(person: Person, desk: Desktop, live: BusLive, form: F
     setpoints = {}
     for unit, text in typed.items():
         try:
-            found = Typed(desk.desk, person, bus, live.units[unit], deadline)
+            found = QuantityConverter(desk.desk, person, bus, live.units[unit], deadline)
             setpoints[unit] = await found.setpoint(Quantity(value=text))
         except CallerError as error:
             raise CallerError(
@@ -115,7 +117,7 @@ async def _typed_setpoints(person: Person, desk: Desktop, live: BusLive, form: F
 async def set_setpoints(
     request: Request,
     person: Annotated[Person, permitted(SET_LINE)],
-    desk: Desks,
+    desk: Page,
     bus: Annotated[str, Form()],
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[float, Form()],

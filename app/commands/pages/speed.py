@@ -11,9 +11,9 @@ from fastapi import APIRouter, Form
 from starlette.responses import Response
 
 from app.commands.api.bodies import Quantity
-from app.commands.api.quantity import Typed
+from app.commands.api.quantity import QuantityConverter
 from app.commands.catalogue import EXECUTE_SPEED, SET_SPEED
-from app.commands.forms.page_context import Desks, Desktop
+from app.commands.forms.page_context import Page, PageContext
 from app.commands.forms.review import change, judge, know_ramps
 from app.commands.review.ramp import nudges, present_setpoint
 from app.commands.service.writer import permitted, permitted_writer
@@ -27,7 +27,7 @@ from bus.messages import Message
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 
-Raw = Annotated[int, Form(ge=0)]
+SetpointField = Annotated[int, Form(ge=0)]
 Was = Annotated[str, Form(pattern=r"^\d{0,6}$")]
 """The setpoint that the person saw, raw; empty where it was not known."""
 ERROR_PLACE = "#setpoint-error"
@@ -36,7 +36,7 @@ ERROR_PLACE = "#setpoint-error"
 @router.post("/review")
 async def review_speed(
     person: Annotated[Person, permitted(SET_SPEED)],
-    desk: Desks,
+    desk: Page,
     bus: str,
     unit: int,
     value: Annotated[str, Form(max_length=20)] = "",
@@ -45,7 +45,7 @@ async def review_speed(
     """What was typed, judged and shown again: old → new, limits, ramp."""
     live = desk.unit(bus, unit)
     try:
-        typed = Typed(desk.desk, person, bus, live, desk.deadline(desk.bus(bus)))
+        typed = QuantityConverter(desk.desk, person, bus, live, desk.deadline(desk.bus(bus)))
         raw = await typed.setpoint(Quantity(value=value))
         return await _review(person, desk, bus, live, raw, execute=how == "now")
     except (CallerError, Problem) as error:
@@ -53,7 +53,7 @@ async def review_speed(
 
 
 async def _review(
-    person: Person, desk: Desktop, bus: str, live: UnitLive, raw: int, *, execute: bool
+    person: Person, desk: PageContext, bus: str, live: UnitLive, raw: int, *, execute: bool
 ) -> Response:
     unit = live.settings.id
     await judge(desk, person, bus, SetSpeed(unit=unit, raw=raw, execute=execute))
@@ -67,7 +67,7 @@ async def _review(
     )
 
 
-def _not_so(desk: Desktop, live: UnitLive, error: CallerError | Problem) -> Response:
+def _not_so(desk: PageContext, live: UnitLive, error: CallerError | Problem) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     return desk.not_so(
         error.text(desk.voice.t),
@@ -80,10 +80,10 @@ def _not_so(desk: Desktop, live: UnitLive, error: CallerError | Problem) -> Resp
 @router.post("/speed")
 async def set_speed(
     person: Annotated[Person, permitted_writer(SET_SPEED)],
-    desk: Desks,
+    desk: Page,
     bus: str,
     unit: int,
-    raw: Raw,
+    raw: SetpointField,
     id: Annotated[str, Form(max_length=64)],
     how: Annotated[Literal["now", "stage"], Form()],
     reviewed_at: Annotated[float, Form()],
@@ -103,7 +103,7 @@ async def set_speed(
 
 
 def _done(
-    desk: Desktop, bus: str, live: UnitLive, raw: int, result: Result, undo: dict[str, str] | None
+    desk: PageContext, bus: str, live: UnitLive, raw: int, result: Result, undo: dict[str, str] | None
 ) -> Response:
     # The screen says the commanded speed of a follower, and no ratio to prove this by.
     reads = "" if follower(live) else f"{bus}/{live.settings.id}.commanded"
@@ -117,7 +117,7 @@ def _done(
     )
 
 
-def _refuse_moved(desk: Desktop, bus: str, live: UnitLive, was: str) -> None:
+def _refuse_moved(desk: PageContext, bus: str, live: UnitLive, was: str) -> None:
     present = present_setpoint(desk.bus(bus), live)
     if was != ("" if present is None else str(present)):
         raise Problem(409, "moved", Message("setpoint_moved"))
@@ -126,7 +126,7 @@ def _refuse_moved(desk: Desktop, bus: str, live: UnitLive, was: str) -> None:
 @router.post("/nudge")
 async def nudge(
     person: Annotated[Person, permitted_writer(SET_SPEED)],
-    desk: Desks,
+    desk: Page,
     bus: str,
     unit: int,
     step: Annotated[int, Form(ge=-99999, le=99999)],
@@ -151,14 +151,14 @@ async def nudge(
     return response
 
 
-def _is_small(desk: Desktop, bus: str, live: UnitLive, step: int) -> bool:
+def _is_small(desk: PageContext, bus: str, live: UnitLive, step: int) -> bool:
     allowed = desk.guards.limits.of(bus, live.settings.id).largest_step
     return abs(step) <= (max(nudges(live)) if allowed is None else allowed)
 
 
 @router.get("/execute")
 async def review_execute(
-    person: Annotated[Person, permitted(EXECUTE_SPEED)], desk: Desks, bus: str, unit: int
+    person: Annotated[Person, permitted(EXECUTE_SPEED)], desk: Page, bus: str, unit: int
 ) -> Response:
     """What executing the staged speed will do."""
     live = desk.unit(bus, unit)
@@ -180,11 +180,11 @@ async def review_execute(
 @router.post("/execute")
 async def execute(
     person: Annotated[Person, permitted_writer(EXECUTE_SPEED)],
-    desk: Desks,
+    desk: Page,
     bus: str,
     unit: int,
     id: Annotated[str, Form(max_length=64)],
-    raw: Raw,
+    raw: SetpointField,
     reviewed_at: Annotated[float, Form()],
 ) -> Response:
     """83h to one unit, if what is staged is still what was reviewed."""

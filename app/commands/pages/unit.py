@@ -7,7 +7,7 @@ from typing import Any
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from app.commands.forms.page_context import Desks, Desktop
+from app.commands.forms.page_context import Page, PageContext
 from app.commands.measure import measure_of_setpoint
 from app.commands.review.ramp import nudges, present_setpoint
 from app.commands.rules.setpoint_range import setpoint_range
@@ -20,13 +20,13 @@ router = APIRouter(include_in_schema=False)
 
 
 @router.get("/units/{bus}/{unit:int}")
-async def unit_page(_: Viewer, desk: Desks, bus: str, unit: int) -> Response:
+async def unit_page(_: Viewer, desk: Page, bus: str, unit: int) -> Response:
     """The faceplate of one unit."""
     live = desk.unit(bus, unit)
     return desk.render("unit/page.html", **_faceplate(desk, bus, live))
 
 
-def _faceplate(desk: Desktop, bus: str, live: UnitLive) -> dict[str, Any]:
+def _faceplate(desk: PageContext, bus: str, live: UnitLive) -> dict[str, Any]:
     unit, limits = live.settings.id, desk.guards.limits.of(bus, live.settings.id)
     allowed = setpoint_range(live, limits)
     present = present_setpoint(desk.bus(bus), live)

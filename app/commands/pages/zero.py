@@ -11,8 +11,8 @@ from fastapi import APIRouter, Form
 from starlette.responses import Response
 
 from app.commands.catalogue import SET_LINE
-from app.commands.forms.outcome import Fate, fate_of_problem
-from app.commands.forms.page_context import Desks, Desktop
+from app.commands.forms.outcome import OutcomeText, ResultRow, fate_of_problem
+from app.commands.forms.page_context import Page, PageContext
 from app.commands.review.risks import by_remark
 from app.commands.review.zero import ZeroPlan, plan_zero
 from app.commands.rules.timeouts import longest_change_s, timeout_s_for
@@ -25,12 +25,10 @@ from app.web.deadline import Deadline
 from bus.contract import Result, SetLine, SetSpeed, UnitOutcome
 
 router = APIRouter(prefix="/line/zero", include_in_schema=False)
-Proof = tuple[str, str, Fate]
-"""A unit's name, what was asked of it, and its fate."""
 
 
 @router.get("")
-async def review_zero(person: Viewer, desk: Desks) -> Response:
+async def review_zero(person: Viewer, desk: Page) -> Response:
     """What setting the line to zero will do, and to whom; a bus in other hands is named as a whole. Who may
     only look is told so: the button stands in the same place of every page for everybody."""
     if not person.role.includes(SET_LINE.role):
@@ -58,7 +56,7 @@ def _longest_s(bus: BusLive, units: int) -> float:
     return longest_change_s(bus, units) + units * timeout_s_for(bus)
 
 
-def _plans(desk: Desktop) -> list[ZeroPlan]:
+def _plans(desk: PageContext) -> list[ZeroPlan]:
     now = time.time()
     return [
         plan_zero(bus, partial(desk.guards.block_reason, name), now) for name, bus in desk.live.buses.items()
@@ -68,7 +66,7 @@ def _plans(desk: Desktop) -> list[ZeroPlan]:
 @router.post("")
 async def set_zero(
     person: Annotated[Person, permitted(SET_LINE)],
-    desk: Desks,
+    desk: Page,
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[float, Form()],
 ) -> Response:
@@ -86,22 +84,22 @@ async def set_zero(
     return desk.render("line/_zero_done.html", title=title, proofs=proofs, fate=_in_all(desk, proofs))
 
 
-async def _zero_bus(person: Person, desk: Desktop, plan: ZeroPlan, id: str) -> list[Proof]:
+async def _zero_bus(person: Person, desk: PageContext, plan: ZeroPlan, id: str) -> list[ResultRow]:
     """What is left out comes first, with the reason."""
     left_out = [
         (
             _on_site(desk, plan.bus, name),
             "",
-            Fate("bad", f"{desk.voice.t('left out')}: {desk.remark(reason)}"),
+            OutcomeText("bad", f"{desk.voice.t('left out')}: {desk.remark(reason)}"),
         )
         for name, reason in plan.left_out
     ]
     return left_out + (await _zero_units(person, desk, plan, id) if plan.units else [])
 
 
-async def _zero_units(person: Person, desk: Desktop, plan: ZeroPlan, id: str) -> list[Proof]:
+async def _zero_units(person: Person, desk: PageContext, plan: ZeroPlan, id: str) -> list[ResultRow]:
     """All at once; then each alone that is not proven, unless the press itself came too late."""
-    action, told = SetLine(setpoints=dict.fromkeys(plan.units, 0)), _Told(person, desk, plan.bus, id)
+    action, told = SetLine(setpoints=dict.fromkeys(plan.units, 0)), _BusCommands(person, desk, plan.bus, id)
     live, units = desk.bus(plan.bus), len(plan.units)
     together = await told(action, "", desk.deadline(live, units))
     came_late = isinstance(together, Problem) and together.code == "not_sent"
@@ -120,10 +118,10 @@ async def _zero_units(person: Person, desk: Desktop, plan: ZeroPlan, id: str) ->
     return proofs
 
 
-class _Told:
+class _BusCommands:
     """Asks one bus on behalf of one press; what is refused before the wire is a fate as well."""
 
-    def __init__(self, person: Person, desk: Desktop, bus: str, id: str) -> None:
+    def __init__(self, person: Person, desk: PageContext, bus: str, id: str) -> None:
         self._person, self._desk, self._bus, self._id = person, desk, bus, f"{id}-{bus}"
 
     async def __call__(self, action: SetLine | SetSpeed, part: str, deadline: Deadline) -> Result | Problem:
@@ -133,22 +131,22 @@ class _Told:
             return problem
 
 
-def _on_site(desk: Desktop, bus: str, name: str) -> str:
+def _on_site(desk: PageContext, bus: str, name: str) -> str:
     """Two buses may each have a unit of that name."""
     return f"{bus} · {name}" if len(desk.live.buses) > 1 else name
 
 
-def _in_all(desk: Desktop, proofs: list[Proof]) -> Fate:
+def _in_all(desk: PageContext, proofs: list[ResultRow]) -> OutcomeText:
     at_zero = sum(fate.tone == "good" for _, _, fate in proofs)
     if proofs and at_zero == len(proofs):
         good = desk.voice.tn(
             "{n} unit took speed 0 and ramps down", "{n} units took speed 0 and ramp down", at_zero
         )
-        return Fate("good", good)
+        return OutcomeText("good", good)
     bad = desk.voice.tn(
         "the unit did not take speed 0: look at it",
         "{good} of {n} units took speed 0: look at the others",
         len(proofs),
         good=at_zero,
     )
-    return Fate("bad", bad)
+    return OutcomeText("bad", bad)

@@ -30,7 +30,7 @@ class Remark:
 
 
 @dataclass(frozen=True, slots=True)
-class Facts:
+class RiskInputs:
     """What is known of one unit at a moment. ``bits`` None: it has never responded. ``ramp`` None: the
     command starts none. ``block``: why commands to it are blocked, empty where they are not.
     ``above_display``: an engineer's limit allows the setpoint, and #2 does not."""
@@ -54,7 +54,7 @@ class Facts:
 class _Rule:
     code: str
     text: str
-    holds: Callable[[Facts], bool]
+    holds: Callable[[RiskInputs], bool]
     names: tuple[str, ...] = ()
 
 
@@ -113,10 +113,10 @@ def facts_of(
     block: str = "",
     ramp: Ramp | None = None,
     setpoint: int | None = None,
-) -> Facts:
+) -> RiskInputs:
     """``now``: seconds since the epoch. ``setpoint``: the new one, raw, where there is one."""
     reading = unit.reading
-    return Facts(
+    return RiskInputs(
         bus_is_open=bus.link.link == "open",
         link=unit_link_now(bus, unit, now),
         age_s=0.0 if reading is None else max(0.0, now - reading.at),
@@ -127,12 +127,12 @@ def facts_of(
     )
 
 
-def obstacle_of(facts: Facts) -> Remark | None:
+def obstacle_of(facts: RiskInputs) -> Remark | None:
     """Why the unit cannot take a command now; None where nothing is known against it."""
     return next(_remarks(_OBSTACLES, facts), None)
 
 
-def risks_of(facts: Facts) -> tuple[Remark, ...]:
+def risks_of(facts: RiskInputs) -> tuple[Remark, ...]:
     """What somebody might not expect of the unit."""
     return tuple(_remarks(_RISKS, facts))
 
@@ -145,7 +145,7 @@ def by_remark(said: Iterable[tuple[str, Remark]]) -> list[tuple[Remark, list[str
     return list(found.items())
 
 
-def _remarks(rules: Iterable[_Rule], facts: Facts) -> Iterator[Remark]:
+def _remarks(rules: Iterable[_Rule], facts: RiskInputs) -> Iterator[Remark]:
     params = facts.params
     for rule in rules:
         if rule.holds(facts):

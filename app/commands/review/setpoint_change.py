@@ -14,7 +14,7 @@ from app.live.state.bus_live import BusLive, UnitLive
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class SetpointChange:
     """Texts are as the unit shows them, in ``measure``. ``ramp`` None: it has none."""
 
     unit: int
@@ -33,12 +33,12 @@ class Change:
 
 def change_of(
     bus: BusLive, unit: UnitLive, new_raw: int, limits: Limits, now: float, *, block: str = ""
-) -> Change:
+) -> SetpointChange:
     """What setting ``new_raw`` means for a unit. ``block``: why commands to it are blocked, if they are."""
     old_raw, allowed = present_setpoint(bus, unit), setpoint_range(unit, limits)
     ramp = ramp_of(unit, old_raw, new_raw)
     facts = facts_of(bus, unit, now, block=block, ramp=ramp, setpoint=new_raw)
-    return Change(
+    return SetpointChange(
         unit=unit.settings.id,
         name=unit.settings.name,
         old_raw=old_raw,

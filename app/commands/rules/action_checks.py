@@ -6,7 +6,7 @@ is not set for the link are sent, and refused by the unit in its own words.
 
 from __future__ import annotations
 
-from app.commands.rules.objection import Circumstances, ObjectionError
+from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.safeguards.limits import HIGHEST_SETPOINT
 from app.live.state.bus_live import BusLive, UnitLive
 from bus.catalogue.parameter import IllegalValue, Parameter, check_writable_value
@@ -14,24 +14,25 @@ from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS, status_bits
 from bus.contract import ChangeBaud, SetLine, WriteAnalogOutput, WriteOutput, WriteParameter
 from bus.errors import CallerError
+from bus.messages import Message
 from bus.settings import BAUDS
 
 LOW_ANALOG_OUT, HIGH_ANALOG_OUT = 29, 30
 
 
-def check_line(action: SetLine, _: Circumstances) -> None:
+def check_line(action: SetLine, _: RuleContext) -> None:
     """It names at least one unit."""
     if not action.setpoints:
-        raise ObjectionError("invalid", "no setpoint is given: name at least one unit")
+        raise ObjectionError("invalid", Message("setpoints_missing"))
 
 
-def check_output(action: WriteOutput, _: Circumstances) -> None:
+def check_output(action: WriteOutput, _: RuleContext) -> None:
     """A unit has six."""
     if action.number not in OUTPUT_NUMBERS:
-        raise ObjectionError("invalid", "a unit has the auxiliary outputs 1 to 6", unit=action.unit)
+        raise ObjectionError("invalid", Message("no_such_output"), unit=action.unit)
 
 
-def check_analog_output(action: WriteAnalogOutput, now: Circumstances) -> None:
+def check_analog_output(action: WriteAnalogOutput, now: RuleContext) -> None:
     """#29 to #30, as far as they are known."""
     live = now.bus.units[action.unit]
     low, high = live.parameter_raw(LOW_ANALOG_OUT), live.parameter_raw(HIGH_ANALOG_OUT)
@@ -42,21 +43,22 @@ def check_analog_output(action: WriteAnalogOutput, now: Circumstances) -> None:
     nearest = min(max(action.raw, lowest), highest)
     raise ObjectionError(
         "invalid",
-        f"unit {action.unit}: the analog output takes {lowest} (0 V, #29) to {highest} (10 V, #30); "
-        f"the nearest is {nearest}",
+        Message.of(
+            "analog_output_outside", unit=action.unit, lowest=lowest, highest=highest, nearest=nearest
+        ),
         unit=action.unit,
         nearest=nearest,
     )
 
 
-def check_parameter(action: WriteParameter, now: Circumstances) -> None:
+def check_parameter(action: WriteParameter, now: RuleContext) -> None:
     """Its range and choices (manual, the parameter list), and what the unit allows now."""
     parameter = PARAMETERS.get(action.number)
     if parameter is None:
-        raise ObjectionError("invalid", "a unit has the parameters 1 to 40", unit=action.unit)
+        raise ObjectionError("invalid", Message("no_such_parameter"), unit=action.unit)
     _check_value(parameter, action)
     if parameter.not_while_running and _is_running(now.bus.units[action.unit], now.bus):
-        reason = f"#{parameter.number} {parameter.name} cannot be changed while the unit's run input is on"
+        reason = Message.of("parameter_not_while_running", number=parameter.number, called=parameter.name)
         raise ObjectionError("invalid", reason, unit=action.unit)
 
 
@@ -65,15 +67,15 @@ def _check_value(parameter: Parameter, action: WriteParameter) -> None:
         check_writable_value(parameter, action.raw)
     except CallerError as error:
         nearest = error.nearest if isinstance(error, IllegalValue) else None
-        raise ObjectionError("invalid", str(error), unit=action.unit, nearest=nearest) from error
+        raise ObjectionError("invalid", error.message, unit=action.unit, nearest=nearest) from error
 
 
-def check_baud(action: ChangeBaud, _: Circumstances) -> None:
+def check_baud(action: ChangeBaud, _: RuleContext) -> None:
     """One that a unit can be set to (#18)."""
     if action.baud not in BAUDS:
         nearest = min(BAUDS, key=lambda baud: abs(baud - action.baud))
         raise ObjectionError(
-            "invalid", f"a unit speaks at {', '.join(map(str, BAUDS))} baud", nearest=nearest
+            "invalid", Message.of("baud_unknown", rates=", ".join(map(str, BAUDS))), nearest=nearest
         )
 
 

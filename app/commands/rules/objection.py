@@ -2,42 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from app.commands.safeguards.blocks import Block
+from app.commands.safeguards.blocks import CommandBlock
 from app.commands.safeguards.limits import Limits
 from app.live.state.bus_live import BusLive
 from bus.errors import LinesideError
+from bus.messages import Message
 
 Code = Literal["invalid", "dangerous", "confirm_needed", "blocked"]
 
 
 class ObjectionError(LinesideError):
-    """A command that is not sent. The text is the reason; ``nearest`` the closest value that would do."""
+    """A command that is not sent. The message is the reason; ``nearest`` the closest value that would do."""
 
     def __init__(
         self,
         code: Code,
-        reason: str,
+        reason: Message,
         *,
-        params: Mapping[str, object] | None = None,
         unit: int | None = None,
         nearest: int | None = None,
     ) -> None:
-        super().__init__(reason, params=params)
+        super().__init__(reason)
         self.code = code
         self.unit = unit
         self.nearest = nearest
 
 
 @dataclass(frozen=True, slots=True)
-class Circumstances:
+class RuleContext:
     """What the rules look at. ``moved``: how far a unit's setpoint was moved within the last minute."""
 
     bus: BusLive
     limits: Callable[[int], Limits]
-    block: Callable[[int], Block | None]
+    block: Callable[[int], CommandBlock | None]
     moved: Callable[[int], int]
     confirm: bool = False

@@ -6,26 +6,25 @@ master's speed 0 is always allowed: no limit of ours may keep a line from being 
 
 from __future__ import annotations
 
-from app.commands.rules.objection import Circumstances, ObjectionError
+from collections.abc import Callable
+
+from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.rules.setpoint_range import Basis, SetpointKind, kind_of, setpoint_range
 from app.commands.safeguards.limits import Limits
 from app.live.state.bus_live import BusLive, UnitLive, follower
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_text, speed_text
+from bus.messages import Message, number
 
-_OUTSIDE: dict[Basis, str] = {
-    "protocol": "unit {unit}: {value} is outside {lowest} to {highest} (what the link can carry); "
-    "the nearest is {nearest}",
-    "display": "unit {unit}: {value} is outside {lowest} to {highest} (its maximum display value, #2); "
-    "the nearest is {nearest}",
-    "ratio": "unit {unit}: {value} is outside {lowest} to {highest} (its ratio limits, #38 and #31); "
-    "the nearest is {nearest}",
-    "limits": "unit {unit}: {value} is outside {lowest} to {highest} (the limits set for this unit); "
-    "the nearest is {nearest}",
+_OUTSIDE: dict[Basis, Callable[..., Message]] = {
+    "protocol": lambda **values: Message.of("setpoint_outside_protocol", **values),
+    "display": lambda **values: Message.of("setpoint_outside_display", **values),
+    "ratio": lambda **values: Message.of("setpoint_outside_ratio", **values),
+    "limits": lambda **values: Message.of("setpoint_outside_limits", **values),
 }
 
 
-def check_setpoint(unit: int, raw: int, now: Circumstances, kind: SetpointKind | None = None) -> None:
+def check_setpoint(unit: int, raw: int, now: RuleContext, kind: SetpointKind | None = None) -> None:
     """Raises ObjectionError for the first reason why ``raw`` is not sent.
 
     ``kind``: of the setpoint where it is not the unit's own, which is judged by its range alone.
@@ -54,9 +53,8 @@ def _check_range(live: UnitLive, raw: int, limits: Limits, kind: SetpointKind | 
         return
     unit, nearest = live.settings.id, allowed.nearest(raw)
     numbers = {"value": raw, "lowest": allowed.lowest, "highest": allowed.highest, "nearest": nearest}
-    params = {name: _text(live, number, allowed.kind) for name, number in numbers.items()}
-    reason = _OUTSIDE[allowed.basis]
-    raise ObjectionError("invalid", reason, params={"unit": unit, **params}, unit=unit, nearest=nearest)
+    shown = {name: number(_text(live, raw, allowed.kind)) for name, raw in numbers.items()}
+    raise ObjectionError("invalid", _OUTSIDE[allowed.basis](unit=unit, **shown), unit=unit, nearest=nearest)
 
 
 def _text(live: UnitLive, raw: int, kind: SetpointKind) -> str:
@@ -73,14 +71,16 @@ def _check_rate(unit: int, step: int | None, limits: Limits, moved: int) -> None
         return
     left = max(0, limits.per_minute - moved)
     if step > left:
-        allowed = f"the setpoint may move by {limits.per_minute} within a minute, of which {left} is left"
-        raise ObjectionError("invalid", f"unit {unit}: {allowed}; this would move it by {step}", unit=unit)
+        reason = Message.of("moves_too_far", unit=unit, most=limits.per_minute, left=left, step=step)
+        raise ObjectionError("invalid", reason, unit=unit)
 
 
 def _check_step(unit: int, step: int | None, limits: Limits) -> None:
     largest = limits.largest_step
     if largest is None or (step is not None and step <= largest):
         return
-    size = "of a size that cannot be known now" if step is None else f"of {step}"
-    reason = f"unit {unit}: a step {size} needs a review, because the largest without one is {largest}"
-    raise ObjectionError("confirm_needed", f"{reason}; confirm it", unit=unit)
+    if step is None:
+        reason = Message.of("unknown_step_needs_review", unit=unit, largest=largest)
+    else:
+        reason = Message.of("step_needs_review", unit=unit, size=step, largest=largest)
+    raise ObjectionError("confirm_needed", reason, unit=unit)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from bus.errors import LinesideError
+from bus.messages import Message
 
 LAPSES_AFTER_S = 600.0
 
@@ -27,7 +28,7 @@ class Holding:
 
 
 class ControlledError(LinesideError):
-    """Somebody else holds control; the text says who."""
+    """Somebody else holds control; the message says who."""
 
 
 class Control:
@@ -46,7 +47,7 @@ class Control:
         """Take control that nobody else holds. Raises ControlledError."""
         holding = self.holding(bus, now)
         if holding is not None and holding.holder != who:
-            raise ControlledError(f"{holding.holder} holds control; ask them to hand it over")
+            raise ControlledError(Message.of("control_held_by", who=holding.holder))
         since = holding.since if holding is not None else now
         self._holdings[bus] = Holding(who, since, now)
         return self._holdings[bus]
@@ -74,11 +75,11 @@ class Control:
             del self._holdings[bus]
         return held
 
-    def objection(self, bus: str, who: str, now: float) -> str:
-        """Why somebody may not write now; empty where they may."""
+    def objection(self, bus: str, who: str, now: float) -> Message | None:
+        """Why somebody may not write now; None where they may."""
         holding = self.holding(bus, now)
         if not self.required or (holding is not None and holding.holder == who):
-            return ""
+            return None
         return _who_holds(holding)
 
     def use(self, bus: str, who: str, now: float) -> None:
@@ -91,7 +92,7 @@ class Control:
             self._holdings[bus] = replace(holding, used_at=now)
 
 
-def _who_holds(holding: Holding | None) -> str:
+def _who_holds(holding: Holding | None) -> Message:
     if holding is None:
-        return "nobody holds control of this line; take it first"
-    return f"{holding.holder} holds control of this line"
+        return Message("control_not_taken")
+    return Message.of("control_held", who=holding.holder)

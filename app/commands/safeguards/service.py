@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Awaitable, Callable
 
-from app.audit.kinds import Kind
+from app.audit.kinds import EventKind
 from app.audit.log import EventLog
 from app.commands.authority import SessionEnds, Withdrawals
-from app.commands.safeguards.blocks import Block, BlockStore
+from app.commands.safeguards.blocks import BlockStore, CommandBlock
 from app.commands.safeguards.control import Control, ControlledError, Holding
 from app.commands.safeguards.limits import Limits, LimitsStore
 from app.database import Database
@@ -70,7 +70,7 @@ class Safeguards:
     async def block(self, person: Person, bus: str, unit: int, reason: str) -> None:
         """Refuse every write to a unit from now on."""
         before = self.blocks.of(bus, unit)
-        await self.blocks.put(bus, unit, Block(reason, person.name, self._now()))
+        await self.blocks.put(bus, unit, CommandBlock(reason, person.name, self._now()))
         self._tell_of_block(bus, unit)
         old = before.reason if before is not None else None
         await self._record("block", person, bus, unit, "unit blocked", old, reason)
@@ -156,7 +156,7 @@ class Safeguards:
 
     async def _record(
         self,
-        kind: Kind,
+        kind: EventKind,
         person: Person,
         bus: str,
         unit: int | None,

@@ -18,7 +18,7 @@ SECRET_DIFFERS = Message("secret_differs")
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class CommandRequest:
     """``deadline``: the last moment at which a frame that writes may leave."""
 
     id: str

@@ -17,15 +17,15 @@ from app.audit.log import EventLog
 from app.commands.authority import Authority, while_permitted
 from app.commands.catalogue import kind_of_command
 from app.commands.check import check
-from app.commands.rules.objection import Circumstances, ObjectionError
+from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.rules.setpoint import commanded_setpoint
 from app.commands.rules.setpoint_moves import Moves
 from app.commands.rules.setpoint_range import kind_of
 from app.commands.safeguards.control import ControlledError
 from app.commands.safeguards.service import Safeguards
-from app.commands.service.command_request import Wish, without_secret
+from app.commands.service.command_request import CommandRequest, without_secret
 from app.commands.service.prior_read import UnreadError, read_ranges
-from app.commands.service.record import Record
+from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.feed.channel import Channel, ProgressListener
@@ -36,7 +36,7 @@ from app.live.state.live_state import LiveState
 from app.web.access import Person
 from app.web.deadline import Deadline
 from bus.contract import Action, Command, Result
-from bus.messages import Message, term
+from bus.messages import Message
 
 REMEMBERED = 1000
 """Fates kept for whoever asks with the same id again."""
@@ -52,7 +52,7 @@ class WriteSubscriber(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
+class _KnownCommand:
     """A command that is under way or done."""
 
     bus: str
@@ -60,7 +60,7 @@ class _Kept:
     fate: asyncio.Task[Result]
 
 
-class Desk:
+class CommandService:
     """Takes wishes of people and programs for every bus."""
 
     def __init__(
@@ -75,12 +75,12 @@ class Desk:
     ) -> None:
         self._live = live
         self._channels = channels
-        self._record = Record(events, database, now)
+        self._record = CommandRecord(events, database, now)
         self._guards = guards
         self._rights = rights
         self._now = now
         self._moves = Moves()
-        self._kept: OrderedDict[tuple[str, str], _Kept] = OrderedDict()
+        self._kept: OrderedDict[tuple[str, str], _KnownCommand] = OrderedDict()
         """By sender and key."""
         self._under_way: set[asyncio.Task[Result]] = set()
         self._write_subscribers: list[WriteSubscriber] = []
@@ -128,7 +128,7 @@ class Desk:
         if kept is None:
             timeout_s = timeout_s or kind_of_command(action).timeout_s(action, live)
             deadline = deadline or Deadline.within(timeout_s)
-            wish = Wish(new_command_id(id), person, bus, action, deadline, origin, listener, id)
+            wish = CommandRequest(new_command_id(id), person, bus, action, deadline, origin, listener, id)
             try:
                 await self._check(wish, live, confirm)
             except UnreadError as unread:
@@ -138,7 +138,7 @@ class Desk:
         result = await asyncio.shield(kept.fate)
         return result if id is None else msgspec.structs.replace(result, id=id)
 
-    def _find(self, person: Person, key: str | None) -> _Kept | None:
+    def _find(self, person: Person, key: str | None) -> _KnownCommand | None:
         return None if key is None else self._kept.get((person.sender, key))
 
     async def reserve(self, bus: str) -> None:
@@ -166,7 +166,7 @@ class Desk:
             unit_or_404(self._live, bus, unit)
         self._object(person, bus, action, live, confirm)
 
-    async def _check(self, wish: Wish, live: BusLive, confirm: bool) -> None:
+    async def _check(self, wish: CommandRequest, live: BusLive, confirm: bool) -> None:
         async with self._rejection_recorded(wish, live):
             wish.deadline.refuse_passed()
             await self._rights.check(wish.person)
@@ -176,7 +176,7 @@ class Desk:
             self._object(wish.person, wish.bus, wish.action, live, confirm)
 
     @asynccontextmanager
-    async def _rejection_recorded(self, wish: Wish, live: BusLive) -> AsyncIterator[None]:
+    async def _rejection_recorded(self, wish: CommandRequest, live: BusLive) -> AsyncIterator[None]:
         """A write that a Problem ends before anything is sent is an event with its reason."""
         try:
             yield
@@ -201,8 +201,8 @@ class Desk:
                 409, "controlled", Message.of("nothing_sent", reason=error.message), outcome="controlled"
             ) from error
 
-    def _circumstances(self, bus: str, live: BusLive, confirm: bool) -> Circumstances:
-        return Circumstances(
+    def _circumstances(self, bus: str, live: BusLive, confirm: bool) -> RuleContext:
+        return RuleContext(
             bus=live,
             limits=partial(self._guards.limits.of, bus),
             block=partial(self._guards.blocks.of, bus),
@@ -210,7 +210,7 @@ class Desk:
             confirm=confirm,
         )
 
-    def _start(self, wish: Wish, live: BusLive) -> _Kept:
+    def _start(self, wish: CommandRequest, live: BusLive) -> _KnownCommand:
         already = self._find(wish.person, wish.key)
         if already is not None:
             return already
@@ -221,12 +221,12 @@ class Desk:
         fate = asyncio.create_task(self._follow(wish, live, steps, at), name=f"command {wish.id}")
         self._under_way.add(fate)
         fate.add_done_callback(self._under_way.discard)
-        kept = _Kept(wish.bus, wish.action, fate)
+        kept = _KnownCommand(wish.bus, wish.action, fate)
         if wish.key is not None:
             self._keep((wish.person.sender, wish.key), kept)
         return kept
 
-    def _keep(self, key: tuple[str, str], kept: _Kept) -> None:
+    def _keep(self, key: tuple[str, str], kept: _KnownCommand) -> None:
         self._kept[key] = kept
         while len(self._kept) > REMEMBERED and next(iter(self._kept.values())).fate.done():
             self._kept.popitem(last=False)
@@ -238,7 +238,7 @@ class Desk:
 
         kept.fate.add_done_callback(forget_failed)
 
-    async def _follow(self, wish: Wish, live: BusLive, steps: dict[int, int], at: float) -> Result:
+    async def _follow(self, wish: CommandRequest, live: BusLive, steps: dict[int, int], at: float) -> Result:
         """Carry it out; its steps, which were noted for ``at``, count no more when no unit acted."""
         acted = False
         try:
@@ -249,7 +249,7 @@ class Desk:
             for unit, step in () if acted else steps.items():
                 self._moves.take_back(wish.bus, unit, step, at)
 
-    async def _carry_out(self, wish: Wish, live: BusLive) -> Result:
+    async def _carry_out(self, wish: CommandRequest, live: BusLive) -> Result:
         kind = kind_of_command(wish.action)
         if not kind.is_event(wish.action):
             return await self._send(wish, live)
@@ -263,7 +263,7 @@ class Desk:
         await self._record.conclude(intent, wish, result)
         return result
 
-    async def _send(self, wish: Wish, live: BusLive) -> Result:
+    async def _send(self, wish: CommandRequest, live: BusLive) -> Result:
         if live.link.link == "closed":
             refusal = live.link.refusal
             return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=refusal)
@@ -281,7 +281,7 @@ class Desk:
             lambda: channel.cancel(wish.id),
         )
 
-    async def _why_no_longer(self, wish: Wish, live: BusLive) -> Message | None:
+    async def _why_no_longer(self, wish: CommandRequest, live: BusLive) -> Message | None:
         """Why a command must not be sent, or be given up; None while it may go on. A store that cannot be
         read now ends nothing that is half done."""
         try:
@@ -296,8 +296,7 @@ class Desk:
             block = self._guards.blocks.of(wish.bus, unit)
             if block is not None:
                 return Message.of("unit_blocked", unit=unit, who=block.set_by, reason=block.reason)
-        objection = self._guards.control.objection(wish.bus, wish.person.account, self._now())
-        return term(objection) if objection else None
+        return self._guards.control.objection(wish.bus, wish.person.account, self._now())
 
 
 def _refuse_other(id: str | None, same: bool) -> None:

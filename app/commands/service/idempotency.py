@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import msgspec
 
 from app.audit.keyring import KeyRing
-from app.commands.service.command_request import Wish
+from app.commands.service.command_request import CommandRequest
 from bus.contract import Action, Result
 from bus.messages import Message, term
 
@@ -59,7 +59,7 @@ def _parts(bus: str, action: Action) -> tuple[str, str]:
     return json.dumps(bus), json.dumps(asked, sort_keys=True)
 
 
-def begin(connection: sqlite3.Connection, wish: Wish, ring: KeyRing, now: float) -> None:
+def begin(connection: sqlite3.Connection, wish: CommandRequest, ring: KeyRing, now: float) -> None:
     """The result of a command with a key is open from here on. Raises sqlite3.IntegrityError for a key that
     its sender has used."""
     if wish.key is None:
@@ -70,7 +70,7 @@ def begin(connection: sqlite3.Connection, wish: Wish, ring: KeyRing, now: float)
     connection.execute(_INSERT, (sender, wish.key, now, digest(ring, wish.bus, wish.action)))
 
 
-def end(connection: sqlite3.Connection, wish: Wish, result: Result) -> None:
+def end(connection: sqlite3.Connection, wish: CommandRequest, result: Result) -> None:
     """Its result, without the frames, which are in the events."""
     if wish.key is None:
         return

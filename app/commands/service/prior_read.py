@@ -30,14 +30,14 @@ class UnreadError(Problem):
         return Result(id, at, outcome, self.message, units=parts)
 
 
-class Ask(Protocol):
+class CommandSender(Protocol):
     """How a read is asked for."""
 
     async def __call__(self, person: Person, bus: str, action: Action, *, deadline: Deadline) -> Result: ...
 
 
 async def read_first(
-    ask: Ask, person: Person, bus: str, unit: int, numbers: Sequence[int], deadline: Deadline
+    ask: CommandSender, person: Person, bus: str, unit: int, numbers: Sequence[int], deadline: Deadline
 ) -> dict[int, int | None]:
     """The raw value of each, None where the unit does not have it.
 
@@ -54,7 +54,7 @@ async def read_first(
 
 
 async def read_ranges(
-    ask: Ask,
+    ask: CommandSender,
     person: Person,
     live: BusLive,
     action: Action,
@@ -87,9 +87,7 @@ def _unread(unit: int, numbers: Sequence[int]) -> UnreadError:
     return UnreadError(
         504,
         "unverified",
-        "unit {unit} did not give {numbers}, without which the command cannot be judged; nothing was sent. "
-        "Check its power and the cable",
-        params={"unit": unit, "numbers": ", ".join(f"#{number}" for number in numbers)},
+        Message.of("unit_gave_too_little", unit=unit, numbers=[f"#{number}" for number in numbers]),
         outcome="unverified",
         unit=unit,
     )

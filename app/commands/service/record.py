@@ -17,7 +17,7 @@ from app.audit.groups import link_parts
 from app.audit.log import EventLog
 from app.commands.catalogue import kind_of_command
 from app.commands.service import idempotency
-from app.commands.service.command_request import Wish
+from app.commands.service.command_request import CommandRequest
 from app.commands.wording import Wording
 from app.database import Database
 from app.errors import Problem, StoreError
@@ -36,7 +36,7 @@ class Intent:
     parts: dict[int, int]
 
 
-class Record:
+class CommandRecord:
     """Writes commands into the events, and their ids beside them."""
 
     def __init__(self, events: EventLog, database: Database, now: Callable[[], float]) -> None:
@@ -52,7 +52,7 @@ class Record:
         """Whether ``earlier`` is this command."""
         return idempotency.is_digest_of(earlier.command, self._events.keys.ring, bus, action)
 
-    async def intend(self, wish: Wish, live: BusLive) -> Intent:
+    async def intend(self, wish: CommandRequest, live: BusLive) -> Intent:
         """On disk when this returns. Raises StoreError, and then nothing may be sent."""
         kind = kind_of_command(wish.action)
         by_unit = kind.part_wordings(wish.action, live)
@@ -67,7 +67,7 @@ class Record:
         event, *others = await self._events.intend_together([whole, *parts], remember)
         return Intent(event, dict(zip(by_unit, others, strict=True)))
 
-    async def conclude(self, intent: Intent, wish: Wish, result: Result) -> None:
+    async def conclude(self, intent: Intent, wish: CommandRequest, result: Result) -> None:
         """The fate of what was intended. A store that fails now changes nothing of the fate."""
         try:
             if intent.parts:
@@ -78,13 +78,13 @@ class Record:
         except StoreError as error:
             log.error("fate not stored", command=wish.id, outcome=result.outcome, error=str(error))
 
-    async def reject(self, wish: Wish, live: BusLive, problem: Problem) -> None:
+    async def reject(self, wish: CommandRequest, live: BusLive, problem: Problem) -> None:
         """A wish that was not sent, with the reason."""
         entry = _entry(wish, wish.unit, kind_of_command(wish.action).wording(wish.action, live))
         await self._events.record(kind="command", **entry, outcome=problem.code, message=problem.detail)
 
 
-def _entry(wish: Wish, unit: int | None, words: Wording) -> dict[str, Any]:
+def _entry(wish: CommandRequest, unit: int | None, words: Wording) -> dict[str, Any]:
     return {
         "who": wish.person.name,
         "origin": f"{wish.origin}, token" if wish.person.via == "token" else wish.origin,

@@ -13,11 +13,11 @@ from fastapi import Depends
 from starlette.requests import HTTPConnection
 
 from app.commands.catalogue import CommandKind
-from app.commands.service.command_service import Desk
+from app.commands.service.command_service import CommandService
 from app.web.access import Person, Requires
 from app.web.services import service, service_of
 
-AskDesk = Annotated[Desk, service(Desk)]
+Commands = Annotated[CommandService, service(CommandService)]
 """The way to the wire."""
 
 
@@ -31,7 +31,7 @@ class _Writes(Requires):
     async def __call__(self, connection: HTTPConnection) -> Person:
         person = self.permitted(connection)
         if "bus" in connection.path_params:
-            await service_of(connection, Desk).reserve(connection.path_params["bus"])
+            await service_of(connection, CommandService).reserve(connection.path_params["bus"])
         return person
 
 

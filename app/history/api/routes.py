@@ -27,9 +27,9 @@ from app.history.api.spans import (
     questions,
 )
 from app.history.export import download
-from app.history.export.download import Format, Resolution
+from app.history.export.download import ExportResolution, Format
 from app.history.query import labels
-from app.history.query.query import Answer, Question
+from app.history.query.query import QueryResult, SeriesQuery
 from app.history.series.runs import SECOND
 from app.history.service import seconds
 from app.web.access import Viewer
@@ -41,7 +41,7 @@ from bus.messages import Message
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
 SPARK_POINTS = 120
 MOST_SPARKS = 255
-Times = Annotated[Literal["iso", "epoch"], Query(alias="format")]
+TimeFormat = Annotated[Literal["iso", "epoch"], Query(alias="format")]
 
 
 def iso(at: int) -> str:
@@ -49,7 +49,7 @@ def iso(at: int) -> str:
     return datetime.fromtimestamp(at / SECOND, UTC).isoformat(timespec="milliseconds")
 
 
-def shown(asked: Question, found: Answer, times: str) -> dict[str, Any]:
+def shown(asked: SeriesQuery, found: QueryResult, times: str) -> dict[str, Any]:
     """An answer as the API gives it."""
     unit = labels.unit_settings(asked.bus, asked.unit)
     at: list[Any] = [seconds(t) if times == "epoch" else iso(t) for t in found.series.at]
@@ -85,7 +85,7 @@ async def get_history(
     bus: str,
     unit: int,
     value: str,
-    times: Times = "iso",
+    times: TimeFormat = "iso",
 ) -> Response:
     """One value of one unit over a span, in at most ``points`` (1 to 20 000, else 1000) points.
 
@@ -106,7 +106,7 @@ async def get_series(
     span: SpanOf,
     points: PointsOf,
     series: Annotated[list[str], Query()],
-    times: Times = "iso",
+    times: TimeFormat = "iso",
 ) -> Response:
     """Several values at once, each named ``bus/unit/value`` (1 to 32): a list of what GET /history gives."""
     asked = questions(history, series, span, points)
@@ -127,7 +127,7 @@ async def get_sparks(
     return await json_response(lambda: {name: _small(a) for name, a in zip(series, found, strict=True)})
 
 
-def _small(found: Answer) -> dict[str, Any]:
+def _small(found: QueryResult) -> dict[str, Any]:
     return {"t": [seconds(t) for t in found.series.at], "avg": found.series.average}
 
 
@@ -165,7 +165,7 @@ async def get_export(
     span: SpanOf,
     series: Annotated[list[str], Query()],
     file: Annotated[Format, Query(alias="format")] = "csv",
-    resolution: Resolution = "auto",
+    resolution: ExportResolution = "auto",
 ) -> StreamingResponse:
     """CSV or Parquet of any span, streamed: ``series`` as often as wanted, each ``bus/unit/value``.
 

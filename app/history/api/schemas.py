@@ -8,11 +8,11 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.history.query.query import Resolution
-from app.history.status import State
+from app.history.status import StoreState
 from app.web.schema_problem import problems
 
 Column = Annotated[list[float | None], Field(description="In display units; null: a gap.")]
-Times = Annotated[
+TimeList = Annotated[
     list[str | float], Field(description="ISO 8601 in UTC, or with format=epoch seconds since 1970.")
 ]
 
@@ -28,7 +28,7 @@ SeriesShown = TypedDict(
         "to": Annotated[str, Field(description="End of the span, ISO 8601 in UTC.")],
         "resolution": Resolution,
         "bucket_s": Annotated[float, Field(description="Seconds that a point stands for; 0: one reading.")],
-        "t": Times,
+        "t": TimeList,
         "min": Column,
         "max": Column,
         "avg": Column,
@@ -78,7 +78,7 @@ class StatusShown(TypedDict):
     """How the history is."""
 
     state: Annotated[
-        State, Field(description="low, scarce: the disk is short; paused, failed: nothing is stored.")
+        StoreState, Field(description="low, scarce: the disk is short; paused, failed: nothing is stored.")
     ]
     message: Annotated[str, Field(description="What to do; empty: nothing.")]
     cause: Annotated[str, Field(description="Why the store cannot be used; empty while it can.")]

@@ -11,7 +11,7 @@ from typing import Annotated
 from fastapi import Depends, Query
 
 from app.errors import Problem
-from app.history.query.query import Question
+from app.history.query.query import SeriesQuery
 from app.history.series.runs import HOUR, SECOND
 from app.history.series.values import VALUES
 from app.history.service import History
@@ -90,17 +90,17 @@ async def wanted_points(points: int = 1000) -> int:
 PointsOf = Annotated[int, Depends(wanted_points)]
 
 
-def question(history: History, bus: str, unit: int, value: str, span: Span, most: int) -> Question:
+def question(history: History, bus: str, unit: int, value: str, span: Span, most: int) -> SeriesQuery:
     """One value of one unit. Raises Problem 404 for a bus or unit, 422 for a value that there is not."""
     settings = _bus(history, bus)
     if all(known.id != unit for known in settings.unit):
         raise unknown_unit(bus, unit)
     if value not in VALUES:
         raise Problem(422, "invalid", Message.of("no_such_value", value=value, known=", ".join(VALUES)))
-    return Question(settings, unit, VALUES[value], span.start, span.end, most)
+    return SeriesQuery(settings, unit, VALUES[value], span.start, span.end, most)
 
 
-def named_question(history: History, name: str, span: Span, most: int) -> Question:
+def named_question(history: History, name: str, span: Span, most: int) -> SeriesQuery:
     """The same from ``bus/unit/value``, as the trends page writes it."""
     bus, _, rest = name.partition("/")
     unit, _, value = rest.partition("/")
@@ -110,7 +110,7 @@ def named_question(history: History, name: str, span: Span, most: int) -> Questi
     return question(history, bus, number, value, span, most)
 
 
-def questions(history: History, names: list[str], span: Span, most: int) -> list[Question]:
+def questions(history: History, names: list[str], span: Span, most: int) -> list[SeriesQuery]:
     """Several. Raises Problem."""
     if not 1 <= len(names) <= MOST_SERIES:
         raise Problem(422, "invalid", Message.of("series_count", most=MOST_SERIES, count=len(names)))

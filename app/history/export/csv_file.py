@@ -9,11 +9,11 @@ from collections.abc import AsyncIterator, Sequence
 from datetime import datetime, tzinfo
 from zoneinfo import ZoneInfo
 
-from app.history.export.rows import Cell, Row, Table
+from app.history.export.rows import Cell, ExportRow, Table
 from app.history.series.runs import SECOND
 
 
-async def stream(table: Table, pieces: AsyncIterator[list[Row]]) -> AsyncIterator[str]:
+async def stream(table: Table, pieces: AsyncIterator[list[ExportRow]]) -> AsyncIterator[str]:
     """Text, piece by piece. Times are ISO 8601 with the offset of the site's time zone."""
     site = ZoneInfo(table.time_zone)
     yield lines([[f"time [{site}]", *table.columns, "note"]])
@@ -21,11 +21,11 @@ async def stream(table: Table, pieces: AsyncIterator[list[Row]]) -> AsyncIterato
         yield await asyncio.to_thread(_text_of, rows, site)
 
 
-def _text_of(rows: Sequence[Row], site: tzinfo) -> str:
+def _text_of(rows: Sequence[ExportRow], site: tzinfo) -> str:
     return lines([_line(row, site) for row in rows])
 
 
-def _line(row: Row, site: tzinfo) -> list[str]:
+def _line(row: ExportRow, site: tzinfo) -> list[str]:
     at = datetime.fromtimestamp(row.at / SECOND, site).isoformat(timespec="milliseconds")
     return [at, *map(_text, row.cells), row.note]
 

@@ -13,18 +13,18 @@ from app.errors import Problem
 from app.history.export import csv_file, parquet_file
 from app.history.export.rows import Fineness, Table, pieces
 from app.history.intake.tail import Tail
-from app.history.query.query import Question, has_raw
+from app.history.query.query import SeriesQuery, has_raw
 from app.history.series.runs import SECOND
 from app.history.service import History
 from app.history.store import tables
 from bus.messages import Message
 
 Format = Literal["csv", "parquet"]
-Resolution = Literal["auto", "readings", "minutes", "hours"]
+ExportResolution = Literal["auto", "readings", "minutes", "hours"]
 
 
 async def response(
-    history: History, asked: Sequence[Question], file: Format, resolution: Resolution
+    history: History, asked: Sequence[SeriesQuery], file: Format, resolution: ExportResolution
 ) -> StreamingResponse:
     """Streamed, so that it takes no more memory for a year. Raises StoreError or Problem before it begins."""
     if file == "parquet" and not parquet_file.is_available():
@@ -44,11 +44,11 @@ def _stamp(at: int, table: Table) -> str:
     return datetime.fromtimestamp(at / SECOND, ZoneInfo(table.time_zone)).strftime("%Y%m%dT%H%M%S")
 
 
-async def _fineness(history: History, asked: Sequence[Question], resolution: Resolution) -> Fineness:
+async def _fineness(history: History, asked: Sequence[SeriesQuery], resolution: ExportResolution) -> Fineness:
     if resolution != "auto":
         return resolution
 
-    def all_raw(connection: tables.Connection, _tail: Tail) -> bool:
+    def all_raw(connection: tables.StoreConnection, _tail: Tail) -> bool:
         keys = [tables.find_unit(connection, q.bus.name, q.unit) for q in asked]
         return all(has_raw(connection, key, asked[0].start) for key in keys if key is not None)
 

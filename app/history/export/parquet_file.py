@@ -11,7 +11,7 @@ import io
 from collections.abc import AsyncIterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from app.history.export.rows import Row, Table
+from app.history.export.rows import ExportRow, Table
 
 if TYPE_CHECKING:
     import pyarrow
@@ -25,7 +25,7 @@ def is_available() -> bool:
     return importlib.util.find_spec("pyarrow") is not None
 
 
-async def stream(table: Table, pieces: AsyncIterator[list[Row]]) -> AsyncIterator[bytes]:
+async def stream(table: Table, pieces: AsyncIterator[list[ExportRow]]) -> AsyncIterator[bytes]:
     """Bytes, row group by row group."""
     import pyarrow
     from pyarrow import parquet
@@ -33,7 +33,7 @@ async def stream(table: Table, pieces: AsyncIterator[list[Row]]) -> AsyncIterato
     schema = _schema(pyarrow, table)
     sink = _Sink()
     with parquet.ParquetWriter(sink, schema, compression="zstd") as writer:
-        waiting: list[Row] = []
+        waiting: list[ExportRow] = []
         async for rows in pieces:
             waiting += rows
             if len(waiting) >= GROUP_ROWS:
@@ -52,11 +52,11 @@ def _schema(arrow: Any, table: Table) -> pyarrow.Schema:
     return arrow.schema(fields, metadata={"time_zone": table.time_zone, "resolution": table.fineness})
 
 
-def _write(arrow: Any, writer: Any, rows: Sequence[Row]) -> None:
+def _write(arrow: Any, writer: Any, rows: Sequence[ExportRow]) -> None:
     writer.write_table(_table(arrow, writer.schema, rows))
 
 
-def _table(arrow: Any, schema: pyarrow.Schema, rows: Sequence[Row]) -> pyarrow.Table:
+def _table(arrow: Any, schema: pyarrow.Schema, rows: Sequence[ExportRow]) -> pyarrow.Table:
     cells = zip(*(row.cells for row in rows), strict=True)
     columns: list[Sequence[Any]] = [
         [row.at for row in rows],

@@ -17,13 +17,13 @@ from typing import Literal, NamedTuple
 from app.history.intake.tail import Tail
 from app.history.intake.updates import BUS
 from app.history.query import labels, unit_history
-from app.history.query.query import Question, scale_of
+from app.history.query.query import SeriesQuery, scale_of
 from app.history.series.gaps import holes, usual_interval
 from app.history.series.runs import DAY, HOUR, SECOND, Run
-from app.history.series.scaling import Scale
+from app.history.series.scaling import LinearScale
 from app.history.service import History
 from app.history.store import tables
-from app.history.store.damage import Block
+from app.history.store.damage import BlockKey
 
 Fineness = Literal["readings", "minutes", "hours"]
 PIECE: dict[Fineness, int] = {"readings": HOUR, "minutes": 7 * DAY, "hours": 90 * DAY}
@@ -37,7 +37,7 @@ class Cell(NamedTuple):
     decimals: int | None
 
 
-class Row(NamedTuple):
+class ExportRow(NamedTuple):
     """An instant (µs), a cell for each column (None: nothing said then), a note."""
 
     at: int
@@ -49,7 +49,7 @@ class Row(NamedTuple):
 class Table:
     """What an export holds: its columns, and how fine it is."""
 
-    questions: Sequence[Question]
+    questions: Sequence[SeriesQuery]
     fineness: Fineness
     time_zone: str
 
@@ -60,16 +60,16 @@ class Table:
         return [f"{_name(q)}{part}{_measure(q)}" for q in self.questions for part in parts]
 
 
-def _name(question: Question) -> str:
+def _name(question: SeriesQuery) -> str:
     return f"{question.bus.name}/{question.unit} {question.value.name}"
 
 
-def _measure(question: Question) -> str:
+def _measure(question: SeriesQuery) -> str:
     measure = labels.measure(labels.unit_settings(question.bus, question.unit), question.value)
     return f" [{measure}]" if measure else ""
 
 
-async def pieces(history: History, table: Table) -> AsyncIterator[list[Row]]:
+async def pieces(history: History, table: Table) -> AsyncIterator[list[ExportRow]]:
     """All rows in order of time, piece by piece; each piece is its own short read of the store."""
     start, end, step = table.questions[0].start, table.questions[0].end, PIECE[table.fineness]
     begun, ended = await history.read(lambda c, _: _extent(c))
@@ -78,14 +78,14 @@ async def pieces(history: History, table: Table) -> AsyncIterator[list[Row]]:
     while since < end:
         until = min(end, since - since % step + step)
         part = [replace(q, start=since, end=until) for q in table.questions]
-        damaged: list[Block] = []
+        damaged: list[BlockKey] = []
         read = partial(_rows, table=table, part=part, heard=heard, damaged=damaged)
         yield await history.read(read)
         history.report(damaged)
         since = until
 
 
-def _extent(connection: tables.Connection) -> tuple[int, int]:
+def _extent(connection: tables.StoreConnection) -> tuple[int, int]:
     """From when to when anything can be kept, µs: the tail's minutes are not in the store yet."""
     now = round(time.time() * SECOND)
     first, last = tables.extent(connection) or (now - DAY, now)
@@ -93,14 +93,14 @@ def _extent(connection: tables.Connection) -> tuple[int, int]:
 
 
 def _rows(
-    connection: tables.Connection,
+    connection: tables.StoreConnection,
     tail: Tail,
     table: Table,
-    part: Sequence[Question],
+    part: Sequence[SeriesQuery],
     heard: dict[tuple[str, int], int],
-    damaged: list[Block],
-) -> list[Row]:
-    rows: list[Row] = []
+    damaged: list[BlockKey],
+) -> list[ExportRow]:
+    rows: list[ExportRow] = []
     numbered = list(enumerate(part))
     by_unit = sorted(numbered, key=lambda item: (item[1].bus.name, item[1].unit))
     with tables.standing_still(connection):
@@ -109,7 +109,9 @@ def _rows(
             key = tables.find_unit(connection, *unit)
             if key is None:
                 continue
-            source = unit_history.Source(connection, key, tail.runs(key, part[0].start, part[0].end), damaged)
+            source = unit_history.StoredUnit(
+                connection, key, tail.runs(key, part[0].start, part[0].end), damaged
+            )
             if table.fineness == "readings":
                 rows += _reading_rows(source, wanted, len(part), heard)
             else:
@@ -119,11 +121,11 @@ def _rows(
 
 
 def _reading_rows(
-    source: unit_history.Source,
-    wanted: Sequence[tuple[int, Question]],
+    source: unit_history.StoredUnit,
+    wanted: Sequence[tuple[int, SeriesQuery]],
     width: int,
     heard: dict[tuple[str, int], int],
-) -> Iterator[Row]:
+) -> Iterator[ExportRow]:
     first = wanted[0][1]
     unit = (first.bus.name, first.unit)
     runs = unit_history.runs_between(source, first.start, first.end)
@@ -133,18 +135,18 @@ def _reading_rows(
     scales = {place: scale_of(source, question) for place, question in wanted}
     for position, run in enumerate(runs):
         if position in silent:
-            yield Row(silent[position], (None,) * width, f"no readings of {unit[0]}/{unit[1]}")
+            yield ExportRow(silent[position], (None,) * width, f"no readings of {unit[0]}/{unit[1]}")
         cells: list[Cell | None] = [None] * width
         for place, question in wanted:
             cells[place] = _cell(question, run, scales[place].at(run.at))
-        yield Row(run.at, tuple(cells))
+        yield ExportRow(run.at, tuple(cells))
         if run.until > run.at:
-            yield Row(run.until, tuple(cells))
+            yield ExportRow(run.until, tuple(cells))
     heard[unit] = runs[-1].until
 
 
 def _silences(
-    source: unit_history.Source, question: Question, before: int | None, runs: Sequence[Run]
+    source: unit_history.StoredUnit, question: SeriesQuery, before: int | None, runs: Sequence[Run]
 ) -> dict[int, int]:
     """Before which runs there is a hole, and from when."""
     ends = ([] if before is None else [before, before]) + [t for run in runs for t in (run.at, run.until)]
@@ -156,7 +158,7 @@ def _silences(
     return {(i + 1) // 2 - offset: ends[i] + 1 for i in holes(ends, marks, usual) if i % 2}
 
 
-def _cell(question: Question, run: Run, scale: Scale) -> Cell:
+def _cell(question: SeriesQuery, run: Run, scale: LinearScale) -> Cell:
     raw: int = getattr(run, question.value.column)
     if question.value.bit >= 0:
         raw = raw >> question.value.bit & 1
@@ -164,11 +166,11 @@ def _cell(question: Question, run: Run, scale: Scale) -> Cell:
 
 
 def _rollup_rows(
-    source: unit_history.Source,
-    wanted: Sequence[tuple[int, Question]],
+    source: unit_history.StoredUnit,
+    wanted: Sequence[tuple[int, SeriesQuery]],
     width: int,
     fineness: Literal["minutes", "hours"],
-) -> Iterator[Row]:
+) -> Iterator[ExportRow]:
     for place, question in wanted:
         points = unit_history.rollups(source, fineness, question.value, question.start, question.end)
         scales = scale_of(source, question)
@@ -180,16 +182,16 @@ def _rollup_rows(
             cells[3 * place] = Cell(low, scale.decimals)
             cells[3 * place + 1] = Cell(high, scale.decimals)
             cells[3 * place + 2] = Cell(round(scale.apply(total / weight), 6), None)
-            yield Row(at, tuple(cells))
+            yield ExportRow(at, tuple(cells))
 
 
-def _together(rows: Sequence[Row]) -> list[Row]:
+def _together(rows: Sequence[ExportRow]) -> list[ExportRow]:
     """Rows of the same instant as one."""
-    result: list[Row] = []
+    result: list[ExportRow] = []
     for at, group in groupby(rows, key=lambda row: row.at):
         cells = [
             next((cell for cell in column if cell is not None), None)
             for column in zip(*(row.cells for row in group), strict=True)
         ]
-        result.append(Row(at, tuple(cells)))
+        result.append(ExportRow(at, tuple(cells)))
     return result

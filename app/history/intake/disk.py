@@ -10,7 +10,7 @@ _MB = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Reserve:
+class DiskReserve:
     """Free bytes below which each thing happens."""
 
     announce: int = 2_000 * _MB
@@ -21,7 +21,7 @@ class Reserve:
     """Write no history at all: what is left belongs to the events."""
 
 
-def space(free: int, reserve: Reserve) -> Space:
+def space(free: int, reserve: DiskReserve) -> Space:
     """What so many free bytes mean."""
     if free < reserve.pause:
         return "none"

@@ -15,7 +15,7 @@ from app.history.store import tables
 
 
 def fold(
-    connection: tables.Connection, unit: int, buses: Sequence[int], minute: int, runs: list[Run]
+    connection: tables.StoreConnection, unit: int, buses: Sequence[int], minute: int, runs: list[Run]
 ) -> None:
     """One minute of one unit into its block, its rollups and its bits. ``buses``: its port's key."""
     block = tables.raw_block(connection, unit, minute)
@@ -27,14 +27,14 @@ def fold(
     _bits(connection, [unit, *buses], minute, of_minute)
 
 
-def compact(connection: tables.Connection, unit: int, hour: int) -> None:
+def compact(connection: tables.StoreConnection, unit: int, hour: int) -> None:
     """The minutes of one unit and hour as one block: fewer rows, and better packed."""
     runs = merge((), tables.raw_minutes(connection, unit, hour))
     if runs:
         tables.write_raw(connection, unit, hour, HOUR, runs)
 
 
-def _roll_up(connection: tables.Connection, unit: int, minute: int, runs: Sequence[Run]) -> None:
+def _roll_up(connection: tables.StoreConnection, unit: int, minute: int, runs: Sequence[Run]) -> None:
     hour = minute - minute % HOUR
     minutes = tables.rollup_row(connection, "minutes", unit, hour)
     minutes = replace_row(minutes, rollup(runs, minute))
@@ -44,7 +44,7 @@ def _roll_up(connection: tables.Connection, unit: int, minute: int, runs: Sequen
     tables.write_rollups(connection, "hours", unit, day, replace_row(hours, combine(minutes, hour)))
 
 
-def _bits(connection: tables.Connection, units: Sequence[int], minute: int, runs: Sequence[Run]) -> None:
+def _bits(connection: tables.StoreConnection, units: Sequence[int], minute: int, runs: Sequence[Run]) -> None:
     stored = tables.bits_around(connection, units[0], minute, minute + MINUTE)
     if not stored:
         since, until = minute, minute + MINUTE

@@ -68,7 +68,7 @@ class Recorder:
     def commit(self, deliveries: Sequence[Delivery]) -> None:
         """These are on disk when this returns. Raises StoreError; then nothing of them is."""
 
-        def write(connection: tables.Connection) -> Taken:
+        def write(connection: tables.StoreConnection) -> Taken:
             return self._intake.write(connection, deliveries)
 
         try:
@@ -113,7 +113,7 @@ class Recorder:
         last = len(keys) == len(self._folding)
         kept: list[tuple[int, Run]] = []
 
-        def write(connection: tables.Connection) -> None:
+        def write(connection: tables.StoreConnection) -> None:
             buses = self._intake.bus_keys(connection)
             given_up = tables.raw_from(connection)
             for unit, minute in keys:

@@ -40,7 +40,7 @@ class Intake:
         self._links: dict[int, tuple[int, str]] = {}
         self._parameters: dict[int, dict[int, ParameterStep]] = {}
 
-    def write(self, connection: tables.Connection, deliveries: Iterable[Delivery]) -> Taken:
+    def write(self, connection: tables.StoreConnection, deliveries: Iterable[Delivery]) -> Taken:
         """Everything of these deliveries that belongs to history, into this transaction."""
         taken = Taken()
         for bus, updates in deliveries:
@@ -60,14 +60,14 @@ class Intake:
         self._tail.silence(taken.lost)
         self._tail.add(taken.rows)
 
-    def key(self, connection: tables.Connection, bus: str, number: int) -> int:
+    def key(self, connection: tables.StoreConnection, bus: str, number: int) -> int:
         """The key of a unit, or of a bus as number 0."""
         known = self._keys.get((bus, number))
         if known is None:
             known = self._keys[bus, number] = tables.unit_id(connection, bus, number)
         return known
 
-    def bus_keys(self, connection: tables.Connection) -> dict[int, int]:
+    def bus_keys(self, connection: tables.StoreConnection) -> dict[int, int]:
         """For each unit's key, that of its bus."""
         rows = connection.execute(
             "SELECT unit.id, line.id FROM unit JOIN unit AS line ON line.bus = unit.bus AND line.number = 0"
@@ -75,7 +75,7 @@ class Intake:
         return dict(rows.fetchall())
 
     def _write_link(
-        self, connection: tables.Connection, bus: str, update: UnitLink | BusLink, taken: Taken
+        self, connection: tables.StoreConnection, bus: str, update: UnitLink | BusLink, taken: Taken
     ) -> None:
         key = self.key(connection, bus, update.unit if isinstance(update, UnitLink) else BUS)
         at = micros(update.at)
@@ -89,7 +89,7 @@ class Intake:
             units = tables.units_of(connection, bus) if isinstance(update, BusLink) else [key]
             taken.lost += [(unit, at) for unit in units]
 
-    def _write_parameter(self, connection: tables.Connection, bus: str, update: ParameterValue) -> None:
+    def _write_parameter(self, connection: tables.StoreConnection, bus: str, update: ParameterValue) -> None:
         if update.number not in DECIDING or update.raw is None:
             return
         key = self.key(connection, bus, update.unit)

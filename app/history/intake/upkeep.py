@@ -10,7 +10,7 @@ from pathlib import Path
 
 from app.database.connection import Database
 from app.database.private import make_file, make_folder
-from app.history.intake.disk import Reserve, Space, space
+from app.history.intake.disk import DiskReserve, Space, space
 from app.history.intake.folding import compact
 from app.history.series.runs import DAY, HOUR, MINUTE
 from app.history.store import tables
@@ -32,7 +32,7 @@ class Keep:
 
     raw_days: int = 30
     years: int = 10
-    reserve: Reserve = field(default_factory=Reserve)
+    reserve: DiskReserve = field(default_factory=DiskReserve)
 
 
 class Upkeep:
@@ -91,7 +91,7 @@ class Upkeep:
             self._database.write_now(lambda c: c.execute(_VACUUM).fetchall())
 
     def _give_up_before(self, horizon: int) -> None:
-        def move(connection: tables.Connection) -> bool:
+        def move(connection: tables.StoreConnection) -> bool:
             further = horizon > tables.raw_from(connection)
             if further:
                 tables.write_raw_from(connection, horizon)

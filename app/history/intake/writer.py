@@ -23,9 +23,9 @@ from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery
 from app.history.intake.upkeep import Keep, Upkeep, prepare
 from app.history.series.runs import DAY, SECOND, micros
-from app.history.status import DAMAGED, WORDS, State, Status
+from app.history.status import DAMAGED, WORDS, Status, StoreState
 from app.history.store import tables
-from app.history.store.damage import Block
+from app.history.store.damage import BlockKey
 from app.history.store.repair import FoundDamage, Repair
 from app.history.store.salvage import copies, put_aside
 
@@ -68,7 +68,7 @@ class Writer:
         self._keep = keep
         self._on_clock_step = on_clock_step
         self._on_damage = on_damage
-        self._reported: deque[Block] = deque(maxlen=MOST_REPORTED)
+        self._reported: deque[BlockKey] = deque(maxlen=MOST_REPORTED)
         self._torn = False
         self._rebuilt_at = -math.inf
         self.tail = Tail()
@@ -109,7 +109,7 @@ class Writer:
             self._lost += lost
             self._waiting -= lost
 
-    def report(self, damaged: Iterable[Block]) -> None:
+    def report(self, damaged: Iterable[BlockKey]) -> None:
         """Blocks that a reader could not read; any thread calls it."""
         self._reported.extend(damaged)
 
@@ -277,7 +277,7 @@ class Writer:
         oldest = opened.database.read_now(tables.oldest_raw)
         lately = micros(time.time()) - SAID_FOR
         damaged = opened.database.read_now(lambda c: tables.damaged_since(c, lately))
-        state: dict[Space, State] = {"enough": "ok", "low": "low", "scarce": "scarce", "none": "paused"}
+        state: dict[Space, StoreState] = {"enough": "ok", "low": "low", "scarce": "scarce", "none": "paused"}
         self._set_state(state[self._space])
         self._status = replace(
             self._status,
@@ -287,7 +287,7 @@ class Writer:
             damaged=damaged,
         )
 
-    def _set_state(self, state: State, cause: str = "") -> None:
+    def _set_state(self, state: StoreState, cause: str = "") -> None:
         message = f"{WORDS[state]}: {cause}" if cause else WORDS[state]
         since = self._status.since if state == self._status.state else time.time()
         if message != self._status.message:

@@ -16,7 +16,7 @@ from app.history.series.runs import HOUR, MINUTE
 from app.history.series.scaling import Scaling, scaling
 from app.history.series.values import Value
 from app.history.store import tables
-from app.history.store.damage import Block
+from app.history.store.damage import BlockKey
 from bus.settings import BusSettings
 
 MOST_READINGS = 100_000
@@ -27,7 +27,7 @@ Resolution = Literal["readings", "minutes", "hours"]
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class SeriesQuery:
     """One value of one unit over a span (µs), in at most ``most`` points."""
 
     bus: BusSettings
@@ -39,7 +39,7 @@ class Question:
 
 
 @dataclass(slots=True)
-class Answer:
+class QueryResult:
     """``bucket``: how long a stretch each point stands for, µs; 0: every reading itself.
     ``decimals``: of the newest point; None when not known or not fixed."""
 
@@ -47,38 +47,40 @@ class Answer:
     resolution: Resolution = "readings"
     bucket: int = 0
     decimals: int | None = None
-    damaged: Sequence[Block] = ()
+    damaged: Sequence[BlockKey] = ()
     """Blocks that could not be read: what they held is missing."""
 
 
-def answer(connection: tables.Connection, tail: Tail, question: Question) -> Answer:
+def answer(connection: tables.StoreConnection, tail: Tail, question: SeriesQuery) -> QueryResult:
     """Read from the store and the tail."""
     key = tables.find_unit(connection, question.bus.name, question.unit)
     if key is None:
-        return Answer(Series())
+        return QueryResult(Series())
     recent = tail.runs(key, question.start, question.end)
     with tables.standing_still(connection):
-        return _answer(unit_history.Source(connection, key, recent), question)
+        return _answer(unit_history.StoredUnit(connection, key, recent), question)
 
 
-def _answer(source: unit_history.Source, question: Question) -> Answer:
+def _answer(source: unit_history.StoredUnit, question: SeriesQuery) -> QueryResult:
     bus = tables.find_unit(source.connection, question.bus.name, BUS)
     keys = [source.unit] if bus is None else [source.unit, bus]
     marks = tables.link_marks(source.connection, keys, question.start - MARGIN, question.end)
     resolution, points = _points(source, question, marks)
     scales = scale_of(source, question)
     decimals = scales.at(question.end).decimals
-    return Answer(series(points, marks, scales), resolution, points.width, decimals, source.damaged)
+    return QueryResult(series(points, marks, scales), resolution, points.width, decimals, source.damaged)
 
 
-def scale_of(source: unit_history.Source, question: Question) -> Scaling:
+def scale_of(source: unit_history.StoredUnit, question: SeriesQuery) -> Scaling:
     """The scales of a value over all time."""
     steps = tables.parameter_steps(source.connection, source.unit)
     ratio = question.bus.follower_speed == "ratio"
     return scaling(question.value, steps, ratio=ratio, estop_healthy=question.bus.estop_healthy)
 
 
-def _points(source: unit_history.Source, question: Question, marks: Marks) -> tuple[Resolution, Points]:
+def _points(
+    source: unit_history.StoredUnit, question: SeriesQuery, marks: Marks
+) -> tuple[Resolution, Points]:
     value, start, end, most = question.value, question.start, question.end, question.most
     exact: Points | None = None
     if value.kind == "bit":
@@ -107,7 +109,7 @@ def _fits(points: Points, marks: Marks, most: int) -> bool:
     return len(points.at) + len(holes_in(points, marks)) <= most
 
 
-def _exact_bits(source: unit_history.Source, question: Question, marks: Marks) -> Points | None:
+def _exact_bits(source: unit_history.StoredUnit, question: SeriesQuery, marks: Marks) -> Points | None:
     if tables.count_bits(source.connection, source.unit, question.start, question.end) > MOST_INTERVALS:
         return None
     usual = unit_history.usual_of(source, question.end)
@@ -115,7 +117,7 @@ def _exact_bits(source: unit_history.Source, question: Question, marks: Marks) -
     return unit_history.interval_points(intervals(parts, marks, usual), question.start, question.end, usual)
 
 
-def has_raw(connection: tables.Connection, unit: int, start: int) -> bool:
+def has_raw(connection: tables.StoreConnection, unit: int, start: int) -> bool:
     """Whether every reading of a unit from ``start`` on is still there."""
     given_up = tables.raw_from(connection)
     return start >= given_up or not tables.rolled_up(connection, unit, start, given_up)

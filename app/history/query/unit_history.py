@@ -19,7 +19,7 @@ from app.history.series.rollup import FIELDS, Rollup, rollup
 from app.history.series.runs import HOUR, MINUTE, Run, merge, unpack_columns, unpack_runs
 from app.history.series.values import Value
 from app.history.store import tables
-from app.history.store.damage import Block, Tier, torn
+from app.history.store.damage import BlockKey, StoredTier, torn
 
 T = TypeVar("T")
 RawRow = tuple[int, int, int, int]
@@ -27,19 +27,19 @@ RawRow = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class StoredUnit:
     """Where the readings of one unit are: its key, and its runs in the tail over the span asked for.
 
     The tail is read before the store, so that a minute which is folded meanwhile is there twice, not never.
     """
 
-    connection: tables.Connection
+    connection: tables.StoreConnection
     unit: int
     tail: Sequence[Run]
-    damaged: list[Block] = field(default_factory=list)
+    damaged: list[BlockKey] = field(default_factory=list)
     """What could not be read, and was left out."""
 
-    def blocks(self, tier: Tier, start: int, end: int) -> Iterator[tuple[int, bytes]]:
+    def blocks(self, tier: StoredTier, start: int, end: int) -> Iterator[tuple[int, bytes]]:
         """Start and content of each that may touch a span (µs), in order of time. Each is fetched by itself,
         so that a page which SQLite cannot follow costs what lies in it."""
         span = "span" if tier == "raw" else tables.ROW_SPAN[tier]
@@ -56,20 +56,20 @@ class Source:
                     raise
                 row = None
             if row is None:
-                self.damaged.append(Block(tier, self.unit, begin))
+                self.damaged.append(BlockKey(tier, self.unit, begin))
             else:
                 yield begin, row[0]
 
-    def unpacked(self, tier: Tier, begin: int, unpack: Callable[[], list[T]]) -> list[T]:
+    def unpacked(self, tier: StoredTier, begin: int, unpack: Callable[[], list[T]]) -> list[T]:
         """What a block holds; nothing where it is damaged, which is noted."""
         try:
             return unpack()
         except ValueError:
-            self.damaged.append(Block(tier, self.unit, begin))
+            self.damaged.append(BlockKey(tier, self.unit, begin))
             return []
 
 
-def estimate(source: Source, start: int, end: int) -> int:
+def estimate(source: StoredUnit, start: int, end: int) -> int:
     """About how many points the readings themselves would be."""
     rows = source.connection.execute(
         "SELECT start, span, points FROM raw WHERE unit = ? AND start > ? AND start < ?",
@@ -81,7 +81,7 @@ def estimate(source: Source, start: int, end: int) -> int:
     return int(stored) + 2 * len(source.tail)
 
 
-def readings(source: Source, value: Value, start: int, end: int) -> Points:
+def readings(source: StoredUnit, value: Value, start: int, end: int) -> Points:
     """Every reading between two times, µs: a run as its first and, if it lasted, its last one."""
     rows = [
         row
@@ -95,7 +95,7 @@ def readings(source: Source, value: Value, start: int, end: int) -> Points:
     return _points(_clip(ordered, start, end), value.bit, usual_interval(rows))
 
 
-def _stored(source: Source, column: str, start: int, end: int) -> Iterator[list[RawRow]]:
+def _stored(source: StoredUnit, column: str, start: int, end: int) -> Iterator[list[RawRow]]:
     wanted = ("at", "until", "heard", column)
     for begin, data in source.blocks("raw", start, end):
         unpack = partial(unpack_columns, data, begin, wanted)
@@ -108,7 +108,7 @@ def _stored(source: Source, column: str, start: int, end: int) -> Iterator[list[
         yield rows[first : bisect_left(at, end)]
 
 
-def _tail(source: Source, column: str) -> list[RawRow]:
+def _tail(source: StoredUnit, column: str) -> list[RawRow]:
     return [(run.at, run.until, run.heard, getattr(run, column)) for run in source.tail]
 
 
@@ -141,7 +141,7 @@ def _points(rows: Iterable[RawRow], bit: int, usual: int) -> Points:
     return in_order(points)
 
 
-def rollups(source: Source, tier: tables.Tier, value: Value, start: int, end: int) -> Points:
+def rollups(source: StoredUnit, tier: tables.RollupTier, value: Value, start: int, end: int) -> Points:
     """Minutes or hours that touch a span, each with what is in the tail of it."""
     wanted = _wanted(value)
     found = Points(width=tables.STEP[tier])
@@ -169,7 +169,7 @@ def _wanted(value: Value) -> list[int]:
     return [FIELDS[name] for name in ("start", "heard", *names)]
 
 
-def _tail_rollups(source: Source, step: int) -> list[Rollup]:
+def _tail_rollups(source: StoredUnit, step: int) -> list[Rollup]:
     by_start: dict[int, list[Run]] = {}
     for run in merge((), source.tail):
         by_start.setdefault(run.at - run.at % step, []).append(run)
@@ -195,7 +195,7 @@ def _extend(
     points.weight += count[first:last]
 
 
-def bit_intervals(source: Source, bit: int, start: int, end: int) -> list[Interval]:
+def bit_intervals(source: StoredUnit, bit: int, start: int, end: int) -> list[Interval]:
     """One bit as intervals over a span, neighbours that are equal still apart."""
     stored = tables.bits_around(source.connection, source.unit, start, end)
     recent = [Interval(run.at, run.until, run.word) for run in source.tail]
@@ -203,7 +203,7 @@ def bit_intervals(source: Source, bit: int, start: int, end: int) -> list[Interv
     return [part._replace(word=part.word >> bit & 1) for part in touching]
 
 
-def usual_of(source: Source, end: int) -> int:
+def usual_of(source: StoredUnit, end: int) -> int:
     """How often the unit was heard before a time, µs, whether or not its readings are still kept."""
     if source.tail:
         return usual_interval(source.tail)
@@ -226,7 +226,7 @@ def interval_points(parts: Iterable[Interval], start: int, end: int, usual: int)
     return _points(_clip(rows, start, end), -1, usual)
 
 
-def runs_between(source: Source, start: int, end: int) -> list[Run]:
+def runs_between(source: StoredUnit, start: int, end: int) -> list[Run]:
     """Whole runs, for an export: those that begin within a span, in order of time."""
     found = [
         run

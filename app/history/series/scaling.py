@@ -31,7 +31,7 @@ class ParameterStep(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class LinearScale:
     """value = offset + raw * rise / per. ``decimals`` None: not known, or not a fixed number."""
 
     offset: int = 0
@@ -59,13 +59,13 @@ class Scaling:
     """Scales in order of time; the first also counts for all time before it."""
 
     since: Sequence[int]
-    scales: Sequence[Scale]
+    scales: Sequence[LinearScale]
 
-    def at(self, time: int) -> Scale:
+    def at(self, time: int) -> LinearScale:
         """The scale in force at a time in µs."""
         return self.scales[max(0, bisect_right(self.since, time) - 1)]
 
-    def stretches(self, times: Sequence[int]) -> Iterator[tuple[int, int, Scale]]:
+    def stretches(self, times: Sequence[int]) -> Iterator[tuple[int, int, LinearScale]]:
         """From where to where one scale is in force, for times in order."""
         i = 0
         while i < len(times):
@@ -79,7 +79,7 @@ def scaling(value: Value, steps: Sequence[ParameterStep], *, ratio: bool, estop_
     """``ratio``: CS and AS of a follower are ratios (the bus's dialect says so)."""
     if value.kind == "bit":
         inverted = value.name == "estop" and estop_healthy == 1
-        return Scaling([0], [Scale(1, -1, 1, 0) if inverted else Scale(decimals=0)])
+        return Scaling([0], [LinearScale(1, -1, 1, 0) if inverted else LinearScale(decimals=0)])
     known: dict[int, int] = {}
     for step in sorted(steps, reverse=True):
         known[step.number] = step.raw
@@ -91,15 +91,15 @@ def scaling(value: Value, steps: Sequence[ParameterStep], *, ratio: bool, estop_
     return Scaling(since, scales)
 
 
-def _scale(value: Value, known: dict[int, int], ratio: bool) -> Scale:
+def _scale(value: Value, known: dict[int, int], ratio: bool) -> LinearScale:
     if value.kind == "analog":
         low, high = known.get(ANALOG_IN_LOW), known.get(ANALOG_IN_HIGH)
         if low is None or high is None:
-            return Scale()
-        return Scale(low, high - low, _ANALOG_FULL)
+            return LinearScale()
+        return LinearScale(low, high - low, _ANALOG_FULL)
     decimals = known.get(DECIMALS)
     if ratio and known.get(FOLLOWER_MODE, _MASTER) != _MASTER:
         decimals = RATIO_DECIMALS
     if decimals is None or decimals > _MOST_DECIMALS:
-        return Scale()
-    return Scale(per=10**decimals, decimals=decimals)
+        return LinearScale()
+    return LinearScale(per=10**decimals, decimals=decimals)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Kind = Literal["speed", "analog", "bit"]
+ValueKind = Literal["speed", "analog", "bit"]
 
 _INPUTS = ("run", "estop", "preset", "reverse", "up", "down", "slave")
 """ST1, bit 0 first (manual, READ SPEED AND STATUS)."""
@@ -18,7 +18,7 @@ class Value:
     """One value of a unit. ``bit`` is its place in ST2 * 256 + ST1; -1 for a number."""
 
     name: str
-    kind: Kind
+    kind: ValueKind
     column: Literal["commanded", "actual", "analog", "word"]
     bit: int = -1
 

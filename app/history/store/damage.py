@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 T = TypeVar("T")
-Tier = Literal["raw", "minutes", "hours"]
+StoredTier = Literal["raw", "minutes", "hours"]
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Block:
+class BlockKey:
     """Where a block is: ``unit`` by its key, ``start`` in µs."""
 
-    tier: Tier
+    tier: StoredTier
     unit: int
     start: int
 
@@ -24,12 +24,12 @@ class Block:
 class DamagedBlock(ValueError):
     """Its content is not what was written."""
 
-    def __init__(self, block: Block, why: str) -> None:
+    def __init__(self, block: BlockKey, why: str) -> None:
         super().__init__(f"{why} ({block.tier} of unit key {block.unit} from {block.start})")
         self.block = block
 
 
-def intact(block: Block, unpack: Callable[[], T]) -> T:
+def intact(block: BlockKey, unpack: Callable[[], T]) -> T:
     """What ``unpack`` gives. Raises DamagedBlock where that is a ValueError."""
     try:
         return unpack()

@@ -12,9 +12,9 @@ from collections.abc import AsyncIterator
 
 from app.database.connection import Database
 from app.history.store import tables
-from app.history.store.damage import Block, Tier, sound
+from app.history.store.damage import BlockKey, StoredTier, sound
 
-TIERS: tuple[Tier, ...] = ("raw", "minutes", "hours")
+TIERS: tuple[StoredTier, ...] = ("raw", "minutes", "hours")
 TABLES = (*TIERS, "bits", "link", "parameter", "journal")
 AT_ONCE = 20
 REST = 4
@@ -31,7 +31,7 @@ async def pages_are_whole(database: Database) -> bool:
     return True
 
 
-async def damaged_blocks(database: Database) -> AsyncIterator[Block]:
+async def damaged_blocks(database: Database) -> AsyncIterator[BlockKey]:
     """Every block whose content is not what was written."""
     for tier in TIERS:
         after = (-1, 0)
@@ -42,12 +42,14 @@ async def damaged_blocks(database: Database) -> AsyncIterator[Block]:
                 break
             for unit, start, whole in rows:
                 if not whole:
-                    yield Block(tier, unit, start)
+                    yield BlockKey(tier, unit, start)
             after = rows[-1][:2]
             await asyncio.sleep(REST * (time.monotonic() - begun))
 
 
-def _look(connection: tables.Connection, tier: Tier, after: tuple[int, int]) -> list[tuple[int, int, bool]]:
+def _look(
+    connection: tables.StoreConnection, tier: StoredTier, after: tuple[int, int]
+) -> list[tuple[int, int, bool]]:
     query = f"SELECT unit, start, data FROM {tier} WHERE (unit, start) > (?, ?) ORDER BY unit, start LIMIT ?"
     rows = connection.execute(query, (*after, AT_ONCE)).fetchall()
     return [(unit, start, sound(data)) for unit, start, data in rows]

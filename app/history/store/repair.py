@@ -10,7 +10,7 @@ from app.database.connection import Database
 from app.history.series.rollup import Rollup, combine, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, SECOND, Run, micros
 from app.history.store import tables
-from app.history.store.damage import Block, DamagedBlock
+from app.history.store.damage import BlockKey, DamagedBlock
 
 FoundDamage = Callable[[str], None]
 """Called from the writer's thread with a sentence for the events."""
@@ -24,7 +24,7 @@ class Repair:
         self._database = database
         self._on_damage = on_damage
 
-    def set_aside(self, block: Block) -> None:
+    def set_aside(self, block: BlockKey) -> None:
         """Whatever is damaged of it and of what it is made from. Raises StoreError."""
         try:
             words = self._database.write_now(lambda c: _set_aside_in_words(c, block))
@@ -36,7 +36,7 @@ class Repair:
             self._on_damage(words)
 
 
-def _set_aside_in_words(connection: tables.Connection, block: Block) -> str:
+def _set_aside_in_words(connection: tables.StoreConnection, block: BlockKey) -> str:
     if not tables.is_damaged(connection, block):
         return ""
     missing = set_aside(connection, block, micros(time.time()))
@@ -47,7 +47,7 @@ def _set_aside_in_words(connection: tables.Connection, block: Block) -> str:
     return f"a block of the history was damaged, it was worked out again: {what}"
 
 
-def set_aside(connection: tables.Connection, block: Block, now: int) -> bool:
+def set_aside(connection: tables.StoreConnection, block: BlockKey, now: int) -> bool:
     """Gives whether nothing was there to work it out from: then something is missing.
 
     Raises DamagedBlock for a finer block that is damaged too: that one first.
@@ -61,14 +61,14 @@ def set_aside(connection: tables.Connection, block: Block, now: int) -> bool:
     return not anew
 
 
-def _minutes(connection: tables.Connection, block: Block) -> list[Rollup]:
+def _minutes(connection: tables.StoreConnection, block: BlockKey) -> list[Rollup]:
     by_minute: dict[int, list[Run]] = {}
     for run in tables.raw_between(connection, block.unit, block.start, block.start + HOUR):
         by_minute.setdefault(run.at - run.at % MINUTE, []).append(run)
     return [rollup(runs, minute) for minute, runs in sorted(by_minute.items())]
 
 
-def _hours(connection: tables.Connection, block: Block) -> list[Rollup]:
+def _hours(connection: tables.StoreConnection, block: BlockKey) -> list[Rollup]:
     hours = range(block.start, block.start + DAY, HOUR)
     found = ((hour, tables.rollup_row(connection, "minutes", block.unit, hour)) for hour in hours)
     return [combine(minutes, hour) for hour, minutes in found if minutes]

@@ -29,8 +29,8 @@ _LARGE = {
     "link": ("at, unit, state, cause", MINUTE),
 }
 """Columns, the rising key first, and how far apart its rows lie, µs."""
-Row = tuple[Any, ...]
-Copy = Callable[[tables.Connection], int]
+StoredRow = tuple[Any, ...]
+Copy = Callable[[tables.StoreConnection], int]
 
 
 def put_aside(path: Path) -> Path:
@@ -54,12 +54,12 @@ def copies(damaged: Path, new: Database) -> Iterator[Copy]:
     yield _note
 
 
-def _note(new: tables.Connection) -> int:
+def _note(new: tables.StoreConnection) -> int:
     new.execute("INSERT INTO damaged VALUES ('store', 0, 0, ?, NULL)", (micros(time.time()),))
     return 0
 
 
-def _copy_small(old: sqlite3.Connection, new: tables.Connection, table: str) -> int:
+def _copy_small(old: sqlite3.Connection, new: tables.StoreConnection, table: str) -> int:
     try:
         for row in old.execute(f"SELECT * FROM {table}"):
             new.execute(f"INSERT OR IGNORE INTO {table} VALUES ({', '.join('?' * len(row))})", row)
@@ -68,7 +68,7 @@ def _copy_small(old: sqlite3.Connection, new: tables.Connection, table: str) -> 
     return 0
 
 
-def _copy(old: sqlite3.Connection, table: str, unit: int, new: tables.Connection) -> int:
+def _copy(old: sqlite3.Connection, table: str, unit: int, new: tables.StoreConnection) -> int:
     columns, step = _LARGE[table]
     key = columns.split(",")[0]
     query = f"SELECT {columns} FROM {table} WHERE unit = ? AND {key} > ? ORDER BY {key} LIMIT 1"
@@ -82,7 +82,7 @@ def _copy(old: sqlite3.Connection, table: str, unit: int, new: tables.Connection
     return missing
 
 
-def _each(old: sqlite3.Connection, query: str, unit: int, step: int) -> Iterator[Row | None]:
+def _each(old: sqlite3.Connection, query: str, unit: int, step: int) -> Iterator[StoredRow | None]:
     """Row after row by a key that rises; None for a stretch that cannot be read, which is stepped over in
     strides that double."""
     key, stride = 0, step

@@ -13,20 +13,20 @@ from app.history.series.intervals import Interval
 from app.history.series.rollup import Rollup, pack_rollups, unpack_rollups
 from app.history.series.runs import DAY, HOUR, MINUTE, Run, pack_runs, unpack_runs
 from app.history.series.scaling import ParameterStep
-from app.history.store.damage import Block, intact, sound
+from app.history.store.damage import BlockKey, intact, sound
 
-Tier = Literal["minutes", "hours"]
-ROW_SPAN: dict[Tier, int] = {"minutes": HOUR, "hours": DAY}
+RollupTier = Literal["minutes", "hours"]
+ROW_SPAN: dict[RollupTier, int] = {"minutes": HOUR, "hours": DAY}
 """How much one row of a tier holds, µs."""
-STEP: dict[Tier, int] = {"minutes": MINUTE, "hours": HOUR}
+STEP: dict[RollupTier, int] = {"minutes": MINUTE, "hours": HOUR}
 LOST_STATES = ("stale", "offline", "unknown", "closed")
 _JOURNAL_LEVEL = 1
 
-Connection = sqlite3.Connection
+StoreConnection = sqlite3.Connection
 
 
 @contextmanager
-def standing_still(connection: Connection) -> Iterator[None]:
+def standing_still(connection: StoreConnection) -> Iterator[None]:
     """One moment of the store for all that is read within."""
     connection.execute("BEGIN")
     try:
@@ -38,7 +38,7 @@ def standing_still(connection: Connection) -> Iterator[None]:
 # --- units -------------------------------------------------------------------------------------
 
 
-def unit_id(connection: Connection, bus: str, number: int) -> int:
+def unit_id(connection: StoreConnection, bus: str, number: int) -> int:
     """The key of a unit (number 0: of the bus itself), given to it now when it has none."""
     connection.execute("INSERT OR IGNORE INTO unit (bus, number) VALUES (?, ?)", (bus, number))
     found = find_unit(connection, bus, number)
@@ -46,23 +46,23 @@ def unit_id(connection: Connection, bus: str, number: int) -> int:
     return found
 
 
-def find_unit(connection: Connection, bus: str, number: int) -> int | None:
+def find_unit(connection: StoreConnection, bus: str, number: int) -> int | None:
     """The key of a unit; None when nothing was ever kept of it."""
     row = connection.execute("SELECT id FROM unit WHERE bus = ? AND number = ?", (bus, number)).fetchone()
     return None if row is None else int(row[0])
 
 
-def units_of(connection: Connection, bus: str) -> list[int]:
+def units_of(connection: StoreConnection, bus: str) -> list[int]:
     """The keys of a bus and its units."""
     return [row[0] for row in connection.execute("SELECT id FROM unit WHERE bus = ?", (bus,))]
 
 
-def every_unit(connection: Connection) -> list[int]:
+def every_unit(connection: StoreConnection) -> list[int]:
     """Every key."""
     return [row[0] for row in connection.execute("SELECT id FROM unit")]
 
 
-def name_of(connection: Connection, unit: int) -> str:
+def name_of(connection: StoreConnection, unit: int) -> str:
     """A unit's key in words: ``bus/number``."""
     row = connection.execute("SELECT bus, number FROM unit WHERE id = ?", (unit,)).fetchone()
     return "" if row is None else f"{row[0]}/{row[1]}"
@@ -71,7 +71,7 @@ def name_of(connection: Connection, unit: int) -> str:
 # --- the journal -------------------------------------------------------------------------------
 
 
-def write_journal(connection: Connection, rows: Sequence[tuple[int, Run]]) -> None:
+def write_journal(connection: StoreConnection, rows: Sequence[tuple[int, Run]]) -> None:
     """Readings or runs of units as one row."""
     ordered = sorted(rows, key=lambda row: row[0])
     units = [unit for unit, _ in ordered]
@@ -81,7 +81,7 @@ def write_journal(connection: Connection, rows: Sequence[tuple[int, Run]]) -> No
     connection.execute("INSERT INTO journal (data) VALUES (?)", (data,))
 
 
-def read_journal(connection: Connection) -> Iterable[list[tuple[int, Run]] | None]:
+def read_journal(connection: StoreConnection) -> Iterable[list[tuple[int, Run]] | None]:
     """What every row holds, oldest first; None for a damaged one."""
     for (data,) in connection.execute("SELECT data FROM journal ORDER BY seq"):
         try:
@@ -93,7 +93,7 @@ def read_journal(connection: Connection) -> Iterable[list[tuple[int, Run]] | Non
         yield list(zip(units, map(Run, at, until, *rest), strict=True))
 
 
-def clear_journal(connection: Connection) -> None:
+def clear_journal(connection: StoreConnection) -> None:
     """All of it is safe elsewhere, or is written again in this transaction."""
     connection.execute("DELETE FROM journal")
 
@@ -101,13 +101,13 @@ def clear_journal(connection: Connection) -> None:
 # --- readings ----------------------------------------------------------------------------------
 
 
-def extent(connection: Connection) -> tuple[int, int] | None:
+def extent(connection: StoreConnection) -> tuple[int, int] | None:
     """From when to when anything is kept, µs; None when nothing is."""
     row = connection.execute("SELECT min(start), max(start) FROM hours").fetchone()
     return None if row[0] is None else (row[0], row[1] + DAY)
 
 
-def raw_block(connection: Connection, unit: int, at: int) -> tuple[int, int, list[Run]] | None:
+def raw_block(connection: StoreConnection, unit: int, at: int) -> tuple[int, int, list[Run]] | None:
     """Start, span and runs of the block in which a time falls."""
     row = connection.execute(
         "SELECT start, span, data FROM raw WHERE unit = ? AND start <= ? ORDER BY start DESC LIMIT 1",
@@ -118,7 +118,7 @@ def raw_block(connection: Connection, unit: int, at: int) -> tuple[int, int, lis
     return row[0], row[1], _runs_of(unit, row[0], row[2])
 
 
-def write_raw(connection: Connection, unit: int, start: int, span: int, runs: Sequence[Run]) -> None:
+def write_raw(connection: StoreConnection, unit: int, start: int, span: int, runs: Sequence[Run]) -> None:
     """A block in place of all that lie in its span. ``points``: how many it has when drawn one by one."""
     connection.execute(
         "DELETE FROM raw WHERE unit = ? AND start >= ? AND start < ?", (unit, start, start + span)
@@ -130,12 +130,12 @@ def write_raw(connection: Connection, unit: int, start: int, span: int, runs: Se
     )
 
 
-def raw_minutes(connection: Connection, unit: int, hour: int) -> list[Run]:
+def raw_minutes(connection: StoreConnection, unit: int, hour: int) -> list[Run]:
     """All runs of one hour, from its minutes."""
     return raw_between(connection, unit, hour, hour + HOUR)
 
 
-def raw_between(connection: Connection, unit: int, start: int, end: int) -> list[Run]:
+def raw_between(connection: StoreConnection, unit: int, start: int, end: int) -> list[Run]:
     """All runs of the blocks that begin within a span, µs. Raises DamagedBlock."""
     rows = connection.execute(
         "SELECT start, data FROM raw WHERE unit = ? AND start >= ? AND start < ? ORDER BY start",
@@ -145,10 +145,10 @@ def raw_between(connection: Connection, unit: int, start: int, end: int) -> list
 
 
 def _runs_of(unit: int, start: int, data: bytes) -> list[Run]:
-    return intact(Block("raw", unit, start), lambda: unpack_runs(data, start))
+    return intact(BlockKey("raw", unit, start), lambda: unpack_runs(data, start))
 
 
-def next_to_compact(connection: Connection, before: int) -> tuple[int, int] | None:
+def next_to_compact(connection: StoreConnection, before: int) -> tuple[int, int] | None:
     """A unit and an hour, over before that time, which still lies in minutes."""
     row = connection.execute(
         "SELECT unit, start FROM raw WHERE span = 60000000 AND start < ? ORDER BY start, unit LIMIT 1",
@@ -157,7 +157,7 @@ def next_to_compact(connection: Connection, before: int) -> tuple[int, int] | No
     return None if row is None else (row[0], row[1] - row[1] % HOUR)
 
 
-def drop_raw(connection: Connection, before: int, most: int) -> int:
+def drop_raw(connection: StoreConnection, before: int, most: int) -> int:
     """Give up the oldest readings, at most so many blocks at a time; gives how many."""
     return connection.execute(
         "DELETE FROM raw WHERE id IN (SELECT id FROM raw WHERE start < ? ORDER BY start LIMIT ?)",
@@ -165,7 +165,7 @@ def drop_raw(connection: Connection, before: int, most: int) -> int:
     ).rowcount
 
 
-def oldest_raw(connection: Connection) -> int | None:
+def oldest_raw(connection: StoreConnection) -> int | None:
     """The start of the oldest block of any unit, µs."""
     row = connection.execute("SELECT min(start) FROM raw").fetchone()
     return None if row[0] is None else int(row[0])
@@ -174,28 +174,30 @@ def oldest_raw(connection: Connection) -> int | None:
 # --- rollups -----------------------------------------------------------------------------------
 
 
-def rollup_row(connection: Connection, tier: Tier, unit: int, start: int) -> list[Rollup]:
+def rollup_row(connection: StoreConnection, tier: RollupTier, unit: int, start: int) -> list[Rollup]:
     """The rollups that one row holds."""
     query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
     row = connection.execute(query, (unit, start)).fetchone()
     if row is None:
         return []
-    return intact(Block(tier, unit, start), lambda: unpack_rollups(row[0], start))
+    return intact(BlockKey(tier, unit, start), lambda: unpack_rollups(row[0], start))
 
 
-def write_rollups(connection: Connection, tier: Tier, unit: int, start: int, rows: Sequence[Rollup]) -> None:
+def write_rollups(
+    connection: StoreConnection, tier: RollupTier, unit: int, start: int, rows: Sequence[Rollup]
+) -> None:
     """One row of a tier, new or again."""
     query = f"INSERT OR REPLACE INTO {tier} (unit, start, data) VALUES (?, ?, ?)"
     connection.execute(query, (unit, start, pack_rollups(rows, start)))
 
 
-def rolled_up(connection: Connection, unit: int, start: int, end: int) -> bool:
+def rolled_up(connection: StoreConnection, unit: int, start: int, end: int) -> bool:
     """Whether a unit has any minute in a span."""
     query = "SELECT 1 FROM minutes WHERE unit = ? AND start > ? AND start < ? LIMIT 1"
     return connection.execute(query, (unit, start - HOUR, end)).fetchone() is not None
 
 
-def drop_rollups(connection: Connection, before: int) -> None:
+def drop_rollups(connection: StoreConnection, before: int) -> None:
     """Give up what is older than the longest memory: rollups, bits, links."""
     connection.execute("DELETE FROM minutes WHERE start < ?", (before,))
     connection.execute("DELETE FROM hours WHERE start < ?", (before,))
@@ -207,14 +209,14 @@ def drop_rollups(connection: Connection, before: int) -> None:
 # --- damage ------------------------------------------------------------------------------------
 
 
-def is_damaged(connection: Connection, block: Block) -> bool:
+def is_damaged(connection: StoreConnection, block: BlockKey) -> bool:
     """Whether a block is there and not what was written."""
     query = f"SELECT data FROM {block.tier} WHERE unit = ? AND start = ?"
     rows = connection.execute(query, (block.unit, block.start)).fetchall()
     return not all(sound(data) for (data,) in rows)
 
 
-def move_damaged(connection: Connection, block: Block, now: int) -> None:
+def move_damaged(connection: StoreConnection, block: BlockKey, now: int) -> None:
     """Out of the way of the rest, as it is; ``now`` in µs."""
     where = f"FROM {block.tier} WHERE unit = ? AND start = ?"
     key = (block.unit, block.start)
@@ -224,7 +226,7 @@ def move_damaged(connection: Connection, block: Block, now: int) -> None:
     connection.execute(f"DELETE {where}", key)
 
 
-def damaged_since(connection: Connection, since: int) -> int:
+def damaged_since(connection: StoreConnection, since: int) -> int:
     """How often damage was found from a time on, µs."""
     return int(connection.execute("SELECT count(*) FROM damaged WHERE found >= ?", (since,)).fetchone()[0])
 
@@ -232,7 +234,7 @@ def damaged_since(connection: Connection, since: int) -> int:
 # --- bits --------------------------------------------------------------------------------------
 
 
-def bits_around(connection: Connection, unit: int, start: int, end: int) -> list[Interval]:
+def bits_around(connection: StoreConnection, unit: int, start: int, end: int) -> list[Interval]:
     """Intervals that touch a span, and the neighbour on either side."""
     first = connection.execute(
         "SELECT max(at) FROM bits WHERE unit = ? AND at < ?", (unit, start)
@@ -247,13 +249,15 @@ def bits_around(connection: Connection, unit: int, start: int, end: int) -> list
     return [Interval(*row) for row in rows]
 
 
-def count_bits(connection: Connection, unit: int, start: int, end: int) -> int:
+def count_bits(connection: StoreConnection, unit: int, start: int, end: int) -> int:
     """How many intervals begin within a span."""
     query = "SELECT count(*) FROM bits WHERE unit = ? AND at >= ? AND at < ?"
     return int(connection.execute(query, (unit, start, end)).fetchone()[0])
 
 
-def replace_bits(connection: Connection, unit: int, old: Iterable[Interval], new: Iterable[Interval]) -> None:
+def replace_bits(
+    connection: StoreConnection, unit: int, old: Iterable[Interval], new: Iterable[Interval]
+) -> None:
     """Other intervals in place of these; what stays the same is not written."""
     before, after = set(old), set(new)
     connection.executemany(
@@ -269,12 +273,12 @@ def replace_bits(connection: Connection, unit: int, old: Iterable[Interval], new
 # --- what was said of units, ports and parameters --------------------------------------
 
 
-def write_link(connection: Connection, unit: int, at: int, state: str, cause: str) -> None:
+def write_link(connection: StoreConnection, unit: int, at: int, state: str, cause: str) -> None:
     """A unit or a port came into a state."""
     connection.execute("INSERT OR IGNORE INTO link VALUES (?, ?, ?, ?)", (unit, at, state, cause))
 
 
-def link_marks(connection: Connection, units: Sequence[int], start: int, end: int) -> Marks:
+def link_marks(connection: StoreConnection, units: Sequence[int], start: int, end: int) -> Marks:
     """When these (a unit and its bus) were lost and found within a span, µs."""
     places = ", ".join("?" * len(units))
     rows = connection.execute(
@@ -287,7 +291,7 @@ def link_marks(connection: Connection, units: Sequence[int], start: int, end: in
     )
 
 
-def marks_since(connection: Connection, start: int) -> list[tuple[int, int]]:
+def marks_since(connection: StoreConnection, start: int) -> list[tuple[int, int]]:
     """Every unit that was lost or found from a time on (µs), and when; a port's marks are its units' too."""
     rows = connection.execute(
         "SELECT unit.id, link.at FROM link JOIN unit AS said ON said.id = link.unit JOIN unit "
@@ -297,7 +301,7 @@ def marks_since(connection: Connection, start: int) -> list[tuple[int, int]]:
     return [(row[0], row[1]) for row in rows]
 
 
-def write_parameter(connection: Connection, unit: int, step: ParameterStep) -> None:
+def write_parameter(connection: StoreConnection, unit: int, step: ParameterStep) -> None:
     """A scaling parameter was read with a value."""
     connection.execute(
         "INSERT OR REPLACE INTO parameter (unit, number, at, raw) VALUES (?, ?, ?, ?)",
@@ -305,7 +309,7 @@ def write_parameter(connection: Connection, unit: int, step: ParameterStep) -> N
     )
 
 
-def parameter_steps(connection: Connection, unit: int) -> list[ParameterStep]:
+def parameter_steps(connection: StoreConnection, unit: int) -> list[ParameterStep]:
     """Every value that the scaling parameters of a unit ever had, oldest first."""
     rows = connection.execute("SELECT at, number, raw FROM parameter WHERE unit = ? ORDER BY at", (unit,))
     return [ParameterStep(*row) for row in rows]
@@ -314,12 +318,12 @@ def parameter_steps(connection: Connection, unit: int) -> list[ParameterStep]:
 # --- facts -------------------------------------------------------------------------------------
 
 
-def raw_from(connection: Connection) -> int:
+def raw_from(connection: StoreConnection) -> int:
     """Readings before this time were given up; 0 when none were."""
     row = connection.execute("SELECT value FROM fact WHERE name = 'raw_from'").fetchone()
     return 0 if row is None else int(row[0])
 
 
-def write_raw_from(connection: Connection, at: int) -> None:
+def write_raw_from(connection: StoreConnection, at: int) -> None:
     """Readings before this time are given up."""
     connection.execute("INSERT OR REPLACE INTO fact VALUES ('raw_from', ?)", (at,))

@@ -10,8 +10,8 @@ from typing_extensions import TypedDict
 from bus.contract import BusFigures, UnitFigures
 from bus.errors import unit_error_name
 
-Count = Annotated[int, Field(description="Since the bus worker started.")]
-Seconds = Annotated[float | None, Field(description="Seconds; null: no response yet.")]
+EventCount = Annotated[int, Field(description="Since the bus worker started.")]
+ResponseSeconds = Annotated[float | None, Field(description="Seconds; null: no response yet.")]
 
 
 class NakShown(TypedDict):
@@ -19,18 +19,18 @@ class NakShown(TypedDict):
 
     unit_error: Annotated[int, Field(description="Error code of the NAK, 128 to 137.")]
     unit_error_name: str
-    count: Count
+    count: EventCount
 
 
 class UnitFiguresShown(TypedDict):
     """The counters and response times of one unit."""
 
     unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
-    polls: Count
+    polls: EventCount
     answers: Annotated[int, Field(description="Responses since the bus worker started.")]
-    timeouts: Count
-    retries: Count
-    checksum_errors: Count
+    timeouts: EventCount
+    retries: EventCount
+    checksum_errors: EventCount
     foreign: Annotated[
         int, Field(description="Responses that no DIGIMAX IV gives, since the worker started.")
     ]
@@ -38,10 +38,10 @@ class UnitFiguresShown(TypedDict):
         int, Field(description="Responses after their window, or twice, since the worker started.")
     ]
     naks: list[NakShown]
-    answer_s_min: Seconds
-    answer_s_median: Seconds
-    answer_s_p99: Seconds
-    answer_s_max: Seconds
+    answer_s_min: ResponseSeconds
+    answer_s_median: ResponseSeconds
+    answer_s_p99: ResponseSeconds
+    answer_s_max: ResponseSeconds
 
 
 class BusFiguresShown(TypedDict):

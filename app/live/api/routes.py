@@ -12,7 +12,7 @@ from app.live.api.figures import BusFiguresShown, figures_json
 from app.live.api.schemas import BusShown, LineShown, UnitShown
 from app.live.api.view import bus_json, line_json, unit_json
 from app.live.lookup import bus_or_404, unit_or_404
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 from app.live.screen.sources import Sources
 from app.live.state.live_state import LiveState
 from app.messages import DEFAULT
@@ -25,13 +25,13 @@ from app.web.templating import templates_of
 router = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
 
 
-def english_of(connection: HTTPConnection) -> Voice:
+def english_of(connection: HTTPConnection) -> Translator:
     """What texts for programs are written with."""
     templates = templates_of(connection)
-    return Voice(templates.languages[DEFAULT], templates.formats(DEFAULT))
+    return Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
 
 
-English = Annotated[Voice, looked_up(english_of)]
+English = Annotated[Translator, looked_up(english_of)]
 Live = Annotated[LiveState, service(LiveState)]
 LineSources = Annotated[Sources, service(Sources)]
 Configured = Annotated[Settings, service(Settings)]

@@ -10,7 +10,9 @@ from typing_extensions import TypedDict
 from bus.contract import BusLinkState, UnitLinkState
 
 Raw = Annotated[int | None, Field(description="Integer on the wire, 0 to 99999; null: not known.")]
-Shown = Annotated[str | None, Field(description="Decimal text as the unit displays it; null: not known.")]
+DisplayedValue = Annotated[
+    str | None, Field(description="Decimal text as the unit displays it; null: not known.")
+]
 Time = Annotated[
     str, Field(description="ISO 8601 in UTC, milliseconds.", examples=["2026-11-21T03:12:00.125+00:00"])
 ]
@@ -77,9 +79,9 @@ class UnitShown(TypedDict):
     deviation_raw: Annotated[
         int | None, Field(description="actual_raw minus commanded_raw, -99999 to 99999.")
     ]
-    commanded: Shown
-    actual: Shown
-    deviation: Shown
+    commanded: DisplayedValue
+    actual: DisplayedValue
+    deviation: DisplayedValue
     decimals: Annotated[
         int | None, Field(description="Decimals of the display (#3), 0 to 4; null: not read.")
     ]
@@ -96,7 +98,7 @@ class UnitShown(TypedDict):
     staged_raw: Annotated[
         int | None, Field(description="Speed staged by 82h and not yet executed, 0 to 99999.")
     ]
-    staged: Shown
+    staged: DisplayedValue
 
 
 class BusShown(TypedDict):

@@ -13,7 +13,7 @@ from typing import Any
 from app.live.diagnosis.cause import Cause, unit_cause
 from app.live.diagnosis.suspicion import suspicion
 from app.live.screen.cause_text import cause_line
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 from app.live.state.age import scan_s_of, unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive, follower
 from app.live.state.conditions import bits_of, mode_of
@@ -61,14 +61,14 @@ _NEVER_READ = dict.fromkeys(
 
 
 def line_json(
-    site: str, live: LiveState, now: float, block: BlockReason, history: str, english: Voice
+    site: str, live: LiveState, now: float, block: BlockReason, history: str, english: Translator
 ) -> Json:
     """Every bus with its units in floor order. ``history``: why none is kept; empty while it is."""
     buses = [bus_json(bus, now, block, english) for bus in live.buses.values()]
     return {"site": site, "time": iso(now), "history": history, "buses": buses}
 
 
-def bus_json(bus: BusLive, now: float, block: BlockReason, english: Voice) -> Json:
+def bus_json(bus: BusLive, now: float, block: BlockReason, english: Translator) -> Json:
     """One bus. Figures are null while no worker measures them."""
     figures = bus.figures
     return {
@@ -89,7 +89,7 @@ def bus_json(bus: BusLive, now: float, block: BlockReason, english: Voice) -> Js
     }
 
 
-def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason, english: Voice) -> Json:
+def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason, english: Translator) -> Json:
     """One unit with the age of what it said, by the server's clock."""
     window = unit.parameter_raw(AT_SPEED_WINDOW)
     shown: Json = {
@@ -111,7 +111,7 @@ def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason, engl
     return shown | (_NEVER_READ if unit.reading is None else _reading_json(bus, unit, unit.reading, now))
 
 
-def cause_json(cause: Cause | None, now: float, english: Voice) -> Json | None:
+def cause_json(cause: Cause | None, now: float, english: Translator) -> Json | None:
     """A cause as a code with parameters, in words, and since when; None where there is none."""
     if cause is None:
         return None

@@ -16,7 +16,7 @@ from app.live.browsers.browser import Browser
 from app.live.browsers.readers import Readers
 from app.live.browsers.watched import Watched
 from app.live.command_ids import key_of
-from app.live.screen.fields import Voice, health_fields, unit_key
+from app.live.screen.fields import Translator, health_fields, unit_key
 from app.live.screen.screen import WHOLE_LINE, Groups, Screen
 from app.live.screen.sources import Sources
 from app.live.screen.totals import holders
@@ -94,7 +94,7 @@ class Hub:
         return screen
 
     def _new_screen(self, language: str) -> Screen:
-        voice = Voice(self._templates.languages[language], self._templates.formats(language))
+        voice = Translator(self._templates.languages[language], self._templates.formats(language))
         return Screen(self.live, voice, self._sources)
 
     def join(self, browser: Browser) -> None:

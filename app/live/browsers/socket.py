@@ -36,7 +36,7 @@ SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE = 0.5, 3
 """Of one page. The whole state is a quarter of a megabyte for a large line."""
 
 
-class Said(msgspec.Struct, forbid_unknown_fields=True):
+class PageMessage(msgspec.Struct, forbid_unknown_fields=True):
     """What a page may say. ``units``: the units it shows, as ``bus/unit``; ``trace``: a bus to follow, for an
     engineer, because whoever sees the frames sees every value that passed."""
 
@@ -45,7 +45,7 @@ class Said(msgspec.Struct, forbid_unknown_fields=True):
     trace: Annotated[str, msgspec.Meta(max_length=40)] = ""
 
 
-_decoder = msgspec.json.Decoder(Said)
+_decoder = msgspec.json.Decoder(PageMessage)
 
 
 @router.websocket("/live")

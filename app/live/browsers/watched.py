@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping
 
-Shown = frozenset[tuple[str, int]]
+ShownUnits = frozenset[tuple[str, int]]
 """Units, each as bus and address."""
 
 
@@ -20,11 +20,11 @@ class Watched:
         self._units: dict[str, Counter[int]] = {bus: Counter() for bus in units}
         self._traces: Counter[str] = Counter()
 
-    def known(self, shown: Shown) -> Shown:
+    def known(self, shown: ShownUnits) -> ShownUnits:
         """Of these units those that there are."""
         return frozenset((bus, unit) for bus, unit in shown if unit in self._there_are.get(bus, ()))
 
-    def turn(self, before: Shown, after: Shown, trace_before: str, trace_after: str) -> None:
+    def turn(self, before: ShownUnits, after: ShownUnits, trace_before: str, trace_after: str) -> None:
         """A page shows other units and follows another trace; all of them are known."""
         for bus, unit in after - before:
             self._units[bus][unit] += 1

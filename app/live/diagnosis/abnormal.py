@@ -35,7 +35,7 @@ class UnitView:
 
 
 @dataclass(slots=True)
-class Tally:
+class StateCounts:
     """How many units are in which state."""
 
     units: int = 0

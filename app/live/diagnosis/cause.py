@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from app.live.diagnosis.rungs import RUNGS, Facts, Level
+from app.live.diagnosis.rungs import RUNGS, Level, UnitFacts
 from app.live.state.age import offline_after_s, scan_s_of, unit_link_now, worker_is_silent
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.onset import Onset
@@ -36,7 +36,7 @@ def unit_cause(bus: BusLive, unit: UnitLive, now: float) -> Cause | None:
         return _never_read(bus, unit, now)
     if link == "offline":
         return Cause("unit_offline", "high", Onset(reading.at))
-    facts = Facts(bus, unit, reading, link, now)
+    facts = UnitFacts(bus, unit, reading, link, now)
     for rung in RUNGS:
         if rung.is_broken(facts):
             onset = facts.since(*rung.since) if rung.since else Onset(reading.at)

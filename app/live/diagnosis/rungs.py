@@ -19,7 +19,7 @@ Level = Literal["", "urgent", "high", "low"]
 
 
 @dataclass(frozen=True, slots=True)
-class Facts:
+class UnitFacts:
     """One unit that was read, at one moment."""
 
     bus: BusLive
@@ -50,13 +50,13 @@ class Rung:
     """``since``: the conditions that make it broken."""
 
     code: str
-    is_broken: Callable[[Facts], bool]
-    level: Callable[[Facts], Level]
+    is_broken: Callable[[UnitFacts], bool]
+    level: Callable[[UnitFacts], Level]
     since: tuple[Condition, ...] = ()
-    params: Callable[[Facts], Mapping[str, Any]] = lambda _: {}
+    params: Callable[[UnitFacts], Mapping[str, Any]] = lambda _: {}
 
 
-def _motion(facts: Facts) -> dict[str, str]:
+def _motion(facts: UnitFacts) -> dict[str, str]:
     """How a unit moves that a broken rung holds back; nothing where that is not known or as commanded."""
     state = facts.unit.motion.state
     if is_driven(bits_of(facts.bus, facts.reading)):
@@ -67,11 +67,11 @@ def _motion(facts: Facts) -> dict[str, str]:
     return {"motion": state} if state in ("stopping", "turning") else {}
 
 
-def _mode(facts: Facts) -> dict[str, str]:
+def _mode(facts: UnitFacts) -> dict[str, str]:
     return _motion(facts) | {"mode": mode_of(facts.unit, bits_of(facts.bus, facts.reading)).upper()}
 
 
-def _ramp(facts: Facts) -> dict[str, Any]:
+def _ramp(facts: UnitFacts) -> dict[str, Any]:
     target = facts.reading.commanded
     seconds = ramp_seconds(facts.unit, facts.reading.actual, target)
     return {

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from app.live.diagnosis.cause import Cause
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 
 MINUTE_S, LONG_RAMP_S = 60, 120
 
@@ -52,18 +52,18 @@ CHECK_TEXTS = {
 """What a person does about it, by code; nothing where only time or a decision helps."""
 
 
-def cause_text(cause: Cause, voice: Voice) -> str:
+def cause_text(cause: Cause, voice: Translator) -> str:
     """What is so, without its time: ``Stopped: run input off``."""
     return sentence(_motion(cause, voice), _what(cause, voice), _why(cause, voice))
 
 
-def cause_line(cause: Cause, voice: Voice, now: float) -> str:
+def cause_line(cause: Cause, voice: Translator, now: float) -> str:
     """What is so and since when: ``Stopped: run input off since 02:22``."""
     what = f"{_what(cause, voice)} {since_text(cause, voice, now)}".rstrip()
     return sentence(_motion(cause, voice), what, _why(cause, voice))
 
 
-def since_text(cause: Cause, voice: Voice, now: float) -> str:
+def since_text(cause: Cause, voice: Translator, now: float) -> str:
     """``since 02:22``; empty where no time is known. A ramp says how long it still takes instead."""
     onset = cause.onset
     if onset is None or cause.code == "ramping":
@@ -72,7 +72,7 @@ def since_text(cause: Cause, voice: Voice, now: float) -> str:
     return voice.t("since {time}", time=time) if onset.exact else voice.t("since at least {time}", time=time)
 
 
-def check_text(cause: Cause | None, voice: Voice) -> str:
+def check_text(cause: Cause | None, voice: Translator) -> str:
     """What to check; empty where nothing is to be done."""
     text = CHECK_TEXTS.get(cause.code, "") if cause is not None else ""
     return voice.t(text) if text else ""
@@ -84,12 +84,12 @@ def sentence(*parts: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _motion(cause: Cause, voice: Voice) -> str:
+def _motion(cause: Cause, voice: Translator) -> str:
     motion = cause.params.get("motion", "")
     return voice.t(MOTION_TEXTS[motion]) if motion and cause.code != "not_at_speed" else ""
 
 
-def _what(cause: Cause, voice: Voice) -> str:
+def _what(cause: Cause, voice: Translator) -> str:
     if cause.code == "not_at_speed":
         return voice.t(
             STOPPED_WITH_RUN if cause.params.get("motion") == "stopped" else MOTION_TEXTS["off_speed"]
@@ -104,12 +104,12 @@ def _named(cause: Cause) -> dict[str, Any]:
     return {"mode": cause.params["mode"]} if "mode" in cause.params else {}
 
 
-def _why(cause: Cause, voice: Voice) -> str:
+def _why(cause: Cause, voice: Translator) -> str:
     why = cause.params.get("why")
     return voice.t(why) if why else ""
 
 
-def _ramp(params: Mapping[str, Any], voice: Voice) -> str:
+def _ramp(params: Mapping[str, Any], voice: Translator) -> str:
     target = voice.formats.fixed(params["target_raw"], params["decimals"])
     left = params["seconds_left"]
     if not left:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from app.live.state.age import figures_now, offline_after_s, scan_s_of, stale_after_s
 from app.live.state.bus_live import BusLive, UnitLive, follower, speed_decimals
 from app.live.state.conditions import bits_of, mode_of
-from app.live.state.motion import State
+from app.live.state.motion import MotionState
 from app.messages import Language
 from app.web.formats import UNKNOWN, Formats
 from bus.catalogue.numbers import (
@@ -32,7 +32,7 @@ from bus.messages import Message
 DEVIATION_WINDOWS = 3
 """Half the width of a deviation bar in at-speed windows, so that the band is its middle third."""
 
-STATE_WORDS: dict[State, str] = {
+STATE_WORDS: dict[MotionState, str] = {
     "": "not known",
     "at_speed": "at speed",
     "at_zero": "at zero",
@@ -50,7 +50,7 @@ Fields = dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Voice:
+class Translator:
     """How one language says things."""
 
     language: Language
@@ -70,7 +70,7 @@ def unit_key(bus: str, unit: int) -> str:
     return f"{bus}/{unit}"
 
 
-def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, voice: Voice) -> Fields:
+def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, voice: Translator) -> Fields:
     """What a page shows of one unit as it reads."""
     state = unit.motion.state
     fields = {"link": link, "staged": _staged(unit, voice), "ratio": _ratio(bus, unit, voice)}
@@ -94,7 +94,7 @@ def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, voice: Voice)
     return fields
 
 
-def bus_fields(bus: BusLive, voice: Voice, now: float) -> Fields:
+def bus_fields(bus: BusLive, voice: Translator, now: float) -> Fields:
     """The figures of one bus, and for how long its units' readings count as fresh."""
     scan_s = scan_s_of(bus)
     cause = voice.t(bus.link.cause) if bus.link.cause is not None and bus.link.link == "closed" else ""
@@ -130,7 +130,7 @@ def bus_fields(bus: BusLive, voice: Voice, now: float) -> Fields:
     }
 
 
-def health_fields(figures: UnitFigures, voice: Voice) -> Fields:
+def health_fields(figures: UnitFigures, voice: Translator) -> Fields:
     """How one unit answers, for whoever has its page open."""
     naks = [f"{count} x {voice.t(unit_error(code))}" for code, count in sorted(figures.naks.items())]
     median, most = figures.answer_s_median, figures.answer_s_max
@@ -167,7 +167,7 @@ _NEVER: Fields = {
 }
 
 
-def _numbers(bus: BusLive, unit: UnitLive, reading: Reading, voice: Voice) -> Fields:
+def _numbers(bus: BusLive, unit: UnitLive, reading: Reading, voice: Translator) -> Fields:
     decimals = speed_decimals(bus, unit)
     return {
         "actual": voice.formats.fixed(reading.actual, decimals),
@@ -177,14 +177,14 @@ def _numbers(bus: BusLive, unit: UnitLive, reading: Reading, voice: Voice) -> Fi
     }
 
 
-def _staged(unit: UnitLive, voice: Voice) -> str:
+def _staged(unit: UnitLive, voice: Translator) -> str:
     if unit.staged is None:
         return ""
     decimals = RATIO_DECIMALS if follower(unit) else unit.parameter_raw(DECIMALS)
     return voice.formats.fixed(unit.staged, decimals)
 
 
-def _ratio(bus: BusLive, unit: UnitLive, voice: Voice) -> str:
+def _ratio(bus: BusLive, unit: UnitLive, voice: Translator) -> str:
     """What a follower holds to its master: where its commanded speed is a speed, #37 as last read."""
     if not follower(unit):
         return ""
@@ -195,13 +195,13 @@ def _ratio(bus: BusLive, unit: UnitLive, voice: Voice) -> str:
     return "" if raw is None else voice.formats.fixed(raw, RATIO_DECIMALS)
 
 
-def _signed(raw: int, decimals: int | None, voice: Voice) -> str:
+def _signed(raw: int, decimals: int | None, voice: Translator) -> str:
     """Nothing too has its sign: the three are of one width in a typeface, where a space is not."""
     sign = "+" if raw > 0 else "−" if raw < 0 else "±"  # noqa: RUF001 (a true minus sign)
     return sign + voice.formats.fixed(abs(raw), decimals)
 
 
-def _analog(unit: UnitLive, atd: int, voice: Voice) -> str:
+def _analog(unit: UnitLive, atd: int, voice: Translator) -> str:
     low, high = unit.parameter_raw(ANALOG_IN_LOW), unit.parameter_raw(ANALOG_IN_HIGH)
     if low is None or high is None:
         return UNKNOWN

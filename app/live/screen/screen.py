@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 from app.live.diagnosis.abnormal import UnitView, shown_cause
 from app.live.screen.cause_text import cause_line, check_text, sentence
-from app.live.screen.fields import Fields, Voice, bus_fields, unit_fields, unit_key
+from app.live.screen.fields import Fields, Translator, bus_fields, unit_fields, unit_key
 from app.live.screen.sources import Sources
-from app.live.screen.totals import Entry, entries_of, line_fields
+from app.live.screen.totals import AbnormalItem, entries_of, line_fields
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.live_state import LiveState
@@ -33,10 +33,10 @@ class Screen:
     """What the pages in one language show now."""
 
     live: LiveState
-    voice: Voice
+    voice: Translator
     sources: Sources
     shown: Groups = field(default_factory=dict)
-    entries: list[Entry] = field(default_factory=list)
+    entries: list[AbnormalItem] = field(default_factory=list)
     _views: dict[str, UnitView] = field(default_factory=dict)
 
     def see(self, bus_name: str, units: Iterable[int], now: float, *, whole_bus: bool) -> Groups:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 
 UnitSubscriber = Callable[[str, int], None]
 """Called with the bus and the address of a unit of which something changed."""
@@ -36,7 +36,7 @@ class UnitGuards(Protocol):
 class GoldenDrift(Protocol):
     """How units differ from their golden sets."""
 
-    def summary(self, bus: str, unit: int, voice: Voice, now: float) -> Drifted:
+    def summary(self, bus: str, unit: int, voice: Translator, now: float) -> Drifted:
         """The differences of a unit in the reader's language. ``now``: Unix time in seconds."""
 
     def on_change(self, subscriber: UnitSubscriber) -> None:
@@ -58,5 +58,5 @@ class Sources:
     guards: UnitGuards
     drift: GoldenDrift
     recipes: LoadedRecipes
-    notices: Callable[[Voice, float], str]
+    notices: Callable[[Translator, float], str]
     history_fault: Callable[[], str]

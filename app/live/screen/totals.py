@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from app.live.diagnosis.abnormal import LEVELS, Tally, UnitView, all_offline
+from app.live.diagnosis.abnormal import LEVELS, StateCounts, UnitView, all_offline
 from app.live.diagnosis.cause import Cause, bus_cause
 from app.live.diagnosis.rungs import Level
 from app.live.screen.cause_text import cause_line, cause_text, since_text
-from app.live.screen.fields import Fields, Voice, unit_key
+from app.live.screen.fields import Fields, Translator, unit_key
 from app.live.state.age import figures_now
 from app.live.state.live_state import LiveState
 from app.web.formats import UNKNOWN
@@ -22,7 +22,7 @@ Views = Mapping[str, UnitView]
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class AbnormalItem:
     """One item of the strip of what is abnormal. ``key``: the group of its unit or bus."""
 
     key: str
@@ -40,7 +40,7 @@ class Entry:
         return f"/units/{self.key}" if "/" in self.key else f"/bus/{self.key}"
 
 
-def entries_of(live: LiveState, views: Views, voice: Voice, now: float) -> list[Entry]:
+def entries_of(live: LiveState, views: Views, voice: Translator, now: float) -> list[AbnormalItem]:
     """Everything abnormal, the worst first, in floor order; one cause is named once."""
     found: list[tuple[str, str, Cause]] = []
     for name, bus in live.buses.items():
@@ -56,7 +56,7 @@ def entries_of(live: LiveState, views: Views, voice: Voice, now: float) -> list[
             ]
     found.sort(key=lambda entry: LEVELS.index(entry[2].level))
     return [
-        Entry(
+        AbnormalItem(
             key,
             name,
             cause.level,
@@ -68,14 +68,16 @@ def entries_of(live: LiveState, views: Views, voice: Voice, now: float) -> list[
     ]
 
 
-def strip_of(entries: list[Entry]) -> list[Entry]:
+def strip_of(entries: list[AbnormalItem]) -> list[AbnormalItem]:
     """What stands beside the verdict, which names the worst."""
     return entries[1 : 1 + MOST_ENTRIES]
 
 
-def line_fields(live: LiveState, views: Views, entries: list[Entry], voice: Voice, now: float) -> Fields:
+def line_fields(
+    live: LiveState, views: Views, entries: list[AbnormalItem], voice: Translator, now: float
+) -> Fields:
     """The fields of the whole line. The verdict is the worst cause, after the name of its unit."""
-    tally = Tally()
+    tally = StateCounts()
     for view in views.values():
         tally.count(view)
     worst = entries[0] if entries else None
@@ -98,7 +100,7 @@ def line_fields(live: LiveState, views: Views, entries: list[Entry], voice: Voic
     } | _figures(live, voice, now)
 
 
-def _all_well(tally: Tally, voice: Voice) -> str:
+def _all_well(tally: StateCounts, voice: Translator) -> str:
     """The line in one sentence while nothing is abnormal."""
     if tally.units == 0:
         return voice.t("No unit is configured")
@@ -111,7 +113,7 @@ def _all_well(tally: Tally, voice: Voice) -> str:
     return voice.t("{n} of {units} at speed, the others at zero", n=tally.at_speed, units=tally.units)
 
 
-def holders(held_by: Mapping[str, str], voice: Voice) -> str:
+def holders(held_by: Mapping[str, str], voice: Translator) -> str:
     """Who holds control of which bus, in words; ``held_by`` has an empty name for a bus that is free. Of the
     only bus there is, only the name is said, and nothing where nobody holds any. Breaks between two buses."""
     held = {bus: holder for bus, holder in held_by.items() if holder}
@@ -128,7 +130,7 @@ def holders(held_by: Mapping[str, str], voice: Voice) -> str:
     return ", ".join(one.replace(" ", NO_BREAK) for one in said)
 
 
-def _named(entries: list[Entry], views: Views, voice: Voice) -> str:
+def _named(entries: list[AbnormalItem], views: Views, voice: Translator) -> str:
     """What the pages without the strip name beside the verdict: each bus that is abnormal, each block."""
     worst = entries[0].key if entries else ""
     buses = [f"{entry.name}: {entry.line}" for entry in entries[1:] if "/" not in entry.key]
@@ -140,7 +142,7 @@ def _named(entries: list[Entry], views: Views, voice: Voice) -> str:
     return " · ".join(buses + blocks)
 
 
-def _figures(live: LiveState, voice: Voice, now: float) -> Fields:
+def _figures(live: LiveState, voice: Translator, now: float) -> Fields:
     """The slowest scan and the fullest wire of all buses."""
     known = [figures for bus in live.buses.values() if (figures := figures_now(bus, now)) is not None]
     if not known:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from app.live.screen.fields import Voice
+from app.live.screen.fields import Translator
 from bus.contract import LONGEST_MEANING, Frame
 
 
-def frame_fields(frame: Frame, voice: Voice) -> dict[str, Any]:
+def frame_fields(frame: Frame, voice: Translator) -> dict[str, Any]:
     """``at``: seconds since the epoch; ``hex``: the bytes as they passed; ``meaning``: in the language of
     ``voice``."""
     return {

@@ -14,7 +14,7 @@ from app.live.state.conditions import is_driven
 from bus.catalogue.status import StatusBits
 from bus.contract import Reading
 
-State = Literal[
+MotionState = Literal[
     "", "at_speed", "at_zero", "ramping_up", "ramping_down", "off_speed", "stopped", "stopping", "turning"
 ]
 """``stopped``, ``stopping``, ``turning``: not driven; standing still, slowing down, or neither."""
@@ -28,12 +28,12 @@ PATIENCE_SCANS = 3
 class Motion:
     """The way of one unit towards its commanded speed, or to a standstill."""
 
-    state: State = ""
+    state: MotionState = ""
     _goal: int | None = None
     _least_error: int = 0
     _nearer_at: float = 0.0
 
-    def see(self, reading: Reading, bits: StatusBits, *, scan_s: float, ratio: bool = False) -> State:
+    def see(self, reading: Reading, bits: StatusBits, *, scan_s: float, ratio: bool = False) -> MotionState:
         """The state after this reading. ``ratio``: its speeds are ratios to a master, which say nothing of
         whether the motor turns."""
         driven = is_driven(bits)
@@ -50,7 +50,7 @@ class Motion:
         return self.state
 
 
-def _driven(reading: Reading, at_speed: bool, gave_up: bool) -> State:
+def _driven(reading: Reading, at_speed: bool, gave_up: bool) -> MotionState:
     if reading.commanded == 0 and reading.actual == 0:
         return "at_zero"
     if at_speed:
@@ -60,7 +60,7 @@ def _driven(reading: Reading, at_speed: bool, gave_up: bool) -> State:
     return "ramping_up" if reading.commanded > reading.actual else "ramping_down"
 
 
-def _not_driven(reading: Reading, gave_up: bool) -> State:
+def _not_driven(reading: Reading, gave_up: bool) -> MotionState:
     if reading.actual == 0:
         return "stopped"
     return "turning" if gave_up else "stopping"

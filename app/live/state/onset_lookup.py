@@ -23,7 +23,7 @@ BACK_S = (HOUR_S, DAY_S, 7 * DAY_S, 31 * DAY_S, 366 * DAY_S)
 
 StatusWords = Callable[[str, int, float, float], Awaitable[Sequence[WordSpan]]]
 """The stored status bits of a unit of a bus from one time to another, in order of time. Raises StoreError."""
-Key = tuple[str, int, Condition, Onset]
+OnsetKey = tuple[str, int, Condition, Onset]
 
 
 class OnsetLookup:
@@ -40,7 +40,7 @@ class OnsetLookup:
         self._words = words
         self._changed = changed
         self._clock = clock
-        self._looked: dict[Key, int] = {}
+        self._looked: dict[OnsetKey, int] = {}
         """How often each open onset was looked up."""
         self._asked: set[tuple[str, int]] = set()
         """The units whose last response before this start was looked up."""
@@ -76,7 +76,7 @@ class OnsetLookup:
         ]
         return [unit for unit in units if unit not in self._asked]
 
-    def _open(self) -> list[Key]:
+    def _open(self) -> list[OnsetKey]:
         return [
             (bus.settings.name, number, name, onset)
             for bus in self._live.buses.values()

@@ -5,6 +5,52 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText
 
 TEXTS: dict[str, EnglishText] = {
+    "setpoints_missing": "no setpoint is given: name at least one unit",
+    "unit_blocked": "unit {unit} is blocked by {who}: {reason}",
+    "analog_output_outside": (
+        "unit {unit}: the analog output takes {lowest} (0 V, #29) to {highest} (10 V, #30); the "
+        "nearest is {nearest}"
+    ),
+    "parameter_not_while_running": "#{number} {called} cannot be changed while the unit's run input is on",
+    "setpoint_outside_protocol": (
+        "unit {unit}: {value} is outside {lowest} to {highest} (what the link can carry); the "
+        "nearest is {nearest}"
+    ),
+    "setpoint_outside_display": (
+        "unit {unit}: {value} is outside {lowest} to {highest} (its maximum display value, #2); "
+        "the nearest is {nearest}"
+    ),
+    "setpoint_outside_ratio": (
+        "unit {unit}: {value} is outside {lowest} to {highest} (its ratio limits, #38 and #31); "
+        "the nearest is {nearest}"
+    ),
+    "setpoint_outside_limits": (
+        "unit {unit}: {value} is outside {lowest} to {highest} (the limits set for this unit); "
+        "the nearest is {nearest}"
+    ),
+    "moves_too_far": (
+        "unit {unit}: the setpoint may move by {most} within a minute, of which {left} is left; "
+        "this would move it by {step}"
+    ),
+    "unknown_step_needs_review": (
+        "unit {unit}: a step of a size that cannot be known now needs a review, because the "
+        "largest without one is {largest}; confirm it"
+    ),
+    "step_needs_review": (
+        "unit {unit}: a step of {size} needs a review, because the largest without one is "
+        "{largest}; confirm it"
+    ),
+    "control_held_by": "{who} holds control; ask them to hand it over",
+    "control_not_taken": "nobody holds control of this line; take it first",
+    "control_held": "{who} holds control of this line",
+    "unit_gave_too_little": (
+        "unit {unit} did not give {numbers}, without which the command cannot be judged; nothing "
+        "was sent. Check its power and the cable"
+    ),
+    "parameter_takes": "#{number} {called} takes {values}",
+    "parameter_cannot_be": "#{number} {called} cannot be {raw}: it takes {values}; the nearest is {nearest}",
+    "value_range": "{lowest} to {highest}",
+    "one_of_values": "{others} or {last}",
     "unit_did_not_answer": "unit {unit} did not answer",
     "no_such_output": "a unit has the auxiliary outputs 1 to 6",
     "no_such_parameter": "a unit has the parameters 1 to 40",

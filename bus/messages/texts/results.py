@@ -13,7 +13,6 @@ TEXTS: dict[str, EnglishText] = {
     "arrived_late": "it arrived {seconds} s after its deadline; nothing was sent",
     "canceled": "canceled",
     "canceled_before_sending": "canceled before it was sent; nothing was sent",
-    "unit_blocked": "unit {unit} is blocked by {who}: {reason}",
     "units_busy": "another change of these units took until its deadline; nothing was sent",
     "too_many_commands": "too many commands are under way at the bus worker; nothing was sent",
     "unknown_command": "this bus worker does not know such a command; nothing was sent",

@@ -13,6 +13,20 @@ TEXTS: dict[str, EnglishText] = {
     "set_or_document": "give either set (a stored one) or document (a TOML file)",
     "source_lacks_unit": "{source} does not hold unit {unit}",
     "source_not_utf8": "{source} is no text in UTF-8: {why} at byte {n}; save it as UTF-8",
+    "source_takes_unit_twice": "{source}: a unit is given twice; keep one [[unit]] for each address",
+    "source_no_parameter_set": "{source}: not a parameter set: it lacks format = {format}",
+    "source_of_newer_version": "{source}: written by a newer Lineside (version {version}); update this one",
+    "source_key_too_deep": "{source}: a key has too many dotted parts",
+    "source_cut_off": "{source}: not readable as TOML, perhaps cut off: {why}",
+    "source_not_toml": "{source}: not readable as TOML: {why}",
+    "source_fault": "{source}: {where}: {fault}",
+    "source_time_unknown": "{source}: {time} is no time that a unit was read at",
+    "source_no_such_parameter": (
+        "{source}: unit {unit}: there is no parameter '{key}'; a DIGIMAX IV has 1 to 40"
+    ),
+    "source_value_outside": (
+        "{source}: unit {unit}: parameter {number} ({name}): {raw} is outside {lowest} to {highest}"
+    ),
     "source_too_long": "{source} is too long for a parameter set",
     "no_such_set": "there is no parameter set {set}",
     "set_lacks_unit": "set {set} does not hold unit {unit}",
