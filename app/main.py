@@ -33,6 +33,7 @@ from app.recipes import api as recipes_api
 from app.recipes import pages as recipes_pages
 from app.server.forwarded import Forwarded
 from app.server.security_headers import SecurityHeaders
+from app.server.starting import StartInTurn
 from app.sets import api as sets_api
 from app.sets import batch_pages, restore_api, restore_pages
 from app.sets import pages as sets_pages
@@ -40,6 +41,7 @@ from app.settings import Settings
 from app.swap import pages as swap_pages
 from app.web import install, problems, schema
 from app.web import pages as web_pages
+from app.web.anonymous import AnonymousInTurn
 from app.web.arrival import Begun
 from app.web.bounds import BoundedRequest
 from app.web.head import HeadAsGet
@@ -113,6 +115,7 @@ def create_app(
         app.router.routes.extend(copy(route) for route in feature.router.routes)
     problems.install(app)
     app.add_middleware(HeadAsGet)
+    app.add_middleware(AnonymousInTurn)
     app.add_middleware(Identify, identity=services.identity, rechecks=services.rights.rechecks, demo=demo)
     app.add_middleware(BoundedRequest)
     app.add_middleware(OwnPagesOnly)
@@ -121,9 +124,10 @@ def create_app(
     app.add_middleware(AllowedHosts, allowed=settings.server.allowed_hosts)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Forwarded, trusted=settings.server.trusted_proxies)
+    app.add_middleware(StartInTurn)
     app.add_middleware(Begun)
     refuse_undeclared(app)
-    guard(app)
+    guard(app, services.turns)
     return app
 
 

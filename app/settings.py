@@ -23,7 +23,7 @@ from app.messages.languages import catalogs
 from app.time_zone import is_zone, machine_zone
 from bus import configuration
 from bus.configuration import ConfigurationError
-from bus.settings import BusSettings, Strict
+from bus.settings import BusSettings, StrictModel
 from bus.text import OneLine
 
 __all__ = ["ConfigurationError", "ServerSettings", "Sessions", "Settings", "Site", "load"]
@@ -35,7 +35,7 @@ KEY_SUFFIX = ".audit.key"
 """``lineside.toml`` has its key in ``lineside.audit.key``."""
 
 
-class Site(Strict):
+class Site(StrictModel):
     """The plant as people call it."""
 
     name: Annotated[OneLine, Field(min_length=1, max_length=80)] = "Lineside"
@@ -98,7 +98,7 @@ TrustedNetwork = Annotated[IPv4Network | IPv6Network, BeforeValidator(_network)]
 HostName = Annotated[str, AfterValidator(_host_name)]
 
 
-class Sessions(Strict):
+class Sessions(StrictModel):
     """How long a sign-in lasts: since it was last used, and in all."""
 
     idle_hours: Annotated[float, Field(strict=True, ge=0.25, le=168)] = 12
@@ -117,7 +117,7 @@ class Sessions(Strict):
         return self
 
 
-class ServerSettings(Strict):
+class ServerSettings(StrictModel):
     """Where the dashboard listens and keeps its data."""
 
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
@@ -137,7 +137,7 @@ class ServerSettings(Strict):
         return self.data / "lineside.db"
 
 
-class HistorySettings(Strict):
+class HistorySettings(StrictModel):
     """How long readings are kept."""
 
     raw_days: Annotated[int, Field(strict=True, ge=1, le=3650)] = 30
@@ -146,7 +146,7 @@ class HistorySettings(Strict):
     """Those, and the bits as intervals."""
 
 
-class Audit(Strict):
+class Audit(StrictModel):
     """What makes the audit log provable. Both are relative to the file; absolute once loaded."""
 
     key_file: Path | None = None
@@ -155,7 +155,7 @@ class Audit(Strict):
     """Where the head of the log is noted every minute and at every stop; when absent, nowhere."""
 
 
-class Settings(Strict):
+class Settings(StrictModel):
     """The whole configuration."""
 
     site: Site = Site()

@@ -60,6 +60,7 @@ from app.swap.store import SwapStore
 from app.web.access import Person, Role
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
+from app.web.turns import Turns
 
 log = structlog.get_logger()
 
@@ -103,6 +104,7 @@ class Services:
     recipes: RecipeBook
     measured: MetricSources
     onsets: OnsetLookup
+    turns: Turns
 
 
 def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -> Services:
@@ -179,6 +181,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         recipes=recipes,
         measured=MetricSources(live, hub, Counts(events), partial(_anchor_status, anchoring)),
         onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, time),
+        turns=Turns(),
     )
 
 

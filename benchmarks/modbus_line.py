@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from bus.simulator.pacer import ReplyLine, RequestLine, Wake, byte_seconds
-from bus.simulator.record import Happened, Record
+from bus.simulator.record import Happened, WireRecord
 
 REGISTERS = 6
 _REQUEST_BYTES = 8
@@ -20,7 +20,7 @@ class ModbusLine:
     """Answers every read of holding registers at once; ``LineServer`` takes it for a ``SimulatedLine``."""
 
     baud: int = 9600
-    record: Record = field(default_factory=Record)
+    record: WireRecord = field(default_factory=WireRecord)
 
     def __post_init__(self) -> None:
         self._requests = RequestLine()

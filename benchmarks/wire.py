@@ -22,10 +22,10 @@ from benchmarks.tables import microseconds, show
 from benchmarks.witness import Seen, look
 from bus.settings import BITS_PER_BYTE
 from bus.simulator.demo import demo_line
-from bus.simulator.faults import Faults, Kind
+from bus.simulator.faults import FaultKind, Faults
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
-from bus.simulator.record import Entry, Happened
+from bus.simulator.record import Happened, WireEvent
 from bus.simulator.serve import LineServer
 from tests.e2e.limits import START_S
 from tests.e2e.site import end, eventually
@@ -105,7 +105,7 @@ def _show_dead_unit() -> None:
     for name in ("bare asyncio loop", "Lineside, whole"):
         healthy, _, _ = _measure(HOSTS[name], _simulated(Faults()))
         faults = Faults()
-        faults.set(Kind.DEAD, 1.0, DEAD)
+        faults.set(FaultKind.DEAD, 1.0, DEAD)
         hurt, _, _ = _measure(HOSTS[name], _simulated(faults))
         others = [hurt.per_unit[unit] / healthy.per_unit[unit] for unit in hurt.per_unit if unit != DEAD]
         rows.append([name, f"{min(others):.2f}", f"{sum(others) / len(others):.2f}", f"{hurt.rate:.1f}"])
@@ -141,7 +141,7 @@ def _settle(server: LineServer) -> None:
             return
 
 
-def _record(server: LineServer, since: int) -> list[Entry]:
+def _record(server: LineServer, since: int) -> list[WireEvent]:
     return server.call(lambda line: list(line.record.since(since)))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from benchmarks.tables import median, quantile
-from bus.simulator.record import Entry, Happened
+from bus.simulator.record import Happened, WireEvent
 
 SHORTEST_POLL_ANSWER = 10
 """Bytes; the answer to a parameter or a write has fewer."""
@@ -31,7 +31,7 @@ class Seen:
         return quantile(self.gaps, 0.99)
 
 
-def look(entries: Iterable[Entry], seconds: float) -> Seen:
+def look(entries: Iterable[WireEvent], seconds: float) -> Seen:
     """The host's doings in a stretch of the record that lasted ``seconds``."""
     said: dict[int, int] = {}
     gaps: list[float] = []

@@ -15,7 +15,7 @@ from pydantic_core import ErrorDetails
 from bus.errors import LinesideError
 from bus.settings import BusSettings
 
-Step = str | int
+KeyStep = str | int
 Model = TypeVar("Model", bound=BaseModel)
 
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
@@ -45,7 +45,7 @@ def load(path: Path, model: type[Model]) -> Model:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        lines = Lines(text)
+        lines = LineNumbers(text)
         faults = [_fault(path, lines, model, details) for details in error.errors()]
         raise ConfigurationError("\n".join(dict.fromkeys(faults))) from error
 
@@ -83,14 +83,14 @@ def _syntax(path: Path, text: str, error: tomllib.TOMLDecodeError) -> str:
     )
 
 
-class Lines:
+class LineNumbers:
     """Where each key of a TOML text stands. A value inside an array or an inline table is found by
     the line of the nearest key around it."""
 
     def __init__(self, text: str) -> None:
         self._places = dict(_places(text))
 
-    def of(self, path: tuple[Step, ...]) -> int:
+    def of(self, path: tuple[KeyStep, ...]) -> int:
         """The line (from 1) of a key, or of what it would stand in."""
         for length in range(len(path), 0, -1):
             if path[:length] in self._places:
@@ -102,9 +102,9 @@ def _parts(dotted: str) -> tuple[str, ...]:
     return tuple(part.strip("\"'") for part in _PART.findall(dotted))
 
 
-def _places(text: str) -> Iterator[tuple[tuple[Step, ...], int]]:
-    counts: dict[tuple[Step, ...], int] = {}
-    table: tuple[Step, ...] = ()
+def _places(text: str) -> Iterator[tuple[tuple[KeyStep, ...], int]]:
+    counts: dict[tuple[KeyStep, ...], int] = {}
+    table: tuple[KeyStep, ...] = ()
     lines = text.splitlines()
     number = 0
     while number < len(lines):
@@ -120,9 +120,11 @@ def _places(text: str) -> Iterator[tuple[tuple[Step, ...], int]]:
         number += 1
 
 
-def _table(parts: tuple[str, ...], counts: dict[tuple[Step, ...], int], *, is_new: bool) -> tuple[Step, ...]:
+def _table(
+    parts: tuple[str, ...], counts: dict[tuple[KeyStep, ...], int], *, is_new: bool
+) -> tuple[KeyStep, ...]:
     """The path of a header, with the index of the present element after each name of an array."""
-    path: tuple[Step, ...] = ()
+    path: tuple[KeyStep, ...] = ()
     for index, part in enumerate(parts):
         path += (part,)
         if is_new and index == len(parts) - 1:
@@ -143,12 +145,12 @@ def _lines_of_value(lines: list[str]) -> int:
     return 0
 
 
-def _fault(path: Path, lines: Lines, model: type[BaseModel], details: ErrorDetails) -> str:
+def _fault(path: Path, lines: LineNumbers, model: type[BaseModel], details: ErrorDetails) -> str:
     place = tuple(details["loc"]) + tuple(details.get("ctx", {}).get("at", ()))
-    return f"{path}:{lines.of(place)}: {_sentence(model, place, details)}"
+    return f"{path}:{lines.of(place)}: {_error_text(model, place, details)}"
 
 
-def _sentence(model: type[BaseModel], place: tuple[Step, ...], details: ErrorDetails) -> str:
+def _error_text(model: type[BaseModel], place: tuple[KeyStep, ...], details: ErrorDetails) -> str:
     key = str(place[-1]) if place else "the file"
     if details["type"] == "extra_forbidden":
         return _unknown_key(model, place)
@@ -170,21 +172,21 @@ def _right(details: ErrorDetails) -> str:
     return said.replace("Input should", "it must").replace("String should", "it must")
 
 
-def _inside(place: tuple[Step, ...]) -> str:
+def _inside(place: tuple[KeyStep, ...]) -> str:
     names = ".".join(step for step in place[:-1] if isinstance(step, str))
     if not names:
         return "the file"
     return f"[[{names}]]" if isinstance(place[-2], int) else f"[{names}]"
 
 
-def _unknown_key(model: type[BaseModel], place: tuple[Step, ...]) -> str:
+def _unknown_key(model: type[BaseModel], place: tuple[KeyStep, ...]) -> str:
     known = _keys(model, place[:-1])
     near = difflib.get_close_matches(str(place[-1]), known, 1)
     right = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
     return f"unknown key {place[-1]} in {_inside(place)}; {right}"
 
 
-def _keys(annotation: Any, place: tuple[Step, ...]) -> list[str]:
+def _keys(annotation: Any, place: tuple[KeyStep, ...]) -> list[str]:
     """The keys that may stand at a place of a model."""
     if get_origin(annotation) is Annotated:
         return _keys(get_args(annotation)[0], place)

@@ -20,7 +20,7 @@ JITTER = 0.25
 
 
 @dataclass(slots=True)
-class Backoff:
+class ReconnectDelay:
     """``random`` gives numbers from 0 to 1; many that lost the same server must not come back together."""
 
     random: Callable[[], float]
@@ -38,11 +38,11 @@ class Backoff:
         return pause * (1.0 - JITTER + 2.0 * JITTER * self.random())
 
     @property
-    def is_worth_a_line(self) -> bool:
+    def is_worth_logging(self) -> bool:
         """Whether to log this end."""
-        return is_worth_a_line(self.count)
+        return is_worth_logging(self.count)
 
 
-def is_worth_a_line(count: int) -> bool:
+def is_worth_logging(count: int) -> bool:
     """Whether to log what happens for this time: the first three, then each time that it has doubled."""
     return count <= 3 or count & (count - 1) == 0

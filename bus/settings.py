@@ -21,13 +21,13 @@ def wire_seconds(byte_count: int, baud: int) -> float:
     return byte_count * BITS_PER_BYTE / baud
 
 
-class Strict(BaseModel):
+class StrictModel(BaseModel):
     """Immutable, and an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Dialect(Strict):
+class Dialect(StrictModel):
     """The open questions of the manual, answered for one bus. A real unit decides each of them."""
 
     checksum_10h: Literal["once", "twice"] = "once"
@@ -50,7 +50,7 @@ class Dialect(Strict):
         return value
 
 
-class UnitLabels(Strict):
+class UnitLabels(StrictModel):
     """Names of what is wired to a unit."""
 
     output: dict[Annotated[int, Field(ge=1, le=6)], OneLine] = {}
@@ -61,7 +61,7 @@ class UnitLabels(Strict):
     """What the display shows, for example m/min."""
 
 
-class UnitSettings(Strict):
+class UnitSettings(StrictModel):
     """One DIGIMAX IV: its address (#17) and its name on the floor."""
 
     id: Annotated[int, Field(strict=True, ge=1, le=255)]

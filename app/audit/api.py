@@ -46,9 +46,16 @@ class EventFrameShown(BaseModel):
     meaning: str
 
 
+class EventMessage(BaseModel):
+    """A text as data: a value that is a text of its own has code and params too."""
+
+    code: str
+    params: dict[str, Any]
+
+
 class EventShown(BaseModel):
     """One event; ``outcome`` of a command is null until its fate is known. ``count``: how often it happened.
-    ``unreadable``: its time (then null) or its frames are not what the server wrote."""
+    ``unreadable``: its time (then null), frames or messages are not what the server wrote."""
 
     id: int
     time: Annotated[str | None, Field(description="ISO 8601 in UTC, milliseconds; null: not readable.")]
@@ -66,7 +73,15 @@ class EventShown(BaseModel):
     message: str
     frames: list[EventFrameShown]
     count: Annotated[int, Field(description="How often it happened.")]
-    unreadable: Annotated[bool, Field(description="Its time or frames are not what the server wrote.")]
+    unreadable: Annotated[
+        bool, Field(description="Its time, frames or messages are not what the server wrote.")
+    ]
+    messages: Annotated[
+        dict[str, EventMessage],
+        Field(
+            description="What the texts of what, old, new and message say, by field; none in older events."
+        ),
+    ]
 
 
 class EventPage(BaseModel):
@@ -110,6 +125,7 @@ def shown(event: Event) -> dict[str, Any]:
         "count": event["count"] or 1,
         "frames": frames,
         "unreadable": event["unreadable"],
+        "messages": event["messages"],
     }
 
 

@@ -16,12 +16,14 @@ from app.audit.entry import is_moment, new_entry
 from app.audit.keys import Keys, passing_keys
 from app.audit.kinds import EventKind
 from app.audit.proof import LogProof
+from app.audit.reading import messages_of
 from app.audit.repeated import RepeatedEvents
 from app.audit.store import Filter
 from app.audit.walk import Verdict
 from app.database import Database
 from app.errors import StoreError
 from bus.contract import Frame, Outcome
+from bus.messages import Message
 
 log = structlog.get_logger()
 
@@ -66,9 +68,9 @@ class EventLog:
         origin: str,
         bus: str,
         unit: int | None,
-        what: str,
-        old: str | None = None,
-        new: str | None = None,
+        what: str | Message,
+        old: str | Message | None = None,
+        new: str | Message | None = None,
         old_raw: int | None = None,
         new_raw: int | None = None,
     ) -> int:
@@ -82,7 +84,7 @@ class EventLog:
         them; their numbers in order."""
         return await self._append_all([self._entry("command", **intent) for intent in intents], also)
 
-    async def conclude_together(self, fates: Mapping[int, tuple[Outcome, str]]) -> None:
+    async def conclude_together(self, fates: Mapping[int, tuple[Outcome, str | Message]]) -> None:
         """By event number the outcome and message of each, in one transaction."""
         entries = [
             self._entry("fate", about=event, outcome=outcome, message=message)
@@ -96,7 +98,7 @@ class EventLog:
         self,
         event: int,
         outcome: Outcome,
-        message: str = "",
+        message: str | Message = "",
         frames: Sequence[Frame] = (),
         also: Also = _nothing,
     ) -> None:
@@ -109,17 +111,17 @@ class EventLog:
         self,
         *,
         kind: EventKind,
-        what: str,
+        what: str | Message,
         who: str = "",
         origin: str = "",
         bus: str | None = None,
         unit: int | None = None,
-        old: str | None = None,
-        new: str | None = None,
+        old: str | Message | None = None,
+        new: str | Message | None = None,
         old_raw: int | None = None,
         new_raw: int | None = None,
         outcome: str | None = None,
-        message: str = "",
+        message: str | Message = "",
         at: float | None = None,
         count: int = 1,
     ) -> int:
@@ -144,7 +146,13 @@ class EventLog:
         return (await self._append_all([entry]))[0]
 
     async def count(
-        self, kind: EventKind, what: str, *, who: str = "", origin: str = "", message: str = ""
+        self,
+        kind: EventKind,
+        what: str | Message,
+        *,
+        who: str = "",
+        origin: str = "",
+        message: str | Message = "",
     ) -> None:
         """Something that a stranger can cause as often as they like: see `RepeatedEvents`."""
         await self.repeated.count(kind, what, who=who, origin=origin, message=message)
@@ -194,7 +202,10 @@ class EventLog:
     async def _append_all(self, entries: Sequence[Event], also: Also = _nothing) -> list[int]:
         numbers = await self._write_all(entries, also)
         for number, entry in zip(numbers, entries, strict=True):
-            self._say({**entry, "id": number, "concluded_at": None, "unreadable": False})
+            messages = messages_of(entry["messages"])
+            self._say(
+                {**entry, "id": number, "concluded_at": None, "unreadable": False, "messages": messages}
+            )
         return numbers
 
     async def _write_all(self, entries: Sequence[Event], also: Also = _nothing) -> list[int]:

@@ -8,6 +8,9 @@ from typing import Any
 import msgspec
 
 from app.audit.entry import Event, is_moment
+from bus.messages import Message
+
+_MESSAGES = msgspec.json.Decoder(dict[str, Message])
 
 
 class FrameRecord(msgspec.Struct):
@@ -21,17 +24,31 @@ class FrameRecord(msgspec.Struct):
 
 def readable(row: Mapping[str, Any]) -> Event:
     """The row as an event. Where its time or its frames cannot be, ``unreadable`` is true, the time 0, which
-    no event has, and the frames left out."""
+    no event has, and the frames left out. ``messages``: what its fields say, where that is known."""
     has_time, frames = is_moment(row["time"]), frames_of(row["frames"])
     event = {**row, "unreadable": not has_time or frames is None}
     concluded_at = row["concluded_at"]
     if concluded_at is not None and not is_moment(concluded_at):
         event |= {"concluded_at": None, "unreadable": True}
+    said = [messages_of(row["messages"]), messages_of(row["concluded_messages"])]
+    event["messages"] = {**(said[0] or {}), **(said[1] or {})}
+    if None in said:
+        event["unreadable"] = True
     if not has_time:
         event["time"] = 0.0
     if frames is None:
         event["frames"] = "[]"
     return event
+
+
+def messages_of(text: str | None) -> dict[str, Message] | None:
+    """What the fields of an entry say, by field, from its JSON; None where it is none."""
+    if text is None:
+        return {}
+    try:
+        return _MESSAGES.decode(text)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError):
+        return None
 
 
 def frames_of(text: str) -> list[FrameRecord] | None:

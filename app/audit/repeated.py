@@ -7,10 +7,11 @@ from collections.abc import Awaitable, Callable
 
 from app.audit.kinds import EventKind
 from app.audit.tally import WINDOW_S, Counted, Tally
+from bus.messages import Message
 
 MANY = "many addresses"
 """The origin of what is counted for more places than are told apart."""
-_Said = tuple[EventKind, str, str, str, str]
+_Said = tuple[EventKind, str | Message, str, str, str | Message]
 """Kind, what, who, origin and message."""
 
 
@@ -25,7 +26,9 @@ class RepeatedEvents:
         self._clock = clock
         self._tally: Tally[_Said] = Tally()
 
-    async def count(self, kind: EventKind, what: str, *, who: str, origin: str, message: str) -> None:
+    async def count(
+        self, kind: EventKind, what: str | Message, *, who: str, origin: str, message: str | Message
+    ) -> None:
         """It happened once more."""
         told = self._tally.note(f"{kind} {who}", (kind, what, who, origin, message), self._clock())
         if told is not None:

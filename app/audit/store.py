@@ -15,7 +15,7 @@ from app.audit.keys import Keys
 from app.audit.reading import readable
 from app.audit.walk import Verdict, Walk
 
-_COLUMNS = (*FIELDS, "count", "key", "previous", "hash", "seal")
+_COLUMNS = (*FIELDS, "count", "messages", "key", "previous", "hash", "seal")
 """A further column must allow NULL and stand here; the hash covers it wherever it is not NULL."""
 _INSERT = f"INSERT INTO events ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
 _NOTE_HEAD = (
@@ -30,7 +30,8 @@ CHUNK = 500
 _FOLDED = """
 SELECT e.id, e.time, e.kind, e.who, e.origin, e.bus, e.unit, e.what, e.old, e.new, e.old_raw, e.new_raw,
        COALESCE(f.outcome, e.outcome) AS outcome, COALESCE(f.message, e.message) AS message,
-       COALESCE(f.frames, e.frames) AS frames, e.count, f.time AS concluded_at
+       COALESCE(f.frames, e.frames) AS frames, e.count, f.time AS concluded_at,
+       e.messages, f.messages AS concluded_messages
 FROM events e LEFT JOIN events f ON f.about = e.id
 WHERE e.about IS NULL
 """

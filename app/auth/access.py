@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
 from contextlib import suppress
 from urllib.parse import quote, urlsplit
 
@@ -14,6 +16,7 @@ from app.auth.lasting import Rechecks, RightsEndedError, sending_while_allowed, 
 from app.auth.refusals import REFUSED_ACCOUNT
 from app.errors import Problem, StoreError
 from app.server.connections import identify
+from app.server.handshakes import Handshakes
 from app.web.access import Person, Role, not_signed_in
 from app.web.hosts import LOOPBACK
 from app.web.problems import is_fragment, problem_json, wants_json
@@ -36,6 +39,7 @@ class Identify:
         self._identity = identity
         self._rechecks = rechecks
         self._demo = demo
+        self._handshakes = Handshakes()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -58,6 +62,8 @@ class Identify:
         scope["person"] = person
         if person is not None:
             identify(scope, person.account)
+            if scope["type"] == "websocket":
+                await asyncio.sleep(self._handshakes.wait_s(person.account, time.monotonic()))
 
         async def is_still() -> bool:
             return await self._is_still(connection, person)

@@ -14,7 +14,7 @@ from app.auth.store import Token, User
 from app.database import Database
 from app.web.access import AccountSubscriber, Role, account_of, name_of
 from bus.errors import CallerError
-from bus.messages import Message
+from bus.messages import Message, term
 
 
 class Accounts:
@@ -77,7 +77,7 @@ class Accounts:
         strength.check_password(password, user=name, site=self._site)
         user = User(name, role, False, "/", "", False, self._clock(), None)
         await self._add(user, password)
-        await self._note("user", f"user {name} added as {role}", by, origin)
+        await self._note("user", Message.of("event_user_added", name=name, role=term(role)), by, origin)
 
     async def add_panel(self, name: str, role: Role, pin: str, home: str, *, by: str, origin: str) -> None:
         """Add a panel on the wall, which signs in by a PIN. Raises CallerError."""
@@ -86,7 +86,7 @@ class Accounts:
         strength.check_pin(pin)
         rules.check_home(home)
         await self._add(User(name, role, True, home, "", False, self._clock(), None), pin)
-        await self._note("user", f"panel {name} added as {role}", by, origin)
+        await self._note("user", Message.of("event_panel_added", name=name, role=term(role)), by, origin)
 
     async def set_role(self, name: str, role: Role, *, by: str, origin: str) -> None:
         """Raises CallerError for nobody, for the last admin, and for a panel above operator."""
@@ -98,18 +98,21 @@ class Accounts:
             return store.set_role(connection, name, role)
 
         await self._change(name, change)
-        await self._note("user", f"user {name} is {role} now", by, origin)
+        await self._note("user", Message.of("event_role_changed", name=name, role=term(role)), by, origin)
 
     async def set_disabled(self, name: str, disabled: bool, *, by: str, origin: str) -> None:
         """Refuse a user, or admit again. Raises CallerError for nobody and for the last admin."""
         await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
-        words = "is refused from now on" if disabled else "may sign in again"
-        await self._note("user", f"user {name} {words}", by, origin)
+        refused, admitted = (
+            Message.of("event_user_refused", name=name),
+            Message.of("event_user_admitted", name=name),
+        )
+        await self._note("user", refused if disabled else admitted, by, origin)
 
     async def remove_user(self, name: str, *, by: str, origin: str) -> None:
         """Raises CallerError for nobody and for the last admin."""
         await self._change(name, lambda connection: store.remove_user(connection, name))
-        await self._note("user", f"user {name} removed", by, origin)
+        await self._note("user", Message.of("event_user_removed", name=name), by, origin)
 
     async def set_password(
         self, name: str, password: str, *, by: str, origin: str, keep: bytes = b""
@@ -125,7 +128,7 @@ class Accounts:
             strength.check_password(password, user=name, site=self._site)
         hashed = await self._passwords.hash(password)
         await self._change(name, lambda connection: store.set_secret(connection, name, hashed, keep))
-        what = f"user {name} has a new password"
+        what = Message.of("event_password_changed", name=name)
         await self._note("user", what, by, origin, kept=name if keep else "")
 
     async def set_language(self, name: str, language: str) -> None:
@@ -155,7 +158,9 @@ class Accounts:
             )
         except sqlite3.IntegrityError:
             raise CallerError(Message.of("token_exists", name=name)) from None
-        what = f"token {name} created as {role} of bus {bus}" if bus else f"token {name} created as {role}"
+        what = Message.of("event_token_created", name=name, role=term(role))
+        if bus:
+            what = Message.of("event_token_of_bus_created", name=name, role=term(role), bus=bus)
         await self._note("token", what, by, origin)
         return secret
 
@@ -163,7 +168,7 @@ class Accounts:
         """Raises CallerError for one that is not there."""
         if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
             raise CallerError(Message.of("no_such_token", name=name[:80]))
-        await self._note("token", f"token {name} revoked", by, origin)
+        await self._note("token", Message.of("event_token_revoked", name=name), by, origin)
 
     async def _add(self, user: User, secret: str) -> None:
         hashed = await self._passwords.hash(secret)
@@ -182,7 +187,7 @@ class Accounts:
 
         await self._database.write(guarded)
 
-    async def _note(self, kind: EventKind, what: str, by: str, origin: str, kept: str = "") -> None:
+    async def _note(self, kind: EventKind, what: Message, by: str, origin: str, kept: str = "") -> None:
         await self._events.record(kind=kind, what=what, who=by, origin=origin)
         for subscriber in self._subscribers:
             await subscriber(kept)

@@ -5,12 +5,14 @@ from __future__ import annotations
 from contextlib import suppress
 
 from starlette.datastructures import Headers
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Message as AsgiMessage
 
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.server.addresses import source_of
 from app.web.access import Person
+from bus.messages import Message
 
 _STARTS = frozenset({"http.response.start", "websocket.http.response.start"})
 UNKNOWN_TOKEN = "unknown token"
@@ -28,7 +30,7 @@ class RecordRefusals:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         status = 0
 
-        async def watching(message: Message) -> None:
+        async def watching(message: AsgiMessage) -> None:
             nonlocal status
             if message["type"] in _STARTS:
                 status = message["status"]
@@ -40,16 +42,18 @@ class RecordRefusals:
             if status == 403:
                 await self._count_forbidden(scope)
             elif status == 401 and Headers(scope=scope).get("authorization"):
-                await self._count("token refused", scope.get(REFUSED_ACCOUNT, UNKNOWN_TOKEN), scope)
+                await self._count(
+                    Message("event_token_refused"), scope.get(REFUSED_ACCOUNT, UNKNOWN_TOKEN), scope
+                )
 
     async def _count_forbidden(self, scope: Scope) -> None:
         person: Person | None = scope.get("person")
         if person is None:
-            await self._count("request of a foreign page refused", "", scope)
+            await self._count(Message("event_foreign_page_refused"), "", scope)
         else:
-            await self._count("access refused", person.account, scope, _asked(scope))
+            await self._count(Message("event_access_refused"), person.account, scope, _asked(scope))
 
-    async def _count(self, what: str, who: str, scope: Scope, message: str = "") -> None:
+    async def _count(self, what: Message, who: str, scope: Scope, message: str = "") -> None:
         client = scope.get("client")
         # Of IPv6 the subnet: a sender has as many of its addresses as it likes.
         origin = source_of(client[0]) if client else ""

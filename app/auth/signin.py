@@ -66,6 +66,8 @@ class SignIn:
         self._clock = clock
         self._site = site
         self._throttle = Throttle()
+        self._has_users = False
+        """Once true it stays so: the last admin cannot be removed."""
         self._hashing: FairQueue[str] = FairQueue(HASHED_AT_ONCE, 1, MOST_WAITING_OF_PLACE, MOST_WAITING)
         self._signed_out: list[AccountSubscriber] = []
 
@@ -81,6 +83,9 @@ class SignIn:
         Raises WrongSecretError, after which the caller owes `note_refusal`; Problem 429 with the time to wait
         after too many, 403 for a panel that has more rights than a panel may have.
         """
+        if not name or not secret:
+            # Nobody has an empty name or secret, so nothing is tried: it costs nothing, and is no event.
+            raise Problem(401, "unauthorized", _WRONG[panel])
         user = await self._checked(name, secret, address, device, panel)
         if user is None:
             raise WrongSecretError(401, "unauthorized", _WRONG[panel])
@@ -96,17 +101,21 @@ class SignIn:
         """Check the present password of who wants to change it, with the same limits as a sign-in. Raises
         CallerError where it is wrong, Problem 429 after too many."""
         if await self._checked(name, secret, address, device, panel=False) is None:
-            await self._count_refusal("user", "password change refused", name, address)
+            await self._count_refusal("user", Message("event_password_change_refused"), name, address)
             raise CallerError(Message("present_password_wrong"))
 
     async def sign_out(self, cookie: str, person: Person, address: str) -> None:
         """End the session."""
         await self.end(rules.secret_hash(cookie), person.name)
-        await self._events.record(kind="logout", what="signed out", who=person.name, origin=address)
+        await self._events.record(
+            kind="logout", what=Message("event_signed_out"), who=person.name, origin=address
+        )
 
     async def nobody_can_sign_in(self) -> bool:
         """Whether there is no user yet."""
-        return not await self._database.read(store.users)
+        if not self._has_users:
+            self._has_users = bool(await self._database.read(store.users))
+        return not self._has_users
 
     async def end(self, hash_: bytes, name: str) -> None:
         """End the session with this hash, of this user."""
@@ -184,7 +193,9 @@ class SignIn:
             store.note_places(connection, user.name, places, now)
 
         await self._database.write(begin)
-        await self._events.record(kind="login", what="signed in", who=user.name, origin=address)
+        await self._events.record(
+            kind="login", what=Message("event_signed_in"), who=user.name, origin=address
+        )
         return SignedIn(session, device, user)
 
     def _is_weak(self, user: User, secret: str) -> bool:
@@ -204,9 +215,9 @@ class SignIn:
         known = await self._database.read(lambda connection: store.user(connection, name))
         # A password typed into the field for the name must not end up in the log.
         who = name if known else "unknown name"
-        await self._count_refusal("login_refused", "sign-in refused", who, address)
+        await self._count_refusal("login_refused", Message("event_sign_in_refused"), who, address)
 
-    async def _count_refusal(self, kind: EventKind, what: str, who: str, address: str) -> None:
+    async def _count_refusal(self, kind: EventKind, what: Message, who: str, address: str) -> None:
         # Without an event a refusal is as good: the disk may be full.
         with suppress(StoreError):
             await self._events.count(kind, what, who=who, origin=source_of(address))

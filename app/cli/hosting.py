@@ -7,6 +7,7 @@ import fcntl
 import os
 import signal
 import socket
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -25,6 +26,9 @@ from app.settings import Settings
 from bus.errors import LinesideError
 from bus.worker.log import configure_log
 
+SWITCH_S = 0.001
+"""How long a thread that computes (a parameter set, a search, an export) keeps the interpreter from the event
+loop, each time that the loop has polled its sockets."""
 _ENDINGS = (signal.SIGTERM, signal.SIGINT)
 
 
@@ -61,6 +65,7 @@ def _lock_file(data: Path) -> int:
 def host(settings: Settings, config: Path, listening: socket.socket, *, demo: bool = False) -> None:
     """Serve at ``listening`` until SIGTERM or SIGINT. Raises HostingError and StoreError in words."""
     configure_log()
+    sys.setswitchinterval(SWITCH_S)
     with only_one(settings.server.data):
         uvloop.run(_host(settings, config, listening, demo=demo))
 

@@ -12,7 +12,7 @@ import typer
 
 from app.cli.ending import ending
 from bus.line.scan.found import Found, conclude, settings_seen
-from bus.line.scan.passes import PASSES, silent_seconds
+from bus.line.scan.passes import PASSES, no_response_s
 from bus.line.scan.scanner import BaudScan, scan_baud
 from bus.messages import Message
 from bus.settings import BAUDS, check_port
@@ -97,7 +97,7 @@ def announcement(
     port: str, bauds: Sequence[int], addresses: range, turnaround_s: float, every_baud: bool
 ) -> str:
     """What will be done and how long it takes, before it is done."""
-    seconds = [PASSES * len(addresses) * silent_seconds(baud, turnaround_s) for baud in bauds]
+    seconds = [PASSES * len(addresses) * no_response_s(baud, turnaround_s) for baud in bauds]
     which = (
         f"addresses {addresses[0]} to {addresses[-1]}" if len(addresses) > 1 else f"address {addresses[0]}"
     )

@@ -12,6 +12,7 @@ from typing import Any, cast
 import uvicorn
 
 from app.main import create_app
+from app.server.accepting import accept_connections
 from app.server.connections import Connections
 from app.server.files import raise_file_limit
 from app.server.loop_watch import LoopWatch
@@ -37,6 +38,7 @@ class Server(uvicorn.Server):
         super().__init__(_config(app, self._watch, connections))
         self._serving = serving
         self._ended = asyncio.Event()
+        self._accepting: list[asyncio.Task[None]] = []
 
     def end(self) -> None:
         """Let go of everybody, then return from serving."""
@@ -50,8 +52,11 @@ class Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """As it is, then the word that it serves."""
         self._watch.start()
-        await super().startup(sockets)
+        await super().startup([])
         if self.started:
+            for listening in sockets or []:
+                accepting = accept_connections(listening, self._make_protocol, self.config.ssl)
+                self._accepting.append(asyncio.create_task(accepting))
             self._serving()
 
     async def main_loop(self) -> None:
@@ -65,9 +70,17 @@ class Server(uvicorn.Server):
                     await self._ended.wait()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """As it is; the loop is watched no more."""
+        """As it is; nothing more is accepted, and the loop is watched no more."""
         self._watch.stop()
+        for task in self._accepting:
+            task.cancel()
+        await asyncio.gather(*self._accepting, return_exceptions=True)
         await super().shutdown(sockets)
+
+    def _make_protocol(self) -> asyncio.Protocol:
+        """As uvicorn does for a server of asyncio's."""
+        make = cast(Callable[..., asyncio.Protocol], self.config.http_protocol_class)
+        return make(config=self.config, server_state=self.server_state, app_state=self.lifespan.state)
 
 
 def _config(app: Any, watch: LoopWatch, connections: Connections) -> uvicorn.Config:

@@ -15,7 +15,7 @@ from bus.simulator.control import SimulatorControl
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import Faults
 from bus.simulator.line import SimulatedLine
-from bus.simulator.ports import Port, PtyPort, TcpPort
+from bus.simulator.ports import Port, PtyPort, TcpLinePort
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import Traits
 
@@ -110,7 +110,7 @@ def _open(tcp: int | None, link: Path | None, baud: int) -> Port:
     what = f"TCP port {tcp} cannot be opened" if tcp is not None else f"the link {link} cannot be made"
     advice = "choose another, or 0 for any" if tcp is not None else "name a path in a folder that is there"
     try:
-        return PtyPort(link, baud) if tcp is None else TcpPort(tcp)
+        return PtyPort(link, baud) if tcp is None else TcpLinePort(tcp)
     except OSError as error:
         typer.echo(f"lineside: {what}: {error.strerror}; {advice}.", err=True)
         raise typer.Exit(1) from error

@@ -36,6 +36,7 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
+from bus.messages import Message
 
 A = TypeVar("A", bound=Action)
 
@@ -116,7 +117,9 @@ WRITE_OUTPUT = CommandKind(
 WRITE_ANALOG_OUTPUT = CommandKind(
     WriteAnalogOutput,
     Role.ENGINEER,
-    wording=lambda action, _: Wording("set analog output (88h)", new=str(action.raw), new_raw=action.raw),
+    wording=lambda action, _: Wording(
+        Message("event_set_analog_output"), new=str(action.raw), new_raw=action.raw
+    ),
     check=action_checks.check_analog_output,
 )
 WRITE_PARAMETER = CommandKind(
@@ -132,7 +135,7 @@ WRITE_PARAMETER = CommandKind(
 CHANGE_BAUD = CommandKind(
     ChangeBaud,
     Role.ENGINEER,
-    wording=lambda action, bus: Wording("change the baud of the line", str(bus.baud), str(action.baud)),
+    wording=lambda action, bus: Wording(Message("event_change_baud"), str(bus.baud), str(action.baud)),
     units_written=lambda _, bus: list(bus.units),
     check=action_checks.check_baud,
     danger=lambda _: "every unit changes its baud; one that does not follow is cut off",
@@ -141,13 +144,15 @@ CHANGE_BAUD = CommandKind(
 READ_PARAMETERS = CommandKind(
     ReadParameters,
     Role.VIEWER,
-    wording=lambda action, _: Wording(f"read {len(action.numbers) or len(PARAMETERS)} parameters (85h)"),
+    wording=lambda action, _: Wording(
+        Message.of("event_read_parameters", n=len(action.numbers) or len(PARAMETERS))
+    ),
     timeout_s=lambda action, _: READ_S if action.urgent else READ_IN_GAPS_S,
 )
 SCAN_BUS = CommandKind(
     ScanBus,
     Role.ENGINEER,
-    wording=lambda action, _: Wording(f"scan the addresses {action.first} to {action.last}"),
+    wording=lambda action, _: Wording(Message.of("event_scan", first=action.first, last=action.last)),
     timeout_s=lambda _, _bus: SCAN_S,
     # A look at one address, as a swap takes every few seconds, is none.
     is_event=lambda action: action.last > action.first,
@@ -155,7 +160,7 @@ SCAN_BUS = CommandKind(
 READ_TRACE = CommandKind(
     ReadTrace,
     Role.ENGINEER,
-    wording=lambda _, _bus: Wording("read the kept frames"),
+    wording=lambda _, _bus: Wording(Message("event_read_trace")),
 )
 
 _KINDS: tuple[CommandKind[Any], ...] = (

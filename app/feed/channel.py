@@ -17,7 +17,7 @@ from typing import Protocol
 
 from app.feed.plausibility import result_for
 from app.live.state.bus_live import NO_WORKER
-from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, Reserve, Result, Watch
+from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, ReserveTurn, Result, Watch
 from bus.messages import Message
 
 REASK_WITHIN_S = 10.0
@@ -112,7 +112,7 @@ class Channel:
 
     async def reserve(self) -> None:
         """Say that a write is about to be asked for: the wire waits a moment for it."""
-        await self._send(Reserve())
+        await self._send(ReserveTurn())
 
     async def cancel(self, command_id: str) -> None:
         """Ask the worker to give a command up where nothing is half done; its fate still comes."""

@@ -20,7 +20,7 @@ from app.pipeline import Pipeline
 from bus.bucket import Bucket
 from bus.contract import (
     Batch,
-    Clock,
+    ClockSync,
     Delivered,
     Hello,
     MalformedMessageError,
@@ -93,7 +93,7 @@ class Ingest:
         """About once a second: the app's time, and what may be forgotten: it was here a tick ago, so it is
         on disk by now, and a server that dies is told it again."""
         self.silent_ticks += not self._is_held_back
-        await self._connection.send(Clock(app_time=self._now()))
+        await self._connection.send(ClockSync(app_time=self._now()))
         await self._confirm(self._settled)
         self._settled = self._received.seq
 

@@ -68,7 +68,9 @@ class RecipeBook:
             raise Problem(422, "invalid", Message.of("too_many_recipes", bus=bus, most=MOST_RECIPES))
         rows = tuple(_setpoint(live, unit, raw) for unit, raw in sorted(setpoints.items()))
         recipe = await self.store.save(Recipe(bus, name, comment, person.name, time.time(), rows))
-        await self._record(person, recipe, "saved")
+        await self._record(
+            person, recipe, Message.of("event_recipe_saved", name=recipe.name, version=recipe.version)
+        )
         return recipe
 
     async def retire(self, person: Person, bus: str, name: str) -> None:
@@ -77,7 +79,11 @@ class RecipeBook:
         if not versions:
             raise Problem(404, "unknown_recipe", Message.of("no_such_recipe", name=name, bus=bus))
         await self.store.retire(bus, name)
-        await self._record(person, versions[0], "retired")
+        await self._record(
+            person,
+            versions[0],
+            Message.of("event_recipe_retired", name=versions[0].name, version=versions[0].version),
+        )
 
     def try_out(self, person: Person, recipe: Recipe) -> DryRun:
         """What loading it now would do; nothing is sent."""
@@ -124,16 +130,18 @@ class RecipeBook:
         now = time.time()
         await self.store.mark_loaded(recipe.bus, recipe.id, person.name, now)
         self._loaded[recipe.bus] = Loaded(recipe, person.name, now)
-        await self._record(person, recipe, "loaded and proven")
+        await self._record(
+            person, recipe, Message.of("event_recipe_loaded", name=recipe.name, version=recipe.version)
+        )
 
-    async def _record(self, person: Person, recipe: Recipe, what: str) -> None:
+    async def _record(self, person: Person, recipe: Recipe, what: Message) -> None:
         await self._events.record(
             kind="recipe",
             who=person.name,
             origin=person.via,
             bus=recipe.bus,
             unit=None,
-            what=f"recipe {recipe.name} version {recipe.version} {what}",
+            what=what,
         )
 
     def _bus(self, recipe: Recipe) -> BusLive:

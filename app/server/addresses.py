@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from functools import lru_cache
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 
 Address = IPv4Address | IPv6Address
@@ -10,6 +11,7 @@ Network = IPv4Network | IPv6Network
 
 SUBNET_BITS = 64
 """Of IPv6, what one subscriber or one machine has at least (RFC 6177, 2)."""
+MOST_REMEMBERED = 1024
 
 
 def parse_address(text: str) -> Address | None:
@@ -26,6 +28,7 @@ def canonical(text: str) -> str:
     return str(parse_address(text) or text)
 
 
+@lru_cache(maxsize=MOST_REMEMBERED)
 def source_of(text: str) -> str:
     """Who is counted as one: an IPv4 address, or the /64 of an IPv6 address; anything else as it is."""
     address = parse_address(text)

@@ -16,9 +16,9 @@ from starlette.types import Scope
 from app.server.addresses import Network, is_within, source_of
 
 EXTENSION = "lineside.connection"
-MOST_OF_ADDRESS = 64
+MOST_OF_ADDRESS = 256
 """Of strangers; all browsers of a plant may share an address until they have sent their cookie."""
-MOST_STRANGERS = 256
+MOST_STRANGERS = 512
 MOST_OF_ACCOUNT = 400
 MOST_IN_ALL = 2000
 
@@ -34,6 +34,13 @@ class Connection:
     """Whether it is the client's turn."""
     account: str = ""
     """Of whom it has shown a valid credential."""
+
+    def release(self) -> None:
+        """It has ended: no longer refer to its protocol, which refers to it."""
+        self.drop, self.is_waiting = _nothing, bool
+
+
+def _nothing() -> None: ...
 
 
 class Connections:

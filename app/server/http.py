@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
+from functools import partial
 from typing import Any, cast
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
@@ -29,6 +31,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         super().__init__(*args, **options)
         self._refusal = MALFORMED
         self._is_ending = False
+        self._offered: dict[str, Any] = {}
         self._head_bytes = 0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -38,6 +41,11 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         address = self.client[0] if self.client else ""
         self.connection = Connection(address, self._give_way, self._is_clients_turn)
         self._open_connections.open(self.connection)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Nothing refers to this protocol any more but itself."""
+        super().connection_lost(exc)
+        self._offered.clear()
 
     def check(self, now: float) -> None:
         """End the connection of a client that takes too long to send or to read. ``now``: the loop's time."""
@@ -72,9 +80,12 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         protocol = self.config.ws_protocol_class
         assert protocol is not None
 
-        def continued(**how: Any) -> asyncio.Protocol:
-            return protocol(**how, connection=self.connection, open_connections=self._open_connections)  # type: ignore[call-arg]
-
+        # A function made here would refer to this protocol, which would live until the next collection.
+        continued = partial(
+            cast(Callable[..., asyncio.Protocol], protocol),
+            connection=self.connection,
+            open_connections=self._open_connections,
+        )
         self.ws_protocol_class = continued  # type: ignore[assignment]
         super().handle_websocket_upgrade()
 
@@ -101,7 +112,8 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
     def on_headers_complete(self) -> None:
         """It is known what is asked; the app may begin."""
         self._pace.expect(Awaited.BODY, self.loop.time())
-        self.scope["extensions"] = cast(Any, {EXTENSION: self._identify})
+        self._offered[EXTENSION] = self._identify
+        self.scope["extensions"] = self._offered
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:

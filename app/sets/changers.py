@@ -19,12 +19,19 @@ async def who_changed(events: EventLog, bus: str, unit: int, row: Compared) -> E
     since = None if row.left is None else row.left.read_at
     wanted = Filter(kind="command", bus=bus, unit=unit, since=since, search=f"#{row.number} ")
     found, _ = await events.page(wanted, _LOOK_BACK)
-    ours = (
-        event for event in found if f"write #{row.number} " in event["what"] and event["outcome"] in _ACTED
-    )
+    ours = (event for event in found if _writes(event, row.number) and event["outcome"] in _ACTED)
     last = next(ours, None)
     if last is None or row.right is None:
         return None
     # A secret stands in no event, so that the last write of it is all that can be said.
     known = PARAMETERS[row.number].secret or last["new_raw"] == row.right.raw
     return last if known else None
+
+
+def _writes(event: Event, number: int) -> bool:
+    what = event["messages"].get("what")
+    if what is None:  # an event of a version that stored texts only
+        text: str = event["what"]
+        return f"write #{number} " in text
+    is_write: bool = what.code == "event_write_parameter" and what.params.get("number") == number
+    return is_write

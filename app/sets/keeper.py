@@ -17,7 +17,7 @@ from app.sets.model import ParameterSet, SetOrigin, UnitRows
 from app.sets.reading import ParameterReader
 from app.sets.store import SetStore
 from app.web.access import Person
-from bus.messages import Message
+from bus.messages import Message, term
 
 _log = structlog.get_logger(__name__)
 
@@ -75,7 +75,7 @@ class SetKeeper:
             origin=person.via,
             bus=stored.bus,
             unit=unit,
-            what=f"set {set_id} is the golden set of unit {unit} now",
+            what=Message.of("event_set_golden", set=set_id, unit=unit),
         )
 
     async def learn_marked(self, person: Person) -> None:
@@ -105,13 +105,14 @@ class SetKeeper:
         kept = await self.store.save(
             ParameterSet(bus, time.time(), person.name, origin, tuple(rows), name=name, comment=comment)
         )
-        numbers = ", ".join(str(unit.unit) for unit in rows)
         await self._events.record(
             kind="parameter_set",
             who=person.name,
             origin=person.via,
             bus=bus,
             unit=rows[0].unit if len(rows) == 1 else None,
-            what=f"parameter set {kept.id} taken of unit {numbers}, {origin}",
+            what=Message.of(
+                "event_set_taken", set=kept.id, units=[unit.unit for unit in rows], origin=term(origin)
+            ),
         )
         return kept

@@ -155,13 +155,12 @@ class RestoreService:
 
     async def _record(self, restore: Restore) -> None:
         verified = sum(row.outcome == "verified" for row in restore.rows)
-        rows = "1 row" if len(restore.rows) == 1 else f"{len(restore.rows)} rows"
         await self._events.record(
             kind="restore",
             who=restore.who,
             bus=restore.bus,
             unit=restore.unit,
-            what=f"parameters restored: {verified} of {rows} verified",
+            what=Message.of("event_restored", verified=verified, n=len(restore.rows)),
             outcome=restore.state,
             message="; ".join(part for part in (restore.cause, restore.account()) if part),
         )

@@ -16,6 +16,7 @@ from app.sets.keeper import SetKeeper
 from app.sets.model import UnitRows
 from app.sets.taking import read_together
 from app.web.access import Person
+from bus.messages import Message
 
 _log = structlog.get_logger(__name__)
 
@@ -52,12 +53,11 @@ class SetSchedule:
         """Take the sets of a bus every day at a minute of the day, or no longer (None)."""
         await self._keeper.store.set_schedule(bus, minute_of_day)
         self._owed.pop(bus, None)
-        when = (
-            "not by schedule"
-            if minute_of_day is None
-            else f"daily at {minute_of_day // 60:02}:{minute_of_day % 60:02}"
-        )
-        await self._record(person, bus, f"parameter sets are taken {when}")
+        what = Message("event_sets_not_scheduled")
+        if minute_of_day is not None:
+            time = f"{minute_of_day // 60:02}:{minute_of_day % 60:02}"
+            what = Message.of("event_sets_scheduled", time=time)
+        await self._record(person, bus, what)
 
     async def follow(self, person: Person) -> None:
         """Run for ever; ``person`` is whom the sets are taken for in the events. What came due today while
@@ -113,11 +113,11 @@ class SetSchedule:
         """Said once; tried again as long as it is owed."""
         first, owed.why = not owed.why, why
         if first:
-            what = f"parameter set of unit {unit} not taken on schedule; it is when the unit answers"
+            what = Message.of("event_set_not_taken", unit=unit)
             await self._record(person, bus, what, unit, why)
 
     async def _record(
-        self, person: Person, bus: str, what: str, unit: int | None = None, message: str = ""
+        self, person: Person, bus: str, what: Message, unit: int | None = None, message: str = ""
     ) -> None:
         await self._events.record(
             kind="parameter_set",

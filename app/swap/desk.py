@@ -16,7 +16,7 @@ from app.swap.record import Swap, SwapSource
 from app.swap.rules import Advice, SwapState
 from app.swap.store import SwapStore
 from app.web.access import Person
-from bus.messages import Message
+from bus.messages import Message, term
 
 LOOK_WAIT_S = 2.0
 """How long a page waits for a look before it is told what the last one showed."""
@@ -72,7 +72,7 @@ class SwapService:
         swap = Swap(bus, unit, person.name, source, self._clock())
         await self._store.save(swap)
         self._swaps[bus, unit] = swap
-        await self._record(swap, person.name, f"unit swap begun, from {swap.source_words}")
+        await self._record(swap, person.name, Message.of("event_swap_begun", source=term(swap.source_words)))
         return swap
 
     async def look(self, swap: Swap, look: Callable[[], Coroutine[Any, Any, SwapState]]) -> SwapState | None:
@@ -109,7 +109,7 @@ class SwapService:
         del self._swaps[swap.bus, swap.unit]
         await self._store.remove(swap)
         if not swap.proven:
-            await self._record(swap, person.name, "unit swap given up", ", then ".join(swap.seen))
+            await self._record(swap, person.name, Message("event_swap_given_up"), ", then ".join(swap.seen))
 
     async def ended(self, restore: Restore) -> None:
         """A restore is over: where it belongs to a swap and proved equal, so is the swap."""
@@ -129,17 +129,17 @@ class SwapService:
             "proven by a full read",
         ]
         message = "; ".join(part for part in story if part)
-        await self._record(swap, restore.who, "unit swapped and proven", message, outcome="verified")
+        await self._record(swap, restore.who, Message("event_swap_proven"), message, outcome="verified")
 
     async def entered(self, person: Person, swap: Swap, kept: ParameterSet) -> None:
         """All was entered from the sheet, and the unit read whole: it is kept as a set."""
         swap.proven = True
         await self._store.save(swap)
         message = f"seen: {', then '.join(swap.seen)}; entered from the sheet; kept as set {kept.id}"
-        await self._record(swap, person.name, "unit swapped and kept", message, outcome="verified")
+        await self._record(swap, person.name, Message("event_swap_kept"), message, outcome="verified")
 
     async def _record(
-        self, swap: Swap, who: str, what: str, message: str = "", outcome: str | None = None
+        self, swap: Swap, who: str, what: Message, message: str = "", outcome: str | None = None
     ) -> None:
         await self._events.record(
             kind="swap", who=who, bus=swap.bus, unit=swap.unit, what=what, message=message, outcome=outcome

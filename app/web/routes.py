@@ -4,7 +4,6 @@ before a byte of the body is read."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import inf
 from typing import Any
 
 from fastapi import FastAPI
@@ -12,10 +11,9 @@ from fastapi.routing import APIRoute, RouteContext, iter_route_contexts
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from app.server.fair_queue import FairQueue
 from app.web.access import Requires, Role, public
 from app.web.bounds import MOST_PLAIN_BODY_BYTES, BoundedBody
-from app.web.turns import DOWNLOAD, MOST_READS_WAITING, READS_AT_ONCE, SEARCH, ReadInTurn
+from app.web.turns import DOWNLOAD, SEARCH, ReadInTurn, Turns
 
 
 def _calls(dependant: Any) -> Iterator[Any]:
@@ -49,19 +47,18 @@ def refuse_undeclared(app: FastAPI) -> None:
             raise RuntimeError(f"{route.path} declares no role: add Requires(Role.…) or public to it")
 
 
-def guard(app: FastAPI) -> None:
+def guard(app: FastAPI, turns: Turns) -> None:
     """Check the role of every route, then the size of the body, before the route reads it; and let an account
     read few things at a time.
 
     FastAPI reads and parses a body first and asks for the role then. A route that takes files says how large
     they may be by FastAPI's ``max_body_size``; one that is a `SEARCH` or a `DOWNLOAD` has its own turns.
     """
-    reads: FairQueue[str] = FairQueue(inf, READS_AT_ONCE, MOST_READS_WAITING)
     for route in app.routes:
         if isinstance(route, APIRoute):
             guarded: ASGIApp = BoundedBody(route.app, route.max_body_size or MOST_PLAIN_BODY_BYTES)
             if "GET" in (route.methods or ()) and not {SEARCH, DOWNLOAD} & set(route.dependencies):
-                guarded = ReadInTurn(guarded, reads)
+                guarded = ReadInTurn(guarded, turns.reads)
             route.app = _RolesFirst(guarded, list(_requirements(route.dependant)))
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass, field
 from math import inf
 from typing import Any
 
@@ -15,6 +16,7 @@ from starlette.types import Message as AsgiMessage
 from app.errors import Problem
 from app.server.fair_queue import FairQueue, TooManyWaitingError
 from app.web.access import Viewer, person_of
+from app.web.services import service_of
 from bus.messages import Message
 
 AT_ONCE = 2
@@ -38,20 +40,28 @@ async def turn_of(turns: FairQueue[str], account: str) -> AsyncIterator[None]:
         yield
 
 
-def in_turn(turns: FairQueue[str]) -> Any:
+@dataclass(frozen=True)
+class Turns:
+    """The queues of one app, each by account."""
+
+    searches: FairQueue[str] = field(default_factory=lambda: FairQueue(inf, AT_ONCE, MOST_WAITING))
+    downloads: FairQueue[str] = field(default_factory=lambda: FairQueue(inf, AT_ONCE, MOST_WAITING))
+    reads: FairQueue[str] = field(default_factory=lambda: FairQueue(inf, READS_AT_ONCE, MOST_READS_WAITING))
+    """Everything else that is read."""
+
+
+def _in_turn(queue_of: Callable[[Turns], FairQueue[str]]) -> Any:
     """``dependencies=[SEARCH]`` of a route: one turn from before it runs until its response is sent."""
 
-    async def take_turn(person: Viewer) -> AsyncIterator[None]:
-        async with turn_of(turns, person.account):
+    async def take_turn(connection: HTTPConnection, person: Viewer) -> AsyncIterator[None]:
+        async with turn_of(queue_of(service_of(connection, Turns)), person.account):
             yield
 
     return Depends(take_turn)
 
 
-searches: FairQueue[str] = FairQueue(inf, AT_ONCE, MOST_WAITING)
-"""By account, as all of these."""
-downloads: FairQueue[str] = FairQueue(inf, AT_ONCE, MOST_WAITING)
-SEARCH, DOWNLOAD = in_turn(searches), in_turn(downloads)
+SEARCH = _in_turn(lambda turns: turns.searches)
+DOWNLOAD = _in_turn(lambda turns: turns.downloads)
 
 
 class ReadInTurn:

@@ -13,7 +13,7 @@ from msgspec import Meta, field
 from bus.contract.bounds import (
     MOST_FRAMES,
     MOST_UNITS,
-    Baud,
+    BaudRate,
     FourBytes,
     OutputNumber,
     ParameterNumber,
@@ -114,7 +114,7 @@ class WriteParameter(UnitAction, frozen=True, tag="write_parameter"):
 class ChangeBaud(BusAction, frozen=True, tag="change_baud"):
     """#18 to every unit of the bus, follow, prove all, go back if one does not answer."""
 
-    baud: Baud
+    baud: BaudRate
 
 
 class ScanBus(BusAction, frozen=True, tag="scan_bus"):

@@ -30,19 +30,19 @@ FourBytes = Annotated[int, Meta(ge=0, le=0xFFFF_FFFF)]
 Byte = Annotated[int, Meta(ge=0, le=0xFF)]
 ParameterNumber = Annotated[int, Meta(ge=1, le=40)]
 OutputNumber = Annotated[int, Meta(ge=1, le=6)]
-Baud = Annotated[int, Meta(ge=300, le=9600)]
-Count = Annotated[int, Meta(ge=0, le=2**53)]
+BaudRate = Annotated[int, Meta(ge=300, le=9600)]
+Total = Annotated[int, Meta(ge=0, le=2**53)]
 Sequence = Annotated[int, Meta(ge=0, le=2**53)]
 
 Stamp = Annotated[float, Meta(ge=0.0, le=32_503_680_000.0)]
 """Seconds since the epoch, to the year 3000; whether it is near enough to now, the receiver judges."""
-Seconds = Annotated[float, Meta(ge=0.0, le=1e7)]
+DurationSeconds = Annotated[float, Meta(ge=0.0, le=1e7)]
 Hertz = Annotated[float, Meta(ge=0.0, le=1e6)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 
-Text = Annotated[str, Meta(max_length=LONGEST_TEXT)]
+LongText = Annotated[str, Meta(max_length=LONGEST_TEXT)]
 """Sentences: a cause, a message, a diagnosis that names many units."""
-Words = Annotated[str, Meta(max_length=LONGEST_WORDS)]
+ShortText = Annotated[str, Meta(max_length=LONGEST_WORDS)]
 Id = Annotated[str, Meta(max_length=LONGEST_ID)]
 FrameBytes = Annotated[bytes, Meta(max_length=LONGEST_FRAME)]
 """No frame is as long; of a longer piece of noise the beginning is kept."""

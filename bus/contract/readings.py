@@ -13,14 +13,14 @@ from bus.contract.bounds import (
     MOST_REMARKS,
     MOST_UNITS,
     Byte,
-    Count,
+    DurationSeconds,
     FourBytes,
     FrameBytes,
     Hertz,
     ParameterNumber,
-    Seconds,
     Share,
     Stamp,
+    Total,
     UnitId,
 )
 from bus.contract.tagged import BusLinkState, Direction, TaggedStruct, UnitLinkState
@@ -100,24 +100,24 @@ class UnitCounts(Struct, omit_defaults=True):
     """What became of every request to one unit since the worker started; the worker counts in it."""
 
     unit: UnitId
-    polls: Count = 0
-    answers: Count = 0
-    timeouts: Count = 0
-    retries: Count = 0
-    checksum_errors: Count = 0
-    foreign: Count = 0
-    late: Count = 0
-    naks: Annotated[dict[Byte, Count], Meta(max_length=256)] = field(default_factory=dict)
+    polls: Total = 0
+    answers: Total = 0
+    timeouts: Total = 0
+    retries: Total = 0
+    checksum_errors: Total = 0
+    foreign: Total = 0
+    late: Total = 0
+    naks: Annotated[dict[Byte, Total], Meta(max_length=256)] = field(default_factory=dict)
 
 
 # Frozen, as it is told, of what is counted in: msgspec allows that, the rule is for dataclasses.
 class UnitFigures(UnitCounts, TaggedStruct, frozen=True, tag="unit_figures"):  # type: ignore[misc]
     """The counters of one unit, and its answer times in seconds (first byte after request)."""
 
-    answer_s_min: Seconds | None = None
-    answer_s_median: Seconds | None = None
-    answer_s_p99: Seconds | None = None
-    answer_s_max: Seconds | None = None
+    answer_s_min: DurationSeconds | None = None
+    answer_s_median: DurationSeconds | None = None
+    answer_s_p99: DurationSeconds | None = None
+    answer_s_max: DurationSeconds | None = None
 
 
 class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
@@ -125,14 +125,14 @@ class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
 
     at: Stamp
     scan_hz: Hertz
-    scan_s: Seconds
+    scan_s: DurationSeconds
     wire_utilisation: Share
-    scan_s_with_one_more: Seconds
-    noise_bytes: Count = 0
-    echoes: Count = 0
+    scan_s_with_one_more: DurationSeconds
+    noise_bytes: Total = 0
+    echoes: Total = 0
     diagnosis: Annotated[list[Message], Meta(max_length=MOST_REMARKS)] = field(default_factory=list)
     units: Annotated[list[UnitFigures], Meta(max_length=MOST_UNITS)] = field(default_factory=list)
-    updates_lost: Count = 0
+    updates_lost: Total = 0
     """Readings and news dropped because the app was away longer than the worker can keep them."""
     answers_for_all: Byte = 0
     """The unit that seems to answer to every address beside the others, so that each answer of theirs comes

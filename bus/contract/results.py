@@ -10,13 +10,13 @@ from bus.contract.bounds import (
     MOST_FRAMES,
     MOST_REMARKS,
     MOST_UNITS,
-    Baud,
+    BaudRate,
     Byte,
-    Count,
+    DurationSeconds,
     FourBytes,
     Id,
-    Seconds,
     Stamp,
+    Total,
     UnitId,
 )
 from bus.contract.readings import Frame, ParameterValue
@@ -31,8 +31,8 @@ class Progress(TaggedStruct, frozen=True, tag="progress"):
     at: Stamp
     stage: Stage
     unit: UnitId | None = None
-    done: Count = 0
-    of: Count = 0
+    done: Total = 0
+    of: Total = 0
 
 
 class UnitOutcome(TaggedStruct, frozen=True, tag="unit_outcome"):
@@ -46,7 +46,7 @@ class UnitOutcome(TaggedStruct, frozen=True, tag="unit_outcome"):
     sent_at: Stamp | None = None
     acknowledged_at: Stamp | None = None
     proven_at: Stamp | None = None
-    attempts: Count = 0
+    attempts: Total = 0
 
 
 class FoundUnit(TaggedStruct, frozen=True, tag="found_unit"):
@@ -54,7 +54,7 @@ class FoundUnit(TaggedStruct, frozen=True, tag="found_unit"):
     responses come too late to be told apart."""
 
     unit: UnitId
-    baud: Baud
+    baud: BaudRate
     kind: Literal["digimax", "garbled", "foreign", "late"]
     parameters: Annotated[list[Byte], Meta(max_length=256)] = field(default_factory=list)
     remarks: Annotated[list[Message], Meta(max_length=MOST_REMARKS)] = field(default_factory=list)
@@ -73,5 +73,5 @@ class Result(TaggedStruct, frozen=True, tag="result"):
     units: Annotated[list[UnitOutcome], Meta(max_length=MOST_UNITS)] = field(default_factory=list)
     values: Annotated[list[ParameterValue], Meta(max_length=40)] = field(default_factory=list)
     found: Annotated[list[FoundUnit], Meta(max_length=MOST_UNITS)] = field(default_factory=list)
-    skew_s: Seconds | None = None
+    skew_s: DurationSeconds | None = None
     frames: Annotated[list[Frame], Meta(max_length=MOST_FRAMES)] = field(default_factory=list)

@@ -8,7 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from bus.contract.actions import Action
-from bus.contract.bounds import MOST_UNITS, MOST_UPDATES, Id, Sequence, Stamp, Text, UnitId, Words
+from bus.contract.bounds import MOST_UNITS, MOST_UPDATES, Id, LongText, Sequence, ShortText, Stamp, UnitId
 from bus.contract.readings import (
     BusFigures,
     BusLink,
@@ -29,11 +29,11 @@ class Hello(TaggedStruct, frozen=True, tag="hello"):
     """First word of a worker. ``worker`` is new at every start, so sequence numbers belong to it."""
 
     version: int
-    bus: Words
+    bus: ShortText
     worker: Id
     started_at: Stamp
-    software: Words
-    port: Text
+    software: ShortText
+    port: LongText
     sent_at: Stamp
 
 
@@ -69,7 +69,7 @@ class Command(TaggedStruct, frozen=True, tag="command"):
     action: Action
 
 
-class Reserve(TaggedStruct, frozen=True, tag="reserve"):
+class ReserveTurn(TaggedStruct, frozen=True, tag="reserve"):
     """A write is about to be asked for: the next turn of the wire is left to it, for a moment."""
 
 
@@ -85,7 +85,7 @@ class Welcome(TaggedStruct, frozen=True, tag="welcome"):
     version: int
     seq: Sequence
     app_time: Stamp
-    refused: Text = ""
+    refused: LongText = ""
 
 
 class Delivered(TaggedStruct, frozen=True, tag="delivered"):
@@ -94,7 +94,7 @@ class Delivered(TaggedStruct, frozen=True, tag="delivered"):
     seq: Sequence
 
 
-class Clock(TaggedStruct, frozen=True, tag="clock"):
+class ClockSync(TaggedStruct, frozen=True, tag="clock"):
     """The app's time, about once a second: the worker keeps the least delay it has seen, so that a
     command held up on the way is known to be late."""
 
@@ -112,7 +112,7 @@ class WantSnapshot(TaggedStruct, frozen=True, tag="want_snapshot"):
     """A number was missing: say everything again."""
 
 
-AppMessage = Welcome | Delivered | Clock | Watch | WantSnapshot | Reserve | Command | Cancel
+AppMessage = Welcome | Delivered | ClockSync | Watch | WantSnapshot | ReserveTurn | Command | Cancel
 
 M = TypeVar("M")
 

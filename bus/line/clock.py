@@ -12,14 +12,14 @@ SLEW_S = 0.001
 STEP_S = 1.0
 
 
-class Alarm(Protocol):
+class Timer(Protocol):
     """A call to come."""
 
     def cancel(self) -> None:
         """It will not come."""
 
 
-class Clock(Protocol):
+class LineClock(Protocol):
     """``now`` never goes back; ``epoch`` is what other machines understand. Both in seconds."""
 
     def now(self) -> float:
@@ -31,7 +31,7 @@ class Clock(Protocol):
     def settle(self) -> None:
         """Follow the wall clock a little; called about once a second."""
 
-    def call_at(self, when: float, callback: Callable[[], None]) -> Alarm:
+    def call_at(self, when: float, callback: Callable[[], None]) -> Timer:
         """Have ``callback`` run at ``when`` (of ``now``), or as soon as possible after."""
 
 
@@ -55,5 +55,5 @@ class RealClock:
         error = time.time() - time.monotonic() - self._offset
         self._offset += error if abs(error) > STEP_S else max(-SLEW_S, min(SLEW_S, error))
 
-    def call_at(self, when: float, callback: Callable[[], None]) -> Alarm:
+    def call_at(self, when: float, callback: Callable[[], None]) -> Timer:
         return self._loop.call_later(max(0.0, when - time.monotonic()), callback)

@@ -13,7 +13,7 @@ from bus.line.poller import Poller
 from bus.line.port.open_port import open_port
 from bus.line.port.port import EndedWhileOpening, OpenPort, Receiver
 from bus.messages import Message
-from bus.reconnect_delay import STABLE_S, Backoff, is_worth_a_line
+from bus.reconnect_delay import STABLE_S, ReconnectDelay, is_worth_logging
 
 RETRY_S = 0.5
 CHECK_S = 0.5
@@ -36,7 +36,7 @@ class Opener:
         self._causes = 0
         """How often in a row another cause was seen than before."""
         self._lost_cause: Message | None = None
-        self._backoff = Backoff(random.random)
+        self._backoff = ReconnectDelay(random.random)
         self._listener: _Listener | None = None
         poller.lost = self._is_lost
 
@@ -67,7 +67,7 @@ class Opener:
         await self._until_lost()
         stable.cancel()
         pause_s = self._backoff.ended(clock.now() - opened, useful=counts.answers > answers)
-        self._tell(self._lost_cause)
+        self._log_closed(self._lost_cause)
         return pause_s
 
     def _failed(self, failure: WireError, took_s: float) -> float:
@@ -75,7 +75,7 @@ class Opener:
         pause_s = RETRY_S if took_s < RETRY_S else 0.0
         if isinstance(failure, EndedWhileOpening):
             pause_s = self._backoff.ended(0.0)
-        self._tell(failure.message)
+        self._log_closed(failure.message)
         self._poller.still_closed(failure.message)
         return pause_s
 
@@ -89,7 +89,7 @@ class Opener:
         except WireError as error:
             return error
         self._cause = None
-        if self._backoff.is_worth_a_line:
+        if self._backoff.is_worth_logging:
             self._log_open()
         poller.port_opened(self._port)
         return None
@@ -97,7 +97,7 @@ class Opener:
     def _note_stable(self) -> None:
         """The opening that has lasted at last may have been none worth a line."""
         self._causes = 0
-        if not self._backoff.is_worth_a_line:
+        if not self._backoff.is_worth_logging:
             self._log_open()
 
     def _log_open(self) -> None:
@@ -124,15 +124,15 @@ class Opener:
         if self._lost is not None and not self._lost.done():
             self._lost.set_result(cause)
 
-    def _tell(self, cause: Message | None) -> None:
+    def _log_closed(self, cause: Message | None) -> None:
         is_new, self._cause = cause not in (None, self._cause), cause
         self._causes += is_new
-        if is_new and self._backoff.is_worth_a_line and is_worth_a_line(self._causes):
+        if is_new and self._backoff.is_worth_logging and is_worth_logging(self._causes):
             _log.warning(
                 "port closed; retrying", cause=str(cause), lost_soon_after_opening=self._backoff.count
             )
 
-    def heard(self, listener: _Listener, data: bytes) -> None:
+    def data_received(self, listener: _Listener, data: bytes) -> None:
         """Bytes of one opening; of an old one they mean nothing any more."""
         if listener is self._listener:
             self._poller.link.data_received(data)
@@ -150,7 +150,7 @@ class _Listener:
         self._opener = opener
 
     def data_received(self, data: bytes) -> None:
-        self._opener.heard(self, data)
+        self._opener.data_received(self, data)
 
     def connection_lost(self, cause: Message) -> None:
         self._opener.ended(self, cause)

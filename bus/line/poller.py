@@ -13,17 +13,17 @@ import msgspec
 
 from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Result, Update, Watch
 from bus.errors import CallerError, WireError
-from bus.line.clock import Alarm, Clock
-from bus.line.commands.command_run import Errand
-from bus.line.commands.procedure import Expect, Note, Retune, Tell, Unstage
-from bus.line.exchange.attempts import Heard
+from bus.line.clock import LineClock, Timer
+from bus.line.commands.command_run import CommandRun
+from bus.line.commands.procedure import ExpectBaud, LineEffect, ReportProgress, Retune, Unstage
 from bus.line.exchange.link import Link
+from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.port.port import OpenPort, PartlySent
 from bus.line.roster import Roster
-from bus.line.schedule.arbiter import Turns
-from bus.line.schedule.baud_search import OtherRate
-from bus.line.schedule.command_queue import Errands
-from bus.line.schedule.poll_schedule import Schedule
+from bus.line.schedule.arbiter import Arbiter
+from bus.line.schedule.baud_search import BaudSearch
+from bus.line.schedule.command_queue import CommandQueue
+from bus.line.schedule.poll_schedule import PollSchedule
 from bus.line.statistics.figures import Figures
 from bus.line.statistics.trace import Interpreter, Trace
 from bus.messages import Message
@@ -38,28 +38,28 @@ class Poller:
     """``emit`` hears every update. Times of the outside are epoch seconds, inside the line's own."""
 
     def __init__(
-        self, bus: BusSettings, clock: Clock, emit: Callable[[list[Update]], None], seed: int = 0
+        self, bus: BusSettings, clock: LineClock, emit: Callable[[list[Update]], None], seed: int = 0
     ) -> None:
         self.bus = bus
         self.clock = clock
         self.baud: int = bus.baud
         self.trace = Trace()
         self.roster = Roster((unit.id for unit in bus.unit), clock.epoch(clock.now()))
-        self.schedule = Schedule(self.roster.configured, self._exchange_s(ReadStatus(1)), seed)
+        self.schedule = PollSchedule(self.roster.configured, self._exchange_s(ReadStatus(1)), seed)
         self.link = Link(bus.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
-        self.link.done = self._heard
+        self.link.done = self._on_exchange_end
         self.state = self._port_is("closed", Message("port_not_opened"))
         self.lost: Callable[[Message], None] = lambda _cause: None
         """Called when the port proved unusable; whoever opened it opens it again."""
         self._emit = emit
         self._figures = Figures()
-        self._turns = Turns(self.schedule, self.link.doubt, self._exchange_s)
-        self._other_rate = OtherRate(clock.now())
+        self._arbiter = Arbiter(self.schedule, self.link.pending, self._exchange_s)
+        self._baud_search = BaudSearch(clock.now())
         self._sending: Request | None = None
         self._held: list[Update] | None = None
         """What is told once the next request has left."""
         self._closed_at = clock.now()
-        self._wake: Alarm | None = None
+        self._wake: Timer | None = None
 
     # --- the port ------------------------------------------------------------------------------
 
@@ -76,13 +76,13 @@ class Poller:
         """Nothing can be asked; whatever was under way ends as unknown. Nothing is sent later."""
         now = self.clock.now()
         self._settle_last(self.link.detach(), now)
-        self._turns.drop_routine()
+        self._arbiter.drop_routine()
         self._closed_at = now
         updates: list[Update] = self.not_opened(cause)
         updates += self.roster.port_closed(self.clock.epoch(now), cause)
         self._emit(updates)
-        for errand in self.errands:
-            errand.close(now)
+        for run in self.commands:
+            run.close(now)
         self._sweep(now)
         self.lost(cause)
 
@@ -104,33 +104,33 @@ class Poller:
             updates += self.roster.port_stays_closed(self.clock.epoch(now), cause)
         self._emit(updates)
 
-    def _settle_last(self, heard: Heard | None, now: float) -> None:
+    def _settle_last(self, result: ExchangeResult | None, now: float) -> None:
         """The port broke while a request was on its way, or as it was handed over."""
-        errand, self._turns.owner = self._turns.owner, None
+        run, self._arbiter.owner = self._arbiter.owner, None
         self.trace.witness = None
-        if errand is None or errand.result is not None or self._sending is None:
+        if run is None or run.result is not None or self._sending is None:
             return
-        errand.settle(heard or Heard(self._sending, None, self.clock.epoch(now)), now)
+        run.settle(result or ExchangeResult(self._sending, None, self.clock.epoch(now)), now)
 
     # --- the rate ------------------------------------------------------------------------------
 
     def tick(self) -> None:
         """Now and then: a line that fell silent may have come back at the rate it was given."""
-        if not self.link.open or len(self.errands):
+        if not self.link.open or len(self.commands):
             return
         now = self.clock.now()
-        if self._other_rate.look(now, self.baud, answers=self._answers) and not self.link.busy:
+        if self._baud_search.look(now, self.baud, answers=self._answers) and not self.link.busy:
             self._go(now)
 
     @property
     def _answers(self) -> bool:
         """Whether any unit does at the present rate."""
-        return len(self.schedule.round) > 0
+        return len(self.schedule.poll_order) > 0
 
     def _retune(self, baud: int) -> None:
         """Everything from here on goes at ``baud``."""
         now = self.clock.now()
-        self._other_rate.tuned(now)
+        self._baud_search.tuned(now)
         self.baud = baud
         try:
             self.link.retune(baud)
@@ -139,14 +139,14 @@ class Poller:
             self.clock.call_at(now, lambda: self.port_lost(cause))
         else:
             self.state = msgspec.structs.replace(self.state, baud=baud)
-            self._tell([self.state])
+            self._emit_in_order([self.state])
 
     # --- what people want ----------------------------------------------------------------------
 
     @property
-    def errands(self) -> Errands:
+    def commands(self) -> CommandQueue:
         """All commands that wait or are under way."""
-        return self._turns.errands
+        return self._arbiter.commands
 
     def watch(self, watch: Watch) -> None:
         """These units are on an open page."""
@@ -154,23 +154,23 @@ class Poller:
 
     def reserve(self) -> None:
         """A write is about to be asked for: no poll leaves before it, for a moment."""
-        self._turns.reserve(self.clock.now())
+        self._arbiter.reserve(self.clock.now())
         self.link.do_not_follow()
 
-    def submit(self, errand: Errand) -> None:
+    def submit(self, run: CommandRun) -> None:
         """Carry out ``errand``: its first frame is the next one, if its claim allows."""
         now = self.clock.now()
-        self.errands.add(errand)
+        self.commands.add(run)
         self.link.do_not_follow()
         if not self.link.open:
-            errand.close(now)
+            run.close(now)
             self._sweep(now)
         elif not self.link.busy:
             self._go(now)
 
     def cancel(self, command_id: str) -> None:
         """Give it up where nothing is half done."""
-        self.errands.cancel(command_id)
+        self.commands.cancel(command_id)
         self._sweep(self.clock.now())
 
     def figures(self) -> BusFigures:
@@ -181,48 +181,52 @@ class Poller:
 
     # --- one exchange after the other ----------------------------------------------------------
 
-    def _heard(self, heard: Heard, began: float, ended: float) -> None:
+    def _on_exchange_end(self, result: ExchangeResult, began: float, ended: float) -> None:
         """An ordinary answer changes nothing about who is next, so it is taken in after the next has left."""
         self.trace.witness = None
-        unit = heard.request.unit
-        ordinary = self._turns.owner is None and heard.reply is not None and unit in self.schedule.round
-        self._held = [] if ordinary else self._learn(heard, ended)
-        if self._turns.settle(heard, began, ended):
+        unit = result.request.unit
+        ordinary = (
+            self._arbiter.owner is None and result.reply is not None and unit in self.schedule.poll_order
+        )
+        self._held = [] if ordinary else self._learn(result, ended)
+        if self._arbiter.settle(result, began, ended):
             self.roster[unit].statistics.counts.retries += 1
         if self.link.busy:
-            self._sending = self._turns.followed(ended)
+            self._sending = self._arbiter.followed(ended)
         else:
             self._go(ended)
         told, self._held = self._held, None
-        updates = [*self._learn(heard, ended), *told] if ordinary else told
+        updates = [*self._learn(result, ended), *told] if ordinary else told
         if updates:
             self._emit(updates)
         self._sweep(ended)
         self._foresee(ended)
 
-    def _learn(self, heard: Heard, now: float) -> list[Update]:
-        request, reply = heard.request, heard.reply
+    def _learn(self, result: ExchangeResult, now: float) -> list[Update]:
+        request, reply = result.request, result.reply
         if request.unit == 0:
             return []
         if reply is None:
             updates = self.roster.missed(request.unit, self.clock.epoch(now))
-            if self.roster[request.unit].silent and request.unit in self.schedule.round:
-                self.schedule.fell_silent(request.unit, now)
+            if self.roster[request.unit].unresponsive and request.unit in self.schedule.poll_order:
+                self.schedule.stopped_responding(request.unit, now)
             return updates
-        assert heard.answered_at is not None
-        is_probe = heard.dialect not in (None, self.bus.dialect)
-        updates = self.roster.heard(request, reply, heard.answered_at, heard.frame, is_probe=is_probe)
+        assert result.answered_at is not None
+        is_probe = result.dialect not in (None, self.bus.dialect)
+        updates = self.roster.take_response(
+            request, reply, result.answered_at, result.frame, is_probe=is_probe
+        )
         if self.roster.is_configured(request.unit):
             self.schedule.answers(request.unit, now)
             if isinstance(request, WriteParameter) and not isinstance(reply, Nak):
-                self.schedule.gaps.need(request.unit)
+                self.schedule.parameters.need(request.unit)
         return updates
 
     def _foresee(self, now: float) -> None:
         """A request is on its way: have ready what follows it."""
         if self._sending is None or not self.link.busy or not self.link.paced:
             return
-        following = self._turns.foresee(self._sending, now)
+        following = self._arbiter.foresee(self._sending, now)
         if following is not None:
             self.link.prepare(following)
 
@@ -230,37 +234,37 @@ class Poller:
         """Send what is next; nothing to send: be waked when there is."""
         if not self.link.open:
             return
-        other = self._other_rate.turn(self.baud, answers=self._answers)
+        other = self._baud_search.turn(self.baud, answers=self._answers)
         if other is not None:
             self._retune(other)
             self.schedule.port_opened(now)
-        request = self._turns.next_request(now)
+        request = self._arbiter.next_request(now)
         if request is None:
             self._sleep(now)
             return
         self._send(request)
 
     def _send(self, request: Request) -> None:
-        errand = self._turns.owner
+        run = self._arbiter.owner
         self._sending = request
-        self.trace.witness = errand.frames if errand is not None else None
-        asking = errand.asking if errand is not None else None
+        self.trace.witness = run.frames if run is not None else None
+        attempts = run.attempts if run is not None else None
         try:
-            self.link.send(request, asking.dialect_of(request) if asking is not None else None)
+            self.link.send(request, attempts.dialect_of(request) if attempts is not None else None)
         except PartlySent as error:
             self.port_lost(error.message)
         except WireError as error:
             self._sending = None
             self.port_lost(error.message)
         except CallerError as error:
-            self._turns.owner = None
-            if errand is None:
+            self._arbiter.owner = None
+            if run is None:
                 raise
-            errand.end(Result(id="", at=0.0, outcome="invalid", message=error.message))
+            run.end(Result(id="", at=0.0, outcome="invalid", message=error.message))
             self._go(self.clock.now())
         else:
-            if errand is not None and asking is not None and asking.tells_of(request):
-                self.note(errand.id, Tell("sent", request.unit))
+            if run is not None and attempts is not None and attempts.reports(request):
+                self.apply(run.id, ReportProgress("sent", request.unit))
 
     def _exchange_s(self, request: Request) -> float:
         return wire_seconds(7 + usual_reply_bytes(request, self.bus), self.baud)
@@ -268,7 +272,7 @@ class Poller:
     # --- waiting and telling -------------------------------------------------------------------
 
     def _sleep(self, now: float) -> None:
-        ahead = [moment for moment in self._turns.moments() if now < moment < float("inf")]
+        ahead = [moment for moment in self._arbiter.moments() if now < moment < float("inf")]
         if self._wake is not None:
             self._wake.cancel()
         self._wake = self.clock.call_at(min(ahead), self._waked) if ahead else None
@@ -282,30 +286,30 @@ class Poller:
 
     def _sweep(self, now: float) -> None:
         """Tell the fate of every errand that has one."""
-        for errand in self.errands.take_finished():
-            self._emit([self._fate(errand, now)])
+        for run in self.commands.take_finished():
+            self._emit([self._result_of(run, now)])
 
-    def _fate(self, errand: Errand, now: float) -> Result:
-        assert errand.result is not None
+    def _result_of(self, run: CommandRun, now: float) -> Result:
+        assert run.result is not None
         interpreter = Interpreter(self.bus.dialect)
-        frames = [interpreter.frame(passed) for passed in errand.frames]
+        frames = [interpreter.frame(passed) for passed in run.frames]
         at = self.clock.epoch(now)
-        return msgspec.structs.replace(errand.result, id=errand.id, at=at, frames=frames)
+        return msgspec.structs.replace(run.result, id=run.id, at=at, frames=frames)
 
-    def note(self, command_id: str, step: Note) -> None:
+    def apply(self, command_id: str, step: LineEffect) -> None:
         """What a procedure tells on its way."""
         at = self.clock.epoch(self.clock.now())
         match step:
-            case Tell():
-                self._tell([Progress(command_id, at, step.stage, step.unit, step.done, step.of)])
+            case ReportProgress():
+                self._emit_in_order([Progress(command_id, at, step.stage, step.unit, step.done, step.of)])
             case Unstage():
-                self._tell(self.roster.unstage(step.unit, at))
+                self._emit_in_order(self.roster.unstage(step.unit, at))
             case Retune(baud=baud):
                 self._retune(baud)
-            case Expect(baud=baud):
-                self._other_rate.expect(baud, self.baud)
+            case ExpectBaud(baud=baud):
+                self._baud_search.expect(baud, self.baud)
 
-    def _tell(self, updates: list[Update]) -> None:
+    def _emit_in_order(self, updates: list[Update]) -> None:
         """In the order of happening, but after the next request has left."""
         if self._held is not None:
             self._held += updates

@@ -59,13 +59,15 @@ class UnitRecord:
         self.statistics = UnitStatistics(self.unit)
 
     @property
-    def silent(self) -> bool:
+    def unresponsive(self) -> bool:
         """Whether it need not be asked in every round any more."""
         return self.misses >= MISSES_TO_OFFLINE
 
     def lost(self, at: float) -> bool:
-        """Whether it is silent and has been for long enough; a clock that was set back counts as long."""
-        return self.silent and (self.answered_at is None or not 0 <= at - self.answered_at < LOST_AFTER_S)
+        """Whether it has been unresponsive for long enough; a clock that was set back counts as long."""
+        return self.unresponsive and (
+            self.answered_at is None or not 0 <= at - self.answered_at < LOST_AFTER_S
+        )
 
     def raw(self, number: int) -> int | None:
         """A parameter as last read; None when it never was, or the unit does not have it."""
@@ -114,7 +116,7 @@ class Roster:
 
     # --- what a unit said ----------------------------------------------------------------------
 
-    def heard(
+    def take_response(
         self, request: Request, reply: Reply, at: float, frame: bytes, *, is_probe: bool = False
     ) -> list[Update]:
         """``reply`` is the answer to ``request``. A probe is not written in the unit's own dialect: that the

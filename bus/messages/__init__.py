@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bus.messages.catalog import Catalog
-from bus.messages.message import NUMBER, TERM, Message, ParamValue, in_english, joined, number, term
+from bus.messages.message import NUMBER, TERM, Message, ParamValue, in_english, joined, listed, number, term
 from bus.messages.texts import TEXTS, Plural
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "Plural",
     "in_english",
     "joined",
+    "listed",
     "number",
     "term",
 ]

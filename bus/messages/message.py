@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from typing import Annotated, TypeAlias
 
@@ -20,6 +20,8 @@ NUMBER = "number"
 """Code of a decimal number: ``value`` is written with a point, each language shows it with its own sign."""
 TERM = "term"
 """Code of a fixed word of the program: ``text`` is looked up in the catalog as it is."""
+LIST = "list"
+"""Code of a list whose messages are joined by commas: ``items``."""
 _BRACES = re.compile(r"\{(\w+)\}")
 
 MessageCode = Annotated[str, Meta(max_length=60, pattern="^[a-z][a-z0-9_]*$")]
@@ -65,6 +67,9 @@ class Message(msgspec.Struct, frozen=True):
         """
         if self.code == NUMBER:
             return str(self.params.get("value", "")).replace(".", catalog.point)
+        if self.code == LIST:
+            items = self.params.get("items")
+            return ", ".join(_shown(each, catalog) for each in (items if isinstance(items, list) else []))
         if self.code == TERM:
             return catalog.term(str(self.params.get("text", "")))
         template = catalog.template(self.code, self.params.get("n"))
@@ -98,6 +103,11 @@ def number(value: Decimal | str) -> Message:
 def term(text: str) -> Message:
     """A fixed word of the program as the value of another message."""
     return Message(TERM, {"text": text})
+
+
+def listed(items: Sequence[int | str | Message]) -> Message:
+    """Several values as the value of another message, joined by commas."""
+    return Message(LIST, {"items": list(items)})
 
 
 def _shown(value: ParamValue, catalog: Catalog) -> str:

@@ -39,7 +39,7 @@ from bus.wire.commands import (
 ALL_UNITS = 0
 """The UID of an 83h to every unit, which nobody answers."""
 
-Refusal = UnitErrorCode | None
+Rejection = UnitErrorCode | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ def _written(unit: Unit, request: Request) -> Reply:
     return Ack(request.unit)
 
 
-def _write(unit: Unit, request: Request) -> Refusal:
+def _write(unit: Unit, request: Request) -> Rejection:
     if unit.mode is not Mode.REMOTE:
         return UnitErrorCode.NOT_REMOTE
     match request:
@@ -117,21 +117,21 @@ def _write(unit: Unit, request: Request) -> Refusal:
     return UnitErrorCode.ILLEGAL_COMMAND
 
 
-def _enter(unit: Unit, raw: int) -> Refusal:
+def _enter(unit: Unit, raw: int) -> Rejection:
     if not unit.lowest <= raw <= unit.highest:
         return UnitErrorCode.ILLEGAL_SPEED
     unit.entered = raw
     return None
 
 
-def _set(unit: Unit, raw: int) -> Refusal:
+def _set(unit: Unit, raw: int) -> Rejection:
     refusal = _enter(unit, raw)
     if refusal is None:
         unit.setpoint = raw
     return refusal
 
 
-def _write_parameter(unit: Unit, number: int, raw: int) -> Refusal:
+def _write_parameter(unit: Unit, number: int, raw: int) -> Rejection:
     if not unit.memory.has(number):
         return UnitErrorCode.ILLEGAL_PARAMETER_NUMBER
     if number == numbers.OWN_ADDRESS or _locked_by_run(unit, number) or not unit.memory.takes(number, raw):
@@ -150,14 +150,14 @@ def _locked_by_run(unit: Unit, number: int) -> bool:
     return number == numbers.FOLLOWER_MODE or not unit.memory[numbers.SETUP_DURING_RUN]
 
 
-def _write_output(unit: Unit, output: int, on: bool) -> Refusal:
+def _write_output(unit: Unit, output: int, on: bool) -> Rejection:
     if not 1 <= output <= 6:
         return UnitErrorCode.ILLEGAL_OUTPUT_NUMBER
     unit.outputs[output - 1] = on
     return None
 
 
-def _write_analog(unit: Unit, raw: int) -> Refusal:
+def _write_analog(unit: Unit, raw: int) -> Rejection:
     if unit.memory[numbers.ANALOG_OUT_SOURCE] != 2:
         return UnitErrorCode.ANALOG_OUTPUT_NOT_COMMANDED_BY_LINK
     if not unit.memory[numbers.ANALOG_OUT_LOW] <= raw <= unit.memory[numbers.ANALOG_OUT_HIGH]:

@@ -15,27 +15,27 @@ from dataclasses import replace
 from typing import Any
 
 from bus.catalogue import numbers
-from bus.simulator.faults import WHOLE_LINE, Kind
+from bus.simulator.faults import WHOLE_LINE, FaultKind
 from bus.simulator.line import SimulatedLine
 from bus.simulator.memory import FACTORY, Memory, Mode
-from bus.simulator.record import Entry, Happened
+from bus.simulator.record import Happened, WireEvent
 from bus.simulator.section import Section
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import Traits, Unit
 
-Wish = dict[str, Any]
+ControlRequest = dict[str, Any]
 
 
 class SimulatorControl:
     """Listens for wishes about the line of ``server`` until ``close``."""
 
     def __init__(self, server: LineServer, port: int = 0) -> None:
-        class Handler(socketserver.StreamRequestHandler):
+        class ControlHandler(socketserver.StreamRequestHandler):
             def handle(self) -> None:
                 for text in self.rfile:
-                    self.wfile.write(json.dumps(_answer(server, text)).encode() + b"\n")
+                    self.wfile.write(json.dumps(_respond(server, text)).encode() + b"\n")
 
-        self._listener = socketserver.ThreadingTCPServer(("127.0.0.1", port), Handler)
+        self._listener = socketserver.ThreadingTCPServer(("127.0.0.1", port), ControlHandler)
         self._listener.daemon_threads = True
         self._thread = threading.Thread(target=self._listener.serve_forever, name="control", daemon=True)
         self._thread.start()
@@ -58,9 +58,9 @@ class Remote:
         self._socket = socket.create_connection(("127.0.0.1", port))
         self._stream = self._socket.makefile("rw", encoding="utf-8")
 
-    def do(self, deed: str, **details: object) -> Any:
+    def do(self, action: str, **details: object) -> Any:
         """Ask for ``deed``; its result. Raises RuntimeError with the line's own words when it failed."""
-        self._stream.write(json.dumps({"do": deed, **details}) + "\n")
+        self._stream.write(json.dumps({"do": action, **details}) + "\n")
         self._stream.flush()
         answer = json.loads(self._stream.readline())
         if not answer["ok"]:
@@ -73,79 +73,81 @@ class Remote:
         self._socket.close()
 
 
-def _answer(server: LineServer, text: bytes) -> Wish:
+def _respond(server: LineServer, text: bytes) -> ControlRequest:
     try:
-        wish = json.loads(text)
-        return {"ok": True, "result": _DEEDS[wish["do"]](server, wish)}
+        request = json.loads(text)
+        return {"ok": True, "result": _ACTIONS[request["do"]](server, request)}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         return {"ok": False, "error": f"{type(error).__name__}: {error}"}
 
 
-def _on_unit(deed: Callable[[SimulatedLine, Wish], object]) -> Callable[[LineServer, Wish], object]:
-    return lambda server, wish: server.call(lambda line: deed(line, wish))
+def _on_unit(
+    action: Callable[[SimulatedLine, ControlRequest], object],
+) -> Callable[[LineServer, ControlRequest], object]:
+    return lambda server, request: server.call(lambda line: action(line, request))
 
 
-def _unit(line: SimulatedLine, wish: Wish) -> Unit:
+def _unit(line: SimulatedLine, request: ControlRequest) -> Unit:
     """By its ``unit`` address, or by its ``place`` on the cable where two have the same address."""
-    return line.plant.units[wish["place"]] if "place" in wish else line.plant.unit(wish["unit"])
+    return line.plant.units[request["place"]] if "place" in request else line.plant.unit(request["unit"])
 
 
-def _mode(line: SimulatedLine, wish: Wish) -> None:
-    _unit(line, wish).memory[numbers.CONTROL_MODE] = Mode[wish["to"].upper()]
+def _mode(line: SimulatedLine, request: ControlRequest) -> None:
+    _unit(line, request).memory[numbers.CONTROL_MODE] = Mode[request["to"].upper()]
 
 
-def _input(line: SimulatedLine, wish: Wish) -> None:
-    inputs = _unit(line, wish).inputs
-    getattr(inputs, wish["input"])
-    setattr(inputs, wish["input"], bool(wish["on"]))
+def _input(line: SimulatedLine, request: ControlRequest) -> None:
+    inputs = _unit(line, request).inputs
+    getattr(inputs, request["input"])
+    setattr(inputs, request["input"], bool(request["on"]))
 
 
-def _parameter(line: SimulatedLine, wish: Wish) -> int:
-    memory = _unit(line, wish).memory
-    if "raw" in wish:
-        memory[wish["number"]] = int(wish["raw"])
-    return memory[wish["number"]]
+def _parameter(line: SimulatedLine, request: ControlRequest) -> int:
+    memory = _unit(line, request).memory
+    if "raw" in request:
+        memory[request["number"]] = int(request["raw"])
+    return memory[request["number"]]
 
 
-def _power_cycle(line: SimulatedLine, wish: Wish) -> None:
-    _unit(line, wish).power_up()
+def _power_cycle(line: SimulatedLine, request: ControlRequest) -> None:
+    _unit(line, request).power_up()
 
 
-def _remove(line: SimulatedLine, wish: Wish) -> None:
-    unit = _unit(line, wish)
+def _remove(line: SimulatedLine, request: ControlRequest) -> None:
+    unit = _unit(line, request)
     line.plant.sections = [section for section in line.plant.sections if section.unit is not unit]
 
 
-def _spare(line: SimulatedLine, wish: Wish) -> int:
+def _spare(line: SimulatedLine, request: ControlRequest) -> int:
     """A unit with factory values but for ``parameters`` joins the cable; its place there."""
-    changed = {int(number): int(raw) for number, raw in wish.get("parameters", {}).items()}
+    changed = {int(number): int(raw) for number, raw in request.get("parameters", {}).items()}
     traits = Traits(
-        last_parameter=wish.get("last_parameter", len(FACTORY)),
-        baud_changes=wish.get("baud_changes", "at power-up"),
+        last_parameter=request.get("last_parameter", len(FACTORY)),
+        baud_changes=request.get("baud_changes", "at power-up"),
     )
     line.plant.sections.append(Section(Unit(Memory(changed), traits)))
     return len(line.plant.sections) - 1
 
 
-def _traits(line: SimulatedLine, wish: Wish) -> None:
-    unit = _unit(line, wish)
-    unit.traits = replace(unit.traits, baud_changes=wish["baud_changes"])
+def _traits(line: SimulatedLine, request: ControlRequest) -> None:
+    unit = _unit(line, request)
+    unit.traits = replace(unit.traits, baud_changes=request["baud_changes"])
 
 
-def _fault(line: SimulatedLine, wish: Wish) -> None:
-    line.faults.set(Kind(wish["kind"]), float(wish["rate"]), wish.get("unit", WHOLE_LINE))
+def _fault(line: SimulatedLine, request: ControlRequest) -> None:
+    line.faults.set(FaultKind(request["kind"]), float(request["rate"]), request.get("unit", WHOLE_LINE))
 
 
-def _clear(line: SimulatedLine, _wish: Wish) -> None:
+def _clear(line: SimulatedLine, _request: ControlRequest) -> None:
     line.faults.clear()
 
 
-def _hands_off(line: SimulatedLine, _wish: Wish) -> None:
+def _hands_off(line: SimulatedLine, _request: ControlRequest) -> None:
     line.plant.script = None
 
 
-def _state(line: SimulatedLine, wish: Wish) -> Wish:
-    unit = _unit(line, wish)
+def _state(line: SimulatedLine, request: ControlRequest) -> ControlRequest:
+    unit = _unit(line, request)
     return {
         "commanded": unit.commanded,
         "actual": unit.measured.actual,
@@ -158,12 +160,12 @@ def _state(line: SimulatedLine, wish: Wish) -> Wish:
     }
 
 
-def _record(line: SimulatedLine, wish: Wish) -> list[Wish]:
-    kinds = [Happened(kind) for kind in wish.get("kinds", [])]
-    return [_as_json(entry) for entry in line.record.since(wish.get("since", 0), *kinds)]
+def _record(line: SimulatedLine, request: ControlRequest) -> list[ControlRequest]:
+    kinds = [Happened(kind) for kind in request.get("kinds", [])]
+    return [_as_json(entry) for entry in line.record.since(request.get("since", 0), *kinds)]
 
 
-def _as_json(entry: Entry) -> Wish:
+def _as_json(entry: WireEvent) -> ControlRequest:
     return {
         "number": entry.number,
         "at": entry.at,
@@ -173,7 +175,7 @@ def _as_json(entry: Entry) -> Wish:
     }
 
 
-_DEEDS: dict[str, Callable[[LineServer, Wish], object]] = {
+_ACTIONS: dict[str, Callable[[LineServer, ControlRequest], object]] = {
     "mode": _on_unit(_mode),
     "input": _on_unit(_input),
     "parameter": _on_unit(_parameter),
@@ -186,7 +188,7 @@ _DEEDS: dict[str, Callable[[LineServer, Wish], object]] = {
     "hands_off": _on_unit(_hands_off),
     "state": _on_unit(_state),
     "record": _on_unit(_record),
-    "unplug": lambda server, _wish: server.unplug(),
-    "plug": lambda server, _wish: server.plug(),
-    "port": lambda server, _wish: server.port.name,
+    "unplug": lambda server, _request: server.unplug(),
+    "plug": lambda server, _request: server.plug(),
+    "port": lambda server, _request: server.port.name,
 }

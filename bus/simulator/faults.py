@@ -25,7 +25,7 @@ SLOW_S = 0.03
 HUGE_BYTES = 10_000
 
 
-class Kind(StrEnum):
+class FaultKind(StrEnum):
     """The faults. Those before the line act when a request arrives, the others on the answer."""
 
     DEAD = "dead"
@@ -70,13 +70,13 @@ class Faults:
     late_s: float = LATE_S
     foreign_address: int = 0
     """Under which address FOREIGN answers come; 0: that of the next unit."""
-    _rates: dict[int, dict[Kind, float]] = field(default_factory=lambda: defaultdict(dict))
+    _rates: dict[int, dict[FaultKind, float]] = field(default_factory=lambda: defaultdict(dict))
     _random: random.Random = field(init=False)
 
     def __post_init__(self) -> None:
         self._random = random.Random(self.seed)
 
-    def set(self, kind: Kind, rate: float, unit: int = WHOLE_LINE) -> None:
+    def set(self, kind: FaultKind, rate: float, unit: int = WHOLE_LINE) -> None:
         """From now on ``kind`` happens at ``rate`` (0 never, 1 always) to ``unit`` or the whole line."""
         if rate:
             self._rates[unit][kind] = rate
@@ -87,7 +87,7 @@ class Faults:
         """All is well again."""
         self._rates.clear()
 
-    def strikes(self, kind: Kind, unit: int = WHOLE_LINE) -> bool:
+    def strikes(self, kind: FaultKind, unit: int = WHOLE_LINE) -> bool:
         """Whether ``kind`` happens now; draws nothing where its rate is 0, so that it disturbs no seed."""
         rate = max(self._rates[WHOLE_LINE].get(kind, 0.0), self._rates[unit].get(kind, 0.0))
         return rate > 0 and self._random.random() < rate
@@ -156,16 +156,16 @@ _LISTED = {
 }
 _PLAIN = Dialect()
 _NO_DLE = bytes(value for value in range(256) if value != 0x10)
-_SPOILERS: dict[Kind, Callable[[Faults, bytes, bytes], list[Piece]]] = {
-    Kind.LATE: Faults._late,
-    Kind.SLOW: Faults._slow,
-    Kind.LOST: Faults._lost,
-    Kind.DOUBLED: Faults._doubled,
-    Kind.FOREIGN: Faults._foreign,
-    Kind.CUT: Faults._cut,
-    Kind.CORRUPT: Faults._corrupt,
-    Kind.NOISE: Faults._noise,
-    Kind.WRONG_LENGTH: Faults._wrong_length,
-    Kind.HUGE: Faults._huge,
+_SPOILERS: dict[FaultKind, Callable[[Faults, bytes, bytes], list[Piece]]] = {
+    FaultKind.LATE: Faults._late,
+    FaultKind.SLOW: Faults._slow,
+    FaultKind.LOST: Faults._lost,
+    FaultKind.DOUBLED: Faults._doubled,
+    FaultKind.FOREIGN: Faults._foreign,
+    FaultKind.CUT: Faults._cut,
+    FaultKind.CORRUPT: Faults._corrupt,
+    FaultKind.NOISE: Faults._noise,
+    FaultKind.WRONG_LENGTH: Faults._wrong_length,
+    FaultKind.HUGE: Faults._huge,
 }
 """Of several that strike at once the first one counts: an answer has one fate."""

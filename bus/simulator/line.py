@@ -13,10 +13,10 @@ from typing import Literal, NamedTuple
 
 from bus.settings import Dialect
 from bus.simulator.answering import ALL_UNITS, Turn, encode, respond
-from bus.simulator.faults import WHOLE_LINE, Faults, Kind
+from bus.simulator.faults import WHOLE_LINE, FaultKind, Faults
 from bus.simulator.pacer import ReplyLine, RequestLine, Wake, byte_seconds
 from bus.simulator.plant import STEP_S, Plant
-from bus.simulator.record import Happened, Record
+from bus.simulator.record import Happened, WireRecord
 from bus.simulator.unit import Unit
 from bus.wire.commands import Nak
 from bus.wire.framing import DLE, FrameDecoder, ReceivedFrame
@@ -50,7 +50,7 @@ class SimulatedLine:
     faults: Faults = field(default_factory=Faults)
     baud: int = 9600
     speedup: float = 1.0
-    record: Record = field(default_factory=Record)
+    record: WireRecord = field(default_factory=WireRecord)
 
     def __post_init__(self) -> None:
         self._requests = RequestLine()
@@ -65,7 +65,7 @@ class SimulatedLine:
         self.record.add(now, Happened.CAME, WHOLE_LINE, data)
         byte_s = byte_seconds(host_baud or self.baud, self.speedup)
         for at, value in zip(self._requests.carry(now, len(data), byte_s), data, strict=True):
-            if self.faults.strikes(Kind.ECHO):
+            if self.faults.strikes(FaultKind.ECHO):
                 self._replies.transmit(ECHO_TALKER, at - byte_s, bytes((value,)), byte_s)
             self._hear_second_10h(at, value, byte_s)
             for event in self._decoder.feed(bytes((value,))):
@@ -112,7 +112,7 @@ class SimulatedLine:
         """Up to ``behind`` before ``now``; best when a request is in, for its answer leaves time."""
         while self._physics_at + behind <= now:
             self.plant.step(STEP_S)
-            if self.faults.strikes(Kind.FLOOD):
+            if self.faults.strikes(FaultKind.FLOOD):
                 byte_s = byte_seconds(self.baud, self.speedup)
                 rubbish = self.faults.rubbish(int(STEP_S / byte_s))
                 self._send(FLOOD_TALKER, self._physics_at, rubbish, byte_s)
@@ -133,9 +133,11 @@ class SimulatedLine:
         if arriving.checksum_10h not in (None, unit.traits.dialect.checksum_10h):
             return False
         asked = arriving.body[0]
-        if asked not in (ALL_UNITS, unit.address) and not self.faults.strikes(Kind.EVERYBODY, unit.address):
+        if asked not in (ALL_UNITS, unit.address) and not self.faults.strikes(
+            FaultKind.EVERYBODY, unit.address
+        ):
             return False
-        return not self.faults.strikes(Kind.DEAD, unit.address)
+        return not self.faults.strikes(FaultKind.DEAD, unit.address)
 
     def _answer(self, place: int, unit: Unit, arriving: _Arriving) -> None:
         address, at = unit.address, arriving.at
@@ -154,7 +156,7 @@ class SimulatedLine:
             self._send(place, begins + piece.delay, piece.data, byte_s)
 
     def _turn(self, unit: Unit, body: bytes) -> Turn:
-        if body[0] != ALL_UNITS and self.faults.strikes(Kind.NAK, unit.address):
+        if body[0] != ALL_UNITS and self.faults.strikes(FaultKind.NAK, unit.address):
             return Turn(None, Nak(body[0], self.faults.refusal(body[1])), acted=False)
         return respond(unit, body)
 

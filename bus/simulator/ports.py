@@ -138,7 +138,7 @@ class PtyPort:
             fresh.replace(self._link)
 
 
-class TcpPort:
+class TcpLinePort:
     """A TCP port on the loopback that serves one host at a time, as a device server does."""
 
     def __init__(self, number: int = 0) -> None:

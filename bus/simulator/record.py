@@ -27,7 +27,7 @@ class Happened(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class WireEvent:
     """``number`` counts from 1; ``at`` is on the line's clock; ``data`` is a body for HEARD, ACTED and SAID
     (what stands between STX and DLE ETX), else bytes as on the wire."""
 
@@ -39,18 +39,18 @@ class Entry:
 
 
 @dataclass
-class Record:
+class WireRecord:
     """Bounded, in the order of happening."""
 
-    _entries: deque[Entry] = field(default_factory=lambda: deque(maxlen=LONGEST_RECORD))
+    _entries: deque[WireEvent] = field(default_factory=lambda: deque(maxlen=LONGEST_RECORD))
     _count: int = 0
 
     def add(self, at: float, what: Happened, unit: int, data: bytes) -> None:
         """Keep one entry."""
         self._count += 1
-        self._entries.append(Entry(self._count, at, what, unit, data))
+        self._entries.append(WireEvent(self._count, at, what, unit, data))
 
-    def since(self, number: int = 0, *what: Happened) -> Iterator[Entry]:
+    def since(self, number: int = 0, *what: Happened) -> Iterator[WireEvent]:
         """Entries after ``number``, of the kinds asked for (all when none is named), as they are now.
 
         The copy is one step for the interpreter, so another thread may ask while the line goes on.

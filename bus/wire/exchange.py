@@ -24,7 +24,7 @@ import msgspec
 from bus.settings import Dialect
 from bus.wire.bodies import parse_reply
 from bus.wire.commands import Reply, Request
-from bus.wire.fence import Doubt
+from bus.wire.fence import PendingResponses
 from bus.wire.framing import DoubledChecksum, FrameDecoder, Noise, ReceivedFrame
 from bus.wire.prepared import prepare
 
@@ -67,7 +67,7 @@ class Doubled(msgspec.Struct, frozen=True):
     frame: ReceivedFrame
 
 
-Event = Answered | Foreign | Echo | Unexpected | Late | Doubled | Noise | DoubledChecksum
+ExchangeEvent = Answered | Foreign | Echo | Unexpected | Late | Doubled | Noise | DoubledChecksum
 
 
 class Exchange:
@@ -84,7 +84,7 @@ class Exchange:
         dialect: Dialect,
         *,
         decoder: FrameDecoder | None = None,
-        doubt: Doubt | None = None,
+        pending: PendingResponses | None = None,
     ) -> None:
         self.request = request
         self.prepared = prepare(request, dialect)
@@ -95,16 +95,16 @@ class Exchange:
         self.first_byte_at: float | None = None
         """When the first byte after the request (and its echo) came, in the caller's time."""
         self.dialect = dialect
-        self._before = doubt or Doubt(request.unit, dialect)
+        self._before = pending or PendingResponses(request.unit, dialect)
         self._answer: bytes | None = None
-        self._doubt = self._before.sent(request)
+        self._pending = self._before.sent(request)
         self._to_ponder: bytes | None = None
 
-    def receive(self, data: bytes, at: float) -> list[Event]:
+    def receive(self, data: bytes, at: float) -> list[ExchangeEvent]:
         """Take what came in at ``at``, in any cut; say what it is."""
         if data and self.first_byte_at is None:
             self.first_byte_at = at
-        events: list[Event] = []
+        events: list[ExchangeEvent] = []
         for received in self.decoder.feed(data):
             event = self._classify(received) if isinstance(received, ReceivedFrame) else received
             if isinstance(event, Echo):
@@ -117,17 +117,17 @@ class Exchange:
         return events
 
     @property
-    def doubt(self) -> Doubt:
+    def pending(self) -> PendingResponses:
         """What the unit may still answer late once this exchange is over."""
         if self._to_ponder is not None:
-            self._doubt, self._to_ponder = self._doubt.heard(self._to_ponder), None
-        return self._doubt
+            self._pending, self._to_ponder = self._pending.received(self._to_ponder), None
+        return self._pending
 
     def give_up(self) -> None:
         """The deadline has passed: whatever comes now is late."""
         self.awaiting = False
 
-    def _classify(self, frame: ReceivedFrame) -> Event:
+    def _classify(self, frame: ReceivedFrame) -> ExchangeEvent:
         if frame.body == self.prepared.body:
             return Echo(frame)
         unit = frame.body[0]
@@ -137,15 +137,15 @@ class Exchange:
         if not self.awaiting and frame.body == self._answer:
             return Doubled(frame)
         # What it means for later requests is worked out when somebody asks: now the next one is urgent.
-        self._doubt, self._to_ponder = self.doubt, frame.body
+        self._pending, self._to_ponder = self.pending, frame.body
         return self._judge(frame) if self.awaiting else Late(frame)
 
-    def _judge(self, frame: ReceivedFrame) -> Event:
+    def _judge(self, frame: ReceivedFrame) -> ExchangeEvent:
         reply = parse_reply(self.request, frame.body, self.dialect)
         if reply is None:
             return Unexpected(frame)
         if not self._before.believes(self.request, frame.body):
-            self._before = self._before.heard(frame.body)
+            self._before = self._before.received(frame.body)
             return Late(frame)
         self.awaiting = False
         self.reply = reply

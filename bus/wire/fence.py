@@ -102,44 +102,44 @@ def _possible(command: int, lengths: frozenset[int]) -> frozenset[Shape]:
 def fence_needed(timed_out: Request, following: Request, dialect: Dialect | None = None) -> bool:
     """Whether a late answer to ``timed_out`` could be taken for the answer to ``following`` (rule 4)."""
     dialect = dialect or Dialect()
-    if timed_out.unit != following.unit or _says_the_same(timed_out, following):
+    if timed_out.unit != following.unit or _reads_the_same(timed_out, following):
         return False
     return bool(possible_shapes(timed_out, dialect) & ordinary_shapes(following, dialect))
 
 
 def fence_for(unit: int, timed_out: Request, dialect: Dialect | None = None) -> Request:
     """The read whose answer nobody can take for a late answer to ``timed_out``."""
-    return Doubt(unit, dialect or Dialect(), (timed_out,)).fence()
+    return PendingResponses(unit, dialect or Dialect(), (timed_out,)).fence()
 
 
-class Answer(NamedTuple):
+class ShapedResponse(NamedTuple):
     """A request and the shape of what it was answered with."""
 
     request: Request
     shape: Shape
 
 
-class Doubt(msgspec.Struct, frozen=True):
+class PendingResponses(msgspec.Struct, frozen=True):
     """What one unit may still answer late or twice. A value: each step gives the next one."""
 
     unit: int
     dialect: Dialect
     outstanding: tuple[Request, ...] = ()
-    last: Answer | None = None
+    last: ShapedResponse | None = None
     """The answer whose second copy may come into the next exchange."""
-    fading: Answer | None = None
+    fading: ShapedResponse | None = None
     """The answer whose second copy may come into this one."""
 
-    def sent(self, request: Request) -> Doubt:
+    def sent(self, request: Request) -> PendingResponses:
         """``request`` has gone out (a broadcast changes nothing, for it has no answer)."""
         if request.unit != self.unit or request.unit == 0:
             return self
         outstanding = self.outstanding
         if not self._is_a_long_run(len(outstanding) - LONG_RUN) or outstanding[-1] != request:
             outstanding = (*outstanding, request)[-MOST_OUTSTANDING:]
-        return Doubt(self.unit, self.dialect, outstanding, last=None, fading=self.last)
+        return PendingResponses(self.unit, self.dialect, outstanding, last=None, fading=self.last)
 
-    def heard(self, body: bytes) -> Doubt:
+    def received(self, body: bytes) -> PendingResponses:
         """A frame of this unit came in, awaited or not (rule 1). What may be a second copy ends nothing."""
         shape = shape_of(body)
         if shape is None:
@@ -151,8 +151,10 @@ class Doubt(msgspec.Struct, frozen=True):
                     ended = 0
                 elif not self._is_a_long_run(position):
                     ended = position + 1
-                answer = Answer(request, shape)
-                return Doubt(self.unit, self.dialect, self.outstanding[ended:], answer, self.fading)
+                answer = ShapedResponse(request, shape)
+                return PendingResponses(
+                    self.unit, self.dialect, self.outstanding[ended:], answer, self.fading
+                )
         return self
 
     @property
@@ -161,11 +163,11 @@ class Doubt(msgspec.Struct, frozen=True):
         last = () if self.last is None else (self.last.request,)
         return any(is_secret(request) for request in (*self.outstanding, *last))
 
-    def moved_on(self) -> Doubt:
+    def moved_on(self) -> PendingResponses:
         """The bus has asked another unit since; the last answer cannot come again."""
         if self.last is None and self.fading is None:
             return self
-        return Doubt(self.unit, self.dialect, self.outstanding)
+        return PendingResponses(self.unit, self.dialect, self.outstanding)
 
     def _is_a_long_run(self, position: int) -> bool:
         """Whether so many equal reads stand at ``position`` that more of them are not kept: that run ends
@@ -190,7 +192,7 @@ class Doubt(msgspec.Struct, frozen=True):
     def fence(self) -> Request:
         """Of the two fences the one whose answer would leave less in doubt."""
         fences: tuple[Request, ...] = (ReadStatus(self.unit), ReadParameter(self.unit, OWN_ADDRESS))
-        return min(fences, key=self._left_in_doubt_by)
+        return min(fences, key=self._left_pending_by)
 
     def _may_be_late(self, request: Request) -> set[Shape]:
         """Shapes of late answers that would mislead about ``request``; the same read does not, unless
@@ -198,7 +200,7 @@ class Doubt(msgspec.Struct, frozen=True):
         shapes: set[Shape] = set()
         written_since = False
         for sent in reversed(self.outstanding):
-            if written_since or not _says_the_same(sent, request):
+            if written_since or not _reads_the_same(sent, request):
                 shapes |= possible_shapes(sent, self.dialect)
             written_since = written_since or is_write(sent)
         return shapes
@@ -211,31 +213,31 @@ class Doubt(msgspec.Struct, frozen=True):
         if self.last is None:
             return set()
         written_since = any(is_write(sent) for sent in self.outstanding)
-        harmless = _says_the_same(self.last.request, request) and not written_since
+        harmless = _reads_the_same(self.last.request, request) and not written_since
         return set() if harmless else {self.last.shape}
 
-    def _left_in_doubt_by(self, fence: Request) -> int:
+    def _left_pending_by(self, fence: Request) -> int:
         lengths = acknowledged_lengths(fence, self.dialect)
         answers = (bytes((self.unit, ACK, *bytes(length))) for length in lengths)
-        doubts = [
-            len(self.sent(fence).heard(answer).outstanding) + (not self.believes(fence, answer))
+        pending = [
+            len(self.sent(fence).received(answer).outstanding) + (not self.believes(fence, answer))
             for answer in answers
         ]
-        return max(doubts)
+        return max(pending)
 
 
-class Doubts:
+class PendingByUnit:
     """The doubts about every unit of one bus."""
 
     def __init__(self, dialect: Dialect) -> None:
         self._dialect = dialect
-        self._units: dict[int, Doubt] = {}
+        self._units: dict[int, PendingResponses] = {}
         self._last_unit = 0
 
-    def about(self, unit: int) -> Doubt:
+    def about(self, unit: int) -> PendingResponses:
         """What ``unit`` may still answer late or twice if it were asked now."""
-        doubt = self._units.get(unit) or Doubt(unit, self._dialect)
-        return doubt if unit == self._last_unit else doubt.moved_on()
+        pending = self._units.get(unit) or PendingResponses(unit, self._dialect)
+        return pending if unit == self._last_unit else pending.moved_on()
 
     def fence_before(self, request: Request) -> Request | None:
         """What to ask before ``request``; None where it may follow at once."""
@@ -243,15 +245,15 @@ class Doubts:
 
     def may_hold_secret(self, unit: int) -> bool:
         """Whether a late or second answer of ``unit`` may carry what is not to be kept or shown (#21)."""
-        doubt = self._units.get(unit)
-        return doubt is not None and doubt.may_hold_secret
+        pending = self._units.get(unit)
+        return pending is not None and pending.may_hold_secret
 
-    def after(self, doubt: Doubt) -> None:
+    def after(self, pending: PendingResponses) -> None:
         """An exchange is over; ``doubt`` is what it left."""
-        if doubt.unit:
-            self._units[doubt.unit] = doubt
-            self._last_unit = doubt.unit
+        if pending.unit:
+            self._units[pending.unit] = pending
+            self._last_unit = pending.unit
 
 
-def _says_the_same(earlier: Request, later: Request) -> bool:
+def _reads_the_same(earlier: Request, later: Request) -> bool:
     return earlier == later and not is_write(later)

@@ -29,11 +29,11 @@ def run(bus: BusSettings, app_url: str, token: str, *, child: bool = False) -> i
         tie_to(named_parent() or os.getppid())
     _be_prompt()
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-        runner.run(_until_told(bus, app_url, token))
+        runner.run(_until_stopped(bus, app_url, token))
     return 0
 
 
-async def _until_told(bus: BusSettings, app_url: str, token: str) -> None:
+async def _until_stopped(bus: BusSettings, app_url: str, token: str) -> None:
     leave = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -26,18 +26,18 @@ from bus.contract import (
     Watch,
 )
 from bus.contract.clock_offset import ClockOffset
-from bus.line.clock import Clock, RealClock
-from bus.line.commands.catalogue import errand_of
+from bus.line.clock import LineClock, RealClock
+from bus.line.commands.catalogue import command_run_of
 from bus.line.opener import Opener, OpenFunction
 from bus.line.poller import Poller
 from bus.line.port.open_port import open_port
-from bus.line.statistics.trace import Interpreter, Passed
+from bus.line.statistics.trace import Interpreter, TracedFrame
 from bus.messages import Message, in_english
 from bus.settings import BusSettings
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
 
-FATES_KEPT = 2_000
+RESULTS_KEPT = 2_000
 MOST_COMMANDS, MOST_TRACES = 300, 8
 """At once, far more than people and programs ask for: an app gone wrong must not fill the memory."""
 TOO_MANY = Message("too_many_commands")
@@ -57,7 +57,7 @@ class BusWorker:
     def __init__(
         self,
         bus: BusSettings,
-        clock: Clock | None = None,
+        clock: LineClock | None = None,
         open_function: OpenFunction = open_port,
         seed: int | None = None,
     ) -> None:
@@ -70,8 +70,8 @@ class BusWorker:
         self._opener = Opener(self.poller, open_function)
         self._started_at = self._epoch()
         self._figures = self.poller.figures()
-        self._fates: OrderedDict[str, Result | None] = OrderedDict()
-        self._passing: list[Passed] = []
+        self._results: OrderedDict[str, Result | None] = OrderedDict()
+        self._frames: list[TracedFrame] = []
         self._interpreter = Interpreter(bus.dialect)
         self._reading_traces: set[asyncio.Task[None]] = set()
         self._leaving = False
@@ -80,14 +80,14 @@ class BusWorker:
         """The line and its figures; the uplink is run beside it."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._opener.run())
-            tasks.create_task(self._tell_figures())
+            tasks.create_task(self._report_figures())
 
     async def finish(self) -> None:
         """No new command; what is under way ends or is withdrawn, within ``FINISH_WITHIN_S``."""
         self._leaving = True
-        for errand in self.poller.errands:
-            self.poller.cancel(errand.id)
-        await _wait_while(lambda: len(self.poller.errands) > 0, FINISH_WITHIN_S)
+        for run in self.poller.commands:
+            self.poller.cancel(run.id)
+        await _wait_while(lambda: len(self.poller.commands) > 0, FINISH_WITHIN_S)
         await _wait_while(lambda: self.outbox.connected and len(self.outbox) > 0, SAY_WITHIN_S)
 
     # --- what the uplink asks ------------------------------------------------------------------
@@ -132,8 +132,8 @@ class BusWorker:
         if isinstance(command.action, ReadTrace):
             self._begin_trace(command.id, command.action)
             return
-        if command.id in self._fates:
-            known = self._fates[command.id]
+        if command.id in self._results:
+            known = self._results[command.id]
             if known is not None:
                 self.outbox.put([known])
             return
@@ -146,17 +146,17 @@ class BusWorker:
         now = self.clock.now()
         deadline = now + self.app_clock.here(command.deadline) - self.clock.epoch(now)
         why = self._why_not(command, deadline - now)
-        errand = errand_of(self.poller, command.id, command.action, deadline)
-        if why is None and errand is None:
+        run = command_run_of(self.poller, command.id, command.action, deadline)
+        if why is None and run is None:
             why = Result(command.id, 0.0, "invalid", Message("unknown_command"))
         if why is not None:
             self._emit([msgspec.structs.replace(why, id=command.id, at=self._epoch())])
             return
-        assert errand is not None
+        assert run is not None
         kind = type(command.action).__name__
         _log.info("command", id=command.id, action=kind, time_left_s=round(deadline - now, 3))
         self._emit([Progress(command.id, self._epoch(), "waiting")])
-        self.poller.submit(errand)
+        self.poller.submit(run)
 
     def _begin_trace(self, command_id: str, action: ReadTrace) -> None:
         if len(self._reading_traces) >= MOST_TRACES:
@@ -170,7 +170,7 @@ class BusWorker:
         """Why nothing is sent for it, when that is plain at once."""
         if self._leaving:
             return Result("", 0.0, "not_sent", Message("worker_stopping"))
-        if len(self.poller.errands) >= MOST_COMMANDS:
+        if len(self.poller.commands) >= MOST_COMMANDS:
             return Result("", 0.0, "not_sent", TOO_MANY)
         if not self.poller.link.open:
             return Result("", 0.0, "bus_closed", self.poller.state.refusal)
@@ -180,16 +180,16 @@ class BusWorker:
         return None
 
     def _remember(self, command_id: str, fate: Result | None) -> None:
-        self._fates[command_id] = fate
-        while len(self._fates) > FATES_KEPT:
-            self._fates.popitem(last=False)
+        self._results[command_id] = fate
+        while len(self._results) > RESULTS_KEPT:
+            self._results.popitem(last=False)
 
     # --- telling -------------------------------------------------------------------------------
 
     def _emit(self, updates: list[Update]) -> None:
         for update in updates:
             if isinstance(update, Result):
-                if update.id in self._fates:
+                if update.id in self._results:
                     self._remember(update.id, msgspec.structs.replace(update, frames=[]))
                 _log.info("fate", id=update.id, outcome=update.outcome, message=in_english(update.message))
             elif isinstance(update, UnitLink):
@@ -198,7 +198,7 @@ class BusWorker:
                 _log.debug("bus", link=update.link, cause=in_english(update.cause))
         self.outbox.put(updates)
 
-    async def _tell_figures(self) -> None:
+    async def _report_figures(self) -> None:
         while True:
             await asyncio.sleep(FIGURES_S)
             self.clock.settle()
@@ -207,14 +207,14 @@ class BusWorker:
             self._figures = msgspec.structs.replace(figures, updates_lost=self.outbox.lost)
             self.outbox.put([self._figures])
 
-    def _follow(self, passed: Passed) -> None:
-        if not self._passing:
-            asyncio.get_running_loop().call_soon(self._tell_passed)
-        self._passing.append(passed)
+    def _follow(self, passed: TracedFrame) -> None:
+        if not self._frames:
+            asyncio.get_running_loop().call_soon(self._report_frames)
+        self._frames.append(passed)
 
-    def _tell_passed(self) -> None:
-        frames = [self._interpreter.frame(passed) for passed in self._passing]
-        self._passing.clear()
+    def _report_frames(self) -> None:
+        frames = [self._interpreter.frame(passed) for passed in self._frames]
+        self._frames.clear()
         self.outbox.put([Frames(frames)])
 
     async def _read_trace(self, command_id: str, action: ReadTrace) -> None:

@@ -21,12 +21,12 @@ from bus.contract import (
     CONTRACT_VERSION,
     AppMessage,
     Cancel,
-    Clock,
+    ClockSync,
     Command,
     Delivered,
     Hello,
     MalformedMessageError,
-    Reserve,
+    ReserveTurn,
     Snapshot,
     WantSnapshot,
     Watch,
@@ -36,7 +36,7 @@ from bus.contract import (
     encode,
 )
 from bus.contract.clock_offset import ClockOffset
-from bus.reconnect_delay import Backoff
+from bus.reconnect_delay import ReconnectDelay
 from bus.worker.outbox import Outbox
 
 SHORTEST_PAUSE_S = 0.1
@@ -108,7 +108,7 @@ class Uplink:
         self._epoch = epoch
         self._snapshot_wanted = False
         self._told = ""
-        self._backoff = Backoff(random.random)
+        self._backoff = ReconnectDelay(random.random)
         self._accepted_at: float | None = None
         """When the app accepted the connection; None where it did not."""
 
@@ -172,7 +172,7 @@ class Uplink:
                     await sending
 
     def _linked(self) -> None:
-        if self._backoff.is_worth_a_line:
+        if self._backoff.is_worth_logging:
             self._told = ""
             _log.info("linked to the dashboard", url=self._url, kept=len(self._outbox))
 
@@ -209,11 +209,11 @@ class Uplink:
         match message:
             case Delivered(seq=seq):
                 self._outbox.delivered(seq)
-            case Clock(app_time=app_time):
+            case ClockSync(app_time=app_time):
                 self._app_clock.observe(app_time, self._epoch())
             case Command():
                 self._duty.command(message)
-            case Reserve():
+            case ReserveTurn():
                 self._duty.reserve()
             case Cancel(id=command_id):
                 self._duty.cancel(command_id)

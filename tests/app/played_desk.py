@@ -33,7 +33,7 @@ from bus.contract import (
     UnitLink,
     WriteParameter,
 )
-from bus.messages import term
+from bus.messages import Message, term
 from bus.settings import BusSettings
 from tests.app.played_rights import PlayedRights
 
@@ -127,7 +127,9 @@ class Noted:
     noted: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def record(self, **said: Any) -> int:
-        self.events.append(said)
+        self.events.append(
+            {name: str(value) if isinstance(value, Message) else value for name, value in said.items()}
+        )
         self.noted.set()
         return len(self.events)
 

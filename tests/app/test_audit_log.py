@@ -15,7 +15,7 @@ from app.audit.log import ENDED_BEFORE, Event, EventLog
 from app.audit.store import Filter
 from app.database import Database
 from bus.contract import Frame
-from bus.messages import term
+from bus.messages import Message, term
 
 
 class Clock:
@@ -65,6 +65,20 @@ async def test_a_fate_is_folded_into_its_command(log: EventLog) -> None:
     assert (event["id"], event["outcome"], event["message"]) == (number, "verified", "reads 50.0")
     assert (event["time"], event["concluded_at"]) == (1001.0, 1002.0)
     assert json.loads(event["frames"])[0]["data"] == "10 02"
+
+
+async def test_a_message_is_kept_as_its_text_and_as_what_it_says(log: EventLog) -> None:
+    number = await intent(log)
+    what = Message.of("event_role_changed", name="half \ud800", role=term("viewer"))
+    await log.record(kind="user", what=what, old="typed")
+    await log.conclude(number, "verified", Message("unit_not_remote"))
+    later, first = await newest(log)
+    assert later["what"] == "user half \\ud800 is viewer now"
+    assert later["messages"]["what"].params == {"name": "half \\ud800", "role": term("viewer")}
+    assert (later["old"], "old" in later["messages"]) == ("typed", False)
+    assert first["message"] == "unit is not in REMOTE mode"
+    assert first["messages"] == {"message": Message("unit_not_remote")}
+    assert (await log.prove()).broken is None
 
 
 async def test_a_command_has_one_fate(log: EventLog) -> None:

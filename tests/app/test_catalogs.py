@@ -13,10 +13,11 @@ import pytest
 from app.messages import Languages
 from app.messages.compiled import compiled
 from app.messages.languages import DEFAULT, catalogs
-from bus.messages import TEXTS, Message, Plural, number, term
+from bus.messages import TEXTS, Message, Plural, number, term, texts
 from bus.messages.texts import GROUPS
 from tests.catalogs import Key, catalog_at, in_code, in_templates, key_of, leftovers, wanted
 
+TEXTS_FOLDER = Path(texts.__file__).parent
 ROOT = Path(__file__).resolve().parents[2]
 TRANSLATED = {tag: path for tag, path in catalogs().items() if tag != DEFAULT}
 BRACES = re.compile(r"\{(\w*)\}")
@@ -113,7 +114,15 @@ def test_each_message_has_a_text_and_its_values() -> None:
 
 
 def test_each_text_is_of_a_message() -> None:
-    assert sorted(TEXTS.keys() - {code for _, code, _ in MADE}) == []
+    named = {
+        node.value
+        for part in ("app", "bus")
+        for path in (ROOT / part).rglob("*.py")
+        if path.parent != TEXTS_FOLDER
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant)
+    }
+    assert sorted(TEXTS.keys() - named) == []
 
 
 def test_the_extraction_finds_texts_at_all() -> None:

@@ -21,7 +21,7 @@ from bus.line.scan.found import Found
 from bus.line.scan.prober import Prober
 from bus.messages import Message
 from bus.settings import Dialect
-from bus.simulator.faults import Faults, Kind
+from bus.simulator.faults import FaultKind, Faults
 from bus.simulator.line import SimulatedLine
 from bus.simulator.memory import Memory
 from bus.simulator.plant import Plant
@@ -101,7 +101,7 @@ def test_two_units_at_one_address_garble_each_other() -> None:
 
 def test_a_device_that_is_no_digimax() -> None:
     faults = Faults(1)
-    faults.set(Kind.WRONG_LENGTH, 1.0, unit=2)
+    faults.set(FaultKind.WRONG_LENGTH, 1.0, unit=2)
     with line(unit(1), unit(2), faults=faults) as port:
         found = by_id(scanned(port, "--baud", "9600"))
     assert (found[1]["kind"], found[2]["kind"]) == ("digimax", "foreign")
@@ -109,7 +109,7 @@ def test_a_device_that_is_no_digimax() -> None:
 
 def test_a_unit_that_answers_to_every_address() -> None:
     faults = Faults(1)
-    faults.set(Kind.EVERYBODY, 1.0, unit=3)
+    faults.set(FaultKind.EVERYBODY, 1.0, unit=3)
     with line(unit(3), faults=faults) as port:
         answer = scanned(port, "--baud", "9600", last=6)
     assert answer["remarks"] == ["unit 3 responds to addresses that are not its own (5 of them)"]
@@ -117,7 +117,7 @@ def test_a_unit_that_answers_to_every_address() -> None:
 
 def test_an_adapter_that_hears_itself() -> None:
     faults = Faults(1)
-    faults.set(Kind.ECHO, 1.0)
+    faults.set(FaultKind.ECHO, 1.0)
     with line(unit(2), faults=faults) as port:
         answer = scanned(port, "--baud", "9600")
     assert by_id(answer)[2]["kind"] == "digimax"
@@ -183,7 +183,7 @@ def test_what_was_found_before_the_end_is_told(
 
 def test_a_line_that_talks_unasked_is_not_scanned() -> None:
     faults = Faults(1)
-    faults.set(Kind.FLOOD, 1.0)
+    faults.set(FaultKind.FLOOD, 1.0)
     with line(unit(2), faults=faults) as port:
         result = run(port, "--baud", "9600", "--last", "3")
     assert result.exit_code == 1

@@ -19,7 +19,7 @@ from bus.contract import (
     ParameterValue,
     ReadParameters,
     ReadTrace,
-    Reserve,
+    ReserveTurn,
     SetLine,
     SetSpeed,
     UnitOutcome,
@@ -41,15 +41,15 @@ async def worker(worker: PlayedWorker) -> PlayedWorker:
 
 async def test_the_worker_is_told_of_a_write_before_it_comes(stage: Stage, worker: PlayedWorker) -> None:
     await stage.ask("POST", "/units/1/speed", {"raw": 5})
-    told = [type(message) for message in worker.heard if isinstance(message, Reserve | Command)]
-    assert told == [Reserve, Command]
+    told = [type(message) for message in worker.heard if isinstance(message, ReserveTurn | Command)]
+    assert told == [ReserveTurn, Command]
 
 
 async def test_for_who_may_not_write_the_wire_waits_never(stage: Stage, worker: PlayedWorker) -> None:
     assert (await stage.ask("POST", "/units/1/speed", {"raw": 5}, role="viewer")).status_code == 403
     await stage.ask("GET", "/units/1/parameters?refresh=true")
     await worker.hear(Command)
-    assert not any(isinstance(message, Reserve) for message in worker.heard)
+    assert not any(isinstance(message, ReserveTurn) for message in worker.heard)
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ def test_who_was_dropped_is_counted_no_more(world: World) -> None:
 
 
 def test_a_trusted_proxy_has_more_than_a_stranger(world: World) -> None:
-    world.open_many(MOST_OF_ADDRESS * 2, "10.0.0.5")
+    world.open_many(MOST_OF_ADDRESS + 1, "10.0.0.5")
     assert world.dropped == []
 
 

@@ -16,7 +16,7 @@ from bus.contract import (
     CONTRACT_VERSION,
     Batch,
     BusLink,
-    Clock,
+    ClockSync,
     Command,
     Delivered,
     WantSnapshot,
@@ -100,7 +100,7 @@ async def test_readings_arrive_and_are_confirmed(stage: Stage) -> None:
     await until(lambda: _commanded(stage) == 1234, "the reading")
     delivered = await worker.hear(Delivered)
     assert delivered == Delivered(seq=1)
-    await worker.hear(Clock)
+    await worker.hear(ClockSync)
 
 
 async def test_a_doubled_batch_counts_once(stage: Stage) -> None:

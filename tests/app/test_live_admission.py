@@ -5,8 +5,6 @@ from __future__ import annotations
 from app.live.browsers.admission import (
     MOST_OF_ACCOUNT,
     MOST_OF_ADDRESS,
-    MOST_OPENED_AT_ONCE,
-    OPENED_A_SECOND,
     Admission,
 )
 from app.live.browsers.watched import Watched
@@ -14,33 +12,23 @@ from app.live.browsers.watched import Watched
 
 def test_an_account_has_so_many_pages_and_another_has_its_own() -> None:
     admission = Admission()
-    assert all(admission.enter("ann", f"a{n}", 0.0) for n in range(MOST_OF_ACCOUNT))
-    assert not admission.enter("ann", "b", 1e6)
-    assert admission.enter("ben", "b", 1e6)
+    assert all(admission.enter("ann", f"a{n}") for n in range(MOST_OF_ACCOUNT))
+    assert not admission.enter("ann", "b")
+    assert admission.enter("ben", "b")
     admission.leave("ann", "a0")
-    assert admission.enter("ann", "b", 1e6)
+    assert admission.enter("ann", "b")
 
 
 def test_an_address_has_so_many_pages() -> None:
     admission = Admission()
-    assert all(admission.enter(f"p{n}", "a", 0.0) for n in range(MOST_OF_ADDRESS))
-    assert not admission.enter("ann", "a", 1e6)
-    assert admission.enter("ann", "b", 1e6)
-
-
-def test_pages_are_opened_and_closed_no_quicker_than_a_plant_comes_back() -> None:
-    admission, opened = Admission(), 0
-    for _ in range(2 * MOST_OPENED_AT_ONCE):
-        if admission.enter("ann", "a", 0.0):
-            admission.leave("ann", "a")
-            opened += 1
-    assert opened == MOST_OPENED_AT_ONCE
-    assert admission.enter("ann", "a", 2 / OPENED_A_SECOND)
+    assert all(admission.enter(f"p{n}", "a") for n in range(MOST_OF_ADDRESS))
+    assert not admission.enter("ann", "a")
+    assert admission.enter("ann", "b")
 
 
 def test_nothing_is_kept_of_who_has_gone() -> None:
     admission = Admission()
-    admission.enter("ann", "a", 0.0)
+    admission.enter("ann", "a")
     admission.leave("ann", "a")
     assert not admission._by_account
     assert not admission._by_address

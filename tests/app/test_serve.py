@@ -136,7 +136,7 @@ def test_asked_to_end_while_the_dashboard_is_still_read_it_ends_its_workers_at_o
         workers_ended.wait(PATIENCE_S)
         happened.append("dashboard read")
 
-    monkeypatch.setattr(hosting, "Workers", Workers)
+    monkeypatch.setattr(hosting, "WorkerProcesses", Workers)
     monkeypatch.setattr(hosting, "import_module", import_module)
     monkeypatch.setattr(hosting, "configure_log", lambda: None)
     with socket.create_server(("127.0.0.1", 0)) as listening:

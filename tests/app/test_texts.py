@@ -199,4 +199,3 @@ def test_every_word_of_the_events_is_translated(tag: str) -> None:
 
 def test_the_search_finds_texts_at_all() -> None:
     assert f"clock of {FILLED} stepped by {FILLED} s" in spoken()
-    assert "unit blocked" in noted()

@@ -10,7 +10,7 @@ from starlette.websockets import WebSocket, WebSocketState
 
 from app.feed import socket as sockets
 from app.feed.socket import WorkerSocket
-from bus.contract import Clock
+from bus.contract import ClockSync
 
 
 def unread() -> WebSocket:
@@ -36,7 +36,7 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 async def test_a_send_that_nobody_reads_ends_as_a_lost_connection() -> None:
     async with asyncio.timeout(20):
         with pytest.raises(ConnectionError):
-            await WorkerSocket(unread()).send(Clock(app_time=1.0))
+            await WorkerSocket(unread()).send(ClockSync(app_time=1.0))
 
 
 async def test_neither_does_its_close_wait() -> None:

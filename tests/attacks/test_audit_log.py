@@ -122,6 +122,13 @@ def test_an_entry_is_changed_and_every_hash_made_to_fit(plant: Plant) -> None:
     assert plant.broken_at().startswith("4: ")
 
 
+def test_what_an_entry_says_is_changed_beside_its_text(plant: Plant) -> None:
+    plant.attack(
+        'UPDATE events SET messages = \'{"what":{"code":"event_signed_out","params":{}}}\' WHERE id = 4'
+    )
+    assert plant.broken_at().startswith("4: ")
+
+
 def test_an_entry_is_removed_and_the_rest_moved_up(plant: Plant) -> None:
     plant.rebuild(lambda rows: rows[:3] + rows[4:])
     assert plant.broken_at().startswith("4: ")
@@ -197,7 +204,7 @@ def test_entries_before_the_first_are_added(plant: Plant) -> None:
 
 def _columns_but_id() -> str:
     with closing(sqlite3.connect(":memory:")) as connection:
-        for step in ("0002_events.sql", "0031_audit_seals.sql"):
+        for step in ("0002_events.sql", "0031_audit_seals.sql", "0050_event_messages.sql"):
             connection.executescript((MIGRATIONS / step).read_text())
         return ", ".join(row[1] for row in connection.execute("PRAGMA table_info(events)") if row[1] != "id")
 

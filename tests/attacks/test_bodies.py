@@ -11,7 +11,7 @@ import httpx
 import pytest
 from starlette.types import Message, Scope
 
-from app.sets.document import MOST_KEY_STEPS, DocumentError, read_document
+from app.sets.document import MOST_KEY_STEPS, MOST_LINES, MOST_VALUES, DocumentError, read_document
 from app.web.access import Role
 from app.web.bounds import (
     LONGEST_CONTENT_TYPE,
@@ -207,3 +207,19 @@ def test_a_comment_may_have_as_many_dots_as_it_likes() -> None:
 async def test_what_is_large_is_read_beside_the_loop(house: House, body: object) -> None:
     engineer = await house.program(Role.ENGINEER)
     assert await cpu_s(engineer, 422, RESTORES, json.dumps(body).encode(), **JSON) < 0.1
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        "".join(f"k{n} = 1\n" for n in range(MOST_LINES + 1)),
+        "k = [" + "1," * (MOST_VALUES + 1) + "]",
+        "k = {" + "a=1," * (MOST_VALUES + 1) + "}",
+    ],
+)
+def test_a_file_of_more_values_than_a_bus_has_is_not_parsed(
+    monkeypatch: pytest.MonkeyPatch, document: str
+) -> None:
+    monkeypatch.setattr("tomllib.loads", lambda _: pytest.fail("parsed"))
+    with pytest.raises(DocumentError, match="too long"):
+        read_document(document)

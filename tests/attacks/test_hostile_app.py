@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from bus.contract import (
     AppMessage,
-    Clock,
+    ClockSync,
     Command,
     ReadTrace,
     Result,
@@ -23,7 +23,7 @@ from bus.contract import (
 from bus.contract import MalformedMessageError as Malformed
 from bus.contract.clock_offset import ClockOffset
 from bus.worker.outbox import Outbox
-from bus.worker.service import FATES_KEPT, MOST_COMMANDS, MOST_TRACES
+from bus.worker.service import MOST_COMMANDS, MOST_TRACES, RESULTS_KEPT
 from bus.worker.uplink import MESSAGES_AT_ONCE, MESSAGES_PER_S, Uplink
 from tests.attacks.hostile import GARBAGE, broken, encoded, of_type
 from tests.bus.fake_app import TOKEN
@@ -67,12 +67,12 @@ def test_more_commands_than_anybody_asks_for_are_not_taken() -> None:
 def test_what_is_remembered_of_commands_is_bounded() -> None:
     async def scene(line: VirtualLine) -> None:
         await line.until(lambda: line.readings(1))
-        for number in range(FATES_KEPT + 100):
+        for number in range(RESULTS_KEPT + 100):
             line.worker.command(Command(f"late-{number}", EPOCH, SetSpeed(1, 640)))
-        assert len(line.worker._fates) == FATES_KEPT
+        assert len(line.worker._results) == RESULTS_KEPT
         line.command(SetSpeed(1, 640), command_id="kept")
         await line.until(lambda: line.fate_of("kept"))
-        kept = line.worker._fates["kept"]
+        kept = line.worker._results["kept"]
         assert kept is not None
         assert kept.frames == []
 
@@ -86,7 +86,7 @@ def test_the_trace_is_read_by_few_at_once_and_remembered_by_none() -> None:
         refused = [fate for each in asked if (fate := line.fate_of(each)) is not None]
         assert [fate.outcome for fate in refused] == ["not_sent"] * 5
         await line.until(lambda: all(line.fate_of(each) for each in asked))
-        assert not set(asked) & line.worker._fates.keys()
+        assert not set(asked) & line.worker._results.keys()
 
     run(scene, 2)
 
@@ -107,7 +107,7 @@ class Flood:
         return self._data
 
 
-@pytest.mark.parametrize("message", [WantSnapshot(), Clock(app_time=1.0)], ids=["snapshots", "clocks"])
+@pytest.mark.parametrize("message", [WantSnapshot(), ClockSync(app_time=1.0)], ids=["snapshots", "clocks"])
 def test_a_flood_is_read_no_faster_than_it_is_meant_to_be(message: AppMessage) -> None:
     """The rest waits in the socket, and the loop is free meanwhile."""
 

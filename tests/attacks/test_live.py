@@ -118,7 +118,7 @@ def test_one_page_too_many_is_refused_and_the_others_stay(
     admission = Admission()
     monkeypatch.setattr(hub_of(client), "admission", admission)
     for number in range(MOST_OF_ACCOUNT - 1):
-        admission.enter("t (token)", f"elsewhere {number}", 0.0)
+        admission.enter("t (token)", f"elsewhere {number}")
     with client.websocket_connect("/live", headers=ORIGIN) as page:
         page.receive_text()
         with (
@@ -137,7 +137,8 @@ def test_pages_that_turn_without_end_do_not_flood_the_workers(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hub, told = hub_of(client), list[Any]()
-    monkeypatch.setattr(hub, "_watch", lambda *wish: told.append(wish))
+    watchers = {"dry-end": lambda *watched: told.append(("dry-end", *watched))}
+    monkeypatch.setattr(hub, "_watchers", watchers)
     monkeypatch.setattr(hub, "_clock", lambda: 100.0)
     browser = Browser("anna", "viewer", "en")
     for turn in range(1000):

@@ -18,8 +18,6 @@ from app.web.turns import (
     MOST_WAITING,
     READS_AT_ONCE,
     ReadInTurn,
-    downloads,
-    searches,
 )
 from tests.app.whole_app import House, whole_app
 
@@ -93,23 +91,23 @@ async def test_a_download_keeps_its_turn_until_it_is_read(
     monkeypatch.setattr(house.services.events, "every", every)
     client = await house.program(Role.VIEWER)
     asked = [asyncio.create_task(client.get("/api/v1/events.csv")) for _ in range(AT_ONCE + 2)]
-    await until(lambda: downloads.count_of("key-viewer (token)") == AT_ONCE + 2)
+    await until(lambda: house.services.turns.downloads.count_of("key-viewer (token)") == AT_ONCE + 2)
     assert begun == AT_ONCE
     gate.set()
     assert [answer.status_code for answer in await asyncio.gather(*asked)] == [200] * len(asked)
     assert begun == AT_ONCE + 2
-    assert not downloads.count_of("key-viewer (token)")
+    assert not house.services.turns.downloads.count_of("key-viewer (token)")
 
 
 async def test_beyond_those_that_wait_an_account_is_refused(house: House) -> None:
     gate = asyncio.Event()
 
     async def hold() -> None:
-        async with searches.turn("key-viewer (token)"):
+        async with house.services.turns.searches.turn("key-viewer (token)"):
             await gate.wait()
 
     held = [asyncio.create_task(hold()) for _ in range(AT_ONCE + MOST_WAITING)]
-    await until(lambda: searches.count_of("key-viewer (token)") == len(held))
+    await until(lambda: house.services.turns.searches.count_of("key-viewer (token)") == len(held))
     client = await house.program(Role.VIEWER)
     refused = await client.get("/api/v1/events")
     assert (refused.status_code, refused.json()["code"], refused.headers["retry-after"]) == (

@@ -16,7 +16,7 @@ from bus.contract import (
     Action,
     AppMessage,
     Batch,
-    Clock,
+    ClockSync,
     Command,
     Delivered,
     Hello,
@@ -116,7 +116,7 @@ class FakeApp:
         """Command the worker and wait for the fate."""
         self._count += 1
         command_id = command_id or f"ask-{self._count}"
-        await self.say(Clock(app_time=time.time()))
+        await self.say(ClockSync(app_time=time.time()))
         await self.say(Command(command_id, time.time() + timeout_s, action))
         await self.until(lambda: self.fates(command_id))
         return self.fates(command_id)[0]

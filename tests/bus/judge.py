@@ -22,7 +22,7 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from bus.simulator.record import Entry, Happened, Record
+from bus.simulator.record import Happened, WireEvent, WireRecord
 from bus.simulator.unit import Unit
 from bus.wire.framing import ACK, NAK
 
@@ -45,7 +45,7 @@ class Said:
     parameters: Times = field(default_factory=lambda: defaultdict(list))
 
     @classmethod
-    def of(cls, record: Record) -> Said:
+    def of(cls, record: WireRecord) -> Said:
         """All that is on record."""
         said, asked = cls(), dict[int, bytes]()
         for entry in record.since(0, Happened.HEARD, Happened.SAID):
@@ -55,7 +55,7 @@ class Said:
                 said._note(asked[entry.unit], entry)
         return said
 
-    def _note(self, request: bytes, entry: Entry) -> None:
+    def _note(self, request: bytes, entry: WireEvent) -> None:
         body = entry.data
         if request[1] == READ_STATUS and body[1] == ACK:
             self.statuses[body].append(entry.at)
@@ -70,7 +70,7 @@ def status_body(reading: Reading) -> bytes:
     return bytes((reading.unit, ACK)) + speeds + bytes((reading.analog, reading.outputs, reading.inputs))
 
 
-def made_up(updates: Iterable[Update], record: Record, epoch: float) -> list[str]:
+def made_up(updates: Iterable[Update], record: WireRecord, epoch: float) -> list[str]:
     """Readings and parameters that no unit had said when they were told; ``epoch``: the record's zero."""
     said = Said.of(record)
     return [f"no unit ever said {update}" for update in updates if not _was_said(update, said, epoch)]
@@ -122,7 +122,7 @@ def _body(unit: int, command: int, raw: int) -> bytes:
     return bytes((unit, command)) + raw.to_bytes(4, "big")
 
 
-def untrue_fate(case: Case, record: Record, unit_at: Callable[[int], Unit]) -> list[str]:
+def untrue_fate(case: Case, record: WireRecord, unit_at: Callable[[int], Unit]) -> list[str]:
     """What was told to have come of ``case``, against what its units did; asked before the next case."""
     acted = [entry.data for entry in _acted(case, record)]
     outcome, complaints = case.result.outcome, list[str]()
@@ -138,7 +138,7 @@ def untrue_fate(case: Case, record: Record, unit_at: Callable[[int], Unit]) -> l
     return [f"{case.action}: {complaint}" for complaint in complaints]
 
 
-def _acted(case: Case, record: Record) -> list[Entry]:
+def _acted(case: Case, record: WireRecord) -> list[WireEvent]:
     wanted = case.wanted()
     return [
         entry
@@ -160,7 +160,7 @@ def _shown(action: Action, unit_at: Callable[[int], Unit]) -> dict[int, bool]:
     return {}
 
 
-def unasked(cases: list[Case], record: Record) -> list[str]:
+def unasked(cases: list[Case], record: WireRecord) -> list[str]:
     """Writes that a unit carried out and nobody had asked for at that time.
 
     A whole-line change may also put a unit's present speed back into its memory.
@@ -176,12 +176,12 @@ def unasked(cases: list[Case], record: Record) -> list[str]:
     return complaints
 
 
-def _puts_back(entry: Entry, present: dict[int, int]) -> bool:
+def _puts_back(entry: WireEvent, present: dict[int, int]) -> bool:
     raw = int.from_bytes(entry.data[2:], "big")
     return entry.data[1] == STAGE and present.get(entry.data[0], raw) == raw
 
 
-def _follow(entry: Entry, present: dict[int, int]) -> None:
+def _follow(entry: WireEvent, present: dict[int, int]) -> None:
     """Keep track of the speed that a unit has, as far as the record tells it."""
     if entry.data[1] == SET:
         present[entry.data[0]] = int.from_bytes(entry.data[2:], "big")
@@ -201,7 +201,7 @@ def too_late(cases: list[Case], written: Iterable[tuple[float, bytes]], slack_s:
     return complaints
 
 
-def rash_broadcasts(cases: list[Case], record: Record) -> list[str]:
+def rash_broadcasts(cases: list[Case], record: WireRecord) -> list[str]:
     """83h to all before every unit of that very change had taken its 82h."""
     complaints = []
     for case, broadcast in _broadcasts(cases, record):
@@ -215,8 +215,8 @@ def rash_broadcasts(cases: list[Case], record: Record) -> list[str]:
     return complaints
 
 
-def _broadcasts(cases: list[Case], record: Record) -> Iterator[tuple[Case, Entry]]:
-    heard: dict[float, Entry] = {
+def _broadcasts(cases: list[Case], record: WireRecord) -> Iterator[tuple[Case, WireEvent]]:
+    heard: dict[float, WireEvent] = {
         entry.at: entry for entry in record.since(0, Happened.HEARD) if entry.data == bytes((0, EXECUTE))
     }
     for entry in heard.values():
@@ -225,7 +225,7 @@ def _broadcasts(cases: list[Case], record: Record) -> Iterator[tuple[Case, Entry
                 yield case, entry
 
 
-def half_done(case: Case, before: Speeds, record: Record, unit_at: Callable[[int], Unit]) -> list[str]:
+def half_done(case: Case, before: Speeds, record: WireRecord, unit_at: Callable[[int], Unit]) -> list[str]:
     """A whole-line change without a broadcast must leave every speed as it was, and nothing staged unsaid.
 
     What an operator had staged before may stay, or give way to the present speed.

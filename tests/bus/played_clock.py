@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bus.line.clock import Alarm
+from bus.line.clock import Timer
 
 Entry = tuple[float, Callable[[], None]]
 
@@ -25,7 +25,7 @@ class PlayedClock:
     def settle(self) -> None:
         """There is no other clock to follow."""
 
-    def call_at(self, when: float, callback: Callable[[], None]) -> Alarm:
+    def call_at(self, when: float, callback: Callable[[], None]) -> Timer:
         entry = (when, callback)
         self.alarms.append(entry)
         return _Set(self.alarms, entry)

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from bus.contract import Result
-from bus.line.commands.command_run import Claim, Errand
-from bus.line.commands.procedure import Ask, Procedure, Wish
-from bus.line.exchange.attempts import Heard
-from bus.line.schedule.arbiter import Turns
-from bus.line.schedule.poll_schedule import Schedule
+from bus.line.commands.command_run import CommandRun, Priority
+from bus.line.commands.procedure import CommandContext, Procedure
+from bus.line.exchange.send import Send
+from bus.line.exchange.send_attempts import ExchangeResult
+from bus.line.schedule.arbiter import Arbiter
+from bus.line.schedule.poll_schedule import PollSchedule
 from bus.settings import Dialect
 from bus.wire.commands import Ack, ReadStatus, Reply, Request, SetAndExecuteSpeed, StatusReply
-from bus.wire.fence import Doubt
+from bus.wire.fence import PendingResponses
 
 PLAIN = Dialect()
 POLL_S = 0.026
@@ -23,14 +24,16 @@ class Line:
 
     def __init__(self, units: int) -> None:
         self.time = 100.0
-        self.schedule = Schedule(range(1, units + 1), POLL_S)
-        self.turns = Turns(self.schedule, lambda unit: Doubt(unit, PLAIN), lambda _request: POLL_S)
+        self.schedule = PollSchedule(range(1, units + 1), POLL_S)
+        self.turns = Arbiter(
+            self.schedule, lambda unit: PendingResponses(unit, PLAIN), lambda _request: POLL_S
+        )
         self.schedule.next(self.time)
         for _ in range(units - 1):
             self.schedule.next(self.time)
         for unit in range(1, units + 1):
             self.schedule.answers(unit, self.time)
-        while self.schedule.gaps.next_needed():
+        while self.schedule.parameters.next_needed():
             """All that is needed is known."""
 
     def poll(self) -> Request:
@@ -46,19 +49,21 @@ class Line:
 
     def settle(self, request: Request, reply: Reply | None) -> bool:
         """It was answered, or not."""
-        return self.turns.settle(Heard(request, reply, self.time), self.time - POLL_S, self.time)
+        return self.turns.settle(ExchangeResult(request, reply, self.time), self.time - POLL_S, self.time)
 
 
 def _answer(request: Request) -> StatusReply:
     return StatusReply(request.unit, 1, 1, 0, 0, 0)
 
 
-def _write(unit: int) -> Errand:
+def _write(unit: int) -> CommandRun:
     def procedure() -> Procedure:
-        yield Ask(SetAndExecuteSpeed(unit, 500))
+        yield Send(SetAndExecuteSpeed(unit, 500))
         return Result(id="", at=0.0, outcome="acknowledged")
 
-    return Errand("c1", Claim.WRITE, frozenset({unit}), 200.0, Wish(PLAIN), procedure, lambda _note: None)
+    return CommandRun(
+        "c1", Priority.WRITE, frozenset({unit}), 200.0, CommandContext(PLAIN), procedure, lambda _note: None
+    )
 
 
 def _foreseen(line: Line, times: int) -> Iterator[tuple[Request, Request]]:
@@ -90,16 +95,16 @@ def test_an_errand_goes_first_and_what_was_foreseen_after_it() -> None:
     request = line.poll()
     following = line.turns.foresee(request, line.time)
     assert following is not None
-    line.turns.errands.add(_write(request.unit))
+    line.turns.commands.add(_write(request.unit))
     line.settle(request, _answer(request))
     line.time += POLL_S
     assert line.turns.next_request(line.time) == SetAndExecuteSpeed(request.unit, 500)
     assert line.turns.foresee(SetAndExecuteSpeed(request.unit, 500), line.time) is None
-    line.turns.errands.cancel("c1")
+    line.turns.commands.cancel("c1")
     line.turns.owner = None
-    for errand in line.turns.errands:
-        errand.end(Result(id="c1", at=0.0, outcome="not_sent"))
-    line.turns.errands.take_finished()
+    for run in line.turns.commands:
+        run.end(Result(id="c1", at=0.0, outcome="not_sent"))
+    line.turns.commands.take_finished()
     assert line.turns.next_request(line.time + POLL_S) == following
 
 
@@ -119,7 +124,7 @@ def test_a_poll_without_an_answer_is_tried_again_before_what_was_foreseen() -> N
 def test_a_write_without_an_answer_is_tried_again_too() -> None:
     line = Line(2)
     polled = line.poll()
-    line.turns.errands.add(_write(2))
+    line.turns.commands.add(_write(2))
     line.settle(polled, _answer(polled))
     write = SetAndExecuteSpeed(2, 500)
     assert line.turns.next_request(line.time) == write

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from bus.line.schedule.baud_search import LOOK_ELSEWHERE_S, OtherRate
+from bus.line.schedule.baud_search import LOOK_ELSEWHERE_S, BaudSearch
 
 LONG = LOOK_ELSEWHERE_S + 0.1
 
 
-def expecting_4800() -> OtherRate:
-    rate = OtherRate(0.0)
+def expecting_4800() -> BaudSearch:
+    rate = BaudSearch(0.0)
     rate.expect(4800, 9600)
     return rate
 
 
-def at_4800() -> OtherRate:
+def at_4800() -> BaudSearch:
     """The line was silent at 9600, so the port has gone on to the rate that is expected."""
     rate = expecting_4800()
     assert rate.look(LONG, 9600, answers=False)
@@ -25,7 +25,7 @@ def at_4800() -> OtherRate:
 
 
 def test_without_an_expectation_a_silent_line_stays_at_its_rate() -> None:
-    rate = OtherRate(0.0)
+    rate = BaudSearch(0.0)
     assert not rate.look(100.0, 9600, answers=False)
     assert rate.turn(9600, answers=False) is None
 

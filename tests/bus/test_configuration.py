@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bus.configuration import ConfigurationError, Lines, load_bus
+from bus.configuration import ConfigurationError, LineNumbers, load_bus
 
 GOOD = """\
 [site]
@@ -116,7 +116,7 @@ def test_a_fault_of_the_writing_itself(tmp_path: Path, text: str, said: str) -> 
 
 
 def test_lines_are_found_in_arrays_dotted_keys_and_long_values() -> None:
-    lines = Lines(
+    lines = LineNumbers(
         'a.b = 1\nlist = [\n  1,\n  2,\n]\n[[x]]\n[[x.y]]\n[[x.y]]\nk = 1\n[[x]]\n[x."q r"]\nz = 3\n'
     )
     assert lines.of(("a", "b")) == 1

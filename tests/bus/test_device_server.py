@@ -15,7 +15,7 @@ from bus.line.port.tcp import TCP_LOST_AFTER_MS
 from bus.settings import BusSettings, UnitSettings
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
-from bus.simulator.ports import TcpPort
+from bus.simulator.ports import TcpLinePort
 from bus.simulator.record import Happened
 from bus.simulator.serve import LineServer
 from bus.worker.service import run_worker
@@ -28,7 +28,7 @@ TCP_USER_TIMEOUT = 18
 
 @pytest.fixture
 def line() -> Iterator[LineServer]:
-    with LineServer(SimulatedLine(demo_line(2, script=False).plant, speedup=20), TcpPort()) as server:
+    with LineServer(SimulatedLine(demo_line(2, script=False).plant, speedup=20), TcpLinePort()) as server:
         yield server
 
 

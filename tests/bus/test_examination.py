@@ -8,40 +8,40 @@ from itertools import pairwise
 
 import pytest
 
-from bus.line.scan.examination import Outcome, Question, examine, number_for_checksum_10h
+from bus.line.scan.examination import Probe, ProbeOutcome, examine, number_for_checksum_10h
 from bus.line.scan.found import Found, conclude, settings_seen
-from bus.line.scan.passes import silent_seconds
+from bus.line.scan.passes import no_response_s
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.bodies import encode_request
 from bus.wire.commands import Nak, ParameterReply, ReadParameter, ReadStatus, StatusReply, is_write
 
-Answering = Callable[[Question], Outcome]
-SILENCE = Outcome()
-GARBAGE = Outcome(spoilt=True)
+Answering = Callable[[Probe], ProbeOutcome]
+SILENCE = ProbeOutcome()
+GARBAGE = ProbeOutcome(garbled=True)
 
 
 def unit(address: int = 5, *, last: int = 40, bcd: bool = False, twice: bool = False) -> Answering:
     """A unit as the manual has it, but for what is asked otherwise."""
 
-    def answer(question: Question) -> Outcome:
+    def answer(question: Probe) -> ProbeOutcome:
         request = question.request
         if isinstance(request, ReadStatus):
-            return Outcome(StatusReply(address, 0, 0, 0, 0x40, 2), answered_after_s=0.002)
+            return ProbeOutcome(StatusReply(address, 0, 0, 0, 0x40, 2), answered_after_s=0.002)
         assert isinstance(request, ReadParameter)
         if encode_request(request, Dialect())[-1] == 0x10 and question.doubled is not twice:
             return SILENCE
         number = request.number // 16 * 10 + request.number % 16 if bcd else request.number
         if number > last:
-            return Outcome(Nak(address, 0x82))
-        return Outcome(ParameterReply(address, address if number == 17 else 0, 4))
+            return ProbeOutcome(Nak(address, 0x82))
+        return ProbeOutcome(ParameterReply(address, address if number == 17 else 0, 4))
 
     return answer
 
 
-def outcome_of(answering: Answering, address: int = 5) -> tuple[Found | None, list[Question]]:
+def outcome_of(answering: Answering, address: int = 5) -> tuple[Found | None, list[Probe]]:
     examination = examine(address, 9600)
-    asked: list[Question] = []
+    asked: list[Probe] = []
     try:
         question = next(examination)
         while True:
@@ -62,7 +62,7 @@ def found(answering: Answering, address: int = 5) -> Found:
 def test_a_silent_address_is_asked_once() -> None:
     one, asked = outcome_of(lambda _: SILENCE)
     assert one is None
-    assert asked == [Question(ReadStatus(5))]
+    assert asked == [Probe(ReadStatus(5))]
 
 
 def test_a_unit() -> None:
@@ -96,7 +96,7 @@ def test_a_unit_that_counts_in_bcd() -> None:
 
 
 def test_a_unit_that_answers_for_another_address() -> None:
-    def answer(question: Question) -> Outcome:
+    def answer(question: Probe) -> ProbeOutcome:
         outcome = unit(5)(question)
         wrong = isinstance(outcome.reply, ParameterReply) and outcome.reply.raw == 5
         return replace(outcome, reply=ParameterReply(5, 9, 4)) if wrong else outcome
@@ -140,7 +140,7 @@ def test_a_response_that_comes_after_its_window_is_late_and_not_doubled() -> Non
     """Of each two requests, the response to the first comes in the window of the second."""
     owed = False
 
-    def answer(question: Question) -> Outcome:
+    def answer(question: Probe) -> ProbeOutcome:
         nonlocal owed
         owed, was_owed = not owed and isinstance(question.request, ReadParameter), owed
         return SILENCE if owed else replace(unit()(question), surplus=int(was_owed))
@@ -156,7 +156,7 @@ def test_two_units_that_answer_one_after_the_other() -> None:
 
 def test_a_little_noise_makes_a_remark_only() -> None:
     turns = iter(range(1000))
-    one = found(lambda question: replace(unit()(question), spoilt=next(turns) == 2))
+    one = found(lambda question: replace(unit()(question), garbled=next(turns) == 2))
     assert one.kind == "digimax"
     assert "1 of " in str(one.remarks[0])
 
@@ -167,18 +167,18 @@ def test_noise_that_does_not_come_again_is_nobody() -> None:
 
 
 def test_what_refuses_81h_is_no_digimax() -> None:
-    one = found(lambda _: Outcome(Nak(5, 0x89)))
+    one = found(lambda _: ProbeOutcome(Nak(5, 0x89)))
     assert one.kind == "foreign"
     assert one.remarks[0] == Message.of("found_refuses", error="89")
 
 
 def test_what_answers_in_frames_of_another_shape_is_no_digimax() -> None:
-    one = found(lambda _: Outcome(strange=True))
+    one = found(lambda _: ProbeOutcome(unexpected=True))
     assert one.kind == "foreign"
 
 
 def test_a_unit_that_answers_81h_only() -> None:
-    def answer(question: Question) -> Outcome:
+    def answer(question: Probe) -> ProbeOutcome:
         return unit()(question) if isinstance(question.request, ReadStatus) else SILENCE
 
     one = found(answer)
@@ -205,8 +205,8 @@ def test_the_read_of_the_password_is_left_out() -> None:
 
 
 def test_a_silent_address_costs_the_request_the_turnaround_and_a_byte() -> None:
-    assert silent_seconds(9600, 0.050) == pytest.approx(8 * 10 / 9600 + 0.050 + 0.010)
-    assert silent_seconds(300, 0.0) == pytest.approx(8 * 10 / 300 + 0.010)
+    assert no_response_s(9600, 0.050) == pytest.approx(8 * 10 / 9600 + 0.050 + 0.010)
+    assert no_response_s(300, 0.0) == pytest.approx(8 * 10 / 300 + 0.010)
 
 
 def test_one_unit_behind_many_addresses() -> None:
@@ -249,7 +249,7 @@ def test_what_turns_at_speed_has_no_emergency_stop(
 ) -> None:
     status = StatusReply(5, 500, actual, 0, outputs, inputs)
 
-    def answer(question: Question) -> Outcome:
+    def answer(question: Probe) -> ProbeOutcome:
         outcome = unit()(question)
         return replace(outcome, reply=status) if isinstance(outcome.reply, StatusReply) else outcome
 

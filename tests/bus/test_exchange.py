@@ -22,8 +22,8 @@ from bus.wire.commands import (
     StatusReply,
     WriteOutput,
 )
-from bus.wire.exchange import Answered, Doubled, Echo, Event, Exchange, Foreign, Late, Unexpected
-from bus.wire.fence import Doubt
+from bus.wire.exchange import Answered, Doubled, Echo, Exchange, ExchangeEvent, Foreign, Late, Unexpected
+from bus.wire.fence import PendingResponses
 from bus.wire.framing import DoubledChecksum, Fault, Noise
 
 PLAIN = Dialect()
@@ -34,7 +34,7 @@ def frame(reply: Reply) -> bytes:
     return encode_reply(reply, PLAIN)
 
 
-def kinds(events: list[Event]) -> list[type]:
+def kinds(events: list[ExchangeEvent]) -> list[type]:
     return [type(event) for event in events]
 
 
@@ -54,7 +54,7 @@ def test_the_answer() -> None:
     assert event.reply == STATUS == exchange.reply
     assert not exchange.awaiting
     assert exchange.first_byte_at == 1.5
-    assert exchange.doubt.outstanding == ()
+    assert exchange.pending.outstanding == ()
 
 
 def test_a_refusal_is_an_answer() -> None:
@@ -124,17 +124,17 @@ def test_another_frame_after_the_answer_is_late() -> None:
 def test_an_answer_after_giving_up_is_late_and_ends_the_doubt() -> None:
     exchange = Exchange(ReadStatus(4), PLAIN)
     exchange.give_up()
-    assert exchange.doubt.outstanding == (ReadStatus(4),)
+    assert exchange.pending.outstanding == (ReadStatus(4),)
     assert kinds(exchange.receive(frame(STATUS), 0.0)) == [Late]
     assert exchange.reply is None
-    assert exchange.doubt.outstanding == ()
+    assert exchange.pending.outstanding == ()
 
 
 def test_nothing_is_awaited_after_a_broadcast() -> None:
     exchange = Exchange(ExecuteSpeed(0), PLAIN)
     assert not exchange.awaiting
     assert kinds(exchange.receive(exchange.sent + frame(Ack(4)), 0.0)) == [Echo, Foreign]
-    assert exchange.doubt.outstanding == ()
+    assert exchange.pending.outstanding == ()
 
 
 def test_a_spoilt_answer_is_noise_that_says_checksum() -> None:
@@ -164,8 +164,8 @@ def test_a_doubled_checksum_byte_passes_into_the_next_exchange_without_noise() -
 
 
 def test_an_answer_that_may_be_late_is_not_believed() -> None:
-    doubt = Doubt(4, PLAIN).sent(ReadParameter(4, 5))
-    exchange = Exchange(ReadParameter(4, 6), PLAIN, doubt=doubt)
+    pending = PendingResponses(4, PLAIN).sent(ReadParameter(4, 5))
+    exchange = Exchange(ReadParameter(4, 6), PLAIN, pending=pending)
     assert kinds(exchange.receive(frame(ParameterReply(4, 500, 2)), 0.0)) == [Late]
     assert exchange.awaiting
     assert kinds(exchange.receive(frame(Nak(4, 0x82)), 0.1)) == [Answered]

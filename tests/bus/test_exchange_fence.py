@@ -28,7 +28,15 @@ from bus.wire.commands import (
     is_write,
 )
 from bus.wire.exchange import Answered, Exchange
-from bus.wire.fence import LONG_RUN, MOST_OUTSTANDING, Doubt, Doubts, fence_for, fence_needed, possible_shapes
+from bus.wire.fence import (
+    LONG_RUN,
+    MOST_OUTSTANDING,
+    PendingByUnit,
+    PendingResponses,
+    fence_for,
+    fence_needed,
+    possible_shapes,
+)
 from bus.wire.framing import ACK, NAK
 
 PLAIN = Dialect()
@@ -69,7 +77,7 @@ class TestTheTable:
 
     def test_nothing_answers_a_broadcast_so_nothing_is_late(self) -> None:
         assert possible_shapes(ExecuteSpeed(0), PLAIN) == frozenset()
-        assert Doubt(0, PLAIN).sent(ExecuteSpeed(0)).fence_before(ExecuteSpeed(0)) is None
+        assert PendingResponses(0, PLAIN).sent(ExecuteSpeed(0)).fence_before(ExecuteSpeed(0)) is None
 
     @pytest.mark.parametrize("lost", ALL, ids=str)
     def test_the_fence_can_be_told_from_what_was_lost(self, lost: Request) -> None:
@@ -80,72 +88,72 @@ class TestTheTable:
 
 class TestDoubt:
     def test_a_poll_sent_before_a_write_proves_nothing_after_it(self) -> None:
-        doubt = Doubt(1, PLAIN).sent(POLL).sent(SPEED)
-        assert doubt.fence_before(POLL) == ReadParameter(1, 17)
-        assert Doubt(1, PLAIN).sent(POLL).fence_before(POLL) is None
+        pending = PendingResponses(1, PLAIN).sent(POLL).sent(SPEED)
+        assert pending.fence_before(POLL) == ReadParameter(1, 17)
+        assert PendingResponses(1, PLAIN).sent(POLL).fence_before(POLL) is None
 
     def test_illegal_command_is_not_believed_in_doubt(self) -> None:
-        assert not Doubt(1, PLAIN).sent(POLL).believes(SPEED, b"\x01\x15\x89")
-        assert Doubt(1, PLAIN).sent(POLL).believes(SPEED, b"\x01\x15\x80")
-        assert Doubt(1, PLAIN).believes(SPEED, b"\x01\x15\x89")
+        assert not PendingResponses(1, PLAIN).sent(POLL).believes(SPEED, b"\x01\x15\x89")
+        assert PendingResponses(1, PLAIN).sent(POLL).believes(SPEED, b"\x01\x15\x80")
+        assert PendingResponses(1, PLAIN).believes(SPEED, b"\x01\x15\x89")
 
     def test_an_answered_parameter_may_come_twice(self) -> None:
-        answered = Doubt(1, PLAIN).sent(READ).heard(b"\x01\x06\x02")
+        answered = PendingResponses(1, PLAIN).sent(READ).received(b"\x01\x06\x02")
         assert answered.fence_before(ReadParameter(1, 4)) == POLL
         assert answered.fence_before(READ) is None
         assert answered.fence_before(SPEED) is None
         assert answered.sent(POLL).fence_before(ReadParameter(1, 4)) is None
 
     def test_the_longest_memory(self) -> None:
-        doubt = Doubt(1, PLAIN)
+        pending = PendingResponses(1, PLAIN)
         for _ in range(3 * MOST_OUTSTANDING):
-            doubt = doubt.sent(POLL)
-        assert doubt.outstanding == (POLL,) * LONG_RUN
+            pending = pending.sent(POLL)
+        assert pending.outstanding == (POLL,) * LONG_RUN
         for _ in range(3 * MOST_OUTSTANDING):
-            doubt = doubt.sent(POLL).sent(READ)
-        assert len(doubt.outstanding) == MOST_OUTSTANDING
+            pending = pending.sent(POLL).sent(READ)
+        assert len(pending.outstanding) == MOST_OUTSTANDING
 
     def test_a_long_run_ends_only_with_an_answer_of_another_shape(self) -> None:
-        doubt = Doubt(1, PLAIN)
+        pending = PendingResponses(1, PLAIN)
         for _ in range(2 * LONG_RUN):
-            doubt = doubt.sent(READ)
+            pending = pending.sent(READ)
         for _ in range(2 * LONG_RUN):
-            doubt = doubt.heard(b"\x01\x06\x02").moved_on()
-        assert doubt.fence_before(ReadParameter(1, 4)) == POLL
-        doubt = doubt.sent(POLL).heard(bytes((1, ACK, *bytes(11)))).moved_on()
-        assert doubt.outstanding == ()
+            pending = pending.received(b"\x01\x06\x02").moved_on()
+        assert pending.fence_before(ReadParameter(1, 4)) == POLL
+        pending = pending.sent(POLL).received(bytes((1, ACK, *bytes(11)))).moved_on()
+        assert pending.outstanding == ()
 
     @given(st.lists(st.sampled_from(ALL), max_size=10), st.sampled_from(ALL))
     def test_answered_fences_always_lead_to_the_request(self, lost: list[Request], wanted: Request) -> None:
-        doubt = Doubt(1, PLAIN)
+        pending = PendingResponses(1, PLAIN)
         for request in lost:
-            doubt = doubt.sent(request)
+            pending = pending.sent(request)
         fences = 0
-        while (fence := doubt.fence_before(wanted)) is not None and fence != wanted:
+        while (fence := pending.fence_before(wanted)) is not None and fence != wanted:
             length = 11 if isinstance(fence, ReadStatus) else 1
-            doubt = doubt.sent(fence).heard(bytes((1, ACK, *bytes(length))))
+            pending = pending.sent(fence).received(bytes((1, ACK, *bytes(length))))
             fences += 1
             assert fences <= len(lost) + 1
 
 
 class TestDoubts:
     def test_another_unit_in_between_lets_the_last_answer_be_forgotten(self) -> None:
-        doubts = Doubts(PLAIN)
-        doubts.after(Doubt(1, PLAIN).sent(READ).heard(b"\x01\x06\x02"))
-        assert doubts.fence_before(ReadParameter(1, 4)) == POLL
-        doubts.after(Doubt(2, PLAIN).sent(ReadStatus(2)))
-        assert doubts.fence_before(ReadParameter(1, 4)) is None
+        pending = PendingByUnit(PLAIN)
+        pending.after(PendingResponses(1, PLAIN).sent(READ).received(b"\x01\x06\x02"))
+        assert pending.fence_before(ReadParameter(1, 4)) == POLL
+        pending.after(PendingResponses(2, PLAIN).sent(ReadStatus(2)))
+        assert pending.fence_before(ReadParameter(1, 4)) is None
 
     def test_a_lost_request_is_remembered_past_other_units(self) -> None:
-        doubts = Doubts(PLAIN)
-        doubts.after(Doubt(1, PLAIN).sent(READ))
-        doubts.after(Doubt(2, PLAIN).sent(ReadStatus(2)))
-        assert doubts.fence_before(ReadParameter(1, 4)) == POLL
+        pending = PendingByUnit(PLAIN)
+        pending.after(PendingResponses(1, PLAIN).sent(READ))
+        pending.after(PendingResponses(2, PLAIN).sent(ReadStatus(2)))
+        assert pending.fence_before(ReadParameter(1, 4)) == POLL
 
     def test_a_broadcast_needs_no_fence_and_leaves_none(self) -> None:
-        doubts = Doubts(PLAIN)
-        doubts.after(Doubt(0, PLAIN))
-        assert doubts.fence_before(ExecuteSpeed(0)) is None
+        pending = PendingByUnit(PLAIN)
+        pending.after(PendingResponses(0, PLAIN))
+        assert pending.fence_before(ExecuteSpeed(0)) is None
 
 
 # --- a unit that answers as late as it likes -----------------------------------------------------
@@ -202,13 +210,13 @@ wishes = st.sampled_from([*ALL, ReadParameter(1, 4), SetAndExecuteSpeed(1, 6)])
 def test_no_late_or_doubled_answer_is_ever_taken_for_another(
     wanted: list[Request], data: st.DataObject
 ) -> None:
-    unit, doubts, writes = LateUnit(data), Doubts(PLAIN), 0
-    for wish in wanted:
+    unit, pending, writes = LateUnit(data), PendingByUnit(PLAIN), 0
+    for context in wanted:
         for _ in range(6):
-            request = doubts.fence_before(wish) or wish
+            request = pending.fence_before(context) or context
             sent = Sent(request, writes)
             writes += is_write(request)
-            exchange = Exchange(request, PLAIN, doubt=doubts.about(1))
+            exchange = Exchange(request, PLAIN, pending=pending.about(1))
             unit.ask(sent)
             for origin, frame in unit.deliver():
                 for event in exchange.receive(frame, 0.0):
@@ -217,8 +225,8 @@ def test_no_late_or_doubled_answer_is_ever_taken_for_another(
                         assert origin is sent or origin.writes_before == sent.writes_before
                         assert origin is sent or not is_write(request)
             exchange.give_up()
-            doubts.after(exchange.doubt)
-            if request == wish and exchange.reply is not None:
+            pending.after(exchange.pending)
+            if request == context and exchange.reply is not None:
                 break
 
 
@@ -229,19 +237,19 @@ class TestASecret:
 
     @pytest.mark.parametrize(("request_", "secret"), [(PASSWORD, True), (READ, False)])
     def test_while_a_response_is_outstanding(self, request_: Request, secret: bool) -> None:
-        doubts = Doubts(PLAIN)
-        doubts.after(doubts.about(1).sent(request_))
-        assert doubts.may_hold_secret(1) is secret
-        assert not doubts.may_hold_secret(2)
+        pending = PendingByUnit(PLAIN)
+        pending.after(pending.about(1).sent(request_))
+        assert pending.may_hold_secret(1) is secret
+        assert not pending.may_hold_secret(2)
 
     def test_while_a_second_copy_may_come(self) -> None:
-        came = Doubt(1, PLAIN).sent(self.PASSWORD).heard(bytes((1, ACK, 4, 210)))
+        came = PendingResponses(1, PLAIN).sent(self.PASSWORD).received(bytes((1, ACK, 4, 210)))
         assert came.outstanding == ()
         assert came.may_hold_secret
         assert not came.moved_on().may_hold_secret
 
 
 def test_a_frame_that_is_no_response_ends_nothing() -> None:
-    waiting = Doubt(1, PLAIN).sent(READ)
+    waiting = PendingResponses(1, PLAIN).sent(READ)
     for body in (b"\x01", bytes((1, 0x81)), bytes((1, NAK)), bytes((1, NAK, 1, 2))):
-        assert waiting.heard(body) == waiting
+        assert waiting.received(body) == waiting

@@ -30,11 +30,11 @@ from bus.contract import (
 )
 from bus.settings import BusSettings, Dialect
 from bus.simulator.demo import demo_line
-from bus.simulator.faults import Faults, Kind
+from bus.simulator.faults import FaultKind, Faults
 from bus.simulator.line import SimulatedLine
 from bus.simulator.memory import Mode
 from bus.simulator.ports import PtyPort
-from bus.simulator.record import Happened, Record
+from bus.simulator.record import Happened, WireRecord
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import Unit
 from bus.wire.framing import FrameDecoder, ReceivedFrame
@@ -48,11 +48,13 @@ ALONE = 0.25
 TOGETHER = 0.05
 JAM = 0.002
 """Floods and frames of 10,000 bytes fill the cable for seconds: at this rate others are seen as well."""
-LARGE = (Kind.FLOOD, Kind.HUGE)
+LARGE = (FaultKind.FLOOD, FaultKind.HUGE)
 STRANGER = 99
 """Among other faults a foreign answer carries an address that no unit here has. A unit that speaks in the
 name of another at the very moment when that one is asked cannot be told from it by anybody."""
-ALL_AT_ONCE = {kind: JAM if kind in LARGE else TOGETHER for kind in Kind if kind is not Kind.EVERYBODY}
+ALL_AT_ONCE = {
+    kind: JAM if kind in LARGE else TOGETHER for kind in FaultKind if kind is not FaultKind.EVERYBODY
+}
 SPEEDUP = 10.0
 CLOCK_SLACK_S = 0.5
 """Between the clocks of the worker and of the record, where both are real."""
@@ -92,7 +94,7 @@ class Trial:
         self,
         ask: Callable[[Action, float], Awaitable[Result]],
         now: Callable[[], float],
-        record: Record,
+        record: WireRecord,
         units: list[Unit],
     ) -> None:
         self.cases: list[Case] = []
@@ -102,17 +104,17 @@ class Trial:
     async def play(self, seed: int, count: int) -> None:
         """One wish after the other, each judged as soon as its fate is known."""
         dice = random.Random(seed)
-        for wish in wishes(seed, count):
+        for action in wishes(seed, count):
             await asyncio.sleep(dice.uniform(0.0, 0.1))
-            await self._judge(wish, dice.choice((0.03, 0.2, 2.0)))
+            await self._judge(action, dice.choice((0.03, 0.2, 2.0)))
         self.complaints += unasked(self.cases, self._record)
         self.complaints += rash_broadcasts(self.cases, self._record)
 
-    async def _judge(self, wish: Action, timeout_s: float) -> None:
+    async def _judge(self, action: Action, timeout_s: float) -> None:
         asked_at = self._now()
         before = {unit.address: (unit.setpoint, unit.entered) for unit in self._units}
-        result = await self._ask(wish, timeout_s)
-        case = Case(wish, asked_at, asked_at + timeout_s, result, self._now())
+        result = await self._ask(action, timeout_s)
+        case = Case(action, asked_at, asked_at + timeout_s, result, self._now())
         self.cases.append(case)
         self.complaints += untrue_fate(case, self._record, self._unit_at)
         self.complaints += half_done(case, before, self._record, self._unit_at)
@@ -124,7 +126,7 @@ class Trial:
         return Counter(case.result.outcome for case in self.cases)
 
 
-def suffer(faults: Faults, rates: dict[Kind, float]) -> None:
+def suffer(faults: Faults, rates: dict[FaultKind, float]) -> None:
     """From now on."""
     if len(rates) > 1:
         faults.foreign_address = STRANGER
@@ -141,7 +143,7 @@ def bodies(written: Iterable[tuple[float, bytes]]) -> Iterator[tuple[float, byte
 
 
 def virtual_trial(
-    rates: dict[Kind, float],
+    rates: dict[FaultKind, float],
     seed: int,
     count: int,
     meddle: Callable[[VirtualLine], Awaitable[None]] | None = None,
@@ -149,8 +151,8 @@ def virtual_trial(
     """Play wishes on a virtual clock on a line with these faults, while ``meddle`` does what it does."""
 
     async def scene(line: VirtualLine) -> Trial:
-        def ask(wish: Action, timeout_s: float) -> Awaitable[Result]:
-            return line.ask(wish, timeout_s=timeout_s, within_s=300.0)
+        def ask(action: Action, timeout_s: float) -> Awaitable[Result]:
+            return line.ask(action, timeout_s=timeout_s, within_s=300.0)
 
         record = line.line.record
         trial = Trial(ask, line.loop.time, record, line.plant.units)
@@ -174,8 +176,8 @@ def test_on_a_good_line_every_write_that_had_the_time_is_proven() -> None:
         assert case.result.outcome in ("verified", "acknowledged") or case.deadline - case.asked_at < 0.1
 
 
-@pytest.mark.parametrize("kind", [kind for kind in Kind if kind is not Kind.EVERYBODY])
-def test_each_fault_alone(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", [kind for kind in FaultKind if kind is not FaultKind.EVERYBODY])
+def test_each_fault_alone(kind: FaultKind) -> None:
     trial = virtual_trial({kind: JAM if kind in LARGE else ALONE}, seed=7, count=100)
     assert trial.complaints == []
     assert trial.outcomes()["verified"] > 10
@@ -183,7 +185,7 @@ def test_each_fault_alone(kind: Kind) -> None:
 
 def test_a_unit_that_takes_every_address_for_its_own() -> None:
     """It carries out what others are asked, so what it holds staged is not in the host's hands."""
-    trial = virtual_trial({Kind.EVERYBODY: TOGETHER}, seed=7, count=100)
+    trial = virtual_trial({FaultKind.EVERYBODY: TOGETHER}, seed=7, count=100)
     assert [complaint for complaint in trial.complaints if "still holds" not in complaint] == []
     assert trial.outcomes()["verified"] > 10
 
@@ -219,7 +221,7 @@ async def work_at_the_panels(line: VirtualLine) -> None:
 @pytest.mark.parametrize("meddle", [pull_the_cable, work_at_the_panels])
 @pytest.mark.parametrize("rates", [{}, ALL_AT_ONCE], ids=["alone", "among faults"])
 def test_hands_at_the_line(
-    meddle: Callable[[VirtualLine], Awaitable[None]], rates: dict[Kind, float]
+    meddle: Callable[[VirtualLine], Awaitable[None]], rates: dict[FaultKind, float]
 ) -> None:
     trial = virtual_trial(rates, 7, 150, meddle)
     assert trial.complaints == []
@@ -239,7 +241,7 @@ def test_a_refusal_speaks_for_its_own_try_only() -> None:
                 line.loop.call_later(0.001, take_to_local)
 
         await asyncio.sleep(1.0)
-        line.faults.set(Kind.LOST, 1.0)
+        line.faults.set(FaultKind.LOST, 1.0)
         take_to_local()
         return await line.ask(SetSpeed(1, 321))
 

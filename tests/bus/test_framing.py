@@ -37,9 +37,9 @@ ONCE, TWICE = Dialect(), Dialect(checksum_10h="twice")
 awkward_bytes = st.sampled_from([0x10, 0x10, 0x02, 0x03, 0x06, 0x15, 0x81, 0x00, 0x01])
 byte = awkward_bytes | st.integers(0, 255)
 bodies = st.lists(byte, min_size=2, max_size=LONGEST_BODY).map(bytes)
-rubbish = st.lists(byte, max_size=80).map(bytes)
+noise = st.lists(byte, max_size=80).map(bytes)
 good_frames = bodies.map(lambda body: encode_frame(body, ONCE))
-streams = st.lists(rubbish | good_frames, max_size=12).map(b"".join)
+streams = st.lists(noise | good_frames, max_size=12).map(b"".join)
 
 
 def everything(data: bytes, cuts: list[int] | None = None) -> list[Received]:
@@ -111,7 +111,7 @@ def test_agrees_with_the_reference_decoder(data: bytes) -> None:
     assert bodies_in(data) == reference_frames(data)
 
 
-@given(rubbish, bodies, rubbish)
+@given(noise, bodies, noise)
 def test_rubbish_around_a_frame(before: bytes, body: bytes, after: bytes) -> None:
     """A frame after rubbish is lost only where the rubbish ends inside what looks like a frame itself."""
     data = before + encode_frame(body, ONCE) + after

@@ -21,25 +21,25 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.line.clock import RealClock
-from bus.line.commands.catalogue import COMMANDS, errand_of
-from bus.line.commands.command_run import EVERY_UNIT, NO_UNIT, Claim
+from bus.line.commands.catalogue import COMMANDS, command_run_of
+from bus.line.commands.command_run import EVERY_UNIT, NO_UNIT, Priority
 from bus.line.poller import Poller
 from bus.settings import BusSettings, UnitSettings
 
 ONE = frozenset({1})
-CLAIMS: list[tuple[Action, Claim, frozenset[int]]] = [
-    (SetSpeed(1, 500), Claim.WRITE, ONE),
-    (SetSpeed(1, 500, execute=False), Claim.WRITE, ONE),
-    (ExecuteSpeed(1), Claim.WRITE, ONE),
-    (WriteOutput(1, 2, True), Claim.WRITE, ONE),
-    (WriteAnalogOutput(1, 350), Claim.WRITE, ONE),
-    (WriteParameter(1, 6, 50), Claim.WRITE, ONE),
-    (SetLine({1: 500, 2: 600}), Claim.WRITE, EVERY_UNIT),
-    (ExecuteAll(), Claim.WRITE, EVERY_UNIT),
-    (ChangeBaud(4800), Claim.WRITE, EVERY_UNIT),
-    (ReadParameters(1), Claim.READ, NO_UNIT),
-    (ReadParameters(1, urgent=False), Claim.SLOW, NO_UNIT),
-    (ScanBus(), Claim.SLOW, NO_UNIT),
+CLAIMS: list[tuple[Action, Priority, frozenset[int]]] = [
+    (SetSpeed(1, 500), Priority.WRITE, ONE),
+    (SetSpeed(1, 500, execute=False), Priority.WRITE, ONE),
+    (ExecuteSpeed(1), Priority.WRITE, ONE),
+    (WriteOutput(1, 2, True), Priority.WRITE, ONE),
+    (WriteAnalogOutput(1, 350), Priority.WRITE, ONE),
+    (WriteParameter(1, 6, 50), Priority.WRITE, ONE),
+    (SetLine({1: 500, 2: 600}), Priority.WRITE, EVERY_UNIT),
+    (ExecuteAll(), Priority.WRITE, EVERY_UNIT),
+    (ChangeBaud(4800), Priority.WRITE, EVERY_UNIT),
+    (ReadParameters(1), Priority.READ, NO_UNIT),
+    (ReadParameters(1, urgent=False), Priority.SLOW, NO_UNIT),
+    (ScanBus(), Priority.SLOW, NO_UNIT),
 ]
 
 
@@ -50,10 +50,10 @@ def test_every_action_but_the_trace_which_needs_no_wire_has_a_row() -> None:
 
 @pytest.mark.parametrize(("action", "claim", "units"), CLAIMS, ids=lambda value: type(value).__name__)
 async def test_what_writes_goes_first_and_claims_the_units_that_it_can_reach(
-    action: Action, claim: Claim, units: frozenset[int]
+    action: Action, claim: Priority, units: frozenset[int]
 ) -> None:
     bus = BusSettings(name="a", port="/dev/null", unit=(UnitSettings(id=1, name="One"),))
-    errand = errand_of(Poller(bus, RealClock(), lambda _: None), "a", action, 2.0)
-    assert errand is not None
-    assert (errand.claim, errand.units) == (claim, units)
-    assert (errand.claim is Claim.WRITE) == action.writes
+    run = command_run_of(Poller(bus, RealClock(), lambda _: None), "a", action, 2.0)
+    assert run is not None
+    assert (run.priority, run.units) == (claim, units)
+    assert (run.priority is Priority.WRITE) == action.writes

@@ -9,12 +9,12 @@ from msgspec.structs import replace
 
 from bus.contract import LONGEST_FRAME, MOST_MEANINGS
 from bus.errors import WireError
-from bus.line.exchange.attempts import Heard
 from bus.line.exchange.link import SECRET_LINGERS_S, Link
 from bus.line.exchange.port_pace import PortPace
+from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.exchange.window import MARGIN_S
 from bus.line.roster import Roster
-from bus.line.statistics.trace import HIDDEN, Interpreter, Passed, Trace
+from bus.line.statistics.trace import HIDDEN, Interpreter, Trace, TracedFrame
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.bodies import encode_reply
@@ -47,7 +47,7 @@ class Wires(PlayedClock):
         self.dropped = 0
         self.listens = True
         self.gathered = b""
-        self.heard: list[tuple[Heard, float]] = []
+        self.heard: list[tuple[ExchangeResult, float]] = []
         self.roster = Roster([1, 2], 0.0)
         self.trace = Trace()
         self.link = Link(PLAIN, 9600, TURNAROUND_S, self, self.roster, self.trace)
@@ -189,7 +189,7 @@ def test_a_spoilt_answer_ends_the_wait_at_once(wires: Wires) -> None:
     wires.receive(bytes(spoilt))
     wires.pass_time(0.02)
     assert wires.heard[0][0].reply is None
-    assert wires.heard[0][0].rubbish.spoilt
+    assert wires.heard[0][0].noise.garbled
     assert wires.roster[1].statistics.counts.checksum_errors == 1
 
 
@@ -329,16 +329,16 @@ def test_what_is_no_answer_is_kept_as_ever_while_no_secret_can_come(wires: Wires
 def test_the_trace_is_bounded_by_time_and_by_bytes() -> None:
     trace = Trace(kept_s=100.0, kept_bytes=400_000)
     for number in range(60_000):
-        trace.add(Passed(number * 0.001, "in", bytes(20)))
+        trace.add(TracedFrame(number * 0.001, "in", bytes(20)))
     assert trace.size <= 400_000 + 70_000
     for number in range(600):
-        trace.add(Passed(1000.0 + number / 60, "in", bytes(1_000)))
+        trace.add(TracedFrame(1000.0 + number / 60, "in", bytes(1_000)))
     assert next(trace.since(0.0)).at >= 60.0 - 1
 
 
 def test_of_noise_without_end_the_beginning_is_kept(wires: Wires) -> None:
     """A server that floods the port comes in pieces of any size."""
-    followed: list[Passed] = []
+    followed: list[TracedFrame] = []
     wires.trace.follower = followed.append
     wires.link.data_received(bytes(100_000))
     assert [len(passed.data) for passed in wires.trace.since(0.0)] == [LONGEST_FRAME]
@@ -420,7 +420,7 @@ def test_what_was_prepared_leaves_before_the_answer_is_told() -> None:
     line = _paced()
     written: list[int] = []
 
-    def told(heard: Heard, _began: float, ended: float) -> None:
+    def told(heard: ExchangeResult, _began: float, ended: float) -> None:
         written.append(len(line.written))
         line.heard.append((heard, ended))
 

@@ -20,7 +20,7 @@ import uvloop
 
 from bus.errors import WireError
 from bus.line.port import tcp
-from bus.line.port.device_users import holders_of
+from bus.line.port.device_users import users_of
 from bus.line.port.open_error import why_not
 from bus.line.port.open_port import open_port
 from bus.line.port.port import OpenPort, PartlySent, PortUnavailable
@@ -28,7 +28,7 @@ from bus.messages import Message
 from bus.settings import Dialect
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
-from bus.simulator.ports import Port, PtyPort, TcpPort
+from bus.simulator.ports import Port, PtyPort, TcpLinePort
 from bus.simulator.serve import LineServer
 from bus.wire.bodies import encode_request
 from bus.wire.commands import ReadStatus
@@ -76,7 +76,7 @@ def on_both_loops(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..
 
 @pytest.fixture(params=["pty", "tcp"])
 def line(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[LineServer]:
-    port: Port = PtyPort(tmp_path / "by-id") if request.param == "pty" else TcpPort()
+    port: Port = PtyPort(tmp_path / "by-id") if request.param == "pty" else TcpLinePort()
     with LineServer(SimulatedLine(demo_line(2, script=False).plant, speedup=20), port) as server:
         yield server
 
@@ -207,7 +207,7 @@ async def test_a_taken_port_is_named_with_its_holder() -> None:
         try:
             assert holder.stdout is not None
             await holder.stdout.readexactly(4)
-            assert [pid for pid, _ in holders_of(name) if pid == holder.pid]
+            assert [pid for pid, _ in users_of(name) if pid == holder.pid]
             with pytest.raises(PortUnavailable, match=rf"in use by .*\(process {holder.pid}\)"):
                 await open_port(name, 9600, Ear())
         finally:
@@ -260,7 +260,7 @@ async def test_a_server_that_never_answers_does_not_stop_the_loop(monkeypatch: p
 
 @on_both_loops
 async def test_a_device_servers_rate_is_not_ours_to_set() -> None:
-    with LineServer(SimulatedLine(demo_line(1, script=False).plant, speedup=20), TcpPort()) as line:
+    with LineServer(SimulatedLine(demo_line(1, script=False).plant, speedup=20), TcpLinePort()) as line:
         port = await open_port(line.port.name, 9600, Ear())
         with pytest.raises(WireError, match="device server"):
             port.retune(4800)

@@ -13,7 +13,7 @@ def asked(addresses: range, answers: dict[int, int]) -> tuple[list[int], list[in
         if seen.count(unit) == answers.get(unit):
             passes.found()
         else:
-            passes.silent()
+            passes.no_response()
         settled.append(passes.settled)
     assert settled == sorted(settled)
     assert settled[-1] == passes.questions

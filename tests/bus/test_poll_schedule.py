@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.catalogue.parameters import NEEDED_TO_SHOW, PARAMETERS
-from bus.line.schedule.parameter_queue import Gaps
-from bus.line.schedule.poll_order import KEPT_OF_A_TURN, WATCHED_HZ, Round
-from bus.line.schedule.poll_schedule import Kind, Schedule, Task
-from bus.line.schedule.probe_backoff import ALONE_STEP_S, STEPS_S, Silence
-from bus.line.schedule.wire_share import Share
+from bus.line.schedule.parameter_queue import ParameterQueue
+from bus.line.schedule.poll_order import KEPT_OF_A_TURN, WATCHED_HZ, PollOrder
+from bus.line.schedule.poll_schedule import PollSchedule, Task, TaskKind
+from bus.line.schedule.probe_backoff import ALONE_STEP_S, STEPS_S, ProbeBackoff
+from bus.line.schedule.wire_share import WireShare
 
 POLL_S = 0.026
 PARAMETER_S = 0.020
@@ -27,7 +27,7 @@ TIMEOUT_S = 0.068
 class Line:
     """Plays a schedule against units that answer, but for the dead ones."""
 
-    schedule: Schedule
+    schedule: PollSchedule
     dead: set[int] = field(default_factory=set)
     now: float = 0.0
     tasks: list[tuple[float, Task, float]] = field(default_factory=list)
@@ -47,45 +47,47 @@ class Line:
 
     def _carry_out(self, task: Task) -> None:
         answered = task.unit not in self.dead
-        seconds = POLL_S if task.kind is not Kind.PARAMETER else PARAMETER_S
+        seconds = POLL_S if task.kind is not TaskKind.PARAMETER else PARAMETER_S
         seconds = seconds if answered else TIMEOUT_S
         began, self.now = self.now, self.now + seconds
         self.schedule.spent(task, began, self.now, answered=answered)
         self.tasks.append((began, task, seconds))
-        if task.kind is Kind.SLOW:
+        if task.kind is TaskKind.SLOW:
             return
         if not answered:
-            self.schedule.fell_silent(task.unit, self.now)
+            self.schedule.stopped_responding(task.unit, self.now)
         else:
             self.schedule.answers(task.unit, self.now)
-            if task.kind is Kind.PARAMETER:
-                self.schedule.gaps.was_read(task.unit, task.number, available=True)
+            if task.kind is TaskKind.PARAMETER:
+                self.schedule.parameters.was_read(task.unit, task.number, available=True)
 
-    def of(self, *kinds: Kind, since: float = 0.0) -> Iterator[tuple[float, Task, float]]:
+    def of(self, *kinds: TaskKind, since: float = 0.0) -> Iterator[tuple[float, Task, float]]:
         return (entry for entry in self.tasks if entry[0] >= since and entry[1].kind in kinds)
 
-    def share(self, *kinds: Kind, since: float = 0.0) -> float:
+    def share(self, *kinds: TaskKind, since: float = 0.0) -> float:
         return sum(seconds for _, _, seconds in self.of(*kinds, since=since)) / (self.now - since)
 
 
 def line_of(units: int, dead: Collection[int] = ()) -> Line:
-    return Line(Schedule(range(1, units + 1), POLL_S, seed=7), set(dead))
+    return Line(PollSchedule(range(1, units + 1), POLL_S, seed=7), set(dead))
 
 
 def test_the_first_answer_of_every_unit_comes_before_all_else() -> None:
     line = line_of(8).play(1.0)
-    assert [(task.kind, task.unit) for _, task, _ in line.tasks[:8]] == [(Kind.FIRST, u) for u in range(1, 9)]
+    assert [(task.kind, task.unit) for _, task, _ in line.tasks[:8]] == [
+        (TaskKind.FIRST, u) for u in range(1, 9)
+    ]
 
 
 def test_eight_units_are_shown_right_within_three_seconds() -> None:
     line = line_of(8).play(3.0)
-    read = {(task.unit, task.number) for _, task, _ in line.of(Kind.PARAMETER)}
+    read = {(task.unit, task.number) for _, task, _ in line.of(TaskKind.PARAMETER)}
     assert read >= {(unit, number) for unit in range(1, 9) for number in NEEDED_TO_SHOW}
 
 
 def test_the_decimals_of_all_units_are_read_before_anything_else() -> None:
     line = line_of(4).play(1.0)
-    assert [(task.unit, task.number) for _, task, _ in line.of(Kind.PARAMETER)][:4] == [
+    assert [(task.unit, task.number) for _, task, _ in line.of(TaskKind.PARAMETER)][:4] == [
         (1, 3),
         (2, 3),
         (3, 3),
@@ -95,14 +97,14 @@ def test_the_decimals_of_all_units_are_read_before_anything_else() -> None:
 
 def test_with_nobody_watching_it_is_an_exact_round() -> None:
     line = line_of(5).play(30.0)
-    units = [task.unit for _, task, _ in line.of(Kind.POLL, since=5.0)]
+    units = [task.unit for _, task, _ in line.of(TaskKind.POLL, since=5.0)]
     first = units.index(1)
     assert units[first : first + 10] == [1, 2, 3, 4, 5, 1, 2, 3, 4, 5]
 
 
 def test_all_parameters_are_read_in_time_and_again_later() -> None:
     line = line_of(2).play(300.0)
-    counts = Counter((task.unit, task.number) for _, task, _ in line.of(Kind.PARAMETER))
+    counts = Counter((task.unit, task.number) for _, task, _ in line.of(TaskKind.PARAMETER))
     assert set(counts) == {(unit, number) for unit in (1, 2) for number in PARAMETERS}
     assert min(counts.values()) >= 1
     assert max(counts.values()) >= 2
@@ -110,14 +112,14 @@ def test_all_parameters_are_read_in_time_and_again_later() -> None:
 
 def test_the_slow_circle_leaves_the_scan_its_wire() -> None:
     line = line_of(8).play(60.0)
-    assert line.share(Kind.PARAMETER, since=10.0) < 0.015
-    assert line.share(Kind.POLL, since=10.0) > 0.97
+    assert line.share(TaskKind.PARAMETER, since=10.0) < 0.015
+    assert line.share(TaskKind.POLL, since=10.0) > 0.97
 
 
 @given(units=st.integers(2, 40), watched=st.integers(1, 40))
 def test_a_watched_unit_never_takes_more_than_its_share(units: int, watched: int) -> None:
     chosen = set(range(1, min(watched, units) + 1))
-    turns = Round(range(1, units + 1), POLL_S)
+    turns = PollOrder(range(1, units + 1), POLL_S)
     for unit in range(1, units + 1):
         turns.join(unit)
     turns.watch(chosen)
@@ -134,7 +136,7 @@ def test_a_watched_unit_never_takes_more_than_its_share(units: int, watched: int
 
 @pytest.mark.parametrize("opened", [3, 250])
 def test_a_unit_that_somebody_opens_is_polled_at_once_and_steadily(opened: int) -> None:
-    turns = Round(range(1, 256), POLL_S)
+    turns = PollOrder(range(1, 256), POLL_S)
     for unit in range(1, 256):
         turns.join(unit)
     for _ in range(255 + 200):
@@ -149,7 +151,7 @@ def test_a_unit_that_somebody_opens_is_polled_at_once_and_steadily(opened: int) 
 
 
 def test_who_comes_and_goes_takes_nobodys_turn() -> None:
-    turns = Round(range(1, 41), POLL_S)
+    turns = PollOrder(range(1, 41), POLL_S)
     for unit in range(1, 41):
         turns.join(unit)
     taken = []
@@ -166,7 +168,7 @@ def test_one_watched_unit_of_eight_is_polled_at_most_ten_times_a_second() -> Non
     line = line_of(8)
     line.schedule.watch({3}, anybody=True)
     line.play(40.0)
-    counts = Counter(task.unit for _, task, _ in line.of(Kind.POLL, since=20.0))
+    counts = Counter(task.unit for _, task, _ in line.of(TaskKind.POLL, since=20.0))
     assert 8.5 < counts[3] / 20.0 <= WATCHED_HZ
     others = [counts[unit] / 20.0 for unit in range(1, 9) if unit != 3]
     assert max(others) - min(others) <= 0.1
@@ -174,7 +176,7 @@ def test_one_watched_unit_of_eight_is_polled_at_most_ten_times_a_second() -> Non
 
 
 def test_a_unit_that_joins_late_does_not_make_up_for_what_it_missed() -> None:
-    turns = Round([1, 2, 3], POLL_S)
+    turns = PollOrder([1, 2, 3], POLL_S)
     turns.join(1)
     turns.join(2)
     for _ in range(1000):
@@ -184,7 +186,7 @@ def test_a_unit_that_joins_late_does_not_make_up_for_what_it_missed() -> None:
 
 
 def test_a_unit_that_leaves_has_no_more_turns() -> None:
-    turns = Round([1, 2], POLL_S)
+    turns = PollOrder([1, 2], POLL_S)
     turns.join(1)
     turns.join(2)
     turns.leave(1)
@@ -195,19 +197,19 @@ def test_a_unit_that_leaves_has_no_more_turns() -> None:
 
 def test_a_dead_unit_costs_one_timeout_for_each_step() -> None:
     line = line_of(8, dead={4}).play(120.0)
-    probes = [at for at, task, _ in line.of(Kind.PROBE)]
+    probes = [at for at, task, _ in line.of(TaskKind.PROBE)]
     waits = [later - at for at, later in pairwise(probes)]
-    assert {task.unit for _, task, _ in line.of(Kind.PROBE)} == {4}
+    assert {task.unit for _, task, _ in line.of(TaskKind.PROBE)} == {4}
     assert max(waits) <= STEPS_S[-1] + 0.2
     assert min(waits[5:]) > STEPS_S[-1] * 0.75
-    assert line.share(Kind.PROBE, since=30.0) < 0.01
+    assert line.share(TaskKind.PROBE, since=30.0) < 0.01
 
 
 @pytest.mark.parametrize("units", [8, 32, 100])
 def test_many_dead_units_together_cost_a_twentieth(units: int) -> None:
     line = line_of(units, dead=set(range(2, units + 1))).play(300.0)
-    assert line.share(Kind.PROBE, since=30.0) <= 0.051
-    probed = Counter(task.unit for _, task, _ in line.of(Kind.PROBE))
+    assert line.share(TaskKind.PROBE, since=30.0) <= 0.051
+    probed = Counter(task.unit for _, task, _ in line.of(TaskKind.PROBE))
     assert set(probed) == set(range(2, units + 1)), "and none is forgotten"
 
 
@@ -215,7 +217,7 @@ def test_the_others_keep_their_rate_while_one_is_dead() -> None:
     well, ill = line_of(8).play(60.0), line_of(8, dead={5}).play(60.0)
 
     def rate(line: Line) -> int:
-        return sum(task.unit == 1 for _, task, _ in line.of(Kind.POLL, since=10.0))
+        return sum(task.unit == 1 for _, task, _ in line.of(TaskKind.POLL, since=10.0))
 
     assert rate(ill) >= 0.98 * rate(well)
 
@@ -225,35 +227,35 @@ def test_a_whole_line_that_comes_back_is_found_at_once() -> None:
     line.dead.clear()
     back = line.now
     line.play(back + ALONE_STEP_S + 2.5)
-    assert len(line.schedule.round) == 32
+    assert len(line.schedule.poll_order) == 32
 
 
 def test_a_returned_unit_is_learned_anew() -> None:
     line = line_of(2).play(60.0)
     line.dead.add(2)
-    line.schedule.fell_silent(2, line.now)
+    line.schedule.stopped_responding(2, line.now)
     line.play(80.0)
     line.dead.clear()
     line.play(100.0)
-    again = {task.number for _, task, _ in line.of(Kind.PARAMETER, since=80.0) if task.unit == 2}
+    again = {task.number for _, task, _ in line.of(TaskKind.PARAMETER, since=80.0) if task.unit == 2}
     assert again >= set(NEEDED_TO_SHOW)
 
 
 def test_after_a_write_the_needed_ones_are_read_again() -> None:
     line = line_of(2).play(60.0)
-    line.schedule.gaps.need(1)
+    line.schedule.parameters.need(1)
     line.play(61.5)
-    again = {task.number for _, task, _ in line.of(Kind.PARAMETER, since=60.0) if task.unit == 1}
+    again = {task.number for _, task, _ in line.of(TaskKind.PARAMETER, since=60.0) if task.unit == 1}
     assert again >= set(NEEDED_TO_SHOW)
 
 
 def test_what_a_unit_does_not_have_is_not_asked_again() -> None:
     schedule = line_of(1).play(0.01).schedule
-    schedule.gaps.forget(1)
-    schedule.gaps.was_read(1, 40, available=False)
-    assert schedule.gaps.next_of_circle() is None
-    schedule.gaps.was_read(1, 39, available=True)
-    assert schedule.gaps.next_of_circle() == (1, 39)
+    schedule.parameters.forget(1)
+    schedule.parameters.was_read(1, 40, available=False)
+    assert schedule.parameters.next_background() is None
+    schedule.parameters.was_read(1, 39, available=True)
+    assert schedule.parameters.next_background() == (1, 39)
 
 
 @pytest.mark.parametrize(("anybody", "low", "high"), [(True, 0.08, 0.11), (False, 0.9, 0.96)])
@@ -261,14 +263,14 @@ def test_a_slow_read_takes_the_gaps(anybody: bool, low: float, high: float) -> N
     line = line_of(8)
     line.schedule.watch(range(1, 9) if anybody else (), anybody=anybody)
     line.play(10.0).play(40.0, slow=True)
-    assert low < line.share(Kind.SLOW, since=10.0) < high
+    assert low < line.share(TaskKind.SLOW, since=10.0) < high
 
 
 def test_scan_time_and_what_one_more_costs() -> None:
     line = line_of(8).play(60.0)
     assert line.schedule.scan_s() == pytest.approx(8 * POLL_S, rel=0.05)
     assert line.schedule.scan_s(1) / line.schedule.scan_s() == pytest.approx(9 / 8)
-    assert Schedule([], POLL_S).scan_s(1) == pytest.approx(POLL_S)
+    assert PollSchedule([], POLL_S).scan_s(1) == pytest.approx(POLL_S)
 
 
 def test_the_same_seed_gives_the_same_order() -> None:
@@ -278,7 +280,7 @@ def test_the_same_seed_gives_the_same_order() -> None:
 
 @given(st.lists(st.floats(0.001, 1.0), min_size=20, max_size=60), st.floats(0.05, 0.9))
 def test_a_share_is_kept_however_long_its_uses_are(uses: list[float], fraction: float) -> None:
-    share, now, used = Share(fraction), 0.0, 0.0
+    share, now, used = WireShare(fraction), 0.0, 0.0
     for seconds in uses:
         now = max(now, share.ready_at)
         assert share.ready(now)
@@ -290,9 +292,9 @@ def test_a_share_is_kept_however_long_its_uses_are(uses: list[float], fraction: 
 
 @given(st.integers(0, 1000))
 def test_a_back_off_never_exceeds_ten_seconds(seed: int) -> None:
-    silence = Silence(seed)
+    silence = ProbeBackoff(seed)
     silence.alone = False
-    silence.fell(1, 0.0)
+    silence.stopped_responding(1, 0.0)
     now = 0.0
     for _ in range(10):
         due = silence.wake_at()
@@ -305,13 +307,13 @@ def test_a_back_off_never_exceeds_ten_seconds(seed: int) -> None:
 
 
 def test_every_fourth_read_of_the_circle_is_the_decimals_of_the_next_unit() -> None:
-    gaps = Gaps(range(1, 41), NEEDED_TO_SHOW)
+    gaps = ParameterQueue(range(1, 41), NEEDED_TO_SHOW)
     for unit in (1, 2):
         for number in range(1, 41):
             gaps.was_read(unit, number, available=True)
     taken = []
     for _ in range(8):
-        wanted = gaps.next_of_circle()
+        wanted = gaps.next_background()
         assert wanted is not None
         gaps.was_read(*wanted, available=True)
         taken.append(wanted)
@@ -319,8 +321,8 @@ def test_every_fourth_read_of_the_circle_is_the_decimals_of_the_next_unit() -> N
 
 
 def test_a_unit_that_was_forgotten_is_in_no_part_of_the_circle() -> None:
-    gaps = Gaps(range(1, 41), NEEDED_TO_SHOW)
+    gaps = ParameterQueue(range(1, 41), NEEDED_TO_SHOW)
     gaps.was_read(1, 3, available=True)
     gaps.was_read(1, 6, available=True)
     gaps.forget(1)
-    assert gaps.next_of_circle() is None
+    assert gaps.next_background() is None

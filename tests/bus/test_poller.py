@@ -31,7 +31,7 @@ from bus.line.port.port import OpenPort, Receiver
 from bus.line.schedule.arbiter import RESERVED_S
 from bus.line.schedule.baud_search import LOOK_ELSEWHERE_S
 from bus.messages import Message
-from bus.simulator.faults import Kind
+from bus.simulator.faults import FaultKind
 from bus.simulator.record import Happened
 from tests.bus.judge import made_up
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
@@ -201,7 +201,7 @@ def test_one_of_eight_dead_the_others_keep_their_rate() -> None:
         well = len(line.readings(1))
         await asyncio.sleep(20)
         well = len(line.readings(1)) - well
-        line.faults.set(Kind.DEAD, 1.0, 5)
+        line.faults.set(FaultKind.DEAD, 1.0, 5)
         before = len(line.readings(1))
         await asyncio.sleep(20)
         assert len(line.readings(1)) - before >= 0.98 * well
@@ -274,7 +274,7 @@ def test_a_port_that_is_absent_at_start_is_waited_for() -> None:
 def test_a_line_that_is_switched_on_again_is_found_within_three_seconds_however_slow_it_may_be() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        line.faults.set(Kind.DEAD, 1.0)
+        line.faults.set(FaultKind.DEAD, 1.0)
         await asyncio.sleep(60)
         line.faults.clear()
         await line.until(lambda: all(unit_links(line, unit)[-1] == "online" for unit in line.units), 3.0)
@@ -307,7 +307,7 @@ def test_a_port_that_opens_and_is_gone_at_once_is_not_hammered() -> None:
 def test_a_flood_that_never_frames_holds_nothing_up() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        line.faults.set(Kind.FLOOD, 1.0)
+        line.faults.set(FaultKind.FLOOD, 1.0)
         await asyncio.sleep(1)
         began, number = line.loop.time(), len(line.written)
         fate = await line.ask(SetSpeed(1, 640))
@@ -322,11 +322,15 @@ def test_a_flood_that_never_frames_holds_nothing_up() -> None:
     run(scene, 2)
 
 
-@pytest.mark.parametrize("kind", [Kind.HUGE, Kind.ECHO, Kind.EVERYBODY, Kind.DOUBLED, Kind.FOREIGN], ids=str)
-def test_strange_lines_are_bounded_and_named_in_figures(kind: Kind) -> None:
+@pytest.mark.parametrize(
+    "kind",
+    [FaultKind.HUGE, FaultKind.ECHO, FaultKind.EVERYBODY, FaultKind.DOUBLED, FaultKind.FOREIGN],
+    ids=str,
+)
+def test_strange_lines_are_bounded_and_named_in_figures(kind: FaultKind) -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        line.faults.set(kind, 0.5, 0 if kind is Kind.ECHO else 2)
+        line.faults.set(kind, 0.5, 0 if kind is FaultKind.ECHO else 2)
         await asyncio.sleep(15)
         assert not made_up(line.updates, line.line.record, EPOCH)
         figures = line.worker.poller.figures()
@@ -340,7 +344,7 @@ def test_strange_lines_are_bounded_and_named_in_figures(kind: Kind) -> None:
 
 def test_late_answers_are_never_taken_for_others() -> None:
     async def scene(line: VirtualLine) -> None:
-        line.faults.set(Kind.LATE, 0.3)
+        line.faults.set(FaultKind.LATE, 0.3)
         for _ in range(10):
             await line.ask(ReadParameters(1, list(range(1, 41))), within_s=120)
         assert not made_up(line.updates, line.line.record, EPOCH)
@@ -357,7 +361,7 @@ def test_a_full_read_of_a_bus_nobody_watches_costs_hardly_more_than_its_frames()
         ids = [line.command(ReadParameters(unit, urgent=False)) for unit in line.units]
         await line.until(lambda: all(line.fate_of(each) for each in ids), within_s=200)
         took = line.loop.time() - began
-        frames = [frame for each in ids for frame in _fate(line, each).frames]
+        frames = [frame for each in ids for frame in _result_of(line, each).frames]
         assert took <= 1.1 * sum(len(frame.data) * 10 / 9600 for frame in frames)
 
     run(scene, 8)
@@ -399,11 +403,11 @@ def test_a_moment_of_silence_does_not_cost_a_whole_list() -> None:
         await settled(line)
         command = line.command(ReadParameters(1))
         await asyncio.sleep(0.5)
-        line.faults.set(Kind.DEAD, 1, 1)
+        line.faults.set(FaultKind.DEAD, 1, 1)
         await asyncio.sleep(0.35)
         line.faults.clear()
         await line.until(lambda: line.fate_of(command), within_s=60)
-        fate = _fate(line, command)
+        fate = _result_of(line, command)
         assert fate.outcome == "verified"
         assert sorted(value.number for value in fate.values) == list(range(1, 41))
         assert fate.values[-1].number != 40, "one was asked again at the end"
@@ -414,7 +418,7 @@ def test_a_moment_of_silence_does_not_cost_a_whole_list() -> None:
 def test_a_unit_that_stays_silent_ends_its_reading() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        line.faults.set(Kind.DEAD, 1, 1)
+        line.faults.set(FaultKind.DEAD, 1, 1)
         fate = await line.ask(ReadParameters(1), within_s=30)
         assert fate.outcome == "unverified"
         assert str(fate.message) == "unit 1: 0 of 40 parameters were read, then: no response to #2"
@@ -498,7 +502,7 @@ def test_a_line_that_has_come_to_its_new_rate_is_asked_there_only() -> None:
         await asyncio.sleep(3)
         rates = bus_rates(line)
         for unit in line.units:
-            line.faults.set(Kind.DEAD, 1.0, unit)
+            line.faults.set(FaultKind.DEAD, 1.0, unit)
         await asyncio.sleep(4 * LOOK_ELSEWHERE_S)
         line.faults.clear()
         await line.until(lambda: unit_links(line, 1)[-1] == "online")
@@ -514,7 +518,7 @@ def test_a_slow_line_with_its_first_unit_off_is_found_at_its_new_rate() -> None:
         _decide(line, [False] * 3)
         await settled(line)
         assert (await line.ask(ChangeBaud(4800), timeout_s=20)).outcome == "verified"
-        line.faults.set(Kind.DEAD, 1.0, 1)
+        line.faults.set(FaultKind.DEAD, 1.0, 1)
         for unit in line.plant.units:
             unit.power_up()
         await asyncio.sleep(15 * LOOK_ELSEWHERE_S)
@@ -533,13 +537,13 @@ def test_a_unit_that_does_not_come_along_brings_all_the_others_back(odd: str) ->
         if odd == "refuses":
             line.plant.unit(3).memory[numbers.CONTROL_MODE] = 0
         if odd == "dead":
-            line.faults.set(Kind.DEAD, 1.0, 3)
+            line.faults.set(FaultKind.DEAD, 1.0, 3)
         command = line.command(ChangeBaud(4800), timeout_s=10)
         if odd == "dies":
             await line.until(lambda: line.plant.unit(3).baud == 4800)
-            line.faults.set(Kind.DEAD, 1.0, 3)
+            line.faults.set(FaultKind.DEAD, 1.0, 3)
         await line.until(lambda: line.fate_of(command))
-        fate = _fate(line, command)
+        fate = _result_of(line, command)
         assert fate.outcome == ("refused" if odd == "refuses" else "unverified")
         assert "back at 9600" in str(fate.message)
         assert [line.plant.unit(unit).baud for unit in (1, 2, 4)] == [9600] * 3
@@ -559,7 +563,7 @@ def test_a_nak_on_the_retry_does_not_speak_for_the_try_before() -> None:
     async def scene(line: VirtualLine) -> None:
         command = await _its_ack_lost_and_then_local(line, 2)
         await line.until(lambda: line.fate_of(command))
-        fate = _fate(line, command)
+        fate = _result_of(line, command)
         assert fate.outcome == "unverified"
         assert "unit 2 refused" in str(fate.message)
         assert "At the panel of unit 2: set #18 to 96" in str(fate.message)
@@ -579,7 +583,7 @@ def test_a_nak_on_the_retry_of_a_unit_that_is_soon_back_leaves_nothing_behind() 
         await line.until(lambda: line.worker.poller.baud == 4800)
         line.plant.unit(2).memory[numbers.CONTROL_MODE] = 1
         await line.until(lambda: line.fate_of(command))
-        fate = _fate(line, command)
+        fate = _result_of(line, command)
         assert fate.outcome == "refused"
         assert "every unit is back at 9600 baud" in str(fate.message)
         assert [unit.memory[numbers.BAUD_RATE] for unit in line.plant.units] == [96] * 3
@@ -606,7 +610,7 @@ async def _its_ack_lost_and_then_local(line: VirtualLine, unit: int) -> str:
     """A change of baud under way: ``unit`` holds its new #18, the ACK got lost, and the retry is refused."""
     _decide(line, [False] * len(line.plant.units))
     await settled(line)
-    line.faults.set(Kind.LOST, 1.0, unit)
+    line.faults.set(FaultKind.LOST, 1.0, unit)
     command = line.command(ChangeBaud(4800), timeout_s=10)
     await line.until(lambda: line.acted(unit))
     line.plant.unit(unit).memory[numbers.CONTROL_MODE] = 0
@@ -614,7 +618,7 @@ async def _its_ack_lost_and_then_local(line: VirtualLine, unit: int) -> str:
     return command
 
 
-def _fate(line: VirtualLine, command: str) -> Result:
+def _result_of(line: VirtualLine, command: str) -> Result:
     fate = line.fate_of(command)
     assert fate is not None
     return fate

@@ -6,18 +6,18 @@ import asyncio
 import random
 
 from bus.contract import SetSpeed
-from bus.simulator.faults import Kind
+from bus.simulator.faults import FaultKind
 from tests.bus.virtual_line import VirtualLine, run
 
 UNITS = 4
 RATE = 0.05
-BLOCKING = (Kind.EVERYBODY, Kind.HUGE, Kind.FLOOD)
+BLOCKING = (FaultKind.EVERYBODY, FaultKind.HUGE, FaultKind.FLOOD)
 """These block the whole line by themselves."""
 SET_AND_EXECUTE = 0x84
 
 
 def spoil(line: VirtualLine) -> None:
-    for kind in Kind:
+    for kind in FaultKind:
         if kind not in BLOCKING:
             line.faults.set(kind, RATE)
 

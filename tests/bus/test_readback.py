@@ -8,8 +8,9 @@ import pytest
 
 from bus.contract import Reading, Result
 from bus.line.commands import writes
-from bus.line.commands.procedure import Answer, Ask, Fate, Procedure, Wait, Wish
-from bus.line.exchange.attempts import Asking, Heard
+from bus.line.commands.procedure import CommandContext, Procedure, Wait
+from bus.line.exchange.send import Send, SendResult, SendStatus
+from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
 from bus.line.roster import Roster, UnitRecord
 from bus.settings import Dialect
 from bus.wire.commands import (
@@ -23,35 +24,37 @@ from bus.wire.commands import (
     SetAndExecuteSpeed,
     StatusReply,
 )
-from bus.wire.fence import Doubt
+from bus.wire.fence import PendingResponses
 
 REMOTE = 0x40
 MASTER, FOLLOWER, PRESET = 0x03, 0x43, 0x07
 PLAIN = Dialect()
 TAKEN = Ack(1)
 
-Brain = Callable[[Request], Reply | Fate]
+Brain = Callable[[Request], Reply | SendStatus]
 
 
 def play(procedure: Procedure, brain: Brain) -> tuple[Result, list[Request]]:
     """Run it against ``brain``; the result and what was asked."""
     asked: list[Request] = []
-    answer: Answer | None = None
+    answer: SendResult | None = None
     try:
         while True:
             step = procedure.send(answer)
             answer = None
-            if isinstance(step, Ask):
+            if isinstance(step, Send):
                 asked.append(step.request)
                 answer = answer_of(brain(step.request), float(len(asked)))
     except StopIteration as end:
         return end.value, asked
 
 
-def answer_of(said: Reply | Fate, at: float) -> Answer:
-    if isinstance(said, Fate):
-        return Answer(said, attempts=0 if said in (Fate.TOO_LATE, Fate.CLOSED) else 1, sent_at=at)
-    return Answer(Fate.ANSWERED, said, attempts=1, sent_at=at, answered_at=at + 0.5)
+def answer_of(said: Reply | SendStatus, at: float) -> SendResult:
+    if isinstance(said, SendStatus):
+        return SendResult(
+            said, attempts=0 if said in (SendStatus.TOO_LATE, SendStatus.PORT_CLOSED) else 1, sent_at=at
+        )
+    return SendResult(SendStatus.RESPONDED, said, attempts=1, sent_at=at, answered_at=at + 0.5)
 
 
 def status(commanded: int, inputs: int = MASTER, outputs: int = REMOTE) -> StatusReply:
@@ -61,13 +64,13 @@ def status(commanded: int, inputs: int = MASTER, outputs: int = REMOTE) -> Statu
 @pytest.fixture
 def record() -> UnitRecord:
     roster = Roster([1], 0.0)
-    roster.heard(ReadParameter(1, 8), ParameterReply(1, 0), 0.0, b"")
+    roster.take_response(ReadParameter(1, 8), ParameterReply(1, 0), 0.0, b"")
     roster[1].reading = Reading(1, 0.0, 100, 100, 0, REMOTE, MASTER)
     return roster[1]
 
 
 def follower(record: UnitRecord) -> UnitRecord:
-    Roster.heard(_of(record), ReadParameter(1, 8), ParameterReply(1, 1), 0.0, b"")
+    Roster.take_response(_of(record), ReadParameter(1, 8), ParameterReply(1, 1), 0.0, b"")
     return record
 
 
@@ -78,15 +81,18 @@ def _of(record: UnitRecord) -> Roster:
 
 
 def set_speed(record: UnitRecord, dialect: Dialect = PLAIN) -> Procedure:
-    return writes.set_and_execute(record, 640, Wish(dialect))
+    return writes.set_and_execute(record, 640, CommandContext(dialect))
 
 
 def brain_of(
-    *, write: Reply | Fate = TAKEN, reads: list[Reply | Fate], ratio: Reply | Fate = Fate.SILENT
+    *,
+    write: Reply | SendStatus = TAKEN,
+    reads: list[Reply | SendStatus],
+    ratio: Reply | SendStatus = SendStatus.TIMED_OUT,
 ) -> Brain:
     left = list(reads)
 
-    def brain(request: Request) -> Reply | Fate:
+    def brain(request: Request) -> Reply | SendStatus:
         if isinstance(request, ReadStatus):
             return left.pop(0) if len(left) > 1 else left[0]
         return ratio if isinstance(request, ReadParameter) else write
@@ -109,7 +115,7 @@ def test_a_refusal_is_not_read_back(record: UnitRecord) -> None:
 
 
 def test_a_lost_acknowledgement_is_made_good_by_the_read_back(record: UnitRecord) -> None:
-    result, _ = play(set_speed(record), brain_of(write=Fate.SILENT, reads=[status(640)]))
+    result, _ = play(set_speed(record), brain_of(write=SendStatus.TIMED_OUT, reads=[status(640)]))
     assert result.outcome == "verified"
     assert "not acknowledged" in str(result.message)
 
@@ -142,14 +148,14 @@ def test_what_stands_above_the_setpoint_is_named(record: UnitRecord) -> None:
 
 
 def test_no_read_back_is_unverified(record: UnitRecord) -> None:
-    result, _ = play(set_speed(record), brain_of(reads=[Fate.SILENT]))
+    result, _ = play(set_speed(record), brain_of(reads=[SendStatus.TIMED_OUT]))
     assert (result.outcome, result.read_back) == ("unverified", None)
     assert str(result.message).endswith("it did not respond to the read-back: its state is not known")
 
 
 def test_nothing_sent_is_never_more_than_not_sent(record: UnitRecord) -> None:
-    for fate, outcome in ((Fate.TOO_LATE, "not_sent"), (Fate.CLOSED, "bus_closed")):
-        result, asked = play(set_speed(record), brain_of(write=fate, reads=[status(640)]))
+    for end, outcome in ((SendStatus.TOO_LATE, "not_sent"), (SendStatus.PORT_CLOSED, "bus_closed")):
+        result, asked = play(set_speed(record), brain_of(write=end, reads=[status(640)]))
         assert result.outcome == outcome
         assert len(asked) == 1, "a read-back by chance would prove nothing"
 
@@ -184,7 +190,7 @@ def test_where_a_followers_cs_is_the_ratio_it_is_compared(record: UnitRecord) ->
 
 
 def test_a_mode_changed_at_the_panel_is_noticed(record: UnitRecord) -> None:
-    def brain(request: Request) -> Reply | Fate:
+    def brain(request: Request) -> Reply | SendStatus:
         match request:
             case ReadStatus():
                 return status(640, FOLLOWER)
@@ -208,12 +214,12 @@ def test_a_staged_speed_is_acknowledged_at_best(record: UnitRecord) -> None:
 
 
 def test_execute_is_verified_only_where_it_is_known_what_was_staged(record: UnitRecord) -> None:
-    result, asked = play(writes.execute(record, Wish(PLAIN)), brain_of(reads=[status(640)]))
+    result, asked = play(writes.execute(record, CommandContext(PLAIN)), brain_of(reads=[status(640)]))
     assert (result.outcome, len(asked)) == ("acknowledged", 1)
     record.staged = 640
-    result, _ = play(writes.execute(record, Wish(PLAIN)), brain_of(reads=[status(640)]))
+    result, _ = play(writes.execute(record, CommandContext(PLAIN)), brain_of(reads=[status(640)]))
     assert (result.outcome, result.read_back) == ("verified", 640)
-    result, _ = play(writes.execute(record, Wish(PLAIN)), brain_of(reads=[status(630)]))
+    result, _ = play(writes.execute(record, CommandContext(PLAIN)), brain_of(reads=[status(630)]))
     assert result.outcome == "unverified"
 
 
@@ -239,89 +245,95 @@ def test_an_analog_output_is_acknowledged_at_best() -> None:
 # --- one question through its tries --------------------------------------------------------------
 
 
-def miss(request: Request) -> Heard:
-    return Heard(request, None, 1.0)
+def miss(request: Request) -> ExchangeResult:
+    return ExchangeResult(request, None, 1.0)
 
 
-def ask_until_over(asking: Asking, answers: Callable[[Request], bool], now: float = 0.0) -> list[Request]:
+def ask_until_over(
+    attempts: SendAttempts, answers: Callable[[Request], bool], now: float = 0.0
+) -> list[Request]:
     """Play it; ``answers`` says whether a request is answered. Every timeout leaves its doubt."""
-    doubt, sent = Doubt(1, PLAIN), []
-    while (request := asking.next_request(now, doubt)) is not None:
+    pending, sent = PendingResponses(1, PLAIN), []
+    while (request := attempts.next_request(now, pending)) is not None:
         sent.append(request)
-        doubt = doubt.sent(request)
+        pending = pending.sent(request)
         if answers(request):
-            asking.settle(Heard(request, status(1) if request == ReadStatus(1) else Ack(1), 1.0, 1.5))
-            doubt = Doubt(1, PLAIN)
+            attempts.settle(
+                ExchangeResult(request, status(1) if request == ReadStatus(1) else Ack(1), 1.0, 1.5)
+            )
+            pending = PendingResponses(1, PLAIN)
         else:
-            asking.settle(miss(request))
+            attempts.settle(miss(request))
     return sent
 
 
 def test_a_read_is_tried_three_times() -> None:
-    asking = Asking(Ask(ReadStatus(1)))
-    assert ask_until_over(asking, lambda _: False) == [ReadStatus(1)] * 3
-    assert asking.answer is not None
-    assert (asking.answer.fate, asking.answer.attempts) == (Fate.SILENT, 3)
+    attempts = SendAttempts(Send(ReadStatus(1)))
+    assert ask_until_over(attempts, lambda _: False) == [ReadStatus(1)] * 3
+    assert attempts.result is not None
+    assert (attempts.result.status, attempts.result.attempts) == (SendStatus.TIMED_OUT, 3)
 
 
 def test_a_write_is_tried_four_times_with_a_fence_before_each_try() -> None:
     write = SetAndExecuteSpeed(1, 640)
-    asking = Asking(Ask(write))
-    sent = ask_until_over(asking, lambda request: request != write)
+    attempts = SendAttempts(Send(write))
+    sent = ask_until_over(attempts, lambda request: request != write)
     assert sent == [write, ReadStatus(1)] * 3 + [write]
-    assert asking.answer is not None
-    assert asking.answer.attempts == 4
+    assert attempts.result is not None
+    assert attempts.result.attempts == 4
 
 
 def test_a_dead_unit_gets_the_write_once_and_then_only_reads() -> None:
     write = SetAndExecuteSpeed(1, 640)
-    asking = Asking(Ask(write))
-    sent = ask_until_over(asking, lambda _: False)
+    attempts = SendAttempts(Send(write))
+    sent = ask_until_over(attempts, lambda _: False)
     assert sent.count(write) == 1
     assert len(sent) == 4
 
 
 def test_a_write_never_leaves_after_its_deadline() -> None:
-    asking = Asking(Ask(SetAndExecuteSpeed(1, 640)), deadline=5.0)
-    assert asking.next_request(5.1, Doubt(1, PLAIN)) is None
-    assert asking.answer is not None
-    assert (asking.answer.fate, asking.answer.attempts) == (Fate.TOO_LATE, 0)
+    attempts = SendAttempts(Send(SetAndExecuteSpeed(1, 640)), deadline=5.0)
+    assert attempts.next_request(5.1, PendingResponses(1, PLAIN)) is None
+    assert attempts.result is not None
+    assert (attempts.result.status, attempts.result.attempts) == (SendStatus.TOO_LATE, 0)
 
 
 def test_its_retries_do_not_either() -> None:
     write = SetAndExecuteSpeed(1, 640)
-    asking = Asking(Ask(write), deadline=5.0)
-    assert asking.next_request(4.9, Doubt(1, PLAIN)) == write
-    asking.settle(miss(write))
-    assert asking.next_request(5.1, Doubt(1, PLAIN)) is None
-    assert asking.answer is not None
-    assert (asking.answer.fate, asking.answer.attempts) == (Fate.TOO_LATE, 1)
+    attempts = SendAttempts(Send(write), deadline=5.0)
+    assert attempts.next_request(4.9, PendingResponses(1, PLAIN)) == write
+    attempts.settle(miss(write))
+    assert attempts.next_request(5.1, PendingResponses(1, PLAIN)) is None
+    assert attempts.result is not None
+    assert (attempts.result.status, attempts.result.attempts) == (SendStatus.TOO_LATE, 1)
 
 
 def test_a_read_back_may_follow_the_deadline() -> None:
-    asking = Asking(Ask(ReadStatus(1), proves=True), deadline=5.0)
-    assert asking.next_request(9.0, Doubt(1, PLAIN)) == ReadStatus(1)
+    attempts = SendAttempts(Send(ReadStatus(1), fresh=True), deadline=5.0)
+    assert attempts.next_request(9.0, PendingResponses(1, PLAIN)) == ReadStatus(1)
 
 
 def test_a_proof_is_fenced_from_an_older_answer_of_its_own_kind() -> None:
-    doubt = Doubt(1, PLAIN).sent(ReadStatus(1))
-    fence = Asking(Ask(ReadStatus(1), proves=True)).next_request(0.0, doubt)
+    pending = PendingResponses(1, PLAIN).sent(ReadStatus(1))
+    fence = SendAttempts(Send(ReadStatus(1), fresh=True)).next_request(0.0, pending)
     assert isinstance(fence, ReadParameter)
 
 
 def test_a_later_poll_is_fenced_too_and_its_retry_is_not() -> None:
-    doubt = Doubt(1, PLAIN).sent(ReadStatus(1))
-    asking = Asking(Ask(ReadStatus(1)))
-    fence = asking.next_request(0.0, doubt)
+    pending = PendingResponses(1, PLAIN).sent(ReadStatus(1))
+    attempts = SendAttempts(Send(ReadStatus(1)))
+    fence = attempts.next_request(0.0, pending)
     assert isinstance(fence, ReadParameter)
-    assert not asking.settle(Heard(fence, Ack(1), 1.0, 1.5)), "a fence that was answered is no retry"
-    assert asking.next_request(0.0, Doubt(1, PLAIN)) == ReadStatus(1)
-    assert asking.settle(miss(ReadStatus(1))), "now it is tried again"
-    assert asking.next_request(0.0, doubt) == ReadStatus(1)
+    assert not attempts.settle(ExchangeResult(fence, Ack(1), 1.0, 1.5)), (
+        "a fence that was answered is no retry"
+    )
+    assert attempts.next_request(0.0, PendingResponses(1, PLAIN)) == ReadStatus(1)
+    assert attempts.settle(miss(ReadStatus(1))), "now it is tried again"
+    assert attempts.next_request(0.0, pending) == ReadStatus(1)
 
 
 def test_a_closed_port_ends_it() -> None:
-    asking = Asking(Ask(ReadStatus(1)))
-    asking.close()
-    assert asking.answer is not None
-    assert asking.answer.fate is Fate.CLOSED
+    attempts = SendAttempts(Send(ReadStatus(1)))
+    attempts.close()
+    assert attempts.result is not None
+    assert attempts.result.status is SendStatus.PORT_CLOSED

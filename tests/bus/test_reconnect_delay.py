@@ -20,7 +20,7 @@ from bus.reconnect_delay import (
     LONGEST_PAUSE_S,
     LONGEST_USEFUL_PAUSE_S,
     STABLE_S,
-    Backoff,
+    ReconnectDelay,
 )
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import REFUSED_PAUSE_S, Refused, Uplink
@@ -37,17 +37,17 @@ def middle() -> float:
 
 
 def test_the_pause_doubles_up_to_its_longest() -> None:
-    backoff = Backoff(middle)
+    backoff = ReconnectDelay(middle)
     assert [backoff.ended(0.0) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
 
 
 def test_what_is_of_use_in_between_is_tried_again_soon() -> None:
-    backoff = Backoff(middle)
+    backoff = ReconnectDelay(middle)
     assert [backoff.ended(1.0, useful=True) for _ in range(4)] == [0.5] * 4
 
 
 def test_what_lasted_has_worked() -> None:
-    backoff = Backoff(middle)
+    backoff = ReconnectDelay(middle)
     for _ in range(9):
         backoff.ended(0.0)
     assert backoff.ended(STABLE_S) == 0.0
@@ -56,16 +56,16 @@ def test_what_lasted_has_worked() -> None:
 
 @pytest.mark.parametrize("random", [0.0, 1.0])
 def test_many_do_not_come_back_together(random: float) -> None:
-    backoff = Backoff(lambda: random)
+    backoff = ReconnectDelay(lambda: random)
     assert backoff.ended(0.0) == pytest.approx(0.5 * (1 - JITTER + 2 * JITTER * random))
 
 
 def test_a_million_ends_are_worth_two_dozen_lines() -> None:
-    backoff = Backoff(middle)
+    backoff = ReconnectDelay(middle)
     lines = 0
     for _ in range(1_000_000):
         backoff.ended(0.0)
-        lines += backoff.is_worth_a_line
+        lines += backoff.is_worth_logging
     assert lines < 25
 
 

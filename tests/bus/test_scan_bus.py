@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable
 
 from bus.contract import FoundUnit, ParameterValue, Progress, Reading, Result, ScanBus, UnitLink
-from bus.simulator.faults import Kind
+from bus.simulator.faults import FaultKind
 from bus.simulator.memory import Memory
 from bus.simulator.section import Section
 from bus.simulator.unit import Unit
@@ -69,7 +69,7 @@ def told(line: VirtualLine) -> list[Progress]:
 def test_a_unit_whose_first_answer_was_lost_is_found() -> None:
     async def scene(line: VirtualLine) -> Result:
         await asyncio.sleep(2.0)
-        line.faults.set(Kind.DEAD, 1.0, unit=4)
+        line.faults.set(FaultKind.DEAD, 1.0, unit=4)
         scanning = asyncio.create_task(line.ask(ScanBus(1, 8), within_s=600.0))
         await line.until(lambda: any(each.unit == 5 for each in told(line)))
         line.faults.clear()
@@ -98,7 +98,7 @@ async def readings_in(line: VirtualLine, work: Awaitable[object]) -> float:
 
 def test_a_unit_that_answers_for_others_is_named() -> None:
     async def scene(line: VirtualLine) -> Result:
-        line.faults.set(Kind.EVERYBODY, 1.0, unit=2)
+        line.faults.set(FaultKind.EVERYBODY, 1.0, unit=2)
         return await scan(line)
 
     message = str(run(scene, 2, configured=2).message)
@@ -107,8 +107,8 @@ def test_a_unit_that_answers_for_others_is_named() -> None:
 
 def test_what_is_no_digimax_is_called_so() -> None:
     async def scene(line: VirtualLine) -> Result:
-        line.faults.set(Kind.WRONG_LENGTH, 1.0, unit=4)
-        line.faults.set(Kind.CORRUPT, 1.0, unit=5)
+        line.faults.set(FaultKind.WRONG_LENGTH, 1.0, unit=4)
+        line.faults.set(FaultKind.CORRUPT, 1.0, unit=5)
         return await scan(line)
 
     found = kinds(run(scene, PRESENT, configured=CONFIGURED))

@@ -23,9 +23,9 @@ from bus.contract import (
     Watch,
     encode,
 )
-from bus.line.statistics.diagnosis import UnitTrouble, answers_for_all, diagnose
+from bus.line.statistics.diagnosis import UnitSymptoms, answers_for_all, diagnose
 from bus.messages import Message
-from bus.simulator.faults import Kind
+from bus.simulator.faults import FaultKind
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
 
 ROOT = Path(__file__).parents[2]
@@ -143,7 +143,7 @@ def test_figures_come_every_second_and_say_what_the_wire_carries() -> None:
 def test_figures_name_the_one_unit_that_is_silent() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        line.faults.set(Kind.DEAD, 1.0, 2)
+        line.faults.set(FaultKind.DEAD, 1.0, 2)
         await asyncio.sleep(5.0)
         assert line.worker.poller.figures().diagnosis == [Message.of("diagnosis_one_silent", unit=2)]
 
@@ -201,12 +201,12 @@ def test_told_to_leave_it_takes_nothing_new_and_gives_up_what_waits() -> None:
 
 # --- diagnosis -----------------------------------------------------------------------------------
 
-WELL = [UnitTrouble(unit, answers=100) for unit in range(1, 6)]
+WELL = [UnitSymptoms(unit, answers=100) for unit in range(1, 6)]
 
 
-def ill(*units: int, **trouble: int) -> list[UnitTrouble]:
+def ill(*units: int, **failure: int) -> list[UnitSymptoms]:
     return [
-        UnitTrouble(each.unit, answers=each.answers, **trouble) if each.unit in units else each
+        UnitSymptoms(each.unit, answers=each.answers, **failure) if each.unit in units else each
         for each in WELL
     ]
 
@@ -239,7 +239,7 @@ ONE_SILENT = Message.of("diagnosis_one_silent", unit=3)
         (ill(5, says=3, offline=True), 0, 0, [Message.of("diagnosis_one_silent", unit=5)]),
     ],
 )
-def test_the_likely_cause(units: list[UnitTrouble], noise: int, echoes: int, causes: list[Message]) -> None:
+def test_the_likely_cause(units: list[UnitSymptoms], noise: int, echoes: int, causes: list[Message]) -> None:
     assert diagnose(units, noise, echoes) == causes
 
 
@@ -253,7 +253,7 @@ def test_the_likely_cause(units: list[UnitTrouble], noise: int, echoes: int, cau
         (ill(1, 2, late=20), 0),
         (ill(1, 2, 4, 5, late=8, timeouts=8), 0),
         ([*ill(1, 2, late=20)[:3], *ill(4, 5, offline=True)[3:]], 3),
-        ([UnitTrouble(1, answers=100, late=50), UnitTrouble(2, answers=100)], 0),
+        ([UnitSymptoms(1, answers=100, late=50), UnitSymptoms(2, answers=100)], 0),
     ],
     ids=[
         "well",
@@ -266,7 +266,7 @@ def test_the_likely_cause(units: list[UnitTrouble], noise: int, echoes: int, cau
         "of two nobody can tell",
     ],
 )
-def test_who_answers_to_every_address(units: list[UnitTrouble], found: int) -> None:
+def test_who_answers_to_every_address(units: list[UnitSymptoms], found: int) -> None:
     assert answers_for_all(units) == found
 
 
@@ -274,8 +274,8 @@ def test_who_answers_in_the_name_of_a_dead_unit_is_found_by_what_it_reads_as_its
     """No frame of it shows that: unit 3 gives the address that was asked."""
 
     async def scene(line: VirtualLine) -> None:
-        line.faults.set(Kind.DEAD, 1.0, 5)
-        line.faults.set(Kind.EVERYBODY, 1.0, 3)
+        line.faults.set(FaultKind.DEAD, 1.0, 5)
+        line.faults.set(FaultKind.EVERYBODY, 1.0, 3)
         cause = Message.of("diagnosis_other_name", units=[5], own=3)
         await line.until(lambda: line.readings(5) and cause in line.worker.poller.figures().diagnosis)
         assert {value.raw for value in line.parameters() if (value.unit, value.number) == (5, 17)} == {3}

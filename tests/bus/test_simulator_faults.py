@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.settings import Dialect
-from bus.simulator.faults import HUGE_BYTES, Faults, Kind, Piece
+from bus.simulator.faults import HUGE_BYTES, FaultKind, Faults, Piece
 from bus.wire.framing import FrameDecoder, Noise, ReceivedFrame, encode_frame
 
 BODY = bytes.fromhex("04 06 00 00 04 B0 00 00 04 AF 80 C0 43")
@@ -15,7 +15,7 @@ FRAME = encode_frame(BODY, Dialect())
 seeds = st.integers(0, 2**32)
 
 
-def spoilt(kind: Kind, seed: int) -> list[Piece]:
+def spoilt(kind: FaultKind, seed: int) -> list[Piece]:
     faults = Faults(seed)
     faults.set(kind, 1.0)
     return faults.spoil(4, FRAME, BODY)
@@ -38,31 +38,31 @@ def test_without_a_fault_an_answer_stays_what_it_is() -> None:
 
 @given(seeds)
 def test_lost(seed: int) -> None:
-    assert spoilt(Kind.LOST, seed) == []
+    assert spoilt(FaultKind.LOST, seed) == []
 
 
 @given(seeds)
 def test_late_and_slow_are_whole_answers_after_their_time(seed: int) -> None:
-    [late], [slow] = spoilt(Kind.LATE, seed), spoilt(Kind.SLOW, seed)
+    [late], [slow] = spoilt(FaultKind.LATE, seed), spoilt(FaultKind.SLOW, seed)
     assert late.data == slow.data == FRAME
     assert slow.delay < 0.05 < late.delay
 
 
 @given(seeds)
 def test_doubled(seed: int) -> None:
-    assert heard(spoilt(Kind.DOUBLED, seed)) == [BODY, BODY]
+    assert heard(spoilt(FaultKind.DOUBLED, seed)) == [BODY, BODY]
 
 
 @given(seeds)
 def test_foreign_is_a_good_frame_of_another_unit(seed: int) -> None:
-    [body] = heard(spoilt(Kind.FOREIGN, seed))
+    [body] = heard(spoilt(FaultKind.FOREIGN, seed))
     assert body[0] != BODY[0]
     assert body[1:] == BODY[1:]
 
 
 @given(seeds)
 def test_cut_and_corrupt_are_never_taken_for_an_answer(seed: int) -> None:
-    for kind in (Kind.CUT, Kind.CORRUPT):
+    for kind in (FaultKind.CUT, FaultKind.CORRUPT):
         [piece] = spoilt(kind, seed)
         assert piece.data != FRAME
         assert heard([piece]) == []
@@ -70,20 +70,20 @@ def test_cut_and_corrupt_are_never_taken_for_an_answer(seed: int) -> None:
 
 @given(seeds)
 def test_noise_leaves_the_answer_whole_beside_it(seed: int) -> None:
-    [piece] = spoilt(Kind.NOISE, seed)
+    [piece] = spoilt(FaultKind.NOISE, seed)
     assert len(piece.data) > len(FRAME)
     assert heard([piece]) == [BODY]
 
 
 @given(seeds)
 def test_wrong_length_is_a_good_frame_that_nothing_asked_for(seed: int) -> None:
-    [body] = heard(spoilt(Kind.WRONG_LENGTH, seed))
+    [body] = heard(spoilt(FaultKind.WRONG_LENGTH, seed))
     assert len(body) - 2 not in (0, 1, 2, 4, 11)
 
 
 @given(seeds)
 def test_huge_is_ten_thousand_bytes_that_hold_no_frame(seed: int) -> None:
-    [piece] = spoilt(Kind.HUGE, seed)
+    [piece] = spoilt(FaultKind.HUGE, seed)
     assert len(piece.data) > HUGE_BYTES
     assert heard([piece]) == []
 
@@ -96,8 +96,8 @@ def test_rubbish_never_frames(seed: int, count: int) -> None:
     assert all(isinstance(event, Noise) for event in events)
 
 
-@pytest.mark.parametrize("kind", Kind)
-def test_a_rate_is_a_rate_and_belongs_to_its_unit(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", FaultKind)
+def test_a_rate_is_a_rate_and_belongs_to_its_unit(kind: FaultKind) -> None:
     faults = Faults(3)
     faults.set(kind, 0.05, unit=7)
     assert sum(faults.strikes(kind, 7) for _ in range(4000)) == pytest.approx(200, abs=60)
@@ -106,19 +106,19 @@ def test_a_rate_is_a_rate_and_belongs_to_its_unit(kind: Kind) -> None:
 
 def test_a_fault_of_the_whole_line_strikes_every_unit_until_cleared() -> None:
     faults = Faults()
-    faults.set(Kind.LOST, 1.0)
-    assert faults.strikes(Kind.LOST, 3)
-    faults.set(Kind.LOST, 0.0)
-    assert not faults.strikes(Kind.LOST, 3)
-    faults.set(Kind.LATE, 1.0, unit=3)
+    faults.set(FaultKind.LOST, 1.0)
+    assert faults.strikes(FaultKind.LOST, 3)
+    faults.set(FaultKind.LOST, 0.0)
+    assert not faults.strikes(FaultKind.LOST, 3)
+    faults.set(FaultKind.LATE, 1.0, unit=3)
     faults.clear()
-    assert not faults.strikes(Kind.LATE, 3)
+    assert not faults.strikes(FaultKind.LATE, 3)
 
 
 def test_the_same_seed_has_the_same_bad_luck() -> None:
     def luck(seed: int) -> list[list[Piece]]:
         faults = Faults(seed)
-        for kind in Kind:
+        for kind in FaultKind:
             faults.set(kind, 0.1)
         return [faults.spoil(4, FRAME, BODY) for _ in range(200)]
 
@@ -128,5 +128,5 @@ def test_the_same_seed_has_the_same_bad_luck() -> None:
 
 def test_a_foreign_answer_can_carry_a_given_address() -> None:
     faults = Faults(foreign_address=99)
-    faults.set(Kind.FOREIGN, 1.0)
+    faults.set(FaultKind.FOREIGN, 1.0)
     assert heard(faults.spoil(4, FRAME, BODY)) == [b"\x63" + BODY[1:]]

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from bus.catalogue import numbers
 from bus.settings import Dialect
 from bus.simulator.demo import demo_line
-from bus.simulator.faults import Faults, Kind
+from bus.simulator.faults import FaultKind, Faults
 from bus.simulator.line import SimulatedLine
 from bus.simulator.memory import Mode
 from bus.simulator.pacer import WAKE_S, ReplyLine, RequestLine, byte_seconds
-from bus.simulator.record import Happened, Record
+from bus.simulator.record import Happened, WireRecord
 from bus.simulator.unit import ORDINARY, Traits
 from bus.wire.bodies import encode_request
 from bus.wire.commands import (
@@ -223,7 +223,7 @@ def test_two_units_at_one_address_garble_each_other() -> None:
 
 def test_a_dead_unit_neither_hears_nor_acts() -> None:
     there = host()
-    there.line.faults.set(Kind.DEAD, 1.0, unit=2)
+    there.line.faults.set(FaultKind.DEAD, 1.0, unit=2)
     assert there.ask(SetAndExecuteSpeed(2, 500)) == []
     assert there.line.plant.unit(2).commanded != 500
     assert len(there.ask(ReadStatus(1))) == 1
@@ -231,7 +231,7 @@ def test_a_dead_unit_neither_hears_nor_acts() -> None:
 
 def test_a_nak_out_of_nowhere_means_that_nothing_was_done() -> None:
     there = host()
-    there.line.faults.set(Kind.NAK, 1.0, unit=1)
+    there.line.faults.set(FaultKind.NAK, 1.0, unit=1)
     [body] = there.ask(SetAndExecuteSpeed(1, 500))
     assert body[:2] == bytes((1, 0x15))
     assert there.line.plant.unit(1).commanded != 500
@@ -239,20 +239,20 @@ def test_a_nak_out_of_nowhere_means_that_nothing_was_done() -> None:
 
 def test_a_lost_answer_was_a_write_all_the_same() -> None:
     there = host()
-    there.line.faults.set(Kind.LOST, 1.0)
+    there.line.faults.set(FaultKind.LOST, 1.0)
     assert there.ask(SetAndExecuteSpeed(1, 500)) == []
     assert there.line.plant.unit(1).commanded == 500
 
 
 def test_a_unit_may_take_every_address_for_its_own() -> None:
     there = host(1)
-    there.line.faults.set(Kind.EVERYBODY, 1.0, unit=1)
+    there.line.faults.set(FaultKind.EVERYBODY, 1.0, unit=1)
     assert [body[0] for body in there.ask(ReadStatus(9), ReadStatus(77))] == [9, 77]
 
 
 def test_an_echoing_adapter_gives_the_request_back_before_the_answer() -> None:
     there = host()
-    there.line.faults.set(Kind.ECHO, 1.0)
+    there.line.faults.set(FaultKind.ECHO, 1.0)
     echo, answer = there.ask(ReadStatus(2))
     assert echo == bytes((2, 0x81))
     assert answer[:2] == bytes((2, 6))
@@ -260,7 +260,7 @@ def test_an_echoing_adapter_gives_the_request_back_before_the_answer() -> None:
 
 def test_a_late_answer_comes_before_any_later_answer_of_that_unit() -> None:
     there = host()
-    there.line.faults.set(Kind.LATE, 1.0, unit=1)
+    there.line.faults.set(FaultKind.LATE, 1.0, unit=1)
     there.write(ReadStatus(1))
     there.wait(0.1)
     assert there.data == b""
@@ -270,7 +270,7 @@ def test_a_late_answer_comes_before_any_later_answer_of_that_unit() -> None:
 
 def test_a_flood_never_frames_and_ends() -> None:
     there = host()
-    there.line.faults.set(Kind.FLOOD, 1.0)
+    there.line.faults.set(FaultKind.FLOOD, 1.0)
     there.wait(1.0)
     assert len(there.data) == pytest.approx(960, abs=110)
     assert there.bodies() == []
@@ -312,7 +312,7 @@ def test_the_record_tells_what_was_asked_done_said_and_sent() -> None:
 def test_the_same_seed_gives_the_same_bytes_at_the_same_times() -> None:
     def course(seed: int) -> list[tuple[float, bytes]]:
         there = host(4, seed=seed, traits=Traits(turnaround_s=0.003))
-        for kind in Kind:
+        for kind in FaultKind:
             there.line.faults.set(kind, 0.05)
         for round_ in range(40):
             there.write(ReadStatus(round_ % 4 + 1), StageSpeed(round_ % 4 + 1, round_))
@@ -336,9 +336,9 @@ def test_what_is_due_at_a_wake_is_done_at_it(start: float) -> None:
 
 
 def test_the_record_is_bounded_and_its_numbers_go_on() -> None:
-    record = Record(deque(maxlen=5))
+    record = WireRecord(deque(maxlen=5))
     for moment in range(12):
         record.add(float(moment), Happened.CAME, 0, b"")
     assert [entry.number for entry in record.since()] == [8, 9, 10, 11, 12]
     assert [entry.number for entry in record.since(10)] == [11, 12]
-    assert list(record.since(12)) == list(Record().since()) == []
+    assert list(record.since(12)) == list(WireRecord().since()) == []

@@ -17,7 +17,7 @@ from bus.settings import Dialect
 from bus.simulator.control import Remote, SimulatorControl
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
-from bus.simulator.ports import Port, PtyPort, TcpPort
+from bus.simulator.ports import Port, PtyPort, TcpLinePort
 from bus.simulator.record import Happened
 from bus.simulator.serve import LineServer
 from bus.wire.bodies import encode_request, parse_reply
@@ -68,7 +68,7 @@ def served(port: Port, units: int = 2) -> LineServer:
 
 @pytest.fixture(params=["pty", "tcp"])
 def line(request: pytest.FixtureRequest) -> Iterator[LineServer]:
-    with served(PtyPort() if request.param == "pty" else TcpPort()) as server:
+    with served(PtyPort() if request.param == "pty" else TcpLinePort()) as server:
         yield server
 
 
@@ -143,7 +143,7 @@ def test_a_host_that_sets_no_speed_is_heard() -> None:
 
 
 def test_a_tcp_port_serves_one_host_at_a_time() -> None:
-    with served(TcpPort()) as line, opened(line.port.name) as first:
+    with served(TcpLinePort()) as line, opened(line.port.name) as first:
         assert ask(first, ReadStatus(1))
         second = opened(line.port.name)
         with pytest.raises(serial.SerialException):

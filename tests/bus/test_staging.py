@@ -8,7 +8,7 @@ import pytest
 
 from bus.catalogue import numbers
 from bus.contract import ExecuteAll, Progress, Result, SetLine, SetSpeed, Staged
-from bus.simulator.faults import Kind
+from bus.simulator.faults import FaultKind
 from bus.simulator.memory import Mode
 from bus.simulator.record import Happened
 from tests.bus.virtual_line import VirtualLine, run
@@ -74,7 +74,7 @@ def test_one_that_cannot_stops_it_before_the_broadcast(fault: str) -> None:
         if fault == "local":
             line.plant.unit(3).memory[numbers.CONTROL_MODE] = Mode.LOCAL
         elif fault == "dead":
-            line.faults.set(Kind.DEAD, 1.0, 3)
+            line.faults.set(FaultKind.DEAD, 1.0, 3)
         else:
             change[3] = line.plant.unit(3).highest + 1
         fate = await line.ask(SetLine(change))
@@ -120,7 +120,7 @@ def test_a_unit_known_to_be_local_is_asked_first_so_that_nothing_is_staged_in_va
 def test_a_silent_unit_that_may_hold_its_stage_is_named() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        line.faults.set(Kind.LOST, 1.0, 2)
+        line.faults.set(FaultKind.LOST, 1.0, 2)
         fate = await line.ask(SetLine(ALL))
         assert fate.outcome == "unverified"
         assert "may still be staged in unit 2" in str(fate.message)
@@ -202,7 +202,7 @@ def test_a_change_whose_time_runs_out_is_withdrawn() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         before = setpoints(line)
-        line.faults.set(Kind.LOST, 1.0, 3)
+        line.faults.set(FaultKind.LOST, 1.0, 3)
         fate = await line.ask(SetLine(ALL), timeout_s=0.12)
         assert fate.outcome in ("not_sent", "unverified")
         assert not heard(line, 0x83)
@@ -218,7 +218,7 @@ async def unit_2_misses_the_broadcast(line: VirtualLine, *, back: bool) -> Resul
     await settled(line)
     command = line.command(SetLine(ALL))
     await line.until(lambda: entered(line)[1] == 502)
-    line.faults.set(Kind.DEAD, 1.0, 2)
+    line.faults.set(FaultKind.DEAD, 1.0, 2)
     await line.until(lambda: setpoints(line)[0] == 501)
     if back:
         line.faults.clear()
@@ -362,7 +362,7 @@ def test_execute_all_with_a_silent_unit_is_unverified() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         await line.ask(SetSpeed(1, 601, execute=False))
-        line.faults.set(Kind.DEAD, 1.0, 3)
+        line.faults.set(FaultKind.DEAD, 1.0, 3)
         fate = await line.ask(ExecuteAll())
         assert fate.outcome == "unverified"
         assert by_unit(fate) == {1: "verified", 2: "verified", 3: "unverified", 4: "verified"}

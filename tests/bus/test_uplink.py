@@ -17,7 +17,7 @@ from bus.contract import (
     CONTRACT_VERSION,
     BusLink,
     Cancel,
-    Clock,
+    ClockSync,
     Command,
     Hello,
     Reading,
@@ -112,7 +112,7 @@ async def test_what_the_app_wants_reaches_the_desk() -> None:
     async with FakeApp() as app, linked(app) as (_, desk):
         await app.until(app.snapshots)
         command = Command("c", time.time() + 2, SetSpeed(1, 5))
-        for message in (Watch(units=[1]), Clock(app_time=time.time()), command, Cancel("c")):
+        for message in (Watch(units=[1]), ClockSync(app_time=time.time()), command, Cancel("c")):
             await app.say(message)
         await desk.until("c")
         assert [each for each in desk.asked if each != Watch(units=[])] == [Watch(units=[1]), command, "c"]

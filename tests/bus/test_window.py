@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus.line.exchange.window import LATE_S, LEAST_FRAME_GAP_S, LOOK_ONCE_MORE_S, Window
+from bus.line.exchange.window import LATE_S, LEAST_FRAME_GAP_S, RECHECK_S, Window
 from tests.bus.played_clock import PlayedClock
 
 BYTE_S = 0.001
@@ -57,7 +57,7 @@ def test_bytes_that_come_hold_it_open_but_not_past_the_last_moment() -> None:
     bench.window.open(100.05, 100.09)
     for step in range(100):
         bench.pass_time(step * BYTE_S)
-        bench.window.heard(bench.time, inside_frame=False)
+        bench.window.received(bench.time, inside_frame=False)
     bench.pass_time(1.0)
     assert bench.ended_at() == [0.09]
 
@@ -66,7 +66,7 @@ def test_an_answer_that_pauses_is_over() -> None:
     bench = Bench()
     bench.window.open(100.05, 100.09)
     bench.pass_time(0.049)
-    bench.window.heard(bench.time, inside_frame=False)
+    bench.window.received(bench.time, inside_frame=False)
     bench.pass_time(1.0)
     assert bench.ended_at() == [0.049 + QUIET_S]
 
@@ -92,7 +92,7 @@ def test_it_can_be_shortened_but_not_made_longer() -> None:
 
 def test_bytes_gather_until_they_are_wanted() -> None:
     bench = Bench()
-    bench.window.open(100.05, 100.09, hears_at=100.02)
+    bench.window.open(100.05, 100.09, listen_at=100.02)
     bench.pass_time(0.04)
     assert bench.listening == [(0.0, False), (0.02, True)]
     bench.pass_time(1.0)
@@ -101,7 +101,7 @@ def test_bytes_gather_until_they_are_wanted() -> None:
 
 def test_what_gathered_is_heard_when_the_exchange_is_over_before_that() -> None:
     bench = Bench()
-    bench.window.open(100.05, 100.09, hears_at=100.02)
+    bench.window.open(100.05, 100.09, listen_at=100.02)
     bench.pass_time(0.01)
     bench.window.close()
     assert bench.listening == [(0.0, False), (0.01, True)]
@@ -111,7 +111,7 @@ def test_an_earlier_alarm_does_not_wake_the_port() -> None:
     bench = Bench()
     bench.window.open(100.03, 100.03)
     bench.window.close()
-    bench.window.open(100.10, 100.14, hears_at=100.06)
+    bench.window.open(100.10, 100.14, listen_at=100.06)
     bench.pass_time(0.04)
     assert bench.listening == [(0.0, False)]
     bench.pass_time(1.0)
@@ -124,17 +124,17 @@ def test_a_stalled_process_looks_once_more_before_a_unit_is_silent() -> None:
     bench.window.open(100.05, 100.09)
     bench.pass_time(0.3, stalled_until=0.3)
     assert not bench.over
-    bench.pass_time(0.3 + LOOK_ONCE_MORE_S)
+    bench.pass_time(0.3 + RECHECK_S)
     assert bench.ended_at() == [0.301]
 
 
 def test_a_process_that_stalled_while_bytes_gathered_hears_them_first() -> None:
     bench = Bench()
-    bench.window.open(100.05, 100.09, hears_at=100.02)
+    bench.window.open(100.05, 100.09, listen_at=100.02)
     bench.pass_time(0.3, stalled_until=0.3)
     assert bench.listening[-1] == (0.3, True)
     assert not bench.over
-    bench.window.heard(bench.time, inside_frame=False)
+    bench.window.received(bench.time, inside_frame=False)
     bench.window.close()
     bench.pass_time(1.0)
     assert not bench.over
@@ -149,7 +149,7 @@ def test_a_little_late_is_not_late() -> None:
 
 def test_without_a_port_nothing_rings() -> None:
     bench = Bench()
-    bench.window.open(100.05, 100.09, hears_at=100.02)
+    bench.window.open(100.05, 100.09, listen_at=100.02)
     bench.window.attach(None, BYTE_S)
     bench.pass_time(1.0)
     assert not bench.over
@@ -160,9 +160,9 @@ def test_a_frame_may_pause_as_long_as_an_adapter_holds_bytes_back() -> None:
     bench = Bench()
     bench.window.open(100.05, 100.15)
     bench.pass_time(0.048)
-    bench.window.heard(bench.time, inside_frame=True)
+    bench.window.received(bench.time, inside_frame=True)
     bench.pass_time(0.064)
     assert bench.ended_at() == []
-    bench.window.heard(bench.time, inside_frame=True)
+    bench.window.received(bench.time, inside_frame=True)
     bench.pass_time(1.0)
     assert bench.ended_at() == [round(0.064 + LEAST_FRAME_GAP_S, 4)]

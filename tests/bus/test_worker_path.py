@@ -36,10 +36,10 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.simulator.demo import demo_line
-from bus.simulator.faults import Kind
+from bus.simulator.faults import FaultKind
 from bus.simulator.line import SimulatedLine
 from bus.simulator.memory import Mode
-from bus.simulator.ports import Port, PtyPort, TcpPort
+from bus.simulator.ports import Port, PtyPort, TcpLinePort
 from bus.simulator.record import Happened
 from bus.simulator.serve import LineServer
 from tests.bus.fake_app import TOKEN, FakeApp
@@ -50,7 +50,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(params=["pty"])
 def line(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[LineServer]:
-    port: Port = PtyPort(tmp_path / "by-id") if request.param == "pty" else TcpPort()
+    port: Port = PtyPort(tmp_path / "by-id") if request.param == "pty" else TcpLinePort()
     with LineServer(SimulatedLine(demo_line(UNITS, script=False).plant), port) as server:
         yield server
 
@@ -156,7 +156,7 @@ async def test_a_command_that_was_held_up_is_never_sent(line: LineServer, tmp_pa
 
 async def test_a_dead_unit_is_told_and_found_again(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
-        line.call(lambda simulated: simulated.faults.set(Kind.DEAD, 1.0, 2))
+        line.call(lambda simulated: simulated.faults.set(FaultKind.DEAD, 1.0, 2))
         await app.until(lambda: app.links(2)[-1:] == ["offline"])
         fate = await app.ask(SetSpeed(2, 640))
         assert fate.outcome == "unverified"
@@ -217,11 +217,11 @@ async def test_readings_are_kept_while_the_app_is_away(line: LineServer, tmp_pat
 
 async def test_a_killed_app_leaves_the_whole_new_line(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
-        asking = asyncio.create_task(app.ask(SetLine({1: 301, 2: 302, 3: 303}), command_id="whole"))
+        command = asyncio.create_task(app.ask(SetLine({1: 301, 2: 302, 3: 303}), command_id="whole"))
         await app.until(lambda: any(getattr(update, "id", "") == "whole" for update in app.updates()))
         await app.stop()
         await app.start()
-        await asyncio.wait_for(asking, 10)
+        await asyncio.wait_for(command, 10)
         assert app.fates("whole")[0].outcome == "verified"
         setpoints = line.call(lambda simulated: [unit.setpoint for unit in simulated.plant.units])
         assert setpoints == [301, 302, 303]
@@ -251,11 +251,11 @@ async def test_a_snapshot_is_said_again_when_asked_for(line: LineServer, tmp_pat
 
 async def test_a_waiting_command_can_be_given_up(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
-        line.call(lambda simulated: simulated.faults.set(Kind.DEAD, 1.0, 2))
-        asking = asyncio.create_task(app.ask(ReadParameters(1, urgent=False), command_id="slow"))
+        line.call(lambda simulated: simulated.faults.set(FaultKind.DEAD, 1.0, 2))
+        command = asyncio.create_task(app.ask(ReadParameters(1, urgent=False), command_id="slow"))
         await app.until(lambda: any(getattr(update, "id", "") == "slow" for update in app.updates()))
         await app.say(Cancel("slow"))
-        fate = await asking
+        fate = await command
         assert fate.outcome in ("unverified", "not_sent")
 
 

@@ -21,7 +21,7 @@ from bus.contract import (
     Update,
 )
 from bus.errors import WireError
-from bus.line.clock import Alarm
+from bus.line.clock import Timer
 from bus.line.port.open_port import OpenPort, Receiver
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
@@ -88,7 +88,7 @@ class VirtualClock:
     def settle(self) -> None:
         """Nobody sets this clock."""
 
-    def call_at(self, when: float, callback: Callable[[], None]) -> Alarm:
+    def call_at(self, when: float, callback: Callable[[], None]) -> Timer:
         return self._loop.call_at(when, callback)
 
 

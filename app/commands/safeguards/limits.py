@@ -10,6 +10,7 @@ import sqlite3
 from dataclasses import astuple, dataclass
 
 from app.database import Database
+from bus.messages import Message, listed, term
 
 HIGHEST_SETPOINT = 99999
 """Manual, command 82h."""
@@ -24,18 +25,23 @@ class Limits:
     largest_step: int | None = None
     per_minute: int | None = None
 
-    def __str__(self) -> str:
+    @property
+    def message(self) -> Message:
+        """Those that there are."""
         said = [
-            f"{name} {limit}"
-            for name, limit in (
-                ("lowest", self.lowest),
-                ("highest", self.highest),
-                ("largest step", self.largest_step),
-                ("within a minute", self.per_minute),
+            Message(code, {"value": limit})
+            for code, limit in (
+                ("limit_lowest", self.lowest),
+                ("limit_highest", self.highest),
+                ("limit_largest_step", self.largest_step),
+                ("limit_per_minute", self.per_minute),
             )
             if limit is not None
         ]
-        return ", ".join(said) or "none"
+        return listed(said) if said else term("none")
+
+    def __str__(self) -> str:
+        return str(self.message)
 
 
 NO_LIMITS = Limits()

@@ -65,7 +65,9 @@ class Safeguards:
         """Replace the limits of a unit."""
         before = self.limits.of(bus, unit)
         await self.limits.put(bus, unit, limits, person.name, self._now())
-        await self._record("limits", person, bus, unit, "limits of the speed", str(before), str(limits))
+        await self._record(
+            "limits", person, bus, unit, Message("event_limits_changed"), before.message, limits.message
+        )
 
     async def block(self, person: Person, bus: str, unit: int, reason: str) -> None:
         """Refuse every write to a unit from now on."""
@@ -73,7 +75,7 @@ class Safeguards:
         await self.blocks.put(bus, unit, CommandBlock(reason, person.name, self._now()))
         self._tell_of_block(bus, unit)
         old = before.reason if before is not None else None
-        await self._record("block", person, bus, unit, "unit blocked", old, reason)
+        await self._record("block", person, bus, unit, Message("event_unit_blocked"), old, reason)
 
     async def lift(self, person: Person, bus: str, unit: int) -> None:
         """Free a unit. Nothing happens to one that is free."""
@@ -82,7 +84,7 @@ class Safeguards:
             return
         await self.blocks.lift(bus, unit)
         self._tell_of_block(bus, unit)
-        await self._record("block", person, bus, unit, "block lifted", before.reason, None)
+        await self._record("block", person, bus, unit, Message("event_block_lifted"), before.reason, None)
 
     def holding(self, bus: str) -> Holding | None:
         """Who holds control of a line now, if anybody."""
@@ -102,7 +104,9 @@ class Safeguards:
         except ControlledError as error:
             raise _controlled(error) from error
         if before is None:
-            await self._record("control", person, bus, None, "control taken", None, person.account)
+            await self._record(
+                "control", person, bus, None, Message("event_control_taken"), None, person.account
+            )
         return holding
 
     async def hand_over(self, person: Person, bus: str, to: str) -> Holding:
@@ -116,7 +120,7 @@ class Safeguards:
         except ControlledError as error:
             raise _controlled(error) from error
         old = before.holder if before is not None else None
-        await self._record("control", person, bus, None, "control handed over", old, to)
+        await self._record("control", person, bus, None, Message("event_control_handed_over"), old, to)
         return holding
 
     async def _who_may_hold(self, person: Person, to: str) -> str:
@@ -134,7 +138,9 @@ class Safeguards:
             self.control.release(bus, person.account, self._now())
         except ControlledError as error:
             raise _controlled(error) from error
-        await self._record("control", person, bus, None, "control given back", person.account, None)
+        await self._record(
+            "control", person, bus, None, Message("event_control_given_back"), person.account, None
+        )
 
     async def release_all_of(self, account: str) -> None:
         """Somebody is signed in nowhere any more, or may do less: whatever they held is free."""
@@ -142,7 +148,7 @@ class Safeguards:
         for bus in self.control.release_all_of(account, self._now()):
             await self._events.record(
                 kind="control",
-                what="control given back",
+                what=Message("event_control_given_back"),
                 who=who,
                 origin="token" if is_token else "",
                 bus=bus,
@@ -160,9 +166,9 @@ class Safeguards:
         person: Person,
         bus: str,
         unit: int | None,
-        what: str,
-        old: str | None,
-        new: str | None,
+        what: Message,
+        old: str | Message | None,
+        new: str | Message | None,
     ) -> None:
         await self._events.record(
             kind=kind, who=person.name, origin=person.via, bus=bus, unit=unit, what=what, old=old, new=new

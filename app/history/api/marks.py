@@ -12,7 +12,7 @@ from app.history.service import seconds
 MOST = 500
 KINDS = frozenset({"command", "mode", "estop", "run", "unit", "bus", "worker", "server", "clock"})
 """What explains a curve. Who signed in does not."""
-_SHOWN = ("id", "kind", "what", "who", "bus", "unit", "old", "new", "outcome")
+_SHOWN = ("id", "kind", "what", "who", "bus", "unit", "old", "new", "outcome", "messages")
 
 
 async def collect_marks(events: EventLog, span: Span, units: list[str]) -> tuple[list[dict[str, Any]], bool]:

@@ -147,7 +147,12 @@ async def get_marks(
     language = templates.language_of(request)
     say = templates.formats(language.tag).sentence
     for mark in marks:
-        mark["shown"] = {name: say(language.t(mark[name])) for name in ("what", "old", "new") if mark[name]}
+        messages = mark.pop("messages")
+        mark["shown"] = {
+            name: say(language.t(messages.get(name, mark[name])))
+            for name in ("what", "old", "new")
+            if mark[name]
+        }
     return await json_response(lambda: {"marks": marks, "more": more})
 
 

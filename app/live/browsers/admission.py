@@ -1,6 +1,6 @@
-"""How many pages one account, or one address, may have open at a time, and how quickly it may open them.
+"""How many pages one account, or one address, may have open at a time.
 
-Pure: the time is passed in. Beyond the limit the newest is refused; to close an older page in its place would
+Beyond the limit the newest is refused; to close an older page in its place would
 make two browsers that reconnect by themselves push each other out without end.
 """
 
@@ -8,15 +8,10 @@ from __future__ import annotations
 
 from collections import Counter
 
-from bus.bucket import Bucket
-
 MOST_OF_ACCOUNT = 256
 """A browser opens no more WebSockets to one server than 255."""
 MOST_OF_ADDRESS = 512
 """The browsers of a plant may share one address."""
-OPENED_A_SECOND = 20.0
-MOST_OPENED_AT_ONCE = 300
-"""All pages come back at once after a restart."""
 
 
 class Admission:
@@ -25,13 +20,10 @@ class Admission:
     def __init__(self) -> None:
         self._by_account: Counter[str] = Counter()
         self._by_address: Counter[str] = Counter()
-        self._openings: dict[str, Bucket] = {}
 
-    def enter(self, account: str, address: str, now: float) -> bool:
+    def enter(self, account: str, address: str) -> bool:
         """Count one more page, unless it is one too many. ``address``: as `source_of` names it."""
-        is_full = self._by_account[account] >= MOST_OF_ACCOUNT or self._by_address[address] >= MOST_OF_ADDRESS
-        bucket = self._openings.setdefault(account, Bucket(OPENED_A_SECOND, MOST_OPENED_AT_ONCE))
-        if not bucket.take(now) or is_full:
+        if self._by_account[account] >= MOST_OF_ACCOUNT or self._by_address[address] >= MOST_OF_ADDRESS:
             return False
         self._by_account[account] += 1
         self._by_address[address] += 1

@@ -20,6 +20,7 @@ from app.live.browsers.hub import Hub
 from app.server.addresses import source_of
 from app.server.frames import outlet_of
 from app.web.access import Person, Role, Viewer
+from app.web.problems import refuse_socket
 from app.web.services import service_of
 from app.web.templating import templates_of
 from bus.bucket import Bucket
@@ -52,8 +53,10 @@ _decoder = msgspec.json.Decoder(PageMessage)
 async def live(websocket: WebSocket, person: Viewer, language: str = "") -> None:
     """One page from its opening to its end. ``language``: the page's own, so that both are the same."""
     hub, address = service_of(websocket, Hub), source_of(websocket.client.host if websocket.client else "")
-    if not hub.admission.enter(person.account, address, time.monotonic()):
-        raise Problem(429, "too_many", Message("too_many_pages")).with_headers(Retry_After="10")
+    if not hub.admission.enter(person.account, address):
+        problem = Problem(429, "too_many", Message("too_many_pages"))
+        await refuse_socket(websocket, problem.with_headers(Retry_After="10"))
+        return
     try:
         await _serve(websocket, person, language, hub)
     finally:
@@ -81,8 +84,12 @@ async def _serve(websocket: WebSocket, person: Person, language: str, hub: Hub) 
 async def _write(websocket: WebSocket, browser: Browser) -> None:
     with suppress(WebSocketDisconnect, RuntimeError):
         while True:
-            for text in await browser.next():
-                await websocket.send_text(text)
+            await _send(websocket, await browser.next())
+
+
+async def _send(websocket: WebSocket, texts: list[str]) -> None:
+    for text in texts:
+        await websocket.send_text(text)
 
 
 async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
@@ -91,15 +98,23 @@ async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
     snapshots = Bucket(SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE)
     while True:
         async with asyncio.timeout(SILENCE_ENDS_S):
-            said = _decoder.decode(await websocket.receive_text())
+            text = await websocket.receive_text()
         if not messages.take(time.monotonic()):
             await asyncio.sleep(1 / MESSAGES_A_SECOND)
-        may_trace = Role(browser.role).includes(Role.ENGINEER)
-        hub.follow(browser, frozenset(_unit(key) for key in said.units), said.trace if may_trace else "")
-        if said.want == "snapshot":
+        wants_snapshot = _follow(hub, browser, text)
+        del text  # up to 32 KiB of each open page, until its next message
+        if wants_snapshot:
             if not snapshots.take(time.monotonic()):
                 await asyncio.sleep(1 / SNAPSHOTS_A_SECOND)
             hub.send_snapshot(browser)
+
+
+def _follow(hub: Hub, browser: Browser, text: str) -> bool:
+    """Follow what a page asks for; whether it wants a snapshot too. Raises msgspec.DecodeError."""
+    said = _decoder.decode(text)
+    may_trace = Role(browser.role).includes(Role.ENGINEER)
+    hub.follow(browser, frozenset(_unit(key) for key in said.units), said.trace if may_trace else "")
+    return said.want == "snapshot"
 
 
 def _unit(key: str) -> tuple[str, int]:

@@ -22,8 +22,8 @@ from bus.contract import (
 )
 from bus.contract.durations import stage_s
 from bus.line.commands import change_baud, reads, scan_bus, staging, writes
-from bus.line.commands.command_run import EVERY_UNIT, NO_UNIT, Claim, Errand
-from bus.line.commands.procedure import Procedure, Wish
+from bus.line.commands.command_run import EVERY_UNIT, NO_UNIT, CommandRun, Priority
+from bus.line.commands.procedure import CommandContext, Procedure
 from bus.line.poller import Poller
 
 A = TypeVar("A", bound=Action)
@@ -33,52 +33,52 @@ A = TypeVar("A", bound=Action)
 class LineCommand(Generic[A]):
     """``procedure`` carries it out and proves it; it is made when its turn has come."""
 
-    procedure: Callable[[Poller, A, Wish], Procedure]
-    claim: Callable[[A], Claim] = lambda _: Claim.WRITE
+    procedure: Callable[[Poller, A, CommandContext], Procedure]
+    priority: Callable[[A], Priority] = lambda _: Priority.WRITE
 
 
-def _set_speed(poller: Poller, action: SetSpeed, command: Wish) -> Procedure:
+def _set_speed(poller: Poller, action: SetSpeed, command: CommandContext) -> Procedure:
     record = poller.roster[action.unit]
     if action.execute:
         return writes.set_and_execute(record, action.raw, command)
     return writes.stage(record, action.raw)
 
 
-def _execute_speed(poller: Poller, action: ExecuteSpeed, command: Wish) -> Procedure:
+def _execute_speed(poller: Poller, action: ExecuteSpeed, command: CommandContext) -> Procedure:
     return writes.execute(poller.roster[action.unit], command)
 
 
-def _execute_all(poller: Poller, _: ExecuteAll, command: Wish) -> Procedure:
+def _execute_all(poller: Poller, _: ExecuteAll, command: CommandContext) -> Procedure:
     return staging.execute_all(poller.roster, command)
 
 
-def _set_line(poller: Poller, action: SetLine, command: Wish) -> Procedure:
+def _set_line(poller: Poller, action: SetLine, command: CommandContext) -> Procedure:
     return staging.set_line(poller.roster, action.setpoints, command)
 
 
-def _write_output(_: Poller, action: WriteOutput, _command: Wish) -> Procedure:
+def _write_output(_: Poller, action: WriteOutput, _command: CommandContext) -> Procedure:
     return writes.write_output(action.unit, action.number, action.on)
 
 
-def _write_analog_output(_: Poller, action: WriteAnalogOutput, _command: Wish) -> Procedure:
+def _write_analog_output(_: Poller, action: WriteAnalogOutput, _command: CommandContext) -> Procedure:
     return writes.write_analog_output(action.unit, action.raw)
 
 
-def _write_parameter(_: Poller, action: WriteParameter, _command: Wish) -> Procedure:
+def _write_parameter(_: Poller, action: WriteParameter, _command: CommandContext) -> Procedure:
     return writes.write_parameter(action.unit, action.number, action.raw)
 
 
-def _read_parameters(poller: Poller, action: ReadParameters, command: Wish) -> Procedure:
+def _read_parameters(poller: Poller, action: ReadParameters, command: CommandContext) -> Procedure:
     return reads.read_parameters(poller.roster[action.unit], action.numbers, command)
 
 
-def _change_baud(poller: Poller, action: ChangeBaud, command: Wish) -> Procedure:
+def _change_baud(poller: Poller, action: ChangeBaud, command: CommandContext) -> Procedure:
     own_rate = "://" not in poller.bus.port
     return change_baud.change_baud(poller.roster, poller.baud, action.baud, command, own_rate=own_rate)
 
 
-def _scan_bus(poller: Poller, action: ScanBus, command: Wish) -> Procedure:
-    pace = scan_bus.Pace(poller.baud, poller.bus.turnaround_s)
+def _scan_bus(poller: Poller, action: ScanBus, command: CommandContext) -> Procedure:
+    pace = scan_bus.ScanPace(poller.baud, poller.bus.turnaround_s)
     return scan_bus.survey(poller.roster, action.first, action.last, pace, command)
 
 
@@ -90,31 +90,33 @@ COMMANDS: dict[type[Action], LineCommand[Any]] = {
     WriteOutput: LineCommand(_write_output),
     WriteAnalogOutput: LineCommand(_write_analog_output),
     WriteParameter: LineCommand(_write_parameter),
-    ReadParameters: LineCommand(_read_parameters, lambda read: Claim.READ if read.urgent else Claim.SLOW),
+    ReadParameters: LineCommand(
+        _read_parameters, lambda read: Priority.READ if read.urgent else Priority.SLOW
+    ),
     ChangeBaud: LineCommand(_change_baud),
-    ScanBus: LineCommand(_scan_bus, lambda _: Claim.SLOW),
+    ScanBus: LineCommand(_scan_bus, lambda _: Priority.SLOW),
 }
 
 
-def errand_of(poller: Poller, command_id: str, action: Action, deadline: float) -> Errand | None:
+def command_run_of(poller: Poller, command_id: str, action: Action, deadline: float) -> CommandRun | None:
     """A command with its claim on the wire and its procedure; None for an action that is not for the wire.
     ``deadline`` on the line's clock."""
     row = COMMANDS.get(type(action))
     if row is None:
         return None
-    command = Wish(
+    command = CommandContext(
         poller.bus.dialect,
         time_left_s=deadline - poller.clock.now(),
         exchange_s=stage_s(poller.baud),
     )
-    return Errand(
+    return CommandRun(
         command_id,
-        row.claim(action),
+        row.priority(action),
         _units_claimed(action),
         deadline,
         command,
         lambda: row.procedure(poller, action, command),
-        lambda step: poller.note(command_id, step),
+        lambda step: poller.apply(command_id, step),
     )
 
 

@@ -9,25 +9,36 @@ said where even that fails.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 
 from bus.catalogue.numbers import BAUD_RATE
 from bus.contract import Outcome, Result, UnitOutcome
 from bus.errors import unit_refused
-from bus.line.commands.procedure import Answer, Ask, Expect, Fate, Procedure, Retune, Step, Tell, Wish
-from bus.line.commands.readback import ask, read_parameter
+from bus.line.commands.procedure import (
+    CommandContext,
+    ExpectBaud,
+    Procedure,
+    ReportProgress,
+    Retune,
+    Subprocedure,
+    send,
+)
+from bus.line.commands.readback import read_parameter
+from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import Roster
 from bus.messages import Message
 from bus.settings import BAUDS
 from bus.wire.commands import ReadStatus, WriteParameter
 
 HUNDREDS = 100
-LOOKS = 2
+READ_ATTEMPTS = 2
 
-Units = Generator[Step, Answer | None, set[int]]
+UnitsFound = Subprocedure[set[int]]
 
 
-def change_baud(roster: Roster, old: int, new: int, wish: Wish, *, own_rate: bool = True) -> Procedure:
+def change_baud(
+    roster: Roster, old: int, new: int, context: CommandContext, *, own_rate: bool = True
+) -> Procedure:
     """From ``old``, the present rate, to ``new``. ``own_rate``: the port's rate can be set from here."""
     if not own_rate:
         return _result("invalid", Message("baud_of_device_server"))
@@ -35,23 +46,25 @@ def change_baud(roster: Roster, old: int, new: int, wish: Wish, *, own_rate: boo
         rates: list[int | str | Message] = [rate for rate in BAUDS if rate != old]
         return _result("invalid", Message.of("baud_not_possible", baud=old, rates=rates))
     units = roster.configured
-    change = _Change(roster, units, old, new, wish)
+    change = _Change(roster, units, old, new, context)
     return (yield from change.run())
 
 
 class _Change:
-    def __init__(self, roster: Roster, units: Sequence[int], old: int, new: int, wish: Wish) -> None:
+    def __init__(
+        self, roster: Roster, units: Sequence[int], old: int, new: int, context: CommandContext
+    ) -> None:
         self._roster = roster
         self._units = units
         self._old = old
         self._new = new
-        self._wish = wish
+        self._wish = context
 
     def run(self) -> Procedure:
-        trouble = yield from self._write_all()
-        if trouble is not None:
-            return (yield from self._go_back(*trouble))
-        yield Tell("proving", None, 0, len(self._units))
+        failure = yield from self._write_all()
+        if failure is not None:
+            return (yield from self._go_back(*failure))
+        yield ReportProgress("proving", None, 0, len(self._units))
         at_old = yield from self._answering(self._units)
         if at_old == set(self._units):
             return (yield from self._at_power_up())
@@ -68,21 +81,21 @@ class _Change:
 
     # --- forth ---------------------------------------------------------------------------------
 
-    def _write_all(self) -> Generator[Step, Answer | None, tuple[Outcome, Message] | None]:
+    def _write_all(self) -> Subprocedure[tuple[Outcome, Message] | None]:
         for done, unit in enumerate(self._likely_refusals_first()):
-            yield Tell("sent", unit, done, len(self._units))
-            answer = yield from ask(Ask(WriteParameter(unit, BAUD_RATE, self._new // HUNDREDS)))
-            if answer.refusal is not None:
-                return "refused", unit_refused(unit, answer.refusal)
-            if answer.fate is not Fate.ANSWERED and not (yield from self._took_it_unheard(unit, answer)):
+            yield ReportProgress("sent", unit, done, len(self._units))
+            sent = yield from send(Send(WriteParameter(unit, BAUD_RATE, self._new // HUNDREDS)))
+            if sent.refusal is not None:
+                return "refused", unit_refused(unit, sent.refusal)
+            if sent.status is not SendStatus.RESPONDED and not (yield from self._took_it_unheard(unit, sent)):
                 return "unverified", Message.of("unit_no_acknowledgement", unit=unit)
             if self._wish.cancelled:
                 return "not_sent", Message("canceled")
         return None
 
-    def _took_it_unheard(self, unit: int, answer: Answer) -> Generator[Step, Answer | None, bool]:
+    def _took_it_unheard(self, unit: int, sent: SendResult) -> Subprocedure[bool]:
         """A unit that changes at once may say its ACK at the new rate already."""
-        if answer.attempts == 0:
+        if sent.attempts == 0:
             return False
         yield Retune(self._new)
         found = yield from self._answering([unit])
@@ -92,12 +105,12 @@ class _Change:
     def _likely_refusals_first(self) -> list[int]:
         return sorted(self._units, key=lambda unit: self._roster[unit].link.link == "online")
 
-    def _answering(self, units: Sequence[int]) -> Units:
+    def _answering(self, units: Sequence[int]) -> UnitsFound:
         """Which of ``units`` answer at the present rate."""
         found: set[int] = set()
         for unit in units:
-            answer = yield from ask(Ask(ReadStatus(unit), proves=True, most_tries=LOOKS))
-            if answer.fate is Fate.ANSWERED:
+            sent = yield from send(Send(ReadStatus(unit), fresh=True, max_attempts=READ_ATTEMPTS))
+            if sent.status is SendStatus.RESPONDED:
                 found.add(unit)
         return found
 
@@ -106,7 +119,7 @@ class _Change:
         if missing:
             message = Message.of("baud_readback_differs", units=_listed(missing), baud=self._new)
             return _result("unverified", message, self._outcomes(missing))
-        yield Expect(self._new)
+        yield ExpectBaud(self._new)
         return _result("verified", Message.of("baud_changed", baud=self._new), self._outcomes([]))
 
     def _at_power_up(self) -> Procedure:
@@ -114,11 +127,11 @@ class _Change:
         if missing:
             reason = Message.of("baud_not_held", units=_listed(missing))
             return (yield from self._go_back("unverified", reason))
-        yield Expect(self._new)
+        yield ExpectBaud(self._new)
         message = Message.of("baud_at_power_up", baud=self._new, present=self._old)
         return _result("verified", message, self._outcomes([]))
 
-    def _not_holding(self, units: Sequence[int], baud: int) -> Generator[Step, Answer | None, list[int]]:
+    def _not_holding(self, units: Sequence[int], baud: int) -> Subprocedure[list[int]]:
         missing = []
         for unit in units:
             raw, _ = yield from read_parameter(unit, BAUD_RATE)
@@ -137,7 +150,7 @@ class _Change:
         answering = yield from self._answering(self._units)
         missing = yield from self._not_holding(sorted(answering), self._old)
         lost = sorted({*missing, *(set(self._units) - answering)})
-        yield Expect(self._old)
+        yield ExpectBaud(self._old)
         if not lost:
             message = Message.of("baud_restored", reason=reason, baud=self._old)
         else:
@@ -151,12 +164,12 @@ class _Change:
             )
         return _result(outcome, message, self._outcomes(lost))
 
-    def _write_old(self, units: Sequence[int]) -> Generator[Step, Answer | None, None]:
+    def _write_old(self, units: Sequence[int]) -> Subprocedure[None]:
         for unit in units:
             here = yield from self._answering([unit])
             if here:
                 request = WriteParameter(unit, BAUD_RATE, self._old // HUNDREDS)
-                yield from ask(Ask(request, withdraws=True, most_tries=LOOKS))
+                yield from send(Send(request, withdraws=True, max_attempts=READ_ATTEMPTS))
 
     def _outcomes(self, bad: Sequence[int]) -> list[UnitOutcome]:
         return [

@@ -7,14 +7,15 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from bus.contract import Result
-from bus.line.commands.procedure import Answer, Ask, Note, Procedure, Wait, Wish
-from bus.line.exchange.attempts import Asking, Heard
-from bus.line.statistics.trace import Passed
+from bus.line.commands.procedure import CommandContext, LineEffect, Procedure, Wait
+from bus.line.exchange.send import Send, SendResult
+from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
+from bus.line.statistics.trace import TracedFrame
 from bus.wire.commands import Request
-from bus.wire.fence import Doubt
+from bus.wire.fence import PendingResponses
 
 
-class Claim(IntEnum):
+class Priority(IntEnum):
     """Who comes first."""
 
     WRITE = 0
@@ -28,22 +29,22 @@ NO_UNIT: frozenset[int] = frozenset()
 
 
 @dataclass(eq=False)
-class Errand:
+class CommandRun:
     """``begin`` makes the procedure when its turn has come. ``units``: those nobody else may write to."""
 
     id: str
-    claim: Claim
+    priority: Priority
     units: frozenset[int]
     deadline: float
     """On the line's clock."""
-    wish: Wish
+    context: CommandContext
     begin: Callable[[], Procedure]
-    notes: Callable[[Note], None]
+    on_effect: Callable[[LineEffect], None]
     """Hears what the procedure tells on its way."""
-    frames: list[Passed] = field(default_factory=list)
+    frames: list[TracedFrame] = field(default_factory=list)
     resume_at: float = 0.0
     result: Result | None = None
-    asking: Asking | None = None
+    attempts: SendAttempts | None = None
     _procedure: Procedure | None = None
 
     @property
@@ -51,33 +52,33 @@ class Errand:
         """Whether its turn has come."""
         return self._procedure is not None
 
-    def conflicts_with(self, other: Errand) -> bool:
+    def conflicts_with(self, other: CommandRun) -> bool:
         """Whether the two must not be mixed."""
         return not self.units.isdisjoint(other.units)
 
-    def next_request(self, now: float, doubt_of: Callable[[int], Doubt]) -> Request | None:
+    def next_request(self, now: float, pending_of: Callable[[int], PendingResponses]) -> Request | None:
         """What it wants sent now; None while it waits, and once ``result`` is there."""
         if self._procedure is None:
             self._procedure = self.begin()
             self._advance(None, now)
         while self.result is None:
-            if self.asking is None:
+            if self.attempts is None:
                 if now < self.resume_at:
                     return None
                 self._advance(None, now)
                 continue
-            request = self.asking.next_request(now, doubt_of(self.asking.ask.request.unit))
+            request = self.attempts.next_request(now, pending_of(self.attempts.send.request.unit))
             if request is not None:
                 return request
-            self._advance(self._taken_answer(), now)
+            self._advance(self._take_result(), now)
         return None
 
-    def settle(self, heard: Heard, now: float) -> bool:
+    def settle(self, exchange: ExchangeResult, now: float) -> bool:
         """Its exchange is over; whether it is tried again, as nobody answered."""
-        assert self.asking is not None
-        again = self.asking.settle(heard)
-        if self.asking.answer is not None:
-            self._advance(self._taken_answer(), now)
+        assert self.attempts is not None
+        again = self.attempts.settle(exchange)
+        if self.attempts.result is not None:
+            self._advance(self._take_result(), now)
         return again
 
     def close(self, now: float) -> None:
@@ -86,9 +87,9 @@ class Errand:
             if self._procedure is None:
                 self._procedure = self.begin()
                 self._advance(None, now)
-            elif self.asking is not None:
-                self.asking.close()
-                self._advance(self._taken_answer(), now)
+            elif self.attempts is not None:
+                self.attempts.close()
+                self._advance(self._take_result(), now)
             else:
                 self._advance(None, now)
 
@@ -97,25 +98,25 @@ class Errand:
         if self._procedure is not None:
             self._procedure.close()
         self.result = result
-        self.asking = None
+        self.attempts = None
 
-    def _taken_answer(self) -> Answer | None:
-        assert self.asking is not None
-        answer, self.asking = self.asking.answer, None
-        return answer
+    def _take_result(self) -> SendResult | None:
+        assert self.attempts is not None
+        result, self.attempts = self.attempts.result, None
+        return result
 
-    def _advance(self, answer: Answer | None, now: float) -> None:
+    def _advance(self, result: SendResult | None, now: float) -> None:
         """Run the procedure to its next question, its next pause or its end."""
         assert self._procedure is not None
         try:
-            step = self._procedure.send(answer)
-            while isinstance(step, Note):
-                self.notes(step)
+            step = self._procedure.send(result)
+            while isinstance(step, LineEffect):
+                self.on_effect(step)
                 step = self._procedure.send(None)
         except StopIteration as end:
             self.result = end.value
             return
-        if isinstance(step, Ask):
-            self.asking = Asking(step, self.deadline)
+        if isinstance(step, Send):
+            self.attempts = SendAttempts(step, self.deadline)
         elif isinstance(step, Wait):
             self.resume_at = now + step.seconds

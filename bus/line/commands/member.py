@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bus.contract import UnitOutcome
-from bus.line.commands.procedure import Answer, Fate
+from bus.line.exchange.send import SendResult, SendStatus
 from bus.line.roster import UnitRecord
 
 
@@ -16,7 +16,7 @@ class Member:
     record: UnitRecord
     raw: int
     before: int | None = None
-    answer: Answer | None = None
+    sent: SendResult | None = None
     outcome: UnitOutcome | None = None
 
     @property
@@ -27,12 +27,14 @@ class Member:
     @property
     def staged(self) -> bool:
         """Whether it acknowledged the stage of this very change."""
-        return self.answer is not None and self.answer.fate is Fate.ANSWERED and self.answer.refusal is None
+        return (
+            self.sent is not None and self.sent.status is SendStatus.RESPONDED and self.sent.refusal is None
+        )
 
     @property
     def may_hold(self) -> bool:
         """Whether its memory may hold the value: it was sent, and not surely refused."""
-        return self.answer is not None and self.answer.may_have_acted
+        return self.sent is not None and self.sent.may_have_acted
 
 
 def member_of(record: UnitRecord, raw: int) -> Member:

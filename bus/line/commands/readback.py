@@ -9,26 +9,26 @@ A unit may take a moment to show what it acknowledged, so a read-back that diffe
 
 from __future__ import annotations
 
-from collections.abc import Generator
 from dataclasses import dataclass
 
 from bus.catalogue.numbers import FOLLOWER_MODE, RATIO_SETPOINT, SPEED_SETPOINT
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, output_is_on, status_bits
-from bus.line.commands.procedure import Answer, Ask, Step, Wait
+from bus.line.commands.procedure import Subprocedure, Wait, send
+from bus.line.exchange.send import Send, SendResult
 from bus.line.roster import UnitRecord
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.commands import ParameterReply, ReadParameter, ReadStatus, StatusReply
 
-LOOKS_AGAIN = 2
+REREADS = 2
 """How often a read-back that differs is read again."""
-LOOK_AGAIN_AFTER_S = 0.1
+REREAD_AFTER_S = 0.1
 NO_READBACK = Message("readback_no_response")
 
 
 @dataclass(frozen=True, slots=True)
-class Proof:
+class Readback:
     """What the read-back showed. ``read_back`` None: there was none. ``why``: where not ``shown``."""
 
     shown: bool
@@ -37,30 +37,24 @@ class Proof:
     why: Message | None = None
 
 
-Proving = Generator[Step, Answer | None, Proof]
-Asking = Generator[Step, Answer | None, Answer]
+Verification = Subprocedure[Readback]
 
 
-def ask(step: Ask) -> Asking:
-    """The answer to one Ask."""
-    answer = yield step
-    assert answer is not None
-    return answer
-
-
-def read_status(unit: int) -> Generator[Step, Answer | None, tuple[StatusReply | None, Answer]]:
+def read_status(
+    unit: int,
+) -> Subprocedure[tuple[StatusReply | None, SendResult]]:
     """A fresh 81h that nothing older can be taken for."""
-    answer = yield from ask(Ask(ReadStatus(unit), proves=True))
-    return (answer.reply if isinstance(answer.reply, StatusReply) else None), answer
+    sent = yield from send(Send(ReadStatus(unit), fresh=True))
+    return (sent.reply if isinstance(sent.reply, StatusReply) else None), sent
 
 
-def read_parameter(unit: int, number: int) -> Generator[Step, Answer | None, tuple[int | None, Answer]]:
+def read_parameter(unit: int, number: int) -> Subprocedure[tuple[int | None, SendResult]]:
     """A fresh 85h; None when the unit does not have it, or does not answer."""
-    answer = yield from ask(Ask(ReadParameter(unit, number), proves=True))
-    return (answer.reply.raw if isinstance(answer.reply, ParameterReply) else None), answer
+    sent = yield from send(Send(ReadParameter(unit, number), fresh=True))
+    return (sent.reply.raw if isinstance(sent.reply, ParameterReply) else None), sent
 
 
-def follows(record: UnitRecord, bits: StatusBits) -> Generator[Step, Answer | None, bool]:
+def follows(record: UnitRecord, bits: StatusBits) -> Subprocedure[bool]:
     """Whether the unit is a follower: by #8, read now where it is not known or the status bit disagrees."""
     mode = record.raw(FOLLOWER_MODE)
     if mode is None or bool(mode) != bits.follower:
@@ -68,29 +62,29 @@ def follows(record: UnitRecord, bits: StatusBits) -> Generator[Step, Answer | No
     return bits.follower if mode is None else mode != 0
 
 
-def prove_speed(record: UnitRecord, raw: int, dialect: Dialect, *, before: int | None) -> Proving:
+def verify_speed(record: UnitRecord, raw: int, dialect: Dialect, *, before: int | None) -> Verification:
     """That ``raw`` is now the commanded speed (or ratio). ``before``: the CS last read before the write."""
-    proof = Proof(False)
-    for look in range(1 + LOOKS_AGAIN):
+    readback = Readback(False)
+    for look in range(1 + REREADS):
         if look:
-            yield Wait(LOOK_AGAIN_AFTER_S)
-        status, answer = yield from read_status(record.unit)
+            yield Wait(REREAD_AFTER_S)
+        status, sent = yield from read_status(record.unit)
         if status is None:
-            return Proof(False, proof.read_back, proof.at, NO_READBACK)
+            return Readback(False, readback.read_back, readback.at, NO_READBACK)
         bits = status_bits(status.outputs, status.inputs, dialect.estop_healthy)
         if dialect.follower_speed == "speed" and (yield from follows(record, bits)):
-            proof = yield from _prove_ratio(record, raw, status, answer, before)
+            readback = yield from _verify_ratio(record, raw, status, sent, before)
         else:
-            proof = _compare_speed(raw, status, bits, answer)
-        if proof.shown:
-            return proof
-    return proof
+            readback = _compare_speed(raw, status, bits, sent)
+        if readback.shown:
+            return readback
+    return readback
 
 
-def _compare_speed(raw: int, status: StatusReply, bits: StatusBits, answer: Answer) -> Proof:
+def _compare_speed(raw: int, status: StatusReply, bits: StatusBits, sent: SendResult) -> Readback:
     if status.commanded == raw:
-        return Proof(True, raw, answer.answered_at)
-    return Proof(False, status.commanded, answer.answered_at, _speed_reads(status.commanded, bits))
+        return Readback(True, raw, sent.answered_at)
+    return Readback(False, status.commanded, sent.answered_at, _speed_reads(status.commanded, bits))
 
 
 def _speed_reads(commanded: int, bits: StatusBits) -> Message:
@@ -112,63 +106,63 @@ def _parameter_reads(number: int, shown: int | None) -> Message:
     )
 
 
-def _prove_ratio(
-    record: UnitRecord, raw: int, status: StatusReply, answer: Answer, before: int | None
-) -> Proving:
+def _verify_ratio(
+    record: UnitRecord, raw: int, status: StatusReply, sent: SendResult, before: int | None
+) -> Verification:
     ratio, ratio_answer = yield from read_parameter(record.unit, RATIO_SETPOINT)
     if ratio == raw:
-        return Proof(True, ratio, ratio_answer.answered_at)
+        return Readback(True, ratio, ratio_answer.answered_at)
     if status.commanded == raw and before is not None and before != raw:
-        return Proof(True, raw, answer.answered_at)
+        return Readback(True, raw, sent.answered_at)
     if ratio is None:
-        return Proof(False, status.commanded, answer.answered_at, Message("ratio_unread"))
-    return Proof(False, ratio, ratio_answer.answered_at, Message.of("ratio_reads", value=ratio))
+        return Readback(False, status.commanded, sent.answered_at, Message("ratio_unread"))
+    return Readback(False, ratio, ratio_answer.answered_at, Message.of("ratio_reads", value=ratio))
 
 
-def prove_unchanged(record: UnitRecord, before: int | None) -> Proving:
+def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:
     """That a unit to which nothing was to happen still has the commanded speed it had."""
-    status, answer = yield from read_status(record.unit)
+    status, sent = yield from read_status(record.unit)
     if status is None:
-        return Proof(False, None, None, NO_READBACK)
+        return Readback(False, None, None, NO_READBACK)
     if before is None or status.commanded == before:
-        return Proof(True, status.commanded, answer.answered_at)
+        return Readback(True, status.commanded, sent.answered_at)
     why = Message.of("speed_moved", before=before, value=status.commanded)
-    return Proof(False, status.commanded, answer.answered_at, why)
+    return Readback(False, status.commanded, sent.answered_at, why)
 
 
-def prove_parameter(unit: int, number: int, raw: int) -> Proving:
+def verify_parameter(unit: int, number: int, raw: int) -> Verification:
     """That 85h shows ``raw``."""
-    proof = Proof(False)
-    for look in range(1 + LOOKS_AGAIN):
+    readback = Readback(False)
+    for look in range(1 + REREADS):
         if look:
-            yield Wait(LOOK_AGAIN_AFTER_S)
-        shown, answer = yield from read_parameter(unit, number)
-        if answer.reply is None:
-            return Proof(False, proof.read_back, proof.at, NO_READBACK)
-        proof = Proof(shown == raw, shown, answer.answered_at, _parameter_reads(number, shown))
-        if proof.shown:
-            return proof
-    return proof
+            yield Wait(REREAD_AFTER_S)
+        shown, sent = yield from read_parameter(unit, number)
+        if sent.reply is None:
+            return Readback(False, readback.read_back, readback.at, NO_READBACK)
+        readback = Readback(shown == raw, shown, sent.answered_at, _parameter_reads(number, shown))
+        if readback.shown:
+            return readback
+    return readback
 
 
-def prove_output(unit: int, number: int, on: bool) -> Proving:
+def verify_output(unit: int, number: int, on: bool) -> Verification:
     """That the bit of output ``number`` in ST2 shows ``on``."""
-    proof = Proof(False)
-    for look in range(1 + LOOKS_AGAIN):
+    readback = Readback(False)
+    for look in range(1 + REREADS):
         if look:
-            yield Wait(LOOK_AGAIN_AFTER_S)
-        status, answer = yield from read_status(unit)
+            yield Wait(REREAD_AFTER_S)
+        status, sent = yield from read_status(unit)
         if status is None:
-            return Proof(False, proof.read_back, proof.at, NO_READBACK)
+            return Readback(False, readback.read_back, readback.at, NO_READBACK)
         shown = output_is_on(status.outputs, number)
         why = Message("output_reads_on" if shown else "output_reads_off")
-        proof = Proof(shown == on, int(shown), answer.answered_at, why)
-        if proof.shown:
-            return proof
-    return proof
+        readback = Readback(shown == on, int(shown), sent.answered_at, why)
+        if readback.shown:
+            return readback
+    return readback
 
 
-def present_setpoint(record: UnitRecord, dialect: Dialect) -> Generator[Step, Answer | None, int | None]:
+def present_setpoint(record: UnitRecord, dialect: Dialect) -> Subprocedure[int | None]:
     """What 82h must put into a unit so that a stray execute changes nothing; None when it cannot be read.
 
     The commanded speed of a fresh 81h; a follower's ratio where CS is a speed; #20 while an input stands

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, Result
 from bus.errors import unit_error
-from bus.line.commands.procedure import Ask, Fate, Procedure, Tell, Wait, Wish
-from bus.line.commands.readback import ask
+from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, Wait, send
+from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import UnitRecord
 from bus.messages import Message, joined
 from bus.wire.commands import ReadParameter
@@ -18,7 +18,7 @@ MOMENT_S = 0.5
 """How long a unit that missed a question is left alone: its three tries pass in a tenth of a second."""
 
 
-def read_parameters(record: UnitRecord, numbers: Sequence[int], wish: Wish) -> Procedure:
+def read_parameters(record: UnitRecord, numbers: Sequence[int], context: CommandContext) -> Procedure:
     """85h for each of ``numbers``, all of the list when empty.
 
     The first that is not answered is asked again at the end, and the rest a moment later: noise does not
@@ -29,14 +29,14 @@ def read_parameters(record: UnitRecord, numbers: Sequence[int], wish: Wish) -> P
     values: list[ParameterValue] = []
     refused: list[Message] = []
     while waiting:
-        if wish.cancelled:
+        if context.cancelled:
             return _partly(record, values, wanted, Message("canceled"))
         number = waiting.popleft()
-        yield Tell("sent", record.unit, len(values), len(wanted))
-        answer = yield from ask(Ask(ReadParameter(record.unit, number), proves=True))
-        if answer.fate is Fate.CLOSED:
+        yield ReportProgress("sent", record.unit, len(values), len(wanted))
+        sent = yield from send(Send(ReadParameter(record.unit, number), fresh=True))
+        if sent.status is SendStatus.PORT_CLOSED:
             return _partly(record, values, wanted, Message("bus_link_lost"), closed=True)
-        if answer.fate is not Fate.ANSWERED:
+        if sent.status is not SendStatus.RESPONDED:
             if missed or len(wanted) == 1:
                 return _partly(record, values, wanted, Message.of("parameter_no_response", number=number))
             missed = True
@@ -44,10 +44,10 @@ def read_parameters(record: UnitRecord, numbers: Sequence[int], wish: Wish) -> P
             yield Wait(MOMENT_S)
             continue
         known = record.parameters.get(number)
-        if known is not None and known.at == answer.answered_at:
+        if known is not None and known.at == sent.answered_at:
             values.append(known)
         else:
-            error = unit_error(answer.refusal or 0)
+            error = unit_error(sent.refusal or 0)
             refused.append(Message.of("parameter_refused", number=number, error=error))
     if (reason := joined(refused)) is not None:
         return _partly(record, values, wanted, reason)

@@ -5,16 +5,22 @@ The questions and the conclusions are those of ``bus.line.scan.examination``; th
 
 from __future__ import annotations
 
-from collections.abc import Generator
 from dataclasses import dataclass, replace
 
 from bus.contract import Result
-from bus.line.commands.procedure import Answer, Ask, Fate, Procedure, Step, Tell, Wait, Wish
-from bus.line.commands.readback import ask
+from bus.line.commands.procedure import (
+    CommandContext,
+    Procedure,
+    ReportProgress,
+    Subprocedure,
+    Wait,
+    send,
+)
+from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import Roster
-from bus.line.scan.examination import Outcome, Question, examine
+from bus.line.scan.examination import Probe, ProbeOutcome, examine
 from bus.line.scan.found import Found, conclude
-from bus.line.scan.passes import Passes, silent_seconds
+from bus.line.scan.passes import Passes, no_response_s
 from bus.messages import Message, joined
 from bus.settings import Dialect, wire_seconds
 
@@ -30,15 +36,15 @@ _DOUBLED = Dialect(checksum_10h="twice")
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
+class ScanPace:
     """How fast the line goes, and how much of it a scan may take from the units that are polled."""
 
     baud: int
     turnaround_s: float
 
-    def rest_s(self, outcome: Outcome) -> float:
+    def rest_s(self, outcome: ProbeOutcome) -> float:
         """Seconds without a question after one that ended so."""
-        took_s = silent_seconds(self.baud, self.turnaround_s)
+        took_s = no_response_s(self.baud, self.turnaround_s)
         if outcome.reply is not None:
             took_s = wire_seconds(ANSWERED_BYTES, self.baud)
         return took_s * (1 / SHARE - 1)
@@ -48,22 +54,22 @@ class _Lost(Exception):
     """There is no link to the bus any more."""
 
 
-def survey(roster: Roster, first: int, last: int, pace: Pace, wish: Wish) -> Procedure:
+def survey(roster: Roster, first: int, last: int, pace: ScanPace, context: CommandContext) -> Procedure:
     """Which of the addresses ``first`` to ``last`` answer at the bus's present rate."""
     found: list[Found] = []
     overdue = _overdue(roster)
     passes = Passes(range(first, last + 1))
     of = last - first + 1
     for unit in passes:
-        if wish.cancelled:
+        if context.cancelled:
             return _result(found, Message.of("scan_canceled", done=passes.done, all=of))
-        yield Tell("searching", unit, passes.done, of)
+        yield ReportProgress("searching", unit, passes.done, of)
         try:
             one = yield from _examine(roster, unit, pace)
         except _Lost:
             return _result(found, Message.of("scan_link_lost", done=passes.done, all=of))
         if one is None:
-            passes.silent()
+            passes.no_response()
         else:
             passes.found()
             found.append(one)
@@ -94,30 +100,30 @@ def _result(found: list[Found], fault: Message | None) -> Result:
     )
 
 
-def _examine(roster: Roster, unit: int, pace: Pace) -> Generator[Step, Answer | None, Found | None]:
+def _examine(roster: Roster, unit: int, pace: ScanPace) -> Subprocedure[Found | None]:
     examination = examine(unit, pace.baud)
     try:
-        question = next(examination)
+        probe = next(examination)
         while True:
-            outcome = yield from _outcome(roster, question)
+            outcome = yield from _outcome(roster, probe)
             yield Wait(pace.rest_s(outcome))
-            question = examination.send(outcome)
+            probe = examination.send(outcome)
     except StopIteration as end:
         found: Found | None = end.value
         return found
 
 
-def _outcome(roster: Roster, question: Question) -> Generator[Step, Answer | None, Outcome]:
+def _outcome(roster: Roster, probe: Probe) -> Subprocedure[ProbeOutcome]:
     """One question as the bus asks it. Late responses and second copies count as late frames of that unit."""
-    counts = roster[question.request.unit].statistics.counts
+    counts = roster[probe.request.unit].statistics.counts
     late = counts.late
-    dialect = _DOUBLED if question.doubled else _PLAIN
-    answer = yield from ask(Ask(question.request, most_tries=1, dialect=dialect))
-    if answer.fate is Fate.CLOSED:
+    dialect = _DOUBLED if probe.doubled else _PLAIN
+    sent = yield from send(Send(probe.request, max_attempts=1, dialect=dialect))
+    if sent.status is SendStatus.PORT_CLOSED:
         raise _Lost
-    return Outcome(
-        reply=answer.reply,
-        spoilt=answer.rubbish.spoilt,
-        strange=answer.rubbish.strange,
+    return ProbeOutcome(
+        reply=sent.reply,
+        garbled=sent.noise.garbled,
+        unexpected=sent.noise.unexpected,
         surplus=counts.late - late,
     )

@@ -13,17 +13,24 @@ withdraw     instead of the broadcast: every unit that may hold a staged speed o
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+from collections.abc import Mapping
 
 from bus.catalogue.status import status_bits
 from bus.contract import Outcome, Result
 from bus.errors import unit_refused
-from bus.line.commands.execution import executed, prove, prove_all, unchanged
+from bus.line.commands.execution import executed, unchanged, verify, verify_all
 from bus.line.commands.member import Member, member_of
-from bus.line.commands.procedure import Answer, Ask, Fate, Procedure, Step, Tell, Wish
-from bus.line.commands.readback import ask, prove_unchanged
-from bus.line.commands.withdrawal import Shelter, stopped, withdraw_all
-from bus.line.commands.writes import not_sent, without_proof
+from bus.line.commands.procedure import (
+    CommandContext,
+    Procedure,
+    ReportProgress,
+    Subprocedure,
+    send,
+)
+from bus.line.commands.readback import verify_unchanged
+from bus.line.commands.withdrawal import SuspendedStages, stopped, withdraw_all
+from bus.line.commands.writes import not_sent, outcome_without_readback
+from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import Roster
 from bus.messages import Message
 from bus.wire.commands import ExecuteSpeed, StageSpeed
@@ -31,46 +38,50 @@ from bus.wire.commands import ExecuteSpeed, StageSpeed
 ALL_UNITS = 0
 
 
-def set_line(roster: Roster, setpoints: Mapping[int, int], wish: Wish) -> Procedure:
+def set_line(roster: Roster, setpoints: Mapping[int, int], context: CommandContext) -> Procedure:
     """The whole change. ``setpoints``: unit → raw."""
-    members = [member_of(roster[unit], raw) for unit, raw in _likely_refusals_first(roster, setpoints, wish)]
-    if wish.exchange_s * len(members) > wish.time_left_s:
-        return _no_time(members, wish)
-    shelter = Shelter(roster, setpoints, wish)
-    trouble = yield from shelter.enter()
-    if trouble is None:
-        trouble = yield from _stage_all(members, wish)
-    if trouble is None:
-        answer = yield from ask(Ask(ExecuteSpeed(ALL_UNITS)))
-        if answer.fate is Fate.SENT:
-            result = yield from prove_all(members, answer, roster, wish)
-            yield from shelter.leave()
+    members = [
+        member_of(roster[unit], raw) for unit, raw in _likely_refusals_first(roster, setpoints, context)
+    ]
+    if context.exchange_s * len(members) > context.time_left_s:
+        return _no_time(members, context)
+    suspended = SuspendedStages(roster, setpoints, context)
+    failure = yield from suspended.suspend()
+    if failure is None:
+        failure = yield from _stage_all(members, context)
+    if failure is None:
+        sent = yield from send(Send(ExecuteSpeed(ALL_UNITS)))
+        if sent.status is SendStatus.SENT:
+            result = yield from verify_all(members, sent, roster, context)
+            yield from suspended.restore()
             return result
-        trouble = not_sent(ALL_UNITS, answer)
-    yield from withdraw_all(members, wish)
-    yield from shelter.leave()
-    return stopped(members, *trouble)
+        failure = not_sent(ALL_UNITS, sent)
+    yield from withdraw_all(members, context)
+    yield from suspended.restore()
+    return stopped(members, *failure)
 
 
-def execute_all(roster: Roster, wish: Wish) -> Procedure:
+def execute_all(roster: Roster, context: CommandContext) -> Procedure:
     """83h to every unit, and what each shows afterwards."""
     members = [member_of(roster[unit], roster[unit].staged or 0) for unit in roster.configured]
     knew = {member.unit for member in members if member.record.staged is not None}
-    answer = yield from ask(Ask(ExecuteSpeed(ALL_UNITS)))
-    if answer.fate is not Fate.SENT:
-        outcome, message = not_sent(ALL_UNITS, answer)
+    sent = yield from send(Send(ExecuteSpeed(ALL_UNITS)))
+    if sent.status is not SendStatus.SENT:
+        outcome, message = not_sent(ALL_UNITS, sent)
         return Result(id="", at=0.0, outcome=outcome, message=message)
     for done, member in enumerate(members):
-        yield Tell("proving", member.unit, done, len(members))
+        yield ReportProgress("proving", member.unit, done, len(members))
         if member.unit in knew:
-            yield from prove(member, answer, wish)
+            yield from verify(member, sent, context)
         else:
-            proof = yield from prove_unchanged(member.record, member.before)
-            member.outcome = unchanged(member, answer, proof)
-    return executed(members, answer, [] if knew else [Message("nothing_staged_here")])
+            readback = yield from verify_unchanged(member.record, member.before)
+            member.outcome = unchanged(member, sent, readback)
+    return executed(members, sent, [] if knew else [Message("nothing_staged_here")])
 
 
-def _likely_refusals_first(roster: Roster, setpoints: Mapping[int, int], wish: Wish) -> list[tuple[int, int]]:
+def _likely_refusals_first(
+    roster: Roster, setpoints: Mapping[int, int], context: CommandContext
+) -> list[tuple[int, int]]:
     """Units that were last seen silent or LOCAL come first: then nothing is staged in the others yet."""
 
     def well(unit: int) -> bool:
@@ -78,45 +89,45 @@ def _likely_refusals_first(roster: Roster, setpoints: Mapping[int, int], wish: W
         if record.link.link in ("stale", "offline") or record.reading is None:
             return False
         reading = record.reading
-        return status_bits(reading.outputs, reading.inputs, wish.dialect.estop_healthy).remote
+        return status_bits(reading.outputs, reading.inputs, context.dialect.estop_healthy).remote
 
     return sorted(setpoints.items(), key=lambda item: well(item[0]))
 
 
 def _stage_all(
-    members: list[Member], wish: Wish
-) -> Generator[Step, Answer | None, tuple[Outcome, Message] | None]:
+    members: list[Member], context: CommandContext
+) -> Subprocedure[tuple[Outcome, Message] | None]:
     """None when every unit acknowledged, else how the change ended and why."""
     for done, member in enumerate(members):
-        yield Tell("sent", member.unit, done, len(members))
-        member.answer = yield from ask(Ask(StageSpeed(member.unit, member.raw)))
+        yield ReportProgress("sent", member.unit, done, len(members))
+        member.sent = yield from send(Send(StageSpeed(member.unit, member.raw)))
         if not member.staged:
             return _why_stopped(member)
-        if wish.cancelled:
+        if context.cancelled:
             return "not_sent", Message("canceled_before_execute")
-    yield Tell("acknowledged", None, len(members), len(members))
+    yield ReportProgress("acknowledged", None, len(members), len(members))
     return None
 
 
 def _why_stopped(member: Member) -> tuple[Outcome, Message]:
-    assert member.answer is not None
-    answer = member.answer
-    if answer.refusal is not None:
-        member.outcome = without_proof(member.unit, answer)
-        return "refused", unit_refused(member.unit, answer.refusal)
-    if answer.fate is Fate.SILENT:
+    assert member.sent is not None
+    sent = member.sent
+    if sent.refusal is not None:
+        member.outcome = outcome_without_readback(member.unit, sent)
+        return "refused", unit_refused(member.unit, sent.refusal)
+    if sent.status is SendStatus.TIMED_OUT:
         return "unverified", Message.of("unit_no_response", unit=member.unit)
-    if answer.fate is Fate.CLOSED:
+    if sent.status is SendStatus.PORT_CLOSED:
         return "bus_closed", Message("bus_link_lost")
     return "not_sent", Message("deadline_passed_staging")
 
 
-def _no_time(members: list[Member], wish: Wish) -> Result:
-    seconds = wish.exchange_s * len(members)
+def _no_time(members: list[Member], context: CommandContext) -> Result:
+    seconds = context.exchange_s * len(members)
     message = Message.of(
         "change_too_long",
         n=len(members),
         seconds=round(seconds, 1),
-        allowed=round(max(wish.time_left_s, 0), 1),
+        allowed=round(max(context.time_left_s, 0), 1),
     )
     return Result(id="", at=0.0, outcome="not_sent", message=message)

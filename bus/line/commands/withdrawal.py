@@ -6,41 +6,40 @@ Pure procedures.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+from collections.abc import Mapping
 
 from bus.contract import Outcome, Result, UnitOutcome
 from bus.line.commands.member import Member
-from bus.line.commands.procedure import Answer, Ask, Fate, Step, Unstage, Wish
-from bus.line.commands.readback import ask, present_setpoint
+from bus.line.commands.procedure import CommandContext, Subprocedure, Unstage, send
+from bus.line.commands.readback import present_setpoint
+from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import Roster, UnitRecord
 from bus.messages import Message
 from bus.wire.commands import StageSpeed
 
-Part = Generator[Step, Answer | None, None]
 
-
-def _put_back(record: UnitRecord, wish: Wish) -> Generator[Step, Answer | None, int | None]:
+def _stage_present(record: UnitRecord, context: CommandContext) -> Subprocedure[int | None]:
     """Stage the present speed; that speed, or None where the unit did not take it."""
-    present = yield from present_setpoint(record, wish.dialect)
+    present = yield from present_setpoint(record, context.dialect)
     if present is None:
         return None
-    answer = yield from ask(Ask(StageSpeed(record.unit, present), withdraws=True))
-    if answer.fate is not Fate.ANSWERED or answer.refusal is not None:
+    sent = yield from send(Send(StageSpeed(record.unit, present), withdraws=True))
+    if sent.status is not SendStatus.RESPONDED or sent.refusal is not None:
         return None
     yield Unstage(record.unit)
     return present
 
 
-def withdraw_all(members: list[Member], wish: Wish) -> Part:
+def withdraw_all(members: list[Member], context: CommandContext) -> Subprocedure[None]:
     """Instead of the broadcast."""
     for member in members:
         if member.may_hold:
-            present = yield from _put_back(member.record, wish)
+            present = yield from _stage_present(member.record, context)
             member.outcome = _withdrawn(member, present)
 
 
 def _withdrawn(member: Member, present: int | None) -> UnitOutcome:
-    assert member.answer is not None
+    assert member.sent is not None
     if present is not None:
         message = Message.of("staged_withdrawn", present=present)
     else:
@@ -49,10 +48,10 @@ def _withdrawn(member: Member, present: int | None) -> UnitOutcome:
         unit=member.unit,
         outcome="not_sent" if present is not None else "unverified",
         message=message,
-        unit_error=member.answer.refusal,
-        sent_at=member.answer.sent_at,
-        acknowledged_at=member.answer.answered_at if member.staged else None,
-        attempts=member.answer.attempts,
+        unit_error=member.sent.refusal,
+        sent_at=member.sent.sent_at,
+        acknowledged_at=member.sent.answered_at if member.staged else None,
+        attempts=member.sent.attempts,
     )
 
 
@@ -77,25 +76,25 @@ def _untouched(member: Member) -> UnitOutcome:
     return UnitOutcome(unit=member.unit, outcome="not_sent", message=Message("unit_untouched"))
 
 
-class Shelter:
+class SuspendedStages:
     """Units outside a change that hold a staged speed, kept from executing it with the others."""
 
-    def __init__(self, roster: Roster, setpoints: Mapping[int, int], wish: Wish) -> None:
+    def __init__(self, roster: Roster, setpoints: Mapping[int, int], context: CommandContext) -> None:
         outside = [record for record in roster if record.unit not in setpoints]
         self._waiting = {each.unit: (each, each.staged) for each in outside if each.staged is not None}
         self._sheltered: dict[int, int] = {}
-        self._wish = wish
+        self._wish = context
 
-    def enter(self) -> Generator[Step, Answer | None, tuple[Outcome, Message] | None]:
+    def suspend(self) -> Subprocedure[tuple[Outcome, Message] | None]:
         """None when no unit outside the change can move with it."""
         for unit, (record, staged) in self._waiting.items():
-            present = yield from _put_back(record, self._wish)
+            present = yield from _stage_present(record, self._wish)
             if present is None:
                 return "not_sent", Message.of("outsider_staged", unit=unit, staged=staged)
             self._sheltered[unit] = staged
         return None
 
-    def leave(self) -> Part:
+    def restore(self) -> Subprocedure[None]:
         """Give each its staged speed back."""
         for unit, staged in self._sheltered.items():
-            yield from ask(Ask(StageSpeed(unit, staged), withdraws=True))
+            yield from send(Send(StageSpeed(unit, staged), withdraws=True))

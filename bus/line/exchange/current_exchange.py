@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import msgspec
 
-from bus.line.clock import Clock
-from bus.line.commands.procedure import NO_RUBBISH, Rubbish
-from bus.line.exchange.attempts import Heard
+from bus.line.clock import LineClock
+from bus.line.exchange.send import NO_NOISE, LineNoise
+from bus.line.exchange.send_attempts import ExchangeResult
 from bus.wire.exchange import Exchange
 
 
-class UnderWay(msgspec.Struct):
+class CurrentExchange(msgspec.Struct):
     """Times are the line's own, in seconds."""
 
     exchange: Exchange
@@ -21,25 +21,25 @@ class UnderWay(msgspec.Struct):
     """No answer can come later, whenever this process gets to hear it."""
     frame: bytes = b""
     """The answer, as it was on the wire."""
-    spoilt: bool = False
-    strange: bool = False
+    garbled: bool = False
+    unexpected: bool = False
 
-    def heard(self, clock: Clock, now: float) -> Heard:
+    def result(self, clock: LineClock, now: float) -> ExchangeResult:
         """How it ended, at ``now``."""
         exchange = self.exchange
         answered_at = clock.epoch(min(now, self.last_moment)) if exchange.reply is not None else None
-        return Heard(
+        return ExchangeResult(
             exchange.request,
             exchange.reply,
             clock.epoch(self.ends_sending),
             answered_at,
             b"" if exchange.prepared.secret else self.frame,
-            self._rubbish(),
+            self._noise(),
             exchange.dialect,
         )
 
-    def _rubbish(self) -> Rubbish:
+    def _noise(self) -> LineNoise:
         """Bytes that never became a frame are rubbish too: two units at one address may sound like that."""
         exchange = self.exchange
-        spoilt = self.spoilt or (exchange.reply is None and exchange.first_byte_at is not None)
-        return Rubbish(spoilt, self.strange) if spoilt or self.strange else NO_RUBBISH
+        garbled = self.garbled or (exchange.reply is None and exchange.first_byte_at is not None)
+        return LineNoise(garbled, self.unexpected) if garbled or self.unexpected else NO_NOISE

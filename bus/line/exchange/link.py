@@ -19,22 +19,22 @@ from collections.abc import Callable
 
 from bus.contract import Direction
 from bus.errors import WireError
-from bus.line.clock import Clock
-from bus.line.exchange.attempts import Heard
-from bus.line.exchange.current_exchange import UnderWay
+from bus.line.clock import LineClock
+from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.exchange.port_pace import PortPace
+from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.exchange.window import MARGIN_S, QUIET_BYTES, Window
 from bus.line.port.port import OpenPort
 from bus.line.roster import Roster
-from bus.line.statistics.trace import Passed, Trace
-from bus.line.statistics.wire_statistics import Tally, WireCounts
+from bus.line.statistics.trace import Trace, TracedFrame
+from bus.line.statistics.wire_statistics import WireCounts, WireStatistics
 from bus.settings import Dialect, wire_seconds
 from bus.wire.commands import Request
-from bus.wire.exchange import Answered, Event, Exchange, Foreign, Unexpected
-from bus.wire.fence import Doubt, Doubts
+from bus.wire.exchange import Answered, Exchange, ExchangeEvent, Foreign, Unexpected
+from bus.wire.fence import PendingByUnit, PendingResponses
 from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise
 
-UNHEARD = 0.93
+LISTEN_FRACTION = 0.93
 """So long a part of the least time bytes are left to gather, as each few that are heard alone cost as much as
 an answer; less than ``port_pace.EARLY``."""
 SECRET_LINGERS_S = 5.0
@@ -44,27 +44,27 @@ AHEAD_S = 0.002
 
 
 class Link:
-    """Sends one request, gives one ``Heard``. ``done`` may send the next in the same breath."""
+    """Sends one request, gives one ``ExchangeResult``. ``done`` may send the next in the same breath."""
 
     def __init__(
-        self, dialect: Dialect, baud: int, turnaround_s: float, clock: Clock, roster: Roster, trace: Trace
+        self, dialect: Dialect, baud: int, turnaround_s: float, clock: LineClock, roster: Roster, trace: Trace
     ) -> None:
         self._dialect = dialect
         self._byte_s = wire_seconds(1, baud)
         self._turnaround_s = turnaround_s
         self._clock = clock
         self._trace = trace
-        self._tally = Tally(roster)
+        self._statistics = WireStatistics(roster)
         self._port: OpenPort | None = None
         self._window = Window(clock, self._nothing_came)
-        self._current: UnderWay | None = None
+        self._current: CurrentExchange | None = None
         self._idle: Exchange | None = None
         self._next: Exchange | None = None
         """What leaves as soon as the answer to ``_current`` is there."""
         self._pace = PortPace()
         self._secret_until = -math.inf
         self._forget()
-        self.done: Callable[[Heard, float, float], None] = _nobody
+        self.done: Callable[[ExchangeResult, float, float], None] = _ignore
         """Called with what was heard and when the exchange began and ended."""
 
     # --- the port ------------------------------------------------------------------------------
@@ -82,14 +82,14 @@ class Link:
             self._port.retune(baud)
         self._go_at(baud)
 
-    def detach(self) -> Heard | None:
+    def detach(self) -> ExchangeResult | None:
         """The port is gone; gives the exchange under way, which has no answer."""
         current, self._current, self._next = self._current, None, None
         self._port = None
         self._window.attach(None, self._byte_s)
         if current is None:
             return None
-        return Heard(current.exchange.request, None, self._clock.epoch(current.ends_sending))
+        return ExchangeResult(current.exchange.request, None, self._clock.epoch(current.ends_sending))
 
     @property
     def open(self) -> bool:
@@ -109,15 +109,15 @@ class Link:
     @property
     def counts(self) -> WireCounts:
         """What the bus carried since the worker started."""
-        return self._tally.wire
+        return self._statistics.wire
 
-    def doubt(self, unit: int) -> Doubt:
+    def pending(self, unit: int) -> PendingResponses:
         """What ``unit`` may still answer late or twice.
 
         However slow the port: this process may have been kept from running, and what came meanwhile
         looks as if it came just now. So the order of frames is trusted, their moment is not.
         """
-        return self._doubts.about(unit)
+        return self._pending.about(unit)
 
     def _go_at(self, baud: int) -> None:
         self._byte_s = wire_seconds(1, baud)
@@ -127,7 +127,7 @@ class Link:
     def _forget(self) -> None:
         """Nothing of what was said before matters any more."""
         self._decoder = FrameDecoder(self._dialect)
-        self._doubts = Doubts(self._dialect)
+        self._pending = PendingByUnit(self._dialect)
         self._next = None
 
     # --- one exchange --------------------------------------------------------------------------
@@ -139,7 +139,7 @@ class Link:
         """
         assert self._port is not None
         assert self._current is None
-        exchange = self._exchange(request, self.doubt(request.unit), dialect)
+        exchange = self._exchange(request, self.pending(request.unit), dialect)
         began = self._clock.now()
         self._port.write(exchange.sent)
         self._begin(exchange, began)
@@ -152,7 +152,7 @@ class Link:
         """
         assert self._current is not None
         assert request.unit != self._current.exchange.request.unit
-        self._next = self._exchange(request, self.doubt(request.unit).moved_on(), None)
+        self._next = self._exchange(request, self.pending(request.unit).moved_on(), None)
 
     def do_not_follow(self) -> None:
         """Something else is more urgent than what was prepared."""
@@ -164,21 +164,21 @@ class Link:
         current = self._current
         exchange = current.exchange if current is not None else self._idle
         if exchange is None:
-            self._tally.wire.noise_bytes += len(data)
+            self._statistics.wire.noise_bytes += len(data)
             self._note_stray(now, data, None, valid=False)
             return
         events = exchange.receive(data, now)
         followed_at = self._follow(current, events, now) if current is not None and self._next else None
-        self._window.heard(now, inside_frame=self._decoder.pending > 0)
+        self._window.received(now, inside_frame=self._decoder.pending > 0)
         for event in events:
             self._take(event, exchange, now)
         if current is not None and current.exchange.reply is not None:
             self._finish(current, now, followed_at)
 
-    def _exchange(self, request: Request, doubt: Doubt, dialect: Dialect | None) -> Exchange:
-        return Exchange(request, dialect or self._dialect, decoder=self._decoder, doubt=doubt)
+    def _exchange(self, request: Request, pending: PendingResponses, dialect: Dialect | None) -> Exchange:
+        return Exchange(request, dialect or self._dialect, decoder=self._decoder, pending=pending)
 
-    def _follow(self, current: UnderWay, events: list[Event], now: float) -> float | None:
+    def _follow(self, current: CurrentExchange, events: list[ExchangeEvent], now: float) -> float | None:
         """Send what was prepared, if ``events`` are the answer and nothing else; when it was sent."""
         if len(events) != 1 or not isinstance(events[0], Answered):
             return None
@@ -202,49 +202,49 @@ class Link:
         window_ends = ends_sending + (self._turnaround_s + MARGIN_S if asks else 0.0)
         longest_s = exchange.prepared.longest_reply_bytes * self._byte_s
         last_moment = window_ends + (longest_s + MARGIN_S if asks else 0.0)
-        self._current = UnderWay(exchange, began, ends_sending, last_moment)
-        self._window.open(window_ends, last_moment, self._unheard_until(exchange, began, window_ends))
+        self._current = CurrentExchange(exchange, began, ends_sending, last_moment)
+        self._window.open(window_ends, last_moment, self._listen_at(exchange, began, window_ends))
         self._note(began, "out", exchange.sent, exchange)
 
-    def _finish(self, current: UnderWay, now: float, followed_at: float | None = None) -> None:
+    def _finish(self, current: CurrentExchange, now: float, followed_at: float | None = None) -> None:
         self._current, self._idle = None, current.exchange
         following, self._next = self._next, None
         self._window.close()
-        self._doubts.after(current.exchange.doubt)
+        self._pending.after(current.exchange.pending)
         if following is not None and followed_at is not None:
             self._begin(following, followed_at)
-        self.done(current.heard(self._clock, now), current.began, now)
-        self._tally.ended(current, now, self._byte_s)
+        self.done(current.result(self._clock, now), current.began, now)
+        self._statistics.ended(current, now, self._byte_s)
 
     # --- what came in --------------------------------------------------------------------------
 
-    def _take(self, event: Event, exchange: Exchange, now: float) -> None:
+    def _take(self, event: ExchangeEvent, exchange: Exchange, now: float) -> None:
         if isinstance(event, Noise | DoubledChecksum):
             if isinstance(event, Noise):
                 self._take_noise(event, exchange.request.unit, now)
             self._note_stray(now, event.data, exchange, valid=False)
             return
         if isinstance(event, Answered):
-            self._take_answer(event.frame.wire, now)
+            self._take_response(event.frame.wire, now)
         else:
-            self._tally.no_answer(event, exchange.request.unit, self._doubts)
+            self._statistics.no_answer(event, exchange.request.unit, self._pending)
         if self._current is not None and isinstance(event, Unexpected | Foreign):
-            self._current.strange = True
+            self._current.unexpected = True
         if isinstance(event, Answered):
             self._note(now, "in", event.frame.wire, exchange)
         else:
             self._note_stray(now, event.frame.wire, exchange, unit=event.frame.body[0])
 
-    def _take_noise(self, noise: Noise, asked: int, now: float) -> None:
+    def _take_noise(self, noise: Noise, unit: int, now: float) -> None:
         """After an answer with a wrong checksum no other will come, so only quiet is waited for."""
-        self._tally.noise(noise, asked)
+        self._statistics.noise(noise, unit)
         if self._current is None:
             return
-        self._current.spoilt = True
-        if noise.reason is Fault.CHECKSUM and noise.body[0] == asked:
+        self._current.garbled = True
+        if noise.reason is Fault.CHECKSUM and noise.body[0] == unit:
             self._window.shorten(now + QUIET_BYTES * self._byte_s)
 
-    def _take_answer(self, wire: bytes, now: float) -> None:
+    def _take_response(self, wire: bytes, now: float) -> None:
         current = self._current
         if current is None:
             return
@@ -253,17 +253,17 @@ class Link:
             current.frame = wire
             return
         request = current.exchange.request
-        self._tally.heard_twice(request.unit)
-        current.exchange = self._exchange(request, self.doubt(request.unit), current.exchange.dialect)
+        self._statistics.late_or_duplicate(request.unit)
+        current.exchange = self._exchange(request, self.pending(request.unit), current.exchange.dialect)
 
     # --- waiting -------------------------------------------------------------------------------
 
-    def _unheard_until(self, exchange: Exchange, began: float, window_ends: float) -> float | None:
+    def _listen_at(self, exchange: Exchange, began: float, window_ends: float) -> float | None:
         """Shortly before the answer can be complete, on a port that is as slow as its baud rate."""
         if not self.paced or exchange.request.unit == 0:
             return None
         least_s = (len(exchange.sent) + exchange.prepared.least_reply_bytes) * self._byte_s
-        unheard_s = min(UNHEARD * least_s, least_s - AHEAD_S)
+        unheard_s = min(LISTEN_FRACTION * least_s, least_s - AHEAD_S)
         return min(began + unheard_s, window_ends - MARGIN_S / 2)
 
     def _nothing_came(self, now: float) -> None:
@@ -281,16 +281,16 @@ class Link:
         hidden = exchange.prepared.secret
         if hidden:
             self._secret_until = now + SECRET_LINGERS_S
-        self._trace.add(Passed(self._clock.epoch(now), way, data, hidden=hidden))
+        self._trace.add(TracedFrame(self._clock.epoch(now), way, data, hidden=hidden))
 
     def _note_stray(
         self, now: float, data: bytes, exchange: Exchange | None, *, unit: int = 0, valid: bool = True
     ) -> None:
         """Keep what is no answer, but not its bytes while it may be a late answer with a secret (#21)."""
         secret = exchange is not None and exchange.prepared.secret
-        hidden = secret or now < self._secret_until or self._doubts.may_hold_secret(unit)
-        self._trace.add(Passed(self._clock.epoch(now), "in", data, valid, hidden))
+        hidden = secret or now < self._secret_until or self._pending.may_hold_secret(unit)
+        self._trace.add(TracedFrame(self._clock.epoch(now), "in", data, valid, hidden))
 
 
-def _nobody(_heard: Heard, _began: float, _ended: float) -> None:
+def _ignore(_result: ExchangeResult, _began: float, _ended: float) -> None:
     """Until the poller listens."""

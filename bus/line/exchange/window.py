@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bus.line.clock import Alarm, Clock
+from bus.line.clock import LineClock, Timer
 from bus.line.port.port import OpenPort
 
 QUIET_BYTES = 4
@@ -26,7 +26,7 @@ MARGIN_S = 0.010
 TIMER_SLACK_S = 0.0005
 LATE_S = 0.002
 """An alarm later than this means that the process was kept from running."""
-LOOK_ONCE_MORE_S = 0.001
+RECHECK_S = 0.001
 
 
 class Window:
@@ -35,15 +35,15 @@ class Window:
     Times in seconds on the line's own clock.
     """
 
-    def __init__(self, clock: Clock, over: Callable[[float], None]) -> None:
+    def __init__(self, clock: LineClock, over: Callable[[float], None]) -> None:
         self._clock = clock
         self._over = over
         self._port: OpenPort | None = None
-        self._alarm: Alarm | None = None
+        self._alarm: Timer | None = None
         self._alarm_at = 0.0
         self._ends: float | None = None
         self._last_moment = 0.0
-        self._hears_at: float | None = None
+        self._listen_at: float | None = None
         self._looked = False
         self._quiet_s = LEAST_QUIET_S
         self._quiet_at = 0.0
@@ -51,16 +51,16 @@ class Window:
     def attach(self, port: OpenPort | None, byte_s: float) -> None:
         """Another port, or none; ``byte_s``: what a byte takes on it."""
         self._port = port
-        self._ends = self._hears_at = None
+        self._ends = self._listen_at = None
         self._quiet_s = max(QUIET_BYTES * byte_s, LEAST_QUIET_S)
 
-    def open(self, ends: float, last_moment: float, hears_at: float | None = None) -> None:
+    def open(self, ends: float, last_moment: float, listen_at: float | None = None) -> None:
         """An exchange began. Until ``hears_at`` nothing need be heard."""
         self._ends, self._last_moment, self._looked = ends, last_moment, False
-        self._hear_from(hears_at)
-        self._ring_at(ends if hears_at is None else hears_at)
+        self._listen_from(listen_at)
+        self._ring_at(ends if listen_at is None else listen_at)
 
-    def heard(self, now: float, *, inside_frame: bool) -> None:
+    def received(self, now: float, *, inside_frame: bool) -> None:
         """Bytes came in; ``inside_frame``: they end in the middle of what may be a frame."""
         self._quiet_at = now + (max(self._quiet_s, LEAST_FRAME_GAP_S) if inside_frame else self._quiet_s)
 
@@ -73,12 +73,12 @@ class Window:
     def close(self) -> None:
         """The exchange is over. Its alarm is let come in vain: most are set again before."""
         self._ends = None
-        self._hear_from(None)
+        self._listen_from(None)
 
-    def _hear_from(self, when: float | None) -> None:
-        if self._port is not None and (when is None) != (self._hears_at is None):
+    def _listen_from(self, when: float | None) -> None:
+        if self._port is not None and (when is None) != (self._listen_at is None):
             self._port.listen(now=when is None)
-        self._hears_at = when
+        self._listen_at = when
 
     def _ring_at(self, when: float) -> None:
         if self._alarm is not None:
@@ -92,7 +92,7 @@ class Window:
         if self._ends is None:
             return
         now = self._clock.now()
-        if self._hears_at is not None:
+        if self._listen_at is not None:
             self._ring_again(now, self._ends)
             return
         ends = max(self._ends, min(self._quiet_at, self._last_moment))
@@ -101,14 +101,14 @@ class Window:
             self._ring_at(ends)
         elif now > ends + LATE_S and not self._looked:
             self._looked = True
-            self._ring_at(now + LOOK_ONCE_MORE_S)
+            self._ring_at(now + RECHECK_S)
         else:
             self._over(now)
 
     def _ring_again(self, now: float, ends: float) -> None:
-        assert self._hears_at is not None
-        if now < self._hears_at - TIMER_SLACK_S:
-            self._ring_at(self._hears_at)
+        assert self._listen_at is not None
+        if now < self._listen_at - TIMER_SLACK_S:
+            self._ring_at(self._listen_at)
             return
-        self._hear_from(None)
-        self._ring_at(max(ends, now + LOOK_ONCE_MORE_S))
+        self._listen_from(None)
+        self._ring_at(max(ends, now + RECHECK_S))

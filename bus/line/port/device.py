@@ -14,11 +14,11 @@ import serial
 import serial_asyncio
 
 from bus.errors import WireError
-from bus.line.port.device_users import holders_of, is_played
+from bus.line.port.device_users import is_played, users_of
 from bus.line.port.gated_serial import GatedSerial
 from bus.line.port.open_error import in_use, why_not
 from bus.line.port.port import OpenPort, PartlySent, PortUnavailable, Receiver
-from bus.line.port.port_protocol import Reception
+from bus.line.port.port_protocol import PortProtocol
 from bus.messages import Message
 
 _TIOCGEXCL = 0x80045440
@@ -28,7 +28,7 @@ _TIOCGEXCL = 0x80045440
 class DevicePort:
     """An open one."""
 
-    def __init__(self, instance: GatedSerial, transport: Any, protocol: Reception, name: str) -> None:
+    def __init__(self, instance: GatedSerial, transport: Any, protocol: PortProtocol, name: str) -> None:
         self._serial = instance
         self._descriptor = instance.device
         self._transport = transport
@@ -90,7 +90,7 @@ async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
         instance.close()
         raise PortUnavailable(in_use(path))
     _prefer_low_latency(instance)
-    protocol = Reception(receiver, Message.of("adapter_gone", port=path))
+    protocol = PortProtocol(receiver, Message.of("adapter_gone", port=path))
     transport, _ = await serial_asyncio.connection_for_serial(loop, lambda: protocol, instance)
     try:
         await protocol.made
@@ -110,7 +110,7 @@ def _is_claimed(descriptor: int, path: str) -> bool:
     answer = array("i", [0])
     with suppress(OSError):
         fcntl.ioctl(descriptor, _TIOCGEXCL, answer)
-    return bool(answer[0]) and (not is_played(path) or bool(holders_of(path)))
+    return bool(answer[0]) and (not is_played(path) or bool(users_of(path)))
 
 
 def _prefer_low_latency(instance: GatedSerial) -> None:

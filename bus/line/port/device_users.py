@@ -11,7 +11,7 @@ _PROC = Path("/proc")
 _PLAYED = Path("/dev/pts")
 
 
-def holders_of(path: str) -> list[tuple[int, str]]:
+def users_of(path: str) -> list[tuple[int, str]]:
     """Process id and name of the others that hold a lock on it, else of those that have it open."""
     device = Path(path).resolve()
     own = {os.getpid(), *_played_by(device)}

@@ -9,7 +9,7 @@ import pwd
 from contextlib import suppress
 from pathlib import Path
 
-from bus.line.port.device_users import holders_of
+from bus.line.port.device_users import users_of
 from bus.messages import Message
 
 
@@ -31,7 +31,7 @@ def why_not(path: str, error: Exception) -> Message:
 def in_use(path: str) -> Message:
     """Another program has it, and which."""
     programs: list[int | str | Message] = [
-        Message.of("process", program=name, pid=pid) for pid, name in holders_of(path)
+        Message.of("process", program=name, pid=pid) for pid, name in users_of(path)
     ]
     if not programs:
         return Message.of("port_in_use", port=path)

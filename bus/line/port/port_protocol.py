@@ -9,7 +9,7 @@ from bus.line.port.port import Receiver
 from bus.messages import Message
 
 
-class Reception(asyncio.Protocol):
+class PortProtocol(asyncio.Protocol):
     """Between an asyncio transport and a Receiver. ``gone``: what is reported when the port is lost."""
 
     def __init__(self, receiver: Receiver, gone: Message) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from bus.line.port import tcp
 from bus.line.port.port import EndedWhileOpening, OpenPort, PortUnavailable, Receiver
-from bus.line.port.port_protocol import Reception
+from bus.line.port.port_protocol import PortProtocol
 from bus.messages import Message
 
 
@@ -21,7 +21,7 @@ async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
     except ImportError as error:
         raise PortUnavailable(Message.of("rfc2217_not_installed", port=url)) from error
     tcp.address_of(url)
-    protocol = Reception(receiver, Message.of("connection_closed", port=url))
+    protocol = PortProtocol(receiver, Message.of("connection_closed", port=url))
     accepted = asyncio.Event()
     kind = _rfc2217_transport(accepted)
     try:

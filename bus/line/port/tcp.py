@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 from bus.errors import WireError
 from bus.line.port.port import OpenPort, PortUnavailable, Receiver
-from bus.line.port.port_protocol import Reception
+from bus.line.port.port_protocol import PortProtocol
 from bus.messages import Message
 
 CONNECT_TIMEOUT_S = 3.0
@@ -22,7 +22,7 @@ _TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", 18)
 class TcpPort:
     """An open one."""
 
-    def __init__(self, transport: Any, protocol: Reception, name: str) -> None:
+    def __init__(self, transport: Any, protocol: PortProtocol, name: str) -> None:
         self._transport = transport
         self._protocol = protocol
         self._name = name
@@ -57,7 +57,7 @@ async def open_socket(url: str, receiver: Receiver) -> OpenPort:
     """Open ``socket://host:port``. Raises PortUnavailable."""
     host, number = address_of(url)
     loop = asyncio.get_running_loop()
-    protocol = Reception(receiver, Message.of("connection_closed", port=url))
+    protocol = PortProtocol(receiver, Message.of("connection_closed", port=url))
     try:
         async with asyncio.timeout(CONNECT_TIMEOUT_S):
             transport, _ = await loop.create_connection(lambda: protocol, host, number)

@@ -30,7 +30,7 @@ from bus.wire.commands import (
 )
 from bus.wire.framing import DLE, checksum
 
-LOOKS = 4
+STATUS_READS = 4
 """How often an address is asked that answers, but not as a unit does."""
 TRIES = 2
 """How often a read is asked of a unit before it counts as not answered."""
@@ -42,7 +42,7 @@ _READABLE = [number for number, parameter in PARAMETERS.items() if not parameter
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class Probe:
     """One read. ``doubled``: a checksum of 10h is sent twice."""
 
     request: Request
@@ -50,13 +50,13 @@ class Question:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class ProbeOutcome:
     """What came within one window."""
 
     reply: Reply | None = None
-    spoilt: bool = False
+    garbled: bool = False
     """Bytes that are no frame."""
-    strange: bool = False
+    unexpected: bool = False
     """Good frames that no unit gives as this answer."""
     surplus: int = 0
     """Good frames of this unit beside the response: responses to earlier requests, or a second copy."""
@@ -66,9 +66,9 @@ class Outcome:
     """From the request's last byte to the answer's first."""
 
     @property
-    def silent(self) -> bool:
+    def no_response(self) -> bool:
         """Nothing came at all."""
-        return self.reply is None and not (self.spoilt or self.strange or self.surplus)
+        return self.reply is None and not (self.garbled or self.unexpected or self.surplus)
 
 
 class Responses(NamedTuple):
@@ -78,8 +78,8 @@ class Responses(NamedTuple):
     doubled: int
 
 
-Examining = Generator[Question, Outcome, Found | None]
-Asking = Generator[Question, Outcome, Outcome]
+Examining = Generator[Probe, ProbeOutcome, Found | None]
+Probing = Generator[Probe, ProbeOutcome, ProbeOutcome]
 
 
 def examine(unit: int, baud: int) -> Examining:
@@ -92,7 +92,7 @@ def examine(unit: int, baud: int) -> Examining:
 class _Examination:
     unit: int
     baud: int
-    outcomes: list[Outcome] = field(default_factory=list)
+    outcomes: list[ProbeOutcome] = field(default_factory=list)
     uncertain: bool = False
     doubles: bool = False
     """It takes a checksum of 10h twice only, so that is how it is asked."""
@@ -124,45 +124,45 @@ class _Examination:
                 (o.answered_after_s for o in self.outcomes if o.answered_after_s is not None), default=None
             ),
         )
-        spoilt, questions = sum(outcome.spoilt for outcome in self.outcomes), len(self.outcomes)
-        remarks = remarks_on(one, spoilt=spoilt, questions=questions, uncertain=self.uncertain)
+        garbled, questions = sum(outcome.garbled for outcome in self.outcomes), len(self.outcomes)
+        remarks = remarks_on(one, garbled=garbled, questions=questions, uncertain=self.uncertain)
         return replace(one, remarks=remarks)
 
     # --- questions -----------------------------------------------------------------------------
 
-    def _ask(self, request: Request) -> Asking:
-        outcome = yield Question(request, self.doubles)
+    def _probe(self, request: Request) -> Probing:
+        outcome = yield Probe(request, self.doubles)
         self.outcomes.append(outcome)
         return outcome
 
-    def _first_status(self) -> Generator[Question, Outcome, StatusReply | None]:
+    def _first_status(self) -> Generator[Probe, ProbeOutcome, StatusReply | None]:
         """The 81h to unit 111 has the checksum 10h itself: a unit that takes it twice is found so only."""
-        status = yield from self._status(LOOKS)
-        if self.outcomes[-1].silent and checksum(bytes((self.unit, ReadStatus.COMMAND))) == DLE:
+        status = yield from self._status(STATUS_READS)
+        if self.outcomes[-1].no_response and checksum(bytes((self.unit, ReadStatus.COMMAND))) == DLE:
             self.doubles = True
-            status = yield from self._status(LOOKS)
+            status = yield from self._status(STATUS_READS)
         return status
 
-    def _status(self, looks: int) -> Generator[Question, Outcome, StatusReply | None]:
+    def _status(self, looks: int) -> Generator[Probe, ProbeOutcome, StatusReply | None]:
         """81h until it is answered as a unit answers; an address that is silent at first is left."""
         for look in range(looks):
-            outcome = yield from self._ask(ReadStatus(self.unit))
+            outcome = yield from self._probe(ReadStatus(self.unit))
             if isinstance(outcome.reply, StatusReply):
                 return outcome.reply
-            if look == 0 and outcome.silent:
+            if look == 0 and outcome.no_response:
                 return None
         return None
 
-    def _read(self, number: int) -> Generator[Question, Outcome, Reply | None]:
+    def _read(self, number: int) -> Generator[Probe, ProbeOutcome, Reply | None]:
         """85h, with 81h before it as the fence."""
         for _ in range(TRIES):
             yield from self._status(TRIES)
-            outcome = yield from self._ask(ReadParameter(self.unit, number))
+            outcome = yield from self._probe(ReadParameter(self.unit, number))
             if outcome.reply is not None:
                 return outcome.reply
         return None
 
-    def _own_address(self) -> Generator[Question, Outcome, tuple[int | None, bool]]:
+    def _own_address(self) -> Generator[Probe, ProbeOutcome, tuple[int | None, bool]]:
         reply = yield from self._read(OWN_ADDRESS)
         if not isinstance(reply, ParameterReply):
             return None, False
@@ -173,7 +173,7 @@ class _Examination:
             return in_bcd.raw, True
         return reply.raw, False
 
-    def _last_parameter(self, counts_in_bcd: bool) -> Generator[Question, Outcome, int]:
+    def _last_parameter(self, counts_in_bcd: bool) -> Generator[Probe, ProbeOutcome, int]:
         """By halving: which exist is taken to be a run from #1 on. The password is not asked for."""
         dialect = Dialect(parameter_numbers="bcd" if counts_in_bcd else "binary")
         low, high = -1, len(_READABLE)
@@ -188,14 +188,14 @@ class _Examination:
             probe = (low + high) // 2
         return _READABLE[low] if low >= 0 else 0
 
-    def _one_of_each_type(self, counts_in_bcd: bool, last: int) -> Generator[Question, Outcome, None]:
+    def _one_of_each_type(self, counts_in_bcd: bool, last: int) -> Generator[Probe, ProbeOutcome, None]:
         """How wide a value comes shows only where the types have different widths."""
         dialect = Dialect(parameter_numbers="bcd" if counts_in_bcd else "binary")
         for number in FIRST_OF_EACH_TYPE:
             if number <= last:
                 yield from self._read(encode_number(number, dialect))
 
-    def _takes_checksum_10h(self) -> Generator[Question, Outcome, Checksum10h | None]:
+    def _takes_checksum_10h(self) -> Generator[Probe, ProbeOutcome, Checksum10h | None]:
         """A read whose own checksum is 10h, sent once and, if nobody hears it, twice."""
         number = number_for_checksum_10h(self.unit)
         if number == 0 or (number not in _READABLE and number in PARAMETERS):
@@ -209,20 +209,20 @@ class _Examination:
     # --- conclusions ---------------------------------------------------------------------------
 
     def _no_unit(self) -> Found | None:
-        heard = [outcome for outcome in self.outcomes if not outcome.silent]
-        if len(heard) < min(2, LOOKS):
+        heard = [outcome for outcome in self.outcomes if not outcome.no_response]
+        if len(heard) < min(2, STATUS_READS):
             return None
         refused = [outcome.reply.code for outcome in heard if isinstance(outcome.reply, Nak)]
         if refused:
             refuses = Message.of("found_refuses", error=f"{refused[0]:02X}")
             return Found(self.unit, self.baud, "foreign", remarks=(refuses,))
-        if all(outcome.strange for outcome in heard):
+        if all(outcome.unexpected for outcome in heard):
             return Found(self.unit, self.baud, "foreign", remarks=(STRANGE,))
         return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS_OR_ELSE,))
 
     def _garbled_share(self) -> float:
-        spoilt = sum(outcome.spoilt for outcome in self.outcomes)
-        return (spoilt + self._responses().doubled) / len(self.outcomes)
+        garbled = sum(outcome.garbled for outcome in self.outcomes)
+        return (garbled + self._responses().doubled) / len(self.outcomes)
 
     def _responses(self) -> Responses:
         """A unit owes one response to each request: one that comes after its window is late, not doubled."""
@@ -230,7 +230,7 @@ class _Examination:
         for outcome in self.outcomes:
             paid = min(owed, outcome.surplus)
             late, doubled = late + paid, doubled + outcome.surplus - paid
-            owed += (outcome.reply is None and not outcome.spoilt) - paid
+            owed += (outcome.reply is None and not outcome.garbled) - paid
         return Responses(late, doubled)
 
     def _reply_bytes(self) -> tuple[int, ...]:

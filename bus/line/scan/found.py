@@ -45,7 +45,7 @@ class Found:
         return FoundUnit(self.unit, self.baud, self.kind, list(self.parameters), list(self.remarks))
 
 
-def remarks_on(one: Found, *, spoilt: int, questions: int, uncertain: bool) -> tuple[Message, ...]:
+def remarks_on(one: Found, *, garbled: int, questions: int, uncertain: bool) -> tuple[Message, ...]:
     """What a person should know of a DIGIMAX IV. ``spoilt`` of its ``questions`` were answered with noise;
     ``uncertain``: some of them not at all."""
     remarks = _on_its_address(one)
@@ -54,8 +54,8 @@ def remarks_on(one: Found, *, spoilt: int, questions: int, uncertain: bool) -> t
         remarks.append(Message.of("found_parameters", last=last) if last else Message("found_no_parameter"))
     if uncertain:
         remarks.append(Message("found_uncertain"))
-    if spoilt:
-        remarks.append(Message.of("found_noise", n=spoilt, all=questions))
+    if garbled:
+        remarks.append(Message.of("found_noise", n=garbled, all=questions))
     if one.checksum_10h == "twice":
         remarks.append(Message("found_checksum_twice"))
     if one.estop_healthy == 0:

@@ -18,7 +18,7 @@ PASSES = 2
 MOST_PASSES = 4
 
 
-def silent_seconds(baud: int, turnaround_s: float) -> float:
+def no_response_s(baud: int, turnaround_s: float) -> float:
     """What an address costs where nothing answers: the request, the turnaround, one byte, the margin."""
     request = encode_request(ReadStatus(1), Dialect())
     return wire_seconds(len(request) + 1, baud) + turnaround_s + MARGIN_S
@@ -29,7 +29,7 @@ class Passes:
 
     def __init__(self, addresses: Iterable[int]) -> None:
         self._to_ask = deque(addresses)
-        self._silent: deque[int] = deque()
+        self._unanswered: deque[int] = deque()
         self._addresses = len(self._to_ask)
         self._found = 0
         self._done = 0
@@ -44,7 +44,7 @@ class Passes:
     def settled(self) -> int:
         """How many of ``questions`` need not be asked any more."""
         asked, to_ask = min(self._done + 1, PASSES), min(self._done, PASSES)
-        return PASSES * self._found + asked * len(self._silent) + to_ask * len(self._to_ask)
+        return PASSES * self._found + asked * len(self._unanswered) + to_ask * len(self._to_ask)
 
     @property
     def done(self) -> int:
@@ -58,13 +58,13 @@ class Passes:
                 yield self._to_ask[0]
             self._done += 1
             if self._done < (MOST_PASSES if self._found > found_before else PASSES):
-                self._to_ask, self._silent = self._silent, deque()
+                self._to_ask, self._unanswered = self._unanswered, deque()
 
     def found(self) -> None:
         """The address that was given last answered."""
         self._to_ask.popleft()
         self._found += 1
 
-    def silent(self) -> None:
+    def no_response(self) -> None:
         """The address that was given last did not."""
-        self._silent.append(self._to_ask.popleft())
+        self._unanswered.append(self._to_ask.popleft())

@@ -7,11 +7,11 @@ if it is slow, nothing that was collected until then is worth anything.
 
 from __future__ import annotations
 
-from bus.line.scan.examination import Outcome, Question, examine
+from bus.line.scan.examination import Probe, ProbeOutcome, examine
 from bus.line.scan.found import Checksum10h, Found
 from bus.line.scan.scan_port import Collected, ScanPort
 from bus.wire.commands import ReadStatus
-from bus.wire.exchange import Answered, Doubled, Event, Foreign, Late, Unexpected
+from bus.wire.exchange import Answered, Doubled, ExchangeEvent, Foreign, Late, Unexpected
 from bus.wire.framing import DLE, DoubledChecksum, Noise
 
 PATIENCE_S = 1.0
@@ -46,18 +46,18 @@ class Prober:
         """Everything about one address, None where nothing responds. Raises SlowUnitError, WireError."""
         examination = examine(unit, self._baud)
         try:
-            question = next(examination)
+            probe = next(examination)
             while True:
-                question = examination.send(await self._ask(question))
+                probe = examination.send(await self._probe(probe))
         except StopIteration as end:
             found: Found | None = end.value
             return found
 
-    async def _ask(self, question: Question) -> Outcome:
-        collected = await self._line.exchange(question, self._turnaround_s)
+    async def _probe(self, probe: Probe) -> ProbeOutcome:
+        collected = await self._line.exchange(probe, self._turnaround_s)
         for unit in self._seem_late(collected):
             await self._measure(unit)
-        unit = question.request.unit
+        unit = probe.request.unit
         if collected.exchange.reply is None:
             self._unanswered[unit] = collected.ends_sending
         else:
@@ -78,26 +78,26 @@ class Prober:
         if self._turnaround_s >= PATIENCE_S:
             return
         await self._line.listen(PATIENCE_S)
-        collected = await self._line.exchange(Question(ReadStatus(unit)), PATIENCE_S)
+        collected = await self._line.exchange(Probe(ReadStatus(unit)), PATIENCE_S)
         took_s = collected.turnaround_s
         if took_s is not None and ALLOWANCE * took_s > self._turnaround_s:
             raise SlowUnitError(took_s)
         self._quick.add(unit)
 
 
-def _outcome(collected: Collected) -> Outcome:
+def _outcome(collected: Collected) -> ProbeOutcome:
     events = collected.events
-    return Outcome(
+    return ProbeOutcome(
         reply=collected.exchange.reply,
-        spoilt=any(isinstance(event, Noise) for event in events),
-        strange=any(isinstance(event, Foreign | Unexpected) for event in events),
+        garbled=any(isinstance(event, Noise) for event in events),
+        unexpected=any(isinstance(event, Foreign | Unexpected) for event in events),
         surplus=sum(isinstance(event, Doubled | Late) for event in events),
         checksum_10h=_checksum_10h(events),
         answered_after_s=collected.turnaround_s,
     )
 
 
-def _checksum_10h(events: list[Event]) -> Checksum10h | None:
+def _checksum_10h(events: list[ExchangeEvent]) -> Checksum10h | None:
     if any(isinstance(event, DoubledChecksum) for event in events):
         return "twice"
     responses = [event.frame.wire for event in events if isinstance(event, Answered)]

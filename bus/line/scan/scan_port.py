@@ -12,14 +12,14 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
 from bus.errors import WireError
-from bus.line.clock import Clock, RealClock
+from bus.line.clock import LineClock, RealClock
 from bus.line.exchange.window import MARGIN_S, Window
 from bus.line.port.open_port import OpenPort, open_port
-from bus.line.scan.examination import Question
+from bus.line.scan.examination import Probe
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
-from bus.wire.exchange import Answered, Echo, Event, Exchange
-from bus.wire.fence import Doubts
+from bus.wire.exchange import Answered, Echo, Exchange, ExchangeEvent
+from bus.wire.fence import PendingByUnit
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 from bus.wire.lengths import longest_reply_bytes
 
@@ -49,7 +49,7 @@ class Collected:
     ends_sending: float
     """When the request's last byte has left."""
     byte_s: float
-    events: list[Event] = field(default_factory=list)
+    events: list[ExchangeEvent] = field(default_factory=list)
     response_ends: float | None = None
     """When the response was complete."""
 
@@ -67,13 +67,13 @@ class Collected:
 class ScanPort:
     """An open port, or the one that ``attach`` is given: receives its bytes (``Receiver``)."""
 
-    def __init__(self, baud: int, clock: Clock) -> None:
+    def __init__(self, baud: int, clock: LineClock) -> None:
         self.echoes = False
         self._clock = clock
         self._byte_s = wire_seconds(1, baud)
         self._window = Window(clock, self._on_window_over)
         self._decoder = FrameDecoder(_PLAIN)
-        self._doubts = Doubts(_PLAIN)
+        self._pending = PendingByUnit(_PLAIN)
         self._port: OpenPort | None = None
         self._current: Collected | None = None
         self._over: asyncio.Future[None] | None = None
@@ -92,26 +92,26 @@ class ScanPort:
         self._check()
         return self._unrequested_bytes
 
-    async def exchange(self, question: Question, turnaround_s: float) -> Collected:
+    async def exchange(self, probe: Probe, turnaround_s: float) -> Collected:
         """Send one request and collect what arrives; a unit may take ``turnaround_s`` to begin its response.
 
         Raises WireError when the port is lost.
         """
         self._check()
         assert self._port is not None
-        request = question.request
+        request = probe.request
         exchange = Exchange(
             request,
-            _DOUBLED if question.doubled else _PLAIN,
+            _DOUBLED if probe.doubled else _PLAIN,
             decoder=self._decoder,
-            doubt=self._doubts.about(request.unit),
+            pending=self._pending.about(request.unit),
         )
         began = self._clock.now()
         self._port.write(exchange.sent)
         collected = Collected(exchange, began + len(exchange.sent) * self._byte_s, self._byte_s)
         await self._until_quiet(collected, turnaround_s)
         exchange.give_up()
-        self._doubts.after(exchange.doubt)
+        self._pending.after(exchange.pending)
         self.echoes = self.echoes or any(isinstance(event, Echo) for event in collected.events)
         return collected
 
@@ -146,7 +146,7 @@ class ScanPort:
             self._unrequested_bytes += len(data)
             return
         current.events += current.exchange.receive(data, now)
-        self._window.heard(now, inside_frame=self._decoder.pending > 0)
+        self._window.received(now, inside_frame=self._decoder.pending > 0)
         if current.exchange.reply is None:
             return
         if current.response_ends is None:

@@ -57,7 +57,7 @@ async def scan_addresses(
     while not complete:
         passes = Passes(addresses)
         try:
-            await _ask_all(scan, line, passes, progress, began)
+            await _probe_all(scan, line, passes, progress, began)
             complete = True
         except SlowUnitError as slow:
             scan.turnaround_s = slow.allowance_s
@@ -65,14 +65,14 @@ async def scan_addresses(
             progress(-passes.settled)
 
 
-async def _ask_all(
+async def _probe_all(
     scan: BaudScan, line: ScanPort, passes: Passes, progress: Callable[[int], None], began: float
 ) -> None:
     prober = Prober(line, scan.baud, scan.turnaround_s)
     for unit in passes:
         settled, one = passes.settled, await prober.examine(unit)
         if one is None:
-            passes.silent()
+            passes.no_response()
         else:
             passes.found()
             scan.found.append(one)

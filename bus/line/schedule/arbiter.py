@@ -8,40 +8,43 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bus.line.commands.command_run import Claim, Errand
-from bus.line.commands.procedure import Ask
-from bus.line.exchange.attempts import Asking, Heard
-from bus.line.schedule.command_queue import Errands
-from bus.line.schedule.poll_schedule import Kind, Schedule, Task
+from bus.line.commands.command_run import CommandRun, Priority
+from bus.line.exchange.send import Send
+from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
+from bus.line.schedule.command_queue import CommandQueue
+from bus.line.schedule.poll_schedule import PollSchedule, Task, TaskKind
 from bus.wire.commands import Nak, ReadParameter, ReadStatus, Request
-from bus.wire.fence import Doubt
+from bus.wire.fence import PendingResponses
 
-ERRANDS_AT_A_STRETCH_S = 0.5
+COMMANDS_AT_A_STRETCH_S = 0.5
 """Operators' writes without end leave one poll in this time, unless a change of many units is under way."""
 RESERVED_S = 0.015
 """A turn is left free so long for a write that is announced: its way through the app and onto its disk."""
 PACE = 0.8
 """On a port faster than its baud rate a round still takes this part of the time it would on the wire."""
-_TRIES = {Kind.FIRST: 1, Kind.PROBE: 1}
+_TRIES = {TaskKind.FIRST: 1, TaskKind.PROBE: 1}
 
 
-class Turns:
+class Arbiter:
     """``next_request``, then ``settle`` with what was heard.
 
     ``doubt_of``: what a unit may still answer late. ``exchange_s``: what a read takes on the wire.
     """
 
     def __init__(
-        self, schedule: Schedule, doubt_of: Callable[[int], Doubt], exchange_s: Callable[[Request], float]
+        self,
+        schedule: PollSchedule,
+        pending_of: Callable[[int], PendingResponses],
+        exchange_s: Callable[[Request], float],
     ) -> None:
         self.schedule = schedule
-        self.errands = Errands()
-        self.owner: Errand | None = None
+        self.commands = CommandQueue()
+        self.owner: CommandRun | None = None
         """Whose request is under way; None: the schedule's."""
-        self._doubt_of = doubt_of
+        self._pending_of = pending_of
         self._exchange_s = exchange_s
-        self._routine: tuple[Task, Asking] | None = None
-        self._foreseen: tuple[Task, Asking] | None = None
+        self._routine: tuple[Task, SendAttempts] | None = None
+        self._foreseen: tuple[Task, SendAttempts] | None = None
         self._routine_at = 0.0
         self._read_last = False
         self._not_before = 0.0
@@ -54,49 +57,49 @@ class Turns:
         For writes that never come, no more than one such moment between two reads is lost, and none while
         the schedule has had to wait long.
         """
-        if self._routine_at >= self._reserved_at and now - self._routine_at < ERRANDS_AT_A_STRETCH_S:
+        if self._routine_at >= self._reserved_at and now - self._routine_at < COMMANDS_AT_A_STRETCH_S:
             self._reserved_at = now
             self._reserved_until = now + RESERVED_S
 
     def next_request(self, now: float) -> Request | None:
         """What is sent now; None: nothing before one of ``moments``."""
-        if len(self.errands) and self._leave_a_poll(now):
+        if len(self.commands) and self._leave_a_poll(now):
             if self._routine is None and (poll := self.schedule.next_poll()) is not None:
                 self._routine = _routine(poll)
             return self._routine_request(now)
-        return self._errands_request(now) or self._routine_request(now)
+        return self._command_request(now) or self._routine_request(now)
 
     def foresee(self, under_way: Request, now: float) -> Request | None:
         """What follows ``under_way`` if its answer is an ordinary one; None where that is not known."""
-        if len(self.errands) or now < self._reserved_until or not self._is_an_ordinary_poll(under_way):
+        if len(self.commands) or now < self._reserved_until or not self._is_an_ordinary_poll(under_way):
             return None
         if self._foreseen is None:
             task = self.schedule.next(now)
             self._foreseen = _routine(task) if task is not None else None
         if self._foreseen is None or self._foreseen[0].unit == under_way.unit:
             return None
-        task, asking = self._foreseen
-        request = asking.next_request(now, self._doubt_of(task.unit).moved_on())
-        return request if request == asking.ask.request else None
+        task, attempts = self._foreseen
+        request = attempts.next_request(now, self._pending_of(task.unit).moved_on())
+        return request if request == attempts.send.request else None
 
     def followed(self, now: float) -> Request:
         """What was foreseen has left at ``now``."""
         assert self._foreseen is not None
-        (task, asking), self._foreseen = self._foreseen, None
-        self._routine = task, asking
-        self._pace(asking.ask.request, now)
-        return asking.ask.request
+        (task, attempts), self._foreseen = self._foreseen, None
+        self._routine = task, attempts
+        self._pace(attempts.send.request, now)
+        return attempts.send.request
 
-    def settle(self, heard: Heard, began: float, ended: float) -> bool:
+    def settle(self, exchange: ExchangeResult, began: float, ended: float) -> bool:
         """The exchange under way is over; whether it is tried again, as nobody answered."""
-        errand, self.owner = self.owner, None
-        if errand is not None:
-            self._read_last = errand.claim is Claim.READ
-            if errand.claim is Claim.SLOW:
-                self.schedule.spent(Task(Kind.SLOW), began, ended, answered=True)
-            return errand.settle(heard, ended)
+        run, self.owner = self.owner, None
+        if run is not None:
+            self._read_last = run.priority is Priority.READ
+            if run.priority is Priority.SLOW:
+                self.schedule.spent(Task(TaskKind.SLOW), began, ended, answered=True)
+            return run.settle(exchange, ended)
         if self._routine is not None:
-            return self._settle_routine(*self._routine, heard, began, ended)
+            return self._settle_routine(*self._routine, exchange, began, ended)
         return False
 
     def drop_routine(self) -> None:
@@ -106,13 +109,13 @@ class Turns:
     def moments(self) -> list[float]:
         """When something may become due that is not now."""
         probe = self.schedule.wake_at()
-        moments = [self._not_before, self._reserved_until, *self.errands.moments()]
+        moments = [self._not_before, self._reserved_until, *self.commands.moments()]
         return moments if probe is None else [probe, *moments]
 
     # --- errands -------------------------------------------------------------------------------
 
-    def _errands_request(self, now: float, *, slow: bool = False) -> Request | None:
-        chosen = self.errands.next_request(now, self._doubt_of, slow=slow)
+    def _command_request(self, now: float, *, slow: bool = False) -> Request | None:
+        chosen = self.commands.next_request(now, self._pending_of, slow=slow)
         if chosen is None:
             return None
         self.owner, request = chosen
@@ -121,25 +124,29 @@ class Turns:
 
     def _leave_a_poll(self, now: float) -> bool:
         """A look at parameters takes every second turn at most: who reads many must not blind the others."""
-        if self.errands.whole_line_changes or len(self.schedule.round) == 0:
+        if self.commands.group_changes or len(self.schedule.poll_order) == 0:
             return False
-        if now - self._routine_at > ERRANDS_AT_A_STRETCH_S:
+        if now - self._routine_at > COMMANDS_AT_A_STRETCH_S:
             return True
         free = now >= max(self._not_before, self._reserved_until)
-        return self._read_last and free and not self.errands.write_waits
+        return self._read_last and free and not self.commands.write_waits
 
     # --- the schedule --------------------------------------------------------------------------
 
     def _is_an_ordinary_poll(self, request: Request) -> bool:
         if self.owner is not None or self._routine is None:
             return False
-        task, asking = self._routine
-        return task.kind is Kind.POLL and request == asking.ask.request and task.unit in self.schedule.round
+        task, attempts = self._routine
+        return (
+            task.kind is TaskKind.POLL
+            and request == attempts.send.request
+            and task.unit in self.schedule.poll_order
+        )
 
     def _routine_request(self, now: float) -> Request | None:
         if now < max(self._not_before, self._reserved_until):
             return None
-        slow_waits = self.errands.slow_waits
+        slow_waits = self.commands.slow_waits
         while self._routine is None:
             if self._foreseen is not None:
                 self._routine, self._foreseen = self._foreseen, None
@@ -147,35 +154,37 @@ class Turns:
             task = self.schedule.next(now, slow_waits=slow_waits)
             if task is None:
                 return None
-            if task.kind is not Kind.SLOW:
+            if task.kind is not TaskKind.SLOW:
                 self._routine = _routine(task)
                 break
-            request = self._errands_request(now, slow=True)
+            request = self._command_request(now, slow=True)
             if request is not None:
                 self._pace(request, now)
                 return request
             slow_waits = False
-        task, asking = self._routine
-        request = asking.next_request(now, self._doubt_of(task.unit))
+        task, attempts = self._routine
+        request = attempts.next_request(now, self._pending_of(task.unit))
         assert request is not None
         self._pace(request, now)
         return request
 
-    def _settle_routine(self, task: Task, asking: Asking, heard: Heard, began: float, ended: float) -> bool:
-        again = asking.settle(heard)
-        self.schedule.spent(task, began, ended, answered=heard.reply is not None)
-        answer = asking.answer
-        if answer is None:
+    def _settle_routine(
+        self, task: Task, attempts: SendAttempts, exchange: ExchangeResult, began: float, ended: float
+    ) -> bool:
+        again = attempts.settle(exchange)
+        self.schedule.spent(task, began, ended, answered=exchange.reply is not None)
+        result = attempts.result
+        if result is None:
             return again
         self._routine = None
-        if task.kind is Kind.FIRST and answer.reply is None:
-            self.schedule.fell_silent(task.unit, ended)
-        if task.kind is Kind.PARAMETER and task.unit in self.schedule.round:
-            if answer.reply is None:
-                self.schedule.gaps.was_not_read(task.unit, task.number)
+        if task.kind is TaskKind.FIRST and result.reply is None:
+            self.schedule.stopped_responding(task.unit, ended)
+        if task.kind is TaskKind.PARAMETER and task.unit in self.schedule.poll_order:
+            if result.reply is None:
+                self.schedule.parameters.was_not_read(task.unit, task.number)
             else:
-                available = not isinstance(answer.reply, Nak)
-                self.schedule.gaps.was_read(task.unit, task.number, available=available)
+                available = not isinstance(result.reply, Nak)
+                self.schedule.parameters.was_read(task.unit, task.number, available=available)
         return False
 
     def _pace(self, request: Request, now: float) -> None:
@@ -184,8 +193,8 @@ class Turns:
         self._not_before = now + PACE * self._exchange_s(request)
 
 
-def _routine(task: Task) -> tuple[Task, Asking]:
+def _routine(task: Task) -> tuple[Task, SendAttempts]:
     tries = _TRIES.get(task.kind, 0)
-    if task.kind is Kind.PARAMETER:
-        return task, Asking(Ask(ReadParameter(task.unit, task.number), most_tries=tries))
-    return task, Asking(Ask(ReadStatus(task.unit), most_tries=tries))
+    if task.kind is TaskKind.PARAMETER:
+        return task, SendAttempts(Send(ReadParameter(task.unit, task.number), max_attempts=tries))
+    return task, SendAttempts(Send(ReadStatus(task.unit), max_attempts=tries))

@@ -11,7 +11,7 @@ LOOK_ELSEWHERE_S = 3.0
 """How long a wholly silent line is asked at one baud rate before it is asked at the other."""
 
 
-class OtherRate:
+class BaudSearch:
     """``look`` now and then, ``turn`` between two questions: a silent line gets one after the other."""
 
     def __init__(self, now: float) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from bus.contract import Result
-from bus.line.commands.command_run import Claim, Errand
+from bus.line.commands.command_run import CommandRun, Priority
 from bus.messages import Message
 from bus.wire.commands import Request
-from bus.wire.fence import Doubt
+from bus.wire.fence import PendingResponses
 
 
-class Errands:
+class CommandQueue:
     """Writes before reads before what is slow; within a claim the first come first, but for the slow.
 
     An errand waits while an earlier one claims a unit that it claims too, and ends by itself when its time
@@ -19,82 +19,82 @@ class Errands:
     """
 
     def __init__(self) -> None:
-        self._all: list[Errand] = []
+        self._all: list[CommandRun] = []
 
-    def __iter__(self) -> Iterator[Errand]:
+    def __iter__(self) -> Iterator[CommandRun]:
         return iter(tuple(self._all))
 
     def __len__(self) -> int:
         return len(self._all)
 
-    def add(self, errand: Errand) -> None:
+    def add(self, run: CommandRun) -> None:
         """Let it have its turn."""
-        self._all.append(errand)
-        self._all.sort(key=lambda each: each.claim)
+        self._all.append(run)
+        self._all.sort(key=lambda each: each.priority)
 
     def cancel(self, command_id: str) -> None:
         """Give one up where nothing is half done."""
-        for errand in self._all:
-            if errand.id == command_id:
-                errand.wish.cancelled = True
-                if not errand.begun:
-                    errand.end(_never_begun(Message("canceled_before_sending")))
+        for run in self._all:
+            if run.id == command_id:
+                run.context.cancelled = True
+                if not run.begun:
+                    run.end(_never_begun(Message("canceled_before_sending")))
 
     def next_request(
-        self, now: float, doubt_of: Callable[[int], Doubt], *, slow: bool = False
-    ) -> tuple[Errand, Request] | None:
+        self, now: float, pending_of: Callable[[int], PendingResponses], *, slow: bool = False
+    ) -> tuple[CommandRun, Request] | None:
         """Who sends what now; ``slow``: of those that take the gaps only, else of all the others."""
-        for errand in self._all:
-            if (errand.claim is Claim.SLOW) != slow or errand.result is not None:
+        for run in self._all:
+            if (run.priority is Priority.SLOW) != slow or run.result is not None:
                 continue
-            if self._may_run(errand, now):
-                request = errand.next_request(now, doubt_of)
+            if self._may_run(run, now):
+                request = run.next_request(now, pending_of)
                 if request is not None:
                     if slow:
-                        self._take_turns(errand)
-                    return errand, request
+                        self._take_turns(run)
+                    return run, request
         return None
 
-    def _take_turns(self, errand: Errand) -> None:
+    def _take_turns(self, run: CommandRun) -> None:
         """Slow ones go in turn: reads of several units then follow each other without a fence between."""
-        self._all.remove(errand)
-        self._all.append(errand)
+        self._all.remove(run)
+        self._all.append(run)
 
-    def take_finished(self) -> list[Errand]:
+    def take_finished(self) -> list[CommandRun]:
         """Those that have a result; they are forgotten here."""
-        finished = [errand for errand in self._all if errand.result is not None]
+        finished = [run for run in self._all if run.result is not None]
         if finished:
-            self._all = [errand for errand in self._all if errand.result is None]
+            self._all = [run for run in self._all if run.result is None]
         return finished
 
     @property
     def write_waits(self) -> bool:
         """Whether anything would write."""
-        return any(errand.claim is Claim.WRITE and errand.result is None for errand in self._all)
+        return any(run.priority is Priority.WRITE and run.result is None for run in self._all)
 
     @property
     def slow_waits(self) -> bool:
         """Whether anything would use a gap."""
-        return any(errand.claim is Claim.SLOW for errand in self._all)
+        return any(run.priority is Priority.SLOW for run in self._all)
 
     @property
-    def whole_line_changes(self) -> bool:
+    def group_changes(self) -> bool:
         """Whether a change of many units is under way, between whose frames nothing may come."""
-        return any(errand.begun and len(errand.units) > 1 for errand in self._all)
+        return any(run.begun and len(run.units) > 1 for run in self._all)
 
     def moments(self) -> list[float]:
         """When one of them resumes, or gives up waiting for its turn."""
-        return [errand.resume_at if errand.begun else errand.deadline for errand in self._all]
+        return [run.resume_at if run.begun else run.deadline for run in self._all]
 
-    def _may_run(self, errand: Errand, now: float) -> bool:
-        if errand.begun:
+    def _may_run(self, run: CommandRun, now: float) -> bool:
+        if run.begun:
             return True
         for earlier in self._all:
-            if earlier is errand:
+            if earlier is run:
                 return True
-            if earlier.result is None and earlier.conflicts_with(errand):
-                if now > errand.deadline:
-                    errand.end(_never_begun(Message("units_busy")))
+            if earlier.result is None and earlier.conflicts_with(run):
+                if now > run.deadline:
+                    run.end(_never_begun(Message("units_busy")))
                 return False
         return True
 

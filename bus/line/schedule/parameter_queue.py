@@ -12,7 +12,7 @@ DECIMALS_EVERY = 4
 """So many reads of the circle bring one #3, and a first reading of all the others still ends soon."""
 
 
-class Gaps:
+class ParameterQueue:
     """Two queues of 85h reads: those needed to show a unit right, and a slow circle of all others.
 
     The needed ones go number by number over all units, so that all units are shown right together; #3 goes
@@ -25,7 +25,7 @@ class Gaps:
         self._numbers = tuple(numbers)
         self._needed_numbers = frozenset(needed)
         self._needed: list[tuple[bool, int, int, int]] = []
-        self._circle: deque[tuple[int, int]] = deque()
+        self._background: deque[tuple[int, int]] = deque()
         self._decimals: deque[tuple[int, int]] = deque()
         self._waiting: set[tuple[int, int]] = set()
         self._urgent: set[tuple[int, int]] = set()
@@ -38,7 +38,7 @@ class Gaps:
         self.need(unit)
         for number in self._numbers:
             if number not in self._needed_numbers:
-                self._circulate(unit, number)
+                self._add_background(unit, number)
 
     def need(self, unit: int) -> None:
         """Read again what is needed to show ``unit`` right."""
@@ -53,7 +53,7 @@ class Gaps:
         """``unit`` does not answer; nothing is read from it."""
         self._needed = [entry for entry in self._needed if entry[3] != unit]
         heapq.heapify(self._needed)
-        self._circle = deque(entry for entry in self._circle if entry[0] != unit)
+        self._background = deque(entry for entry in self._background if entry[0] != unit)
         self._decimals = deque(entry for entry in self._decimals if entry[0] != unit)
         self._waiting = {entry for entry in self._waiting if entry[0] != unit}
         self._urgent = {entry for entry in self._urgent if entry[0] != unit}
@@ -70,10 +70,10 @@ class Gaps:
         self._urgent.discard((unit, number))
         return unit, number
 
-    def next_of_circle(self) -> tuple[int, int] | None:
+    def next_background(self) -> tuple[int, int] | None:
         """Unit and number of the next parameter of the slow circle, taken from it."""
         self._turn = (self._turn + 1) % DECIMALS_EVERY
-        queue = (self._circle or self._decimals) if self._turn else (self._decimals or self._circle)
+        queue = (self._background or self._decimals) if self._turn else (self._decimals or self._background)
         if not queue:
             return None
         entry = queue.popleft()
@@ -83,14 +83,14 @@ class Gaps:
     def was_read(self, unit: int, number: int, *, available: bool) -> None:
         """It takes its place at the end of the circle; one that the unit does not have leaves it."""
         if available and number in self._numbers:
-            self._circulate(unit, number)
+            self._add_background(unit, number)
 
     def was_not_read(self, unit: int, number: int) -> None:
         """No answer: back into the queue it came from."""
         if number in self._needed_numbers:
             self._again(unit, number)
         else:
-            self._circulate(unit, number)
+            self._add_background(unit, number)
 
     def _again(self, unit: int, number: int) -> None:
         if (unit, number) not in self._urgent:
@@ -98,8 +98,8 @@ class Gaps:
             self._arrivals += 1
             heapq.heappush(self._needed, (True, number, self._arrivals, unit))
 
-    def _circulate(self, unit: int, number: int) -> None:
+    def _add_background(self, unit: int, number: int) -> None:
         if (unit, number) not in self._waiting:
             self._waiting.add((unit, number))
-            queue = self._decimals if number == DECIMALS else self._circle
+            queue = self._decimals if number == DECIMALS else self._background
             queue.append((unit, number))

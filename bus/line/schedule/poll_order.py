@@ -12,7 +12,7 @@ WATCHED_HZ = 10.0
 """More polls a second of one unit than this show a person nothing new."""
 
 
-class Round:
+class PollOrder:
     """Units in floor order, each with its turn; a watched one has more turns than the others.
 
     Each unit has a *pass*; the lowest is next and moves on by the inverse of its share (stride

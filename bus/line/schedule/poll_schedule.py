@@ -22,10 +22,10 @@ import msgspec
 
 from bus.catalogue.numbers import OWN_ADDRESS
 from bus.catalogue.parameters import NEEDED_TO_JUDGE, NEEDED_TO_SHOW, PARAMETERS
-from bus.line.schedule.parameter_queue import Gaps
-from bus.line.schedule.poll_order import Round
-from bus.line.schedule.probe_backoff import Silence
-from bus.line.schedule.wire_share import Share
+from bus.line.schedule.parameter_queue import ParameterQueue
+from bus.line.schedule.poll_order import PollOrder
+from bus.line.schedule.probe_backoff import ProbeBackoff
+from bus.line.schedule.wire_share import WireShare
 
 NEEDED_SHARE = 0.8
 NEEDED_SHARE_OF_MANY = 0.5
@@ -34,12 +34,12 @@ MANY_UNITS = 12
 SLOW_SHARE_WATCHED = 0.08
 """With fences and the circle beside it the scan then keeps nine tenths of its rate."""
 SLOW_SHARE_UNWATCHED = 0.95
-CIRCLE_SHARE = 0.01
+BACKGROUND_SHARE = 0.01
 BURST_POLLS = 2
 """Short reads between long polls come to their share by saving up the time of so many polls."""
 
 
-class Kind(StrEnum):
+class TaskKind(StrEnum):
     """Why a frame leaves."""
 
     FIRST = "first"
@@ -52,24 +52,24 @@ class Kind(StrEnum):
 class Task(msgspec.Struct, frozen=True):
     """The next use of the wire. ``number``: the parameter, where one is read; SLOW has no unit."""
 
-    kind: Kind
+    kind: TaskKind
     unit: int = 0
     number: int = 0
     needed: bool = False
 
 
-class Schedule:
+class PollSchedule:
     """The whole claim list of one bus."""
 
     def __init__(self, units: Iterable[int], poll_s: float, seed: int = 0) -> None:
         order = tuple(units)
         self._unseen = list(reversed(order))
-        self.round = Round(order, poll_s)
-        self.silence = Silence(seed)
-        self.gaps = Gaps(tuple(PARAMETERS), (*NEEDED_TO_SHOW, *NEEDED_TO_JUDGE, OWN_ADDRESS))
-        self._needed = Share(NEEDED_SHARE, BURST_POLLS * poll_s)
-        self._slow = Share(SLOW_SHARE_UNWATCHED, BURST_POLLS * poll_s)
-        self._circle = Share(CIRCLE_SHARE)
+        self.poll_order = PollOrder(order, poll_s)
+        self.probes = ProbeBackoff(seed)
+        self.parameters = ParameterQueue(tuple(PARAMETERS), (*NEEDED_TO_SHOW, *NEEDED_TO_JUDGE, OWN_ADDRESS))
+        self._needed = WireShare(NEEDED_SHARE, BURST_POLLS * poll_s)
+        self._slow = WireShare(SLOW_SHARE_UNWATCHED, BURST_POLLS * poll_s)
+        self._background = WireShare(BACKGROUND_SHARE)
         self._poll_s = poll_s
         self._poll_fraction = 1.0
 
@@ -77,43 +77,43 @@ class Schedule:
 
     def watch(self, units: Collection[int], *, anybody: bool) -> None:
         """``units`` are on an open page; ``anybody``: some page is open at all."""
-        self.round.watch(units)
+        self.poll_order.watch(units)
         self._slow.fraction = SLOW_SHARE_WATCHED if anybody else SLOW_SHARE_UNWATCHED
 
     def answers(self, unit: int, now: float) -> None:
         """``unit`` answered for the first time, or again after a silence."""
-        self.silence.returned(unit, now)
-        if unit in self.round:
+        self.probes.responded(unit, now)
+        if unit in self.poll_order:
             return
-        self.round.join(unit)
-        self.gaps.learn_all(unit)
+        self.poll_order.join(unit)
+        self.parameters.learn_all(unit)
         self._adapt()
 
-    def fell_silent(self, unit: int, now: float) -> None:
+    def stopped_responding(self, unit: int, now: float) -> None:
         """``unit`` missed so often that it is out of the round."""
-        self.round.leave(unit)
-        self.gaps.forget(unit)
-        if unit not in self.silence:
-            self.silence.fell(unit, now)
+        self.poll_order.leave(unit)
+        self.parameters.forget(unit)
+        if unit not in self.probes:
+            self.probes.stopped_responding(unit, now)
         self._adapt()
 
     def port_opened(self, now: float) -> None:
         """The port is open again: silent units are worth a question."""
-        self.silence.forgive(now)
+        self.probes.forgive(now)
 
     def spent(self, task: Task, began: float, ended: float, *, answered: bool) -> None:
         """``task`` used the wire between these moments; settles the shares and the averages."""
         seconds = ended - began
         match task.kind:
-            case Kind.PROBE if not answered:
-                self.silence.unanswered(task.unit, ended, seconds)
-            case Kind.PARAMETER:
-                (self._needed if task.needed else self._circle).spend(began, seconds)
-            case Kind.SLOW:
+            case TaskKind.PROBE if not answered:
+                self.probes.unanswered(task.unit, ended, seconds)
+            case TaskKind.PARAMETER:
+                (self._needed if task.needed else self._background).spend(began, seconds)
+            case TaskKind.SLOW:
                 self._slow.spend(began, seconds)
-            case Kind.POLL if answered:
+            case TaskKind.POLL if answered:
                 self._poll_s += (seconds - self._poll_s) * 0.05
-        polled = 1.0 if task.kind is Kind.POLL else 0.0
+        polled = 1.0 if task.kind is TaskKind.POLL else 0.0
         weight = min(1.0, seconds / 5.0)
         self._poll_fraction += (polled - self._poll_fraction) * weight
 
@@ -122,10 +122,10 @@ class Schedule:
     def next(self, now: float, *, slow_waits: bool = False) -> Task | None:
         """The next use of the wire; None: nothing before ``wake_at``."""
         if self._unseen:
-            return Task(Kind.FIRST, self._unseen.pop())
-        silent = self.silence.due(now)
-        if silent is not None:
-            return Task(Kind.PROBE, silent)
+            return Task(TaskKind.FIRST, self._unseen.pop())
+        unit = self.probes.due(now)
+        if unit is not None:
+            return Task(TaskKind.PROBE, unit)
         task = self._gap(now, slow_waits=slow_waits)
         if task is not None:
             return task
@@ -133,26 +133,26 @@ class Schedule:
 
     def next_poll(self) -> Task | None:
         """The unit whose turn it is, whatever else would be due."""
-        unit = self.round.take()
-        return Task(Kind.POLL, unit) if unit is not None else None
+        unit = self.poll_order.take()
+        return Task(TaskKind.POLL, unit) if unit is not None else None
 
     def wake_at(self) -> float | None:
         """When something becomes due, after ``next`` had nothing; None: only when something happens."""
-        return self.silence.wake_at()
+        return self.probes.wake_at()
 
     def _gap(self, now: float | None, *, slow_waits: bool) -> Task | None:
         """What may use a gap now; ``now`` None: the wire is free anyhow."""
-        if (now is None or self._needed.ready(now)) and (wanted := self.gaps.next_needed()):
-            return Task(Kind.PARAMETER, *wanted, needed=True)
+        if (now is None or self._needed.ready(now)) and (wanted := self.parameters.next_needed()):
+            return Task(TaskKind.PARAMETER, *wanted, needed=True)
         if slow_waits and (now is None or self._slow.ready(now)):
-            return Task(Kind.SLOW)
-        if (now is None or self._circle.ready(now)) and (wanted := self.gaps.next_of_circle()):
-            return Task(Kind.PARAMETER, *wanted)
+            return Task(TaskKind.SLOW)
+        if (now is None or self._background.ready(now)) and (wanted := self.parameters.next_background()):
+            return Task(TaskKind.PARAMETER, *wanted)
         return None
 
     def _adapt(self) -> None:
-        self.silence.alone = len(self.round) == 0
-        self._needed.fraction = NEEDED_SHARE if len(self.round) <= MANY_UNITS else NEEDED_SHARE_OF_MANY
+        self.probes.alone = len(self.poll_order) == 0
+        self._needed.fraction = NEEDED_SHARE if len(self.poll_order) <= MANY_UNITS else NEEDED_SHARE_OF_MANY
 
     # --- what it costs -------------------------------------------------------------------------
 
@@ -163,5 +163,5 @@ class Schedule:
 
     def scan_s(self, more_units: int = 0) -> float:
         """Seconds in which every answering unit is polled once, with ``more_units`` more of them."""
-        units = len(self.round) + more_units
+        units = len(self.poll_order) + more_units
         return units * self._poll_s / max(self._poll_fraction, 0.05)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass
 
-from bus.line.schedule.wire_share import Share
+from bus.line.schedule.wire_share import WireShare
 
 STEPS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 10.0)
 """Back-off after each unanswered probe."""
@@ -21,12 +21,12 @@ to begin an answer."""
 
 
 @dataclass(slots=True)
-class _Silent:
+class _OfflineUnit:
     step: int
     due: float
 
 
-class Silence:
+class ProbeBackoff:
     """The units that do not answer, and when each is probed next.
 
     One probe costs one timeout; the timeouts of all are rationed to ``WIRE_SHARE``. An answered probe
@@ -34,7 +34,7 @@ class Silence:
     """
 
     def __init__(self, seed: int = 0) -> None:
-        self._units: dict[int, _Silent] = {}
+        self._units: dict[int, _OfflineUnit] = {}
         self._rations = _rations()
         self._random = random.Random(seed)
         self.alone = True
@@ -46,19 +46,19 @@ class Silence:
     def __contains__(self, unit: int) -> bool:
         return unit in self._units
 
-    def fell(self, unit: int, now: float) -> None:
+    def stopped_responding(self, unit: int, now: float) -> None:
         """``unit`` stopped answering, or did not answer its first question."""
-        self._units[unit] = _Silent(0, now + self._wait(0))
+        self._units[unit] = _OfflineUnit(0, now + self._wait(0))
 
     def unanswered(self, unit: int, now: float, cost_s: float) -> None:
         """A probe of ``unit`` cost a timeout of ``cost_s`` seconds that ended at ``now``."""
         self._rations[self.alone].spend(now, cost_s)
-        silent = self._units.get(unit)
-        if silent is not None:
-            silent.step = min(silent.step + 1, len(STEPS_S) - 1)
-            silent.due = now + self._wait(silent.step)
+        offline = self._units.get(unit)
+        if offline is not None:
+            offline.step = min(offline.step + 1, len(STEPS_S) - 1)
+            offline.due = now + self._wait(offline.step)
 
-    def returned(self, unit: int, now: float) -> None:
+    def responded(self, unit: int, now: float) -> None:
         """``unit`` answers again; what silenced it may have silenced others, so they are due now."""
         if self._units.pop(unit, None) is not None:
             for other in self._units.values():
@@ -68,8 +68,8 @@ class Silence:
         """The port was opened anew, or goes at another rate: everybody is worth asking at once, whoever has
         waited longest first, and the first one whatever was spent before."""
         self._rations = _rations()
-        for silent in self._units.values():
-            silent.step, silent.due = 0, min(silent.due, now)
+        for offline in self._units.values():
+            offline.step, offline.due = 0, min(offline.due, now)
 
     def due(self, now: float) -> int | None:
         """The unit to probe now, the longest overdue first; None when none is due or the ration is used."""
@@ -82,24 +82,24 @@ class Silence:
         """When the next probe may leave; None when nobody is silent."""
         if not self._units:
             return None
-        first_due = min(self._due_of(silent) for silent in self._units.values())
+        first_due = min(self._due_of(offline) for offline in self._units.values())
         return max(self._rations[self.alone].ready_at, first_due)
 
     def back_off_s(self, unit: int) -> float:
         """The present back-off step of ``unit`` in seconds, 0 when it is not silent."""
-        silent = self._units.get(unit)
-        return STEPS_S[silent.step] if silent is not None else 0.0
+        offline = self._units.get(unit)
+        return STEPS_S[offline.step] if offline is not None else 0.0
 
     def _wait(self, step: int) -> float:
         return STEPS_S[step] * (1.0 - JITTER * self._random.random())
 
-    def _due_of(self, silent: _Silent) -> float:
+    def _due_of(self, offline: _OfflineUnit) -> float:
         if not self.alone:
-            return silent.due
-        late = max(0.0, STEPS_S[silent.step] - ALONE_STEP_S)
-        return silent.due - late
+            return offline.due
+        late = max(0.0, STEPS_S[offline.step] - ALONE_STEP_S)
+        return offline.due - late
 
 
-def _rations() -> dict[bool, Share]:
+def _rations() -> dict[bool, WireShare]:
     """By whether no unit answers."""
-    return {False: Share(WIRE_SHARE), True: Share(WIRE_SHARE_ALONE)}
+    return {False: WireShare(WIRE_SHARE), True: WireShare(WIRE_SHARE_ALONE)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-class Share:
+class WireShare:
     """Lets something use the wire for at most ``fraction`` of the time, however long one use is.
 
     What was not used can be saved up for ``burst_s`` seconds of waiting, so that short uses between

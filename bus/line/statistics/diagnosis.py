@@ -26,7 +26,7 @@ COLLIDED_BYTES = 20
 """What is left of a few answers that two units gave at once; units that are off leave nothing."""
 
 
-class UnitTrouble(msgspec.Struct, frozen=True):
+class UnitSymptoms(msgspec.Struct, frozen=True):
     """What one unit did in the window, units in floor order. ``spoilt``: answers with a wrong checksum.
     ``says``: the address that its #17 reads, None where that was not read."""
 
@@ -61,10 +61,10 @@ class UnitTrouble(msgspec.Struct, frozen=True):
         return self.slow and self.timeouts < FEW
 
 
-def diagnose(units: Sequence[UnitTrouble], noise_bytes: int, echoes: int) -> list[Message]:
+def diagnose(units: Sequence[UnitSymptoms], noise_bytes: int, echoes: int) -> list[Message]:
     """One or two causes; empty when all is well."""
     found = [_in_another_name(units), _garbled(units), _collided(units, noise_bytes) or _silent(units)]
-    found += [_received_twice(units)] if answers_for_all(units) else [_slow(units), _foreign(units)]
+    found += [_duplicated(units)] if answers_for_all(units) else [_slow(units), _foreign(units)]
     if echoes:
         found.append(Message("diagnosis_echo"))
     if noise_bytes >= MUCH_NOISE_BYTES:
@@ -72,18 +72,18 @@ def diagnose(units: Sequence[UnitTrouble], noise_bytes: int, echoes: int) -> lis
     return [each for each in found if each is not None]
 
 
-def answers_for_all(units: Sequence[UnitTrouble]) -> int:
+def answers_for_all(units: Sequence[UnitSymptoms]) -> int:
     """The unit that seems to answer to every address, as all others are received twice; 0: none."""
     heard = [each for each in units if not each.silent]
     alone = [each for each in heard if not each.twice]
     return alone[0].unit if len(alone) == 1 and len(heard) >= MANY and alone[0].answers else 0
 
 
-def _received_twice(units: Sequence[UnitTrouble]) -> Message:
+def _duplicated(units: Sequence[UnitSymptoms]) -> Message:
     return Message.of("diagnosis_all_twice", unit=answers_for_all(units))
 
 
-def _in_another_name(units: Sequence[UnitTrouble]) -> Message | None:
+def _in_another_name(units: Sequence[UnitSymptoms]) -> Message | None:
     others = [each for each in units if each.says not in (None, each.unit) and not each.silent]
     if not others or (own := others[0].says) is None:
         return None
@@ -91,14 +91,14 @@ def _in_another_name(units: Sequence[UnitTrouble]) -> Message | None:
     return Message.of("diagnosis_other_name", units=same, own=own)
 
 
-def _collided(units: Sequence[UnitTrouble], noise_bytes: int) -> Message | None:
+def _collided(units: Sequence[UnitSymptoms], noise_bytes: int) -> Message | None:
     alone = [each.unit for each in units if not each.silent]
     if len(alone) != 1 or len(units) < MANY or noise_bytes < COLLIDED_BYTES:
         return None
     return Message.of("diagnosis_collisions", unit=alone[0])
 
 
-def _silent(units: Sequence[UnitTrouble]) -> Message | None:
+def _silent(units: Sequence[UnitSymptoms]) -> Message | None:
     silent = [each for each in units if each.silent and not each.garbled]
     if not silent:
         return None
@@ -112,7 +112,7 @@ def _silent(units: Sequence[UnitTrouble]) -> Message | None:
     return Message.of("diagnosis_some_silent", units=_addresses(silent))
 
 
-def _garbled(units: Sequence[UnitTrouble]) -> Message | None:
+def _garbled(units: Sequence[UnitSymptoms]) -> Message | None:
     garbled = [each for each in units if each.garbled]
     if not garbled:
         return None
@@ -123,21 +123,21 @@ def _garbled(units: Sequence[UnitTrouble]) -> Message | None:
     return Message.of("diagnosis_some_garbled", units=_addresses(garbled))
 
 
-def _noise(units: Sequence[UnitTrouble], *, named: bool) -> Message | None:
+def _noise(units: Sequence[UnitSymptoms], *, named: bool) -> Message | None:
     if any(each.silent and not each.garbled for each in units):
         return Message("diagnosis_other_protocol")
     return None if named else Message("diagnosis_stray_bytes")
 
 
-def _slow(units: Sequence[UnitTrouble]) -> Message | None:
+def _slow(units: Sequence[UnitSymptoms]) -> Message | None:
     slow = [each for each in units if each.slow]
     return Message.of("diagnosis_late", units=_addresses(slow)) if slow else None
 
 
-def _foreign(units: Sequence[UnitTrouble]) -> Message | None:
+def _foreign(units: Sequence[UnitSymptoms]) -> Message | None:
     foreign = [each for each in units if each.foreign >= FEW]
     return Message.of("diagnosis_foreign", units=_addresses(foreign)) if foreign else None
 
 
-def _addresses(units: Sequence[UnitTrouble]) -> list[int | str | Message]:
+def _addresses(units: Sequence[UnitSymptoms]) -> list[int | str | Message]:
     return [each.unit for each in units]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from bus.catalogue.numbers import OWN_ADDRESS
 from bus.contract import BusFigures, UnitFigures
 from bus.line.roster import Roster, UnitRecord
-from bus.line.schedule.poll_schedule import Schedule
-from bus.line.statistics.diagnosis import UnitTrouble, answers_for_all, diagnose
+from bus.line.schedule.poll_schedule import PollSchedule
+from bus.line.statistics.diagnosis import UnitSymptoms, answers_for_all, diagnose
 from bus.line.statistics.wire_statistics import WireCounts
 
 WINDOW_S = 10.0
@@ -31,7 +31,7 @@ class Figures:
         self._marks: deque[_Mark] = deque()
 
     def take(
-        self, now: float, at: float, counts: WireCounts, roster: Roster, schedule: Schedule
+        self, now: float, at: float, counts: WireCounts, roster: Roster, schedule: PollSchedule
     ) -> BusFigures:
         """The figures of this moment: ``now`` on the line's clock, ``at`` since the epoch."""
         units = {unit: roster[unit].statistics.figures() for unit in roster.configured}
@@ -39,7 +39,7 @@ class Figures:
         before = self._before(mark)
         elapsed = now - before.at
         scan_s = schedule.scan_s()
-        troubles = [_trouble(roster[unit], before.units[unit], after) for unit, after in units.items()]
+        symptoms = [_symptoms_of(roster[unit], before.units[unit], after) for unit, after in units.items()]
         return BusFigures(
             at=at,
             scan_hz=1.0 / scan_s if scan_s > 0 else 0.0,
@@ -48,9 +48,9 @@ class Figures:
             scan_s_with_one_more=schedule.scan_s(1),
             noise_bytes=counts.noise_bytes,
             echoes=counts.echoes,
-            diagnosis=diagnose(troubles, mark.noise_bytes - before.noise_bytes, mark.echoes - before.echoes),
+            diagnosis=diagnose(symptoms, mark.noise_bytes - before.noise_bytes, mark.echoes - before.echoes),
             units=list(units.values()),
-            answers_for_all=answers_for_all(troubles),
+            answers_for_all=answers_for_all(symptoms),
         )
 
     def _before(self, mark: _Mark) -> _Mark:
@@ -60,8 +60,8 @@ class Figures:
         return self._marks[0]
 
 
-def _trouble(record: UnitRecord, before: UnitFigures, after: UnitFigures) -> UnitTrouble:
-    return UnitTrouble(
+def _symptoms_of(record: UnitRecord, before: UnitFigures, after: UnitFigures) -> UnitSymptoms:
+    return UnitSymptoms(
         unit=after.unit,
         offline=record.link.link == "offline",
         answers=after.answers - before.answers,

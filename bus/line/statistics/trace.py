@@ -24,7 +24,7 @@ _HEAD = struct.Struct("<dBBH")
 _VALID, _HIDDEN = 1, 2
 
 
-class Passed(NamedTuple):
+class TracedFrame(NamedTuple):
     """One frame or piece of rubbish as it passed the port; ``at``: seconds since the epoch."""
 
     at: float
@@ -47,12 +47,12 @@ class Trace:
         self._kept_s = kept_s
         self._kept_bytes = kept_bytes
         self._pieces: deque[_Piece] = deque()
-        self.follower: Callable[[Passed], None] | None = None
+        self.follower: Callable[[TracedFrame], None] | None = None
         """Gets each frame as it passes, while somebody follows."""
-        self.witness: list[Passed] | None = None
+        self.witness: list[TracedFrame] | None = None
         """The frames of the command under way are put down here as well."""
 
-    def add(self, passed: Passed) -> None:
+    def add(self, passed: TracedFrame) -> None:
         """Keep one; a secret one without its bytes, of noise without end only the beginning."""
         data = b"" if passed.hidden else passed.data[:LONGEST_FRAME]
         if not self._pieces or len(self._pieces[-1].packed) >= PIECE_BYTES:
@@ -67,7 +67,7 @@ class Trace:
         if self.follower is not None:
             self.follower(passed._replace(data=data))
 
-    def since(self, at: float) -> Iterator[Passed]:
+    def since(self, at: float) -> Iterator[TracedFrame]:
         """What is kept from ``at`` on, oldest first. New frames may come while it is read."""
         pieces = list(self._pieces)
         for place, piece in enumerate(pieces):
@@ -86,14 +86,14 @@ class Trace:
             self._pieces.popleft()
 
 
-def _unpack(packed: bytes) -> Iterator[Passed]:
+def _unpack(packed: bytes) -> Iterator[TracedFrame]:
     place = 0
     while place < len(packed):
         at, came_in, flags, length = _HEAD.unpack_from(packed, place)
         place += _HEAD.size
         data = packed[place : place + length]
         place += length
-        yield Passed(at, "in" if came_in else "out", data, bool(flags & _VALID), bool(flags & _HIDDEN))
+        yield TracedFrame(at, "in" if came_in else "out", data, bool(flags & _VALID), bool(flags & _HIDDEN))
 
 
 class Interpreter:
@@ -103,7 +103,7 @@ class Interpreter:
         self._dialect = dialect
         self._describer = Describer(dialect)
 
-    def frame(self, passed: Passed) -> Frame:
+    def frame(self, passed: TracedFrame) -> Frame:
         """As the app shows it."""
         return Frame(
             at=passed.at,

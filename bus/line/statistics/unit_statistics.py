@@ -14,7 +14,7 @@ _STEP = 1.08
 _CLASSES = 148
 
 
-class AnswerTimes:
+class ResponseTimes:
     """Seconds from a request's last byte to the first byte of the answer, as a histogram."""
 
     __slots__ = ("_classes", "count", "largest", "smallest")
@@ -67,7 +67,7 @@ class UnitStatistics:
     def __init__(self, unit: int) -> None:
         self.counts = UnitCounts(unit)
         self.overdue = 0
-        self.times = AnswerTimes()
+        self.times = ResponseTimes()
 
     def refused(self, code: int) -> None:
         """The unit said NAK. A new dictionary, as the one before may have been told."""

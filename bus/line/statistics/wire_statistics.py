@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bus.line.exchange.current_exchange import UnderWay
+from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.roster import Roster
 from bus.wire.commands import Nak, ReadStatus
 from bus.wire.exchange import Doubled, Echo, Foreign, Late, Unexpected
-from bus.wire.fence import Doubts
+from bus.wire.fence import PendingByUnit
 from bus.wire.framing import Fault, Noise
 
 NoAnswer = Echo | Foreign | Doubled | Late | Unexpected
@@ -25,7 +25,7 @@ class WireCounts:
     answers: int = 0
 
 
-class Tally:
+class WireStatistics:
     """Counts into ``wire`` and into the statistics of the roster's units."""
 
     def __init__(self, roster: Roster) -> None:
@@ -39,23 +39,23 @@ class Tally:
         if noise.reason is Fault.CHECKSUM:
             self._roster[asked].statistics.counts.checksum_errors += 1
 
-    def no_answer(self, event: NoAnswer, asked: int, doubts: Doubts) -> None:
+    def no_answer(self, event: NoAnswer, asked: int, pending: PendingByUnit) -> None:
         """A good frame that is not the answer of ``asked``."""
         match event:
             case Echo():
                 self.wire.echoes += 1
             case Foreign():
-                self._foreign(event, asked, doubts)
+                self._foreign(event, asked, pending)
             case Doubled() | Late():
-                self.heard_twice(asked)
+                self.late_or_duplicate(asked)
             case Unexpected():
                 self._roster[asked].statistics.counts.foreign += 1
 
-    def heard_twice(self, unit: int) -> None:
+    def late_or_duplicate(self, unit: int) -> None:
         """An answer of an earlier exchange, or the last one once more."""
         self._roster[unit].statistics.counts.late += 1
 
-    def ended(self, exchange: UnderWay, now: float, byte_s: float) -> None:
+    def ended(self, exchange: CurrentExchange, now: float, byte_s: float) -> None:
         """An exchange is over, with its answer or without; a byte takes ``byte_s``."""
         request, reply = exchange.exchange.request, exchange.exchange.reply
         self.wire.busy_s += (len(exchange.exchange.sent) + len(exchange.frame)) * byte_s
@@ -74,20 +74,20 @@ class Tally:
         if isinstance(reply, Nak):
             statistics.refused(reply.code)
 
-    def _foreign(self, event: Foreign, asked: int, doubts: Doubts) -> None:
+    def _foreign(self, event: Foreign, asked: int, pending: PendingByUnit) -> None:
         """Another unit's frame: late where that unit owes one or says its last once more, else a mistake.
 
         It ends no doubt about that unit, for it may be of a third one that answers to a wrong address.
         """
-        overdue = bool(doubts.about(event.unit).outstanding)
+        overdue = bool(pending.about(event.unit).outstanding)
         self._roster[event.unit].statistics.overdue += overdue
         if overdue or event.frame.wire == self._last_answer:
-            self.heard_twice(event.unit)
+            self.late_or_duplicate(event.unit)
         elif asked:
             self._roster[asked].statistics.counts.foreign += 1
 
 
-def _begins(exchange: UnderWay, now: float, byte_s: float) -> float:
+def _begins(exchange: CurrentExchange, now: float, byte_s: float) -> float:
     """When the answer began: a first byte that was left to gather came earlier than it was heard."""
     begins = now - len(exchange.frame) * byte_s
     first = exchange.exchange.first_byte_at

@@ -8,6 +8,7 @@ from __future__ import annotations
 from bus.messages.texts import (
     accounts,
     commands,
+    events,
     findings,
     frames,
     history,
@@ -27,6 +28,7 @@ from bus.messages.texts.plural import Plural as Plural
 GROUPS: tuple[dict[str, EnglishText], ...] = (
     accounts.TEXTS,
     commands.TEXTS,
+    events.TEXTS,
     findings.TEXTS,
     frames.TEXTS,
     history.TEXTS,

@@ -1,0 +1,45 @@
+"""Accepts connections one in each iteration of the event loop.
+
+``create_server`` accepts all that wait at once, and begins with the request of each in the next iteration: a
+burst of some hundred stands in front of a command that arrives on a connection that is open already.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from ssl import SSLContext
+
+NO_ROOM_S = 0.1
+"""How long nothing is accepted after the system had no room for a connection (accept(2): EMFILE, ENOMEM)."""
+
+
+async def accept_connections(
+    listening: socket.socket, make_protocol: Callable[[], asyncio.Protocol], tls: SSLContext | None = None
+) -> None:
+    """Serve each connection with a protocol of its own, until cancelled."""
+    loop = asyncio.get_running_loop()
+    listening.setblocking(False)
+    while True:
+        try:
+            connection, _ = await loop.sock_accept(listening)
+        except ConnectionError:
+            continue  # the client was gone before it was accepted
+        except OSError:
+            await asyncio.sleep(NO_ROOM_S)
+            continue
+        try:
+            await _begin(connection, make_protocol, tls)
+        finally:
+            # uvloop returns from sock_accept at once where a connection waits.
+            await asyncio.sleep(0)
+
+
+async def _begin(
+    connection: socket.socket, make_protocol: Callable[[], asyncio.Protocol], tls: SSLContext | None
+) -> None:
+    with suppress(OSError):
+        connection.setblocking(False)
+        await asyncio.get_running_loop().connect_accepted_socket(make_protocol, connection, ssl=tls)

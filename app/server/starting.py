@@ -1,0 +1,66 @@
+"""Begins with one request in each iteration of the event loop, and senders take turns.
+
+Otherwise a burst of some hundred requests, on connections that are open already or just accepted, would be
+begun in one iteration, and a command that arrives after it waits for all of them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict, deque
+from collections.abc import Collection
+
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+HEALTH = "/healthz"
+"""Costs nothing, and is asked to learn whether this server is well."""
+_CREDENTIALS = (b"authorization", b"cookie")
+
+
+class Starts:
+    """``await turn(key)``: at once where nothing was begun in this iteration, else when the key is next."""
+
+    def __init__(self) -> None:
+        self._waiting: OrderedDict[object, deque[asyncio.Future[None]]] = OrderedDict()
+        self._is_taken = False
+
+    async def turn(self, key: object) -> None:
+        """Wait for the turn of ``key``; the keys that wait have their turns one after the other."""
+        loop = asyncio.get_running_loop()
+        if not self._is_taken:
+            self._is_taken = True
+            loop.call_soon(self._next)
+            return
+        turn: asyncio.Future[None] = loop.create_future()
+        self._waiting.setdefault(key, deque()).append(turn)
+        await turn
+
+    def _next(self) -> None:
+        while self._waiting:
+            key, turns = self._waiting.popitem(last=False)
+            turn = turns.popleft()
+            if turns:
+                self._waiting[key] = turns
+            if not turn.done():  # cancelled
+                turn.set_result(None)
+                asyncio.get_running_loop().call_soon(self._next)
+                return
+        self._is_taken = False
+
+
+class StartInTurn:
+    """Keeps a request waiting for its turn before anything is done with it."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+        self._starts = Starts()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] in ("http", "websocket") and scope["path"] != HEALTH:
+            await self._starts.turn(sender_of(scope["headers"]) or (scope["client"] or ("",))[0])
+        await self._app(scope, receive, send)
+
+
+def sender_of(headers: Collection[tuple[bytes, bytes]]) -> bytes:
+    """The credential of a request, good or not; empty where it has none."""
+    return next((value for name, value in headers if name in _CREDENTIALS), b"")

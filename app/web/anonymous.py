@@ -1,0 +1,79 @@
+"""Requests without a person: few at a time of each address, so that a flood of them delays itself."""
+
+from __future__ import annotations
+
+from starlette.requests import ClientDisconnect, HTTPConnection
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Message as AsgiMessage
+
+from app.errors import Problem
+from app.server.addresses import source_of
+from app.server.fair_queue import FairQueue, TooManyWaitingError
+from app.server.starting import HEALTH
+from app.web.access import person_of
+from app.web.bounds import MOST_PLAIN_BODY_BYTES, BoundedBody
+from app.web.security import refuse
+from bus.messages import Message
+
+AT_ONCE, AT_ONCE_OF_ADDRESS = 2, 1
+MOST_WAITING, MOST_WAITING_OF_ADDRESS = 512, 64
+
+
+class AnonymousInTurn:
+    """Serves a request without a person in its turn, and only once its body has arrived.
+
+    Otherwise a burst of them would be begun in one iteration of the event loop, before everyone else's.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+        self._bounded = BoundedBody(self._serve, MOST_PLAIN_BODY_BYTES)
+        # Half of what may wait is for known keys, and no address is known.
+        self._turns: FairQueue[str] = FairQueue(
+            AT_ONCE, AT_ONCE_OF_ADDRESS, MOST_WAITING_OF_ADDRESS, 2 * MOST_WAITING
+        )
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        is_exempt = scope["type"] != "http" or scope["path"] == HEALTH
+        if is_exempt or person_of(HTTPConnection(scope)) is not None:
+            await self._app(scope, receive, send)
+            return
+        try:
+            await self._bounded(scope, receive, send)
+        except Problem as problem:
+            await refuse(scope, receive, send, problem)
+
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            body = await _complete_body(receive)
+        except ClientDisconnect:
+            return
+        client = HTTPConnection(scope).client
+        try:
+            async with self._turns.turn(source_of(client.host if client else ""), known=False):
+                await self._app(scope, _replaying(body, receive), send)
+        except TooManyWaitingError:
+            problem = Problem(429, "too_many", Message("too_many_requests"))
+            raise problem.with_headers(Retry_After="2") from None
+
+
+async def _complete_body(receive: Receive) -> bytes:
+    """Raises ClientDisconnect where the rest of it does not come."""
+    body, more = bytearray(), True
+    while more:
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            raise ClientDisconnect
+        body += message.get("body", b"")
+        more = message.get("more_body", False)
+    return bytes(body)
+
+
+def _replaying(body: bytes, receive: Receive) -> Receive:
+    """``receive`` after the body was taken from it."""
+    begun: list[AsgiMessage] = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def replaying() -> AsgiMessage:
+        return begun.pop() if begun else await receive()
+
+    return replaying

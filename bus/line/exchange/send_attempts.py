@@ -1,0 +1,124 @@
+"""One question through all its tries: fences, retries, deadline. Pure: time in seconds is passed in."""
+
+from __future__ import annotations
+
+import msgspec
+
+from bus.line.exchange.send import NO_NOISE, LineNoise, Send, SendResult, SendStatus
+from bus.settings import Dialect
+from bus.wire.commands import Reply, Request, is_write
+from bus.wire.fence import PendingResponses
+
+MOST_FENCES = 8
+"""Fences that are answered, each before a try that is not: such a unit hears one frame in two."""
+
+
+class ExchangeResult(msgspec.Struct, frozen=True):
+    """How one exchange ended. Times: seconds since the epoch; ``reply`` None: no answer in its window."""
+
+    request: Request
+    reply: Reply | None
+    sent_at: float
+    answered_at: float | None = None
+    frame: bytes = b""
+    noise: LineNoise = NO_NOISE
+    dialect: Dialect | None = None
+    """How the request was written, where something was sent."""
+
+
+class SendAttempts:
+    """``next_request`` and ``settle`` in turn, until ``result`` is there.
+
+    A timeout of a fence counts like a timeout of the request: so many in a row mean silence. A write never
+    leaves after ``deadline`` (on the clock of ``now``), whatever came of its earlier tries.
+    """
+
+    def __init__(self, send: Send, deadline: float = float("inf")) -> None:
+        self.send = send
+        self.result: SendResult | None = None
+        self._deadline = float("inf") if send.withdraws or not is_write(send.request) else deadline
+        self._attempts = 0
+        self._fences = 0
+        self._unanswered = 0
+        self._sent_at: float | None = None
+        self._noise = NO_NOISE
+
+    @property
+    def begun(self) -> bool:
+        """Whether the request itself has left."""
+        return self._attempts > 0
+
+    def dialect_of(self, request: Request) -> Dialect | None:
+        """How ``request`` is written, where not as the bus does."""
+        return self.send.dialect if request == self.send.request else None
+
+    def reports(self, request: Request) -> bool:
+        """Whether it is told that ``request`` leaves: the first time only, and not for a fence."""
+        return self.send.reports_sent and not self.begun and request == self.send.request
+
+    def next_request(self, now: float, pending: PendingResponses) -> Request | None:
+        """What to send now; None once ``result`` is there. ``pending``: of the unit asked."""
+        if self.result is not None:
+            return None
+        fence = self._fence(pending)
+        if fence is not None:
+            return fence
+        if now > self._deadline:
+            self._end(SendStatus.TOO_LATE)
+            return None
+        return self.send.request
+
+    def settle(self, exchange: ExchangeResult) -> bool:
+        """What ``next_request`` gave has passed; whether it is tried again, as nobody answered."""
+        if exchange.request != self.send.request:
+            self._noise = exchange.noise
+            self._settle_fence(answered=exchange.reply is not None)
+        else:
+            self._settle_request(exchange)
+        return self.result is None and exchange.reply is None
+
+    def _settle_request(self, exchange: ExchangeResult) -> None:
+        self._attempts += 1
+        self._sent_at = exchange.sent_at
+        if exchange.request.unit == 0:
+            self._end(SendStatus.SENT)
+        elif exchange.reply is not None:
+            self._end(SendStatus.RESPONDED, exchange)
+        else:
+            self._noise = exchange.noise
+            self._timed_out()
+
+    def close(self) -> None:
+        """The port is gone."""
+        if self.result is None:
+            self._end(SendStatus.PORT_CLOSED)
+
+    def _fence(self, pending: PendingResponses) -> Request | None:
+        """A retry may take the answer to the try before, as it is hardly older. A later question may not:
+        an answer that a buffer on the way kept for seconds would be shown as new."""
+        fence = pending.fence_before(self.send.request)
+        fresh = self.send.fresh or not self.begun
+        if fence is None and fresh and self.send.request in pending.outstanding:
+            fence = pending.fence()
+        return fence if fence != self.send.request else None
+
+    def _settle_fence(self, *, answered: bool) -> None:
+        if answered:
+            self._unanswered = 0
+            self._fences += 1
+            if self._fences > MOST_FENCES:
+                self._end(SendStatus.TIMED_OUT)
+        else:
+            self._timed_out()
+
+    def _timed_out(self) -> None:
+        self._unanswered += 1
+        if self._unanswered >= self.send.attempts_allowed or self._attempts >= self.send.attempts_allowed:
+            self._end(SendStatus.TIMED_OUT)
+
+    def _end(self, status: SendStatus, exchange: ExchangeResult | None = None) -> None:
+        reply = exchange.reply if exchange is not None else None
+        answered_at = exchange.answered_at if exchange is not None else None
+        frame = exchange.frame if exchange is not None else b""
+        noise = exchange.noise if exchange is not None else self._noise
+        self.result = SendResult(status, reply, self._attempts, self._sent_at, answered_at, frame, noise)

@@ -1,0 +1,76 @@
+"""One request is begun in each iteration of the event loop, and senders take turns."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+
+from starlette.types import Message, Receive, Scope, Send
+
+from app.server.starting import HEALTH, StartInTurn, Starts, sender_of
+
+
+async def iterations(count: int) -> None:
+    for _ in range(count):
+        await asyncio.sleep(0)
+
+
+async def test_the_first_begins_at_once_and_the_next_in_the_next_iteration() -> None:
+    starts, begun = Starts(), list[str]()
+
+    async def begin(name: str, key: str) -> None:
+        await starts.turn(key)
+        begun.append(name)
+
+    tasks = [asyncio.create_task(begin(f"a{n}", "a")) for n in range(50)]
+    await asyncio.sleep(0)
+    assert begun == ["a0"]
+    tasks.append(asyncio.create_task(begin("b", "b")))
+    await iterations(6)
+    assert "b" in begun
+    assert len(begun) < 10
+    await asyncio.gather(*tasks)
+    assert len(begun) == 51
+
+
+async def test_who_gave_up_waiting_costs_the_others_nothing() -> None:
+    starts = Starts()
+    tasks = [asyncio.create_task(starts.turn("a")) for _ in range(5)]
+    await asyncio.sleep(0)
+    for task in tasks[1:4]:
+        task.cancel()
+    async with asyncio.timeout(10):
+        await tasks[4]
+        for task in tasks[1:4]:
+            with suppress(asyncio.CancelledError):
+                await task
+        await starts.turn("a")
+
+
+async def test_health_is_answered_before_a_thousand_requests() -> None:
+    ended = list[str]()
+
+    async def app(scope: Scope, _receive: Receive, _send: Send) -> None:
+        ended.append(scope["path"])
+
+    async def receive() -> Message:
+        return {"type": "http.disconnect"}
+
+    async def send(_: Message) -> None: ...
+
+    def request(path: str) -> Scope:
+        return {"type": "http", "path": path, "headers": [], "client": ("192.0.2.1", 1)}
+
+    in_turn = StartInTurn(app)
+    tasks = [asyncio.create_task(in_turn(request("/login"), receive, send)) for _ in range(1000)]
+    tasks.append(asyncio.create_task(in_turn(request(HEALTH), receive, send)))
+    await asyncio.sleep(0)
+    assert ended == ["/login", HEALTH]
+    await asyncio.gather(*tasks)
+    assert len(ended) == 1001
+
+
+def test_a_sender_is_told_by_the_credential() -> None:
+    assert sender_of([(b"host", b"a"), (b"cookie", b"lineside_session=x")]) == b"lineside_session=x"
+    assert sender_of([(b"authorization", b"Bearer y"), (b"cookie", b"x")]) == b"Bearer y"
+    assert sender_of([(b"host", b"a")]) == b""
