@@ -60,7 +60,7 @@ WorkerMessage = Hello | Snapshot | Batch
 
 
 class Command(TaggedStruct, frozen=True, tag="command"):
-    """A wish with an identity and a last moment. ``deadline``: on the app's clock, the last instant at
+    """An action with an id and a deadline. ``deadline``: on the app's clock, the last instant at
     which a frame that writes may leave (the worker knows that clock by ``Clock``).
     A worker carries out an id once; asked again, it repeats the fate."""
 

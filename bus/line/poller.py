@@ -119,11 +119,11 @@ class Poller:
         if not self.link.open or len(self.commands):
             return
         now = self.clock.now()
-        if self._baud_search.look(now, self.baud, answers=self._answers) and not self.link.busy:
+        if self._baud_search.look(now, self.baud, responds=self._responds) and not self.link.busy:
             self._go(now)
 
     @property
-    def _answers(self) -> bool:
+    def _responds(self) -> bool:
         """Whether any unit does at the present rate."""
         return len(self.schedule.poll_order) > 0
 
@@ -158,7 +158,7 @@ class Poller:
         self.link.do_not_follow()
 
     def submit(self, run: CommandRun) -> None:
-        """Carry out ``errand``: its first frame is the next one, if its claim allows."""
+        """Carry out ``run``: its first frame is the next one, if its priority allows."""
         now = self.clock.now()
         self.commands.add(run)
         self.link.do_not_follow()
@@ -211,13 +211,13 @@ class Poller:
             if self.roster[request.unit].unresponsive and request.unit in self.schedule.poll_order:
                 self.schedule.stopped_responding(request.unit, now)
             return updates
-        assert result.answered_at is not None
+        assert result.responded_at is not None
         is_probe = result.dialect not in (None, self.bus.dialect)
         updates = self.roster.take_response(
-            request, reply, result.answered_at, result.frame, is_probe=is_probe
+            request, reply, result.responded_at, result.frame, is_probe=is_probe
         )
         if self.roster.is_configured(request.unit):
-            self.schedule.answers(request.unit, now)
+            self.schedule.responded(request.unit, now)
             if isinstance(request, WriteParameter) and not isinstance(reply, Nak):
                 self.schedule.parameters.need(request.unit)
         return updates
@@ -234,7 +234,7 @@ class Poller:
         """Send what is next; nothing to send: be waked when there is."""
         if not self.link.open:
             return
-        other = self._baud_search.turn(self.baud, answers=self._answers)
+        other = self._baud_search.turn(self.baud, responds=self._responds)
         if other is not None:
             self._retune(other)
             self.schedule.port_opened(now)
@@ -285,7 +285,7 @@ class Poller:
             self._sweep(now)
 
     def _sweep(self, now: float) -> None:
-        """Tell the fate of every errand that has one."""
+        """Emit the result of every command that has one."""
         for run in self.commands.take_finished():
             self._emit([self._result_of(run, now)])
 

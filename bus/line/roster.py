@@ -49,7 +49,7 @@ class UnitRecord:
     unit: int
     link: UnitLink
     misses: int = 0
-    answered_at: float | None = None
+    responded_at: float | None = None
     reading: Reading | None = None
     parameters: dict[int, ParameterValue] = field(default_factory=dict)
     staged: int | None = None
@@ -66,7 +66,7 @@ class UnitRecord:
     def lost(self, at: float) -> bool:
         """Whether it has been unresponsive for long enough; a clock that was set back counts as long."""
         return self.unresponsive and (
-            self.answered_at is None or not 0 <= at - self.answered_at < LOST_AFTER_S
+            self.responded_at is None or not 0 <= at - self.responded_at < LOST_AFTER_S
         )
 
     def raw(self, number: int) -> int | None:
@@ -129,12 +129,8 @@ class Roster:
             case _, StatusReply():
                 record.reading = _reading(reply, at)
                 updates.append(record.reading)
-            case ReadParameter(), ParameterReply():
-                value = ParameterValue(record.unit, request.number, at, reply.raw, frame=frame)
-                updates += self._learn(record, value)
-            case ReadParameter(), Nak(code=UnitErrorCode.ILLEGAL_PARAMETER_NUMBER):
-                value = ParameterValue(record.unit, request.number, at, None, available=False, frame=frame)
-                updates += self._learn(record, value)
+            case ReadParameter(), _:
+                updates += self._learn(record, parameter_value(record.unit, request.number, reply, at, frame))
             case StageSpeed(), Ack():
                 updates += self._stage(record, request.raw, at)
             case ((ExecuteSpeed() | SetAndExecuteSpeed()), Ack()):
@@ -170,10 +166,12 @@ class Roster:
         return [update for record in records for update in self._link(record, becomes, at, cause)]
 
     def _answered(self, record: UnitRecord, at: float) -> list[Update]:
-        record.misses, record.answered_at = 0, at
+        record.misses, record.responded_at = 0, at
         return self._link(record, "online", at, None) if record.link.link != "online" else []
 
-    def _learn(self, record: UnitRecord, value: ParameterValue) -> list[Update]:
+    def _learn(self, record: UnitRecord, value: ParameterValue | None) -> list[Update]:
+        if value is None:
+            return []
         record.parameters[value.number] = value
         return [value]
 
@@ -206,3 +204,18 @@ def _reading(reply: StatusReply, at: float) -> Reading:
         outputs=reply.outputs,
         inputs=reply.inputs,
     )
+
+
+def parameter_value(
+    unit: int, number: int, reply: Reply | None, at: float, frame: bytes
+) -> ParameterValue | None:
+    """What a response to 85h says of parameter ``number``; None where it says nothing of it.
+
+    A unit that does not have the parameter responds with NAK 82h.
+    """
+    match reply:
+        case ParameterReply():
+            return ParameterValue(unit, number, at, reply.raw, frame=frame)
+        case Nak(code=UnitErrorCode.ILLEGAL_PARAMETER_NUMBER):
+            return ParameterValue(unit, number, at, None, available=False, frame=frame)
+    return None

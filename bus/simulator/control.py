@@ -142,7 +142,7 @@ def _clear(line: SimulatedLine, _request: ControlRequest) -> None:
     line.faults.clear()
 
 
-def _hands_off(line: SimulatedLine, _request: ControlRequest) -> None:
+def _stop_script(line: SimulatedLine, _request: ControlRequest) -> None:
     line.plant.script = None
 
 
@@ -185,7 +185,7 @@ _ACTIONS: dict[str, Callable[[LineServer, ControlRequest], object]] = {
     "traits": _on_unit(_traits),
     "fault": _on_unit(_fault),
     "clear": _on_unit(_clear),
-    "hands_off": _on_unit(_hands_off),
+    "hands_off": _on_unit(_stop_script),
     "state": _on_unit(_state),
     "record": _on_unit(_record),
     "unplug": lambda server, _request: server.unplug(),

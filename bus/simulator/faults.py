@@ -96,7 +96,7 @@ class Faults:
         """The code of a NAK out of nowhere: one of those that the manual lists for ``command``."""
         return self._random.choice(_LISTED.get(command, (UnitErrorCode.ILLEGAL_COMMAND,)))
 
-    def rubbish(self, count: int) -> bytes:
+    def noise_bytes(self, count: int) -> bytes:
         """``count`` bytes without a frame in them: no 10h, so nothing ever starts or ends."""
         return bytes(self._random.choice(_NO_DLE) for _ in range(count))
 
@@ -132,8 +132,8 @@ class Faults:
         return [Piece(0.0, bytes(spoilt))]
 
     def _noise(self, frame: bytes, _body: bytes) -> list[Piece]:
-        rubbish = self.rubbish(self._random.randrange(1, 12))
-        return [Piece(0.0, self._random.choice((rubbish + frame, frame + rubbish)))]
+        noise_bytes = self.noise_bytes(self._random.randrange(1, 12))
+        return [Piece(0.0, self._random.choice((noise_bytes + frame, frame + noise_bytes)))]
 
     def _wrong_length(self, _frame: bytes, body: bytes) -> list[Piece]:
         length = self._random.choice((3, 5, 7, 9))
@@ -141,7 +141,7 @@ class Faults:
         return [Piece(0.0, encode_frame(odd, _PLAIN))]
 
     def _huge(self, _frame: bytes, body: bytes) -> list[Piece]:
-        whole = body[:1] + bytes((ACK,)) + self.rubbish(HUGE_BYTES)
+        whole = body[:1] + bytes((ACK,)) + self.noise_bytes(HUGE_BYTES)
         return [Piece(0.0, b"\x10\x02" + whole + b"\x10\x03" + bytes((checksum(whole),)))]
 
 

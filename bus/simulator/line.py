@@ -67,7 +67,7 @@ class SimulatedLine:
         for at, value in zip(self._requests.carry(now, len(data), byte_s), data, strict=True):
             if self.faults.strikes(FaultKind.ECHO):
                 self._replies.transmit(ECHO_TALKER, at - byte_s, bytes((value,)), byte_s)
-            self._hear_second_10h(at, value, byte_s)
+            self._receive_second_10h(at, value, byte_s)
             for event in self._decoder.feed(bytes((value,))):
                 if isinstance(event, ReceivedFrame):
                     self._frame_came(_Arriving(at, event.body, host_baud), event.wire[-1])
@@ -102,7 +102,7 @@ class SimulatedLine:
             self._half_heard = arriving = arriving._replace(checksum_10h="once")
         self._arriving.append(arriving)
 
-    def _hear_second_10h(self, at: float, value: int, byte_s: float) -> None:
+    def _receive_second_10h(self, at: float, value: int, byte_s: float) -> None:
         """A unit that waits for a second 10h has its frame when that follows at once."""
         half, self._half_heard = self._half_heard, None
         if half is not None and value == DLE and at - half.at < 2 * byte_s:
@@ -114,20 +114,20 @@ class SimulatedLine:
             self.plant.step(STEP_S)
             if self.faults.strikes(FaultKind.FLOOD):
                 byte_s = byte_seconds(self.baud, self.speedup)
-                rubbish = self.faults.rubbish(int(STEP_S / byte_s))
-                self._send(FLOOD_TALKER, self._physics_at, rubbish, byte_s)
+                noise = self.faults.noise_bytes(int(STEP_S / byte_s))
+                self._send(FLOOD_TALKER, self._physics_at, noise, byte_s)
             self._physics_at += STEP_S
 
     def _dispatch(self, arriving: _Arriving) -> None:
         heard = False
         for place, unit in enumerate(self.plant.units):
-            if self._hears(unit, arriving):
+            if self._receives(unit, arriving):
                 heard = True
-                self._answer(place, unit, arriving)
+                self._respond(place, unit, arriving)
         if not heard:
             self.record.add(arriving.at, Happened.HEARD, WHOLE_LINE, arriving.body)
 
-    def _hears(self, unit: Unit, arriving: _Arriving) -> bool:
+    def _receives(self, unit: Unit, arriving: _Arriving) -> bool:
         if arriving.baud is not None and arriving.baud != unit.baud:
             return False
         if arriving.checksum_10h not in (None, unit.traits.dialect.checksum_10h):
@@ -139,7 +139,7 @@ class SimulatedLine:
             return False
         return not self.faults.strikes(FaultKind.DEAD, unit.address)
 
-    def _answer(self, place: int, unit: Unit, arriving: _Arriving) -> None:
+    def _respond(self, place: int, unit: Unit, arriving: _Arriving) -> None:
         address, at = unit.address, arriving.at
         byte_s = byte_seconds(arriving.baud or self.baud, self.speedup)
         self.record.add(at, Happened.HEARD, address, arriving.body)

@@ -74,7 +74,7 @@ class Exchange:
     """A request and what comes back.
 
     ``decoder`` is the one of the exchange before where bytes may still be under way; without it a new
-    one is used. ``doubt`` is what the unit may still answer late, by default nothing. Raises CallerError
+    one is used. ``pending`` is what the unit may still answer late, by default nothing. Raises CallerError
     for a request that the wire must not carry.
     """
 

@@ -249,7 +249,7 @@ class PendingByUnit:
         return pending is not None and pending.may_hold_secret
 
     def after(self, pending: PendingResponses) -> None:
-        """An exchange is over; ``doubt`` is what it left."""
+        """An exchange is over; ``pending`` is what it left."""
         if pending.unit:
             self._units[pending.unit] = pending
             self._last_unit = pending.unit

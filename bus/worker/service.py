@@ -179,8 +179,8 @@ class BusWorker:
             return Result("", 0.0, "not_sent", message)
         return None
 
-    def _remember(self, command_id: str, fate: Result | None) -> None:
-        self._results[command_id] = fate
+    def _remember(self, command_id: str, result: Result | None) -> None:
+        self._results[command_id] = result
         while len(self._results) > RESULTS_KEPT:
             self._results.popitem(last=False)
 
@@ -191,7 +191,9 @@ class BusWorker:
             if isinstance(update, Result):
                 if update.id in self._results:
                     self._remember(update.id, msgspec.structs.replace(update, frames=[]))
-                _log.info("fate", id=update.id, outcome=update.outcome, message=in_english(update.message))
+                _log.info(
+                    "command result", id=update.id, outcome=update.outcome, message=in_english(update.message)
+                )
             elif isinstance(update, UnitLink):
                 _log.info("unit", unit=update.unit, link=update.link, cause=in_english(update.cause))
             elif isinstance(update, BusLink):

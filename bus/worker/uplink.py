@@ -107,7 +107,7 @@ class Uplink:
         self._app_clock = app_clock
         self._epoch = epoch
         self._snapshot_wanted = False
-        self._told = ""
+        self._logged = ""
         self._backoff = ReconnectDelay(random.random)
         self._accepted_at: float | None = None
         """When the app accepted the connection; None where it did not."""
@@ -135,12 +135,12 @@ class Uplink:
         try:
             await self._be_connected()
         except Refused as error:
-            self._tell(f"the dashboard refused this worker: {error}")
+            self._log_unreachable(f"the dashboard refused this worker: {error}")
             return True
         except InvalidStatus as error:
-            self._tell(_about_status(error.response))
+            self._log_unreachable(_about_status(error.response))
         except (OSError, TimeoutError, UnicodeError, WebSocketException, MalformedMessageError) as error:
-            self._tell(f"no dashboard at {self._url}: {_words(error)}")
+            self._log_unreachable(f"no dashboard at {self._url}: {_words(error)}")
         return False
 
     async def _be_connected(self) -> None:
@@ -173,7 +173,7 @@ class Uplink:
 
     def _linked(self) -> None:
         if self._backoff.is_worth_logging:
-            self._told = ""
+            self._logged = ""
             _log.info("linked to the dashboard", url=self._url, kept=len(self._outbox))
 
     async def _introduce(self, socket: ClientConnection) -> Welcome:
@@ -238,10 +238,10 @@ class Uplink:
             return self._duty.snapshot(self._outbox.seq)
         return self._outbox.next_batch(self._epoch())
 
-    def _tell(self, what: str) -> None:
-        if what != self._told:
+    def _log_unreachable(self, what: str) -> None:
+        if what != self._logged:
             _log.warning("dashboard unreachable; retrying, buffering readings", why=what)
-        self._told = what
+        self._logged = what
 
 
 def feed_url(url: str) -> str:

@@ -32,7 +32,7 @@ class Line:
         for _ in range(units - 1):
             self.schedule.next(self.time)
         for unit in range(1, units + 1):
-            self.schedule.answers(unit, self.time)
+            self.schedule.responded(unit, self.time)
         while self.schedule.parameters.next_needed():
             """All that is needed is known."""
 

@@ -18,54 +18,54 @@ def expecting_4800() -> BaudSearch:
 def at_4800() -> BaudSearch:
     """The line was silent at 9600, so the port has gone on to the rate that is expected."""
     rate = expecting_4800()
-    assert rate.look(LONG, 9600, answers=False)
-    assert rate.turn(9600, answers=False) == 4800
+    assert rate.look(LONG, 9600, responds=False)
+    assert rate.turn(9600, responds=False) == 4800
     rate.tuned(LONG)
     return rate
 
 
 def test_without_an_expectation_a_silent_line_stays_at_its_rate() -> None:
     rate = BaudSearch(0.0)
-    assert not rate.look(100.0, 9600, answers=False)
-    assert rate.turn(9600, answers=False) is None
+    assert not rate.look(100.0, 9600, responds=False)
+    assert rate.turn(9600, responds=False) is None
 
 
 def test_a_silent_line_is_asked_at_both_rates_in_turn() -> None:
-    assert not expecting_4800().look(LOOK_ELSEWHERE_S, 9600, answers=False)
+    assert not expecting_4800().look(LOOK_ELSEWHERE_S, 9600, responds=False)
     rate = at_4800()
-    assert rate.turn(4800, answers=False) is None, "once for each look"
-    assert not rate.look(LONG + 0.1, 4800, answers=False)
-    assert rate.look(2 * LONG, 4800, answers=False)
-    assert rate.turn(4800, answers=False) == 9600
+    assert rate.turn(4800, responds=False) is None, "once for each look"
+    assert not rate.look(LONG + 0.1, 4800, responds=False)
+    assert rate.look(2 * LONG, 4800, responds=False)
+    assert rate.turn(4800, responds=False) == 9600
     rate.tuned(2 * LONG)
-    assert not rate.look(100.0, 9600, answers=True), "it was switched off, and is not at its new rate yet"
-    assert rate.look(200.0, 9600, answers=False)
-    assert rate.turn(9600, answers=False) == 4800
+    assert not rate.look(100.0, 9600, responds=True), "it was switched off, and is not at its new rate yet"
+    assert rate.look(200.0, 9600, responds=False)
+    assert rate.turn(9600, responds=False) == 4800
 
 
 def test_a_line_that_answers_at_the_expected_rate_is_looked_for_no_more() -> None:
     rate = expecting_4800()
-    assert not rate.look(100.0, 9600, answers=True), "some have not been switched off and on yet"
-    assert not rate.look(100.0, 4800, answers=True)
-    assert not rate.look(200.0, 4800, answers=False)
+    assert not rate.look(100.0, 9600, responds=True), "some have not been switched off and on yet"
+    assert not rate.look(100.0, 4800, responds=True)
+    assert not rate.look(200.0, 4800, responds=False)
 
 
 def test_nor_is_one_that_was_found_there_by_looking() -> None:
     rate = at_4800()
-    assert not rate.look(LONG + 1, 4800, answers=True)
-    assert not rate.look(200.0, 4800, answers=False)
-    assert rate.turn(4800, answers=False) is None
+    assert not rate.look(LONG + 1, 4800, responds=True)
+    assert not rate.look(200.0, 4800, responds=False)
+    assert rate.turn(4800, responds=False) is None
 
 
 def test_an_answer_after_the_look_keeps_the_line_at_its_rate() -> None:
     rate = expecting_4800()
-    assert rate.look(LONG, 9600, answers=False)
-    assert rate.turn(9600, answers=True) is None
-    assert rate.turn(9600, answers=False) is None, "the next look decides anew"
+    assert rate.look(LONG, 9600, responds=False)
+    assert rate.turn(9600, responds=True) is None
+    assert rate.turn(9600, responds=False) is None, "the next look decides anew"
 
 
 @pytest.mark.parametrize("present", [9600, 2400])
 def test_a_change_that_left_every_unit_where_it_answers_ends_what_was_expected(present: int) -> None:
     rate = expecting_4800()
     rate.expect(present, present)
-    assert not rate.look(100.0, present, answers=False)
+    assert not rate.look(100.0, present, responds=False)

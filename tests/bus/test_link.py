@@ -108,7 +108,7 @@ def test_an_answer_is_taken_with_its_times(wires: Wires) -> None:
     heard, ended = wires.heard[0]
     assert heard.reply == STATUS
     assert heard.sent_at == pytest.approx(began + 7 * BYTE_S)
-    assert heard.answered_at == ended == pytest.approx(began + 25 * BYTE_S + 0.005)
+    assert heard.responded_at == ended == pytest.approx(began + 25 * BYTE_S + 0.005)
     times = wires.roster[1].statistics.times
     assert times.largest == pytest.approx(0.005, abs=1e-6)
 
@@ -396,8 +396,8 @@ def test_an_answer_that_a_stalled_process_finds_waiting_is_as_old_as_its_window(
     line.link.data_received(encode_reply(STATUS, PLAIN))
     heard, _ = line.heard[-1]
     assert heard.reply == STATUS
-    assert heard.answered_at is not None
-    assert heard.answered_at < 101.0, "a value is never said to be newer than it can be"
+    assert heard.responded_at is not None
+    assert heard.responded_at < 101.0, "a value is never said to be newer than it can be"
 
 
 def _paced() -> Wires:

@@ -57,7 +57,7 @@ class Line:
         if not answered:
             self.schedule.stopped_responding(task.unit, self.now)
         else:
-            self.schedule.answers(task.unit, self.now)
+            self.schedule.responded(task.unit, self.now)
             if task.kind is TaskKind.PARAMETER:
                 self.schedule.parameters.was_read(task.unit, task.number, available=True)
 

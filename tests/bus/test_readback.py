@@ -54,7 +54,7 @@ def answer_of(said: Reply | SendStatus, at: float) -> SendResult:
         return SendResult(
             said, attempts=0 if said in (SendStatus.TOO_LATE, SendStatus.PORT_CLOSED) else 1, sent_at=at
         )
-    return SendResult(SendStatus.RESPONDED, said, attempts=1, sent_at=at, answered_at=at + 0.5)
+    return SendResult(SendStatus.RESPONDED, said, attempts=1, sent_at=at, responded_at=at + 0.5)
 
 
 def status(commanded: int, inputs: int = MASTER, outputs: int = REMOTE) -> StatusReply:

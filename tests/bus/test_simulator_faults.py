@@ -90,7 +90,7 @@ def test_huge_is_ten_thousand_bytes_that_hold_no_frame(seed: int) -> None:
 
 @given(seeds, st.integers(1, 3000))
 def test_rubbish_never_frames(seed: int, count: int) -> None:
-    rubbish = Faults(seed).rubbish(count)
+    rubbish = Faults(seed).noise_bytes(count)
     events = FrameDecoder(Dialect()).feed(rubbish)
     assert len(rubbish) == count
     assert all(isinstance(event, Noise) for event in events)

@@ -51,7 +51,7 @@ def verify(member: Member, broadcast: SendResult, context: CommandContext) -> Su
         outcome,
         message=None if readback.shown else _not_shown(member, readback),
         sent_at=staging.sent_at if staging is not None else broadcast.sent_at,
-        acknowledged_at=staging.answered_at if staging is not None else None,
+        acknowledged_at=staging.responded_at if staging is not None else None,
         attempts=staging.attempts if staging is not None else 1,
     )
 

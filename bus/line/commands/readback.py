@@ -83,8 +83,8 @@ def verify_speed(record: UnitRecord, raw: int, dialect: Dialect, *, before: int 
 
 def _compare_speed(raw: int, status: StatusReply, bits: StatusBits, sent: SendResult) -> Readback:
     if status.commanded == raw:
-        return Readback(True, raw, sent.answered_at)
-    return Readback(False, status.commanded, sent.answered_at, _speed_reads(status.commanded, bits))
+        return Readback(True, raw, sent.responded_at)
+    return Readback(False, status.commanded, sent.responded_at, _speed_reads(status.commanded, bits))
 
 
 def _speed_reads(commanded: int, bits: StatusBits) -> Message:
@@ -111,12 +111,12 @@ def _verify_ratio(
 ) -> Verification:
     ratio, ratio_answer = yield from read_parameter(record.unit, RATIO_SETPOINT)
     if ratio == raw:
-        return Readback(True, ratio, ratio_answer.answered_at)
+        return Readback(True, ratio, ratio_answer.responded_at)
     if status.commanded == raw and before is not None and before != raw:
-        return Readback(True, raw, sent.answered_at)
+        return Readback(True, raw, sent.responded_at)
     if ratio is None:
-        return Readback(False, status.commanded, sent.answered_at, Message("ratio_unread"))
-    return Readback(False, ratio, ratio_answer.answered_at, Message.of("ratio_reads", value=ratio))
+        return Readback(False, status.commanded, sent.responded_at, Message("ratio_unread"))
+    return Readback(False, ratio, ratio_answer.responded_at, Message.of("ratio_reads", value=ratio))
 
 
 def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:
@@ -125,9 +125,9 @@ def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:
     if status is None:
         return Readback(False, None, None, NO_READBACK)
     if before is None or status.commanded == before:
-        return Readback(True, status.commanded, sent.answered_at)
+        return Readback(True, status.commanded, sent.responded_at)
     why = Message.of("speed_moved", before=before, value=status.commanded)
-    return Readback(False, status.commanded, sent.answered_at, why)
+    return Readback(False, status.commanded, sent.responded_at, why)
 
 
 def verify_parameter(unit: int, number: int, raw: int) -> Verification:
@@ -139,7 +139,7 @@ def verify_parameter(unit: int, number: int, raw: int) -> Verification:
         shown, sent = yield from read_parameter(unit, number)
         if sent.reply is None:
             return Readback(False, readback.read_back, readback.at, NO_READBACK)
-        readback = Readback(shown == raw, shown, sent.answered_at, _parameter_reads(number, shown))
+        readback = Readback(shown == raw, shown, sent.responded_at, _parameter_reads(number, shown))
         if readback.shown:
             return readback
     return readback
@@ -156,7 +156,7 @@ def verify_output(unit: int, number: int, on: bool) -> Verification:
             return Readback(False, readback.read_back, readback.at, NO_READBACK)
         shown = output_is_on(status.outputs, number)
         why = Message("output_reads_on" if shown else "output_reads_off")
-        readback = Readback(shown == on, int(shown), sent.answered_at, why)
+        readback = Readback(shown == on, int(shown), sent.responded_at, why)
         if readback.shown:
             return readback
     return readback

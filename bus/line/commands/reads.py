@@ -10,7 +10,7 @@ from bus.contract import ParameterValue, Result
 from bus.errors import unit_error
 from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, Wait, send
 from bus.line.exchange.send import Send, SendStatus
-from bus.line.roster import UnitRecord
+from bus.line.roster import UnitRecord, parameter_value
 from bus.messages import Message, joined
 from bus.wire.commands import ReadParameter
 
@@ -43,9 +43,10 @@ def read_parameters(record: UnitRecord, numbers: Sequence[int], context: Command
             waiting.append(number)
             yield Wait(MOMENT_S)
             continue
-        known = record.parameters.get(number)
-        if known is not None and known.at == sent.answered_at:
-            values.append(known)
+        assert sent.responded_at is not None
+        value = parameter_value(record.unit, number, sent.reply, sent.responded_at, sent.frame)
+        if value is not None:
+            values.append(value)
         else:
             error = unit_error(sent.refusal or 0)
             refused.append(Message.of("parameter_refused", number=number, error=error))

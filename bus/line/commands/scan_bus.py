@@ -65,7 +65,7 @@ def survey(roster: Roster, first: int, last: int, pace: ScanPace, context: Comma
             return _result(found, Message.of("scan_canceled", done=passes.done, all=of))
         yield ReportProgress("searching", unit, passes.done, of)
         try:
-            one = yield from _examine(roster, unit, pace)
+            one = yield from _examine(unit, pace)
         except _Lost:
             return _result(found, Message.of("scan_link_lost", done=passes.done, all=of))
         if one is None:
@@ -100,12 +100,12 @@ def _result(found: list[Found], fault: Message | None) -> Result:
     )
 
 
-def _examine(roster: Roster, unit: int, pace: ScanPace) -> Subprocedure[Found | None]:
+def _examine(unit: int, pace: ScanPace) -> Subprocedure[Found | None]:
     examination = examine(unit, pace.baud)
     try:
         probe = next(examination)
         while True:
-            outcome = yield from _outcome(roster, probe)
+            outcome = yield from _outcome(probe)
             yield Wait(pace.rest_s(outcome))
             probe = examination.send(outcome)
     except StopIteration as end:
@@ -113,10 +113,8 @@ def _examine(roster: Roster, unit: int, pace: ScanPace) -> Subprocedure[Found | 
         return found
 
 
-def _outcome(roster: Roster, probe: Probe) -> Subprocedure[ProbeOutcome]:
-    """One question as the bus asks it. Late responses and second copies count as late frames of that unit."""
-    counts = roster[probe.request.unit].statistics.counts
-    late = counts.late
+def _outcome(probe: Probe) -> Subprocedure[ProbeOutcome]:
+    """One probe as the bus sends it."""
     dialect = _DOUBLED if probe.doubled else _PLAIN
     sent = yield from send(Send(probe.request, max_attempts=1, dialect=dialect))
     if sent.status is SendStatus.PORT_CLOSED:
@@ -125,5 +123,5 @@ def _outcome(roster: Roster, probe: Probe) -> Subprocedure[ProbeOutcome]:
         reply=sent.reply,
         garbled=sent.noise.garbled,
         unexpected=sent.noise.unexpected,
-        surplus=counts.late - late,
+        surplus=sent.noise.late,
     )

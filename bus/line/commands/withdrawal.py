@@ -50,7 +50,7 @@ def _withdrawn(member: Member, present: int | None) -> UnitOutcome:
         message=message,
         unit_error=member.sent.refusal,
         sent_at=member.sent.sent_at,
-        acknowledged_at=member.sent.answered_at if member.staged else None,
+        acknowledged_at=member.sent.responded_at if member.staged else None,
         attempts=member.sent.attempts,
     )
 

@@ -95,7 +95,7 @@ def outcome_without_readback(unit: int, sent: SendResult) -> UnitOutcome:
         message=message,
         unit_error=sent.refusal,
         sent_at=sent.sent_at,
-        acknowledged_at=sent.answered_at if sent.refusal is None else None,
+        acknowledged_at=sent.responded_at if sent.refusal is None else None,
         attempts=sent.attempts,
     )
 
@@ -133,7 +133,7 @@ def outcome_with_readback(unit: int, sent: SendResult, readback: Readback) -> Un
         unit_error=sent.refusal if refused else None,
         read_back=readback.read_back,
         sent_at=sent.sent_at,
-        acknowledged_at=sent.answered_at if sent.refusal is None else None,
+        acknowledged_at=sent.responded_at if sent.refusal is None else None,
         proven_at=readback.at if readback.shown else None,
         attempts=sent.attempts,
     )

@@ -23,23 +23,26 @@ class CurrentExchange(msgspec.Struct):
     """The answer, as it was on the wire."""
     garbled: bool = False
     unexpected: bool = False
+    late: int = 0
 
     def result(self, clock: LineClock, now: float) -> ExchangeResult:
         """How it ended, at ``now``."""
         exchange = self.exchange
-        answered_at = clock.epoch(min(now, self.last_moment)) if exchange.reply is not None else None
+        responded_at = clock.epoch(min(now, self.last_moment)) if exchange.reply is not None else None
         return ExchangeResult(
             exchange.request,
             exchange.reply,
             clock.epoch(self.ends_sending),
-            answered_at,
+            responded_at,
             b"" if exchange.prepared.secret else self.frame,
             self._noise(),
             exchange.dialect,
         )
 
     def _noise(self) -> LineNoise:
-        """Bytes that never became a frame are rubbish too: two units at one address may sound like that."""
+        """Bytes that never became a frame are noise too: two units at one address may sound like that."""
         exchange = self.exchange
         garbled = self.garbled or (exchange.reply is None and exchange.first_byte_at is not None)
-        return LineNoise(garbled, self.unexpected) if garbled or self.unexpected else NO_NOISE
+        if not (garbled or self.unexpected or self.late):
+            return NO_NOISE
+        return LineNoise(garbled, self.unexpected, self.late)

@@ -30,7 +30,7 @@ from bus.line.statistics.trace import Trace, TracedFrame
 from bus.line.statistics.wire_statistics import WireCounts, WireStatistics
 from bus.settings import Dialect, wire_seconds
 from bus.wire.commands import Request
-from bus.wire.exchange import Answered, Exchange, ExchangeEvent, Foreign, Unexpected
+from bus.wire.exchange import Answered, Doubled, Exchange, ExchangeEvent, Foreign, Late, Unexpected
 from bus.wire.fence import PendingByUnit, PendingResponses
 from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise
 
@@ -227,9 +227,11 @@ class Link:
         if isinstance(event, Answered):
             self._take_response(event.frame.wire, now)
         else:
-            self._statistics.no_answer(event, exchange.request.unit, self._pending)
+            self._statistics.stray_frame(event, exchange.request.unit, self._pending)
         if self._current is not None and isinstance(event, Unexpected | Foreign):
             self._current.unexpected = True
+        if self._current is not None and isinstance(event, Doubled | Late):
+            self._current.late += 1
         if isinstance(event, Answered):
             self._note(now, "in", event.frame.wire, exchange)
         else:
@@ -254,6 +256,7 @@ class Link:
             return
         request = current.exchange.request
         self._statistics.late_or_duplicate(request.unit)
+        current.late += 1
         current.exchange = self._exchange(request, self.pending(request.unit), current.exchange.dialect)
 
     # --- waiting -------------------------------------------------------------------------------

@@ -42,6 +42,8 @@ class LineNoise(msgspec.Struct, frozen=True):
     """Bytes that are no frame."""
     unexpected: bool = False
     """Good frames that no unit gives as this response."""
+    late: int = 0
+    """Good frames of the unit beside the response: responses to earlier requests, or a second copy."""
 
 
 NO_NOISE = LineNoise()
@@ -67,7 +69,7 @@ class SendResult(msgspec.Struct, frozen=True):
     attempts: int = 0
     sent_at: float | None = None
     """The request's last byte on the wire."""
-    answered_at: float | None = None
+    responded_at: float | None = None
     frame: bytes = b""
     noise: LineNoise = NO_NOISE
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import msgspec
+from msgspec.structs import replace
 
 from bus.line.exchange.send import NO_NOISE, LineNoise, Send, SendResult, SendStatus
 from bus.settings import Dialect
@@ -19,7 +20,7 @@ class ExchangeResult(msgspec.Struct, frozen=True):
     request: Request
     reply: Reply | None
     sent_at: float
-    answered_at: float | None = None
+    responded_at: float | None = None
     frame: bytes = b""
     noise: LineNoise = NO_NOISE
     dialect: Dialect | None = None
@@ -42,6 +43,7 @@ class SendAttempts:
         self._unanswered = 0
         self._sent_at: float | None = None
         self._noise = NO_NOISE
+        self._late = 0
 
     @property
     def begun(self) -> bool:
@@ -70,6 +72,7 @@ class SendAttempts:
 
     def settle(self, exchange: ExchangeResult) -> bool:
         """What ``next_request`` gave has passed; whether it is tried again, as nobody answered."""
+        self._late += exchange.noise.late
         if exchange.request != self.send.request:
             self._noise = exchange.noise
             self._settle_fence(answered=exchange.reply is not None)
@@ -118,7 +121,9 @@ class SendAttempts:
 
     def _end(self, status: SendStatus, exchange: ExchangeResult | None = None) -> None:
         reply = exchange.reply if exchange is not None else None
-        answered_at = exchange.answered_at if exchange is not None else None
+        responded_at = exchange.responded_at if exchange is not None else None
         frame = exchange.frame if exchange is not None else b""
         noise = exchange.noise if exchange is not None else self._noise
-        self.result = SendResult(status, reply, self._attempts, self._sent_at, answered_at, frame, noise)
+        if noise.late != self._late:
+            noise = replace(noise, late=self._late)
+        self.result = SendResult(status, reply, self._attempts, self._sent_at, responded_at, frame, noise)

@@ -55,7 +55,7 @@ class Window:
         self._quiet_s = max(QUIET_BYTES * byte_s, LEAST_QUIET_S)
 
     def open(self, ends: float, last_moment: float, listen_at: float | None = None) -> None:
-        """An exchange began. Until ``hears_at`` nothing need be heard."""
+        """An exchange began. Until ``listen_at`` bytes may gather."""
         self._ends, self._last_moment, self._looked = ends, last_moment, False
         self._listen_from(listen_at)
         self._ring_at(ends if listen_at is None else listen_at)

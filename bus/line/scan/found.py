@@ -46,7 +46,7 @@ class Found:
 
 
 def remarks_on(one: Found, *, garbled: int, questions: int, uncertain: bool) -> tuple[Message, ...]:
-    """What a person should know of a DIGIMAX IV. ``spoilt`` of its ``questions`` were answered with noise;
+    """What a person should know of a DIGIMAX IV. ``garbled`` of its ``questions`` were answered with noise;
     ``uncertain``: some of them not at all."""
     remarks = _on_its_address(one)
     last = len(one.parameters)

@@ -1,7 +1,7 @@
-"""Whose request is next: operators' errands first, then the schedule. No clock, no port.
+"""Whose request is next: commands first, then the schedule. No clock, no port.
 
 What follows a poll is known before its answer is complete (``foresee``): an ordinary answer changes nothing
-about who is next. Only an errand does, and then what was foreseen has its turn after it.
+about who is next. Only a command does, and then what was foreseen has its turn after it.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Arbiter:
         moments = [self._not_before, self._reserved_until, *self.commands.moments()]
         return moments if probe is None else [probe, *moments]
 
-    # --- errands -------------------------------------------------------------------------------
+    # --- commands ------------------------------------------------------------------------------
 
     def _command_request(self, now: float, *, slow: bool = False) -> Request | None:
         chosen = self.commands.next_request(now, self._pending_of, slow=slow)

@@ -29,11 +29,11 @@ class BaudSearch:
         """The port goes at another rate from now on."""
         self._tuned_at = now
 
-    def look(self, now: float, baud: int, *, answers: bool) -> bool:
+    def look(self, now: float, baud: int, *, responds: bool) -> bool:
         """Whether the other rate is to be tried next; ``answers``: whether any unit does at ``baud``."""
         if self._expected is None:
             return False
-        if answers:
+        if responds:
             if baud == self._expected:
                 self._expected = self._old = None
             return False
@@ -41,9 +41,9 @@ class BaudSearch:
             self._turns = True
         return self._turns
 
-    def turn(self, baud: int, *, answers: bool) -> int | None:
+    def turn(self, baud: int, *, responds: bool) -> int | None:
         """The rate to go on at, where it is time to leave ``baud`` and nobody has answered there since."""
         turns, self._turns = self._turns, False
-        if not turns or answers:
+        if not turns or responds:
             return None
         return self._old if baud == self._expected else self._expected

@@ -14,7 +14,7 @@ from bus.wire.fence import PendingResponses
 class CommandQueue:
     """Writes before reads before what is slow; within a claim the first come first, but for the slow.
 
-    An errand waits while an earlier one claims a unit that it claims too, and ends by itself when its time
+    A command waits while an earlier one claims a unit that it claims too, and ends unsent when its time
     is over before its turn has come.
     """
 

@@ -80,7 +80,7 @@ class PollSchedule:
         self.poll_order.watch(units)
         self._slow.fraction = SLOW_SHARE_WATCHED if anybody else SLOW_SHARE_UNWATCHED
 
-    def answers(self, unit: int, now: float) -> None:
+    def responded(self, unit: int, now: float) -> None:
         """``unit`` answered for the first time, or again after a silence."""
         self.probes.responded(unit, now)
         if unit in self.poll_order:

@@ -11,7 +11,7 @@ from bus.wire.exchange import Doubled, Echo, Foreign, Late, Unexpected
 from bus.wire.fence import PendingByUnit
 from bus.wire.framing import Fault, Noise
 
-NoAnswer = Echo | Foreign | Doubled | Late | Unexpected
+StrayFrame = Echo | Foreign | Doubled | Late | Unexpected
 
 
 @dataclass(slots=True)
@@ -33,23 +33,23 @@ class WireStatistics:
         self._roster = roster
         self._last_answer = b""
 
-    def noise(self, noise: Noise, asked: int) -> None:
-        """Bytes that are no frame, while ``asked`` was asked."""
+    def noise(self, noise: Noise, addressed: int) -> None:
+        """Bytes that are no frame, during an exchange with ``addressed``."""
         self.wire.noise_bytes += len(noise.data)
         if noise.reason is Fault.CHECKSUM:
-            self._roster[asked].statistics.counts.checksum_errors += 1
+            self._roster[addressed].statistics.counts.checksum_errors += 1
 
-    def no_answer(self, event: NoAnswer, asked: int, pending: PendingByUnit) -> None:
-        """A good frame that is not the answer of ``asked``."""
+    def stray_frame(self, event: StrayFrame, addressed: int, pending: PendingByUnit) -> None:
+        """A good frame that is not the response of ``addressed``."""
         match event:
             case Echo():
                 self.wire.echoes += 1
             case Foreign():
-                self._foreign(event, asked, pending)
+                self._foreign(event, addressed, pending)
             case Doubled() | Late():
-                self.late_or_duplicate(asked)
+                self.late_or_duplicate(addressed)
             case Unexpected():
-                self._roster[asked].statistics.counts.foreign += 1
+                self._roster[addressed].statistics.counts.foreign += 1
 
     def late_or_duplicate(self, unit: int) -> None:
         """An answer of an earlier exchange, or the last one once more."""
@@ -74,7 +74,7 @@ class WireStatistics:
         if isinstance(reply, Nak):
             statistics.refused(reply.code)
 
-    def _foreign(self, event: Foreign, asked: int, pending: PendingByUnit) -> None:
+    def _foreign(self, event: Foreign, addressed: int, pending: PendingByUnit) -> None:
         """Another unit's frame: late where that unit owes one or says its last once more, else a mistake.
 
         It ends no doubt about that unit, for it may be of a third one that answers to a wrong address.
@@ -83,8 +83,8 @@ class WireStatistics:
         self._roster[event.unit].statistics.overdue += overdue
         if overdue or event.frame.wire == self._last_answer:
             self.late_or_duplicate(event.unit)
-        elif asked:
-            self._roster[asked].statistics.counts.foreign += 1
+        elif addressed:
+            self._roster[addressed].statistics.counts.foreign += 1
 
 
 def _begins(exchange: CurrentExchange, now: float, byte_s: float) -> float:
