@@ -168,7 +168,7 @@ async def _login_form(
         status=problem.status if problem else 200,
         headers=problem.headers if problem else None,
         refused=refused,
-        nobody_yet=await sign_in.nobody_can_sign_in(),
+        no_users=await sign_in.nobody_can_sign_in(),
         **context,
     )
 

@@ -155,8 +155,10 @@ async def read_schedule(
 ) -> ScheduleShown:
     """At which minute of the day the units of the bus are read, and which are owed since, with why."""
     bus_or_404(live, bus)
-    owed: list[OverdueShown] = [{"unit": unit, "why": owed.why} for unit, owed in schedules.owed(bus).items()]
-    return {"minute_of_day": (await keeper.store.schedule()).get(bus), "owed": owed}
+    overdue: list[OverdueShown] = [
+        {"unit": unit, "why": each.why} for unit, each in schedules.overdue(bus).items()
+    ]
+    return {"minute_of_day": (await keeper.store.schedule()).get(bus), "owed": overdue}
 
 
 @router.put("/buses/{bus}/set-schedule")

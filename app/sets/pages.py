@@ -52,7 +52,7 @@ async def list_page(
         sets=sets[:MOST_LISTED],
         older=sets[MOST_LISTED - 1].id if len(sets) > MOST_LISTED else None,
         schedule=await keeper.store.schedule(),
-        owed={name: schedules.owed(name) for name in live.buses},
+        overdue={name: schedules.overdue(name) for name in live.buses},
         bus=bus,
         unit=unit,
     )

@@ -43,16 +43,16 @@ class SetSchedule:
         self._keeper = keeper
         self._events = events
         self._clock = clock
-        self._owed: dict[str, dict[int, OverdueSet]] = {}
+        self._overdue: dict[str, dict[int, OverdueSet]] = {}
 
-    def owed(self, bus: str) -> Mapping[int, OverdueSet]:
+    def overdue(self, bus: str) -> Mapping[int, OverdueSet]:
         """The units of a bus whose set of the day could not be taken yet."""
-        return {unit: owed for unit, owed in self._owed.get(bus, {}).items() if owed.why}
+        return {unit: overdue for unit, overdue in self._overdue.get(bus, {}).items() if overdue.why}
 
     async def set(self, person: Person, bus: str, minute_of_day: int | None) -> None:
         """Take the sets of a bus every day at a minute of the day, or no longer (None)."""
         await self._keeper.store.set_schedule(bus, minute_of_day)
-        self._owed.pop(bus, None)
+        self._overdue.pop(bus, None)
         what = Message("event_sets_not_scheduled")
         if minute_of_day is not None:
             time = f"{minute_of_day // 60:02}:{minute_of_day % 60:02}"
@@ -73,14 +73,14 @@ class SetSchedule:
         """Take what came due after ``seen``, up to ``now``, and what is owed from before."""
         for at, bus in due_between(await self._keeper.store.schedule(), seen, now):
             if bus in self._state.buses:
-                self._owed[bus] = {unit: OverdueSet(now) for unit in await self._without_set(bus, at)}
-        for bus, units in tuple(self._owed.items()):
+                self._overdue[bus] = {unit: OverdueSet(now) for unit in await self._without_set(bus, at)}
+        for bus, units in tuple(self._overdue.items()):
             heard = [unit for unit in units if self._is_heard(bus, unit)]
             if heard:
                 await self._take(person, bus, heard, units)
-            for unit, owed in tuple(units.items()):
-                if not owed.why and not self._is_heard(bus, unit) and now - owed.since >= SAID_AFTER:
-                    await self._not_taken(person, bus, unit, owed, "the unit does not answer")
+            for unit, overdue in tuple(units.items()):
+                if not overdue.why and not self._is_heard(bus, unit) and now - overdue.since >= SAID_AFTER:
+                    await self._not_taken(person, bus, unit, overdue, "the unit does not answer")
 
     def _is_heard(self, bus: str, unit: int) -> bool:
         return self._state.buses[bus].units[unit].link.link == "online"
@@ -93,13 +93,13 @@ class SetSchedule:
             if not await store.has_set_since(bus, unit, at.timestamp(), "on schedule")
         ]
 
-    async def _take(self, person: Person, bus: str, units: list[int], owed: dict[int, OverdueSet]) -> None:
+    async def _take(self, person: Person, bus: str, units: list[int], overdue: dict[int, OverdueSet]) -> None:
         read, silent = await read_together(self._keeper, person, bus, units)
         if read and await self._keep(person, bus, read):
             for rows in read:
-                owed.pop(rows.unit)
+                overdue.pop(rows.unit)
         for unit, why in silent.items():
-            await self._not_taken(person, bus, unit, owed[unit], why)
+            await self._not_taken(person, bus, unit, overdue[unit], why)
 
     async def _keep(self, person: Person, bus: str, read: list[UnitRows]) -> bool:
         try:
@@ -109,9 +109,9 @@ class SetSchedule:
             return False
         return True
 
-    async def _not_taken(self, person: Person, bus: str, unit: int, owed: OverdueSet, why: str) -> None:
+    async def _not_taken(self, person: Person, bus: str, unit: int, overdue: OverdueSet, why: str) -> None:
         """Said once; tried again as long as it is owed."""
-        first, owed.why = not owed.why, why
+        first, overdue.why = not overdue.why, why
         if first:
             what = Message.of("event_set_not_taken", unit=unit)
             await self._record(person, bus, what, unit, why)

@@ -89,9 +89,9 @@ class SwapService:
             swap.look = None
             if swap.saw(running.result()):
                 await self._store.save(swap)
-        if swap.sight is None:
+        if swap.state is None:
             return None
-        return replace(swap.sight, is_new=swap.is_new, equal=swap.equal)
+        return replace(swap.state, is_new=swap.is_new, equal=swap.equal)
 
     async def said_new(self, swap: Swap) -> None:
         """What answers at the section's address is the spare: a person has looked."""

@@ -84,10 +84,10 @@ async def look_again(
 
 async def _advice(person: Person, live: Live, swaps: SwapService, desk: CommandService, swap: Swap) -> Advice:
     try:
-        sight = await swaps.look(swap, lambda: look(desk, live, person, swap))
+        state = await swaps.look(swap, lambda: look(desk, live, person, swap))
     except Problem as problem:
         return Advice("find", problem.detail, at_panel=False)
-    return Advice("find", "reading the wire", at_panel=False) if sight is None else advice(sight)
+    return Advice("find", "reading the wire", at_panel=False) if state is None else advice(state)
 
 
 @router.post("/swap/{bus}/{unit}/spare")

@@ -36,17 +36,17 @@ class Swap:
     seen: list[str] = field(default_factory=list)
     restore: Restore | None = None
     proven: bool = False
-    sight: SwapState | None = None
+    state: SwapState | None = None
     """What the last look showed."""
     look: asyncio.Task[SwapState] | None = None
 
-    def saw(self, sight: SwapState) -> bool:
+    def saw(self, state: SwapState) -> bool:
         """The wire was looked at; whether it showed anything new."""
-        self.sight = sight
+        self.state = state
         before = self.is_new, len(self.seen)
-        if sight.at_target == "silent":
+        if state.at_target == "silent":
             self.is_new = True
-        words = seen_words(sight)
+        words = seen_words(state)
         if not self.seen or self.seen[-1] != words:
             self.seen.append(words)
         return before != (self.is_new, len(self.seen))

@@ -53,33 +53,33 @@ class Advice:
 PROVEN = Advice("proven", "The new unit is what the old one was, proven by a full read.", at_panel=False)
 
 
-def advice(sight: SwapState) -> Advice:
+def advice(state: SwapState) -> Advice:
     """What to do now."""
-    if sight.at_target in ("garbled", "foreign", "late"):
-        return _at_target_wrong(sight)
-    if sight.at_target == "silent":
-        return _nothing_at_target(sight)
-    if not sight.is_new:
+    if state.at_target in ("garbled", "foreign", "late"):
+        return _at_target_wrong(state)
+    if state.at_target == "silent":
+        return _nothing_at_target(state)
+    if not state.is_new:
         text = (
             "A unit answers at address {target}. If it is the old one, switch it off and take it off the "
             "cable; this page goes on when the address is silent. If it is the spare already, say so."
         )
         return Advice("find", text, at_panel=True, asks=True)
-    if sight.remote is not True:
+    if state.remote is not True:
         text = (
             "At the keypad of the new unit set parameter 19 to 1 (REMOTE). In LOCAL it refuses every write, "
             "and the link cannot change that."
         )
         return Advice("remote", text, at_panel=True)
-    if sight.equal is not True:
+    if state.equal is not True:
         return Advice("restore", "The unit answers in REMOTE. Restore its parameters now.", at_panel=False)
     return PROVEN
 
 
-def _at_target_wrong(sight: SwapState) -> Advice:
-    if sight.at_target == "foreign":
+def _at_target_wrong(state: SwapState) -> Advice:
+    if state.at_target == "foreign":
         text = "Something that is no DIGIMAX IV answers at address {target}. Take it off the cable."
-    elif sight.at_target == "late":
+    elif state.at_target == "late":
         text = (
             "Responses from address {target} come too late to be identified. Increase turnaround_ms for this "
             "bus in lineside.toml and restart Lineside."
@@ -93,19 +93,19 @@ def _at_target_wrong(sight: SwapState) -> Advice:
     return Advice("address", text, at_panel=True)
 
 
-def _nothing_at_target(sight: SwapState) -> Advice:
-    if sight.at_factory == "garbled":
+def _nothing_at_target(state: SwapState) -> Advice:
+    if state.at_factory == "garbled":
         text = (
             "Two units answer at address {factory}: the spare still has its factory address, which another "
             "section uses. At the keypad of the spare set parameter 17 to {target}."
         )
         return Advice("address", text, at_panel=True)
-    if sight.at_factory == "digimax" and FACTORY_ADDRESS not in sight.configured:
+    if state.at_factory == "digimax" and FACTORY_ADDRESS not in state.configured:
         text = (
             "The spare answers at its factory address {factory}. At its keypad set parameter 17 to {target}."
         )
         return Advice("address", text, at_panel=True)
-    if sight.baud != FACTORY_BAUD:
+    if state.baud != FACTORY_BAUD:
         text = (
             "Nothing new answers yet. Connect and power the spare. Out of its box it speaks at 9600 baud, "
             "and this line goes at {baud}: at its keypad set parameter 17 to {target} and parameter 18 to "
@@ -129,13 +129,13 @@ _KIND_WORDS: dict[ProbeFinding, str] = {
 }
 
 
-def seen_words(sight: SwapState) -> str:
+def seen_words(state: SwapState) -> str:
     """What the wire shows, for the record of the swap."""
-    words = f"{_KIND_WORDS[sight.at_target]} at address {sight.target}"
-    if sight.at_target == "silent" and sight.at_factory != "silent":
-        words += f" and {_KIND_WORDS[sight.at_factory]} at {FACTORY_ADDRESS}"
-    if sight.at_target == "digimax":
-        words += " in REMOTE" if sight.remote else "" if sight.remote is None else ", not in REMOTE"
+    words = f"{_KIND_WORDS[state.at_target]} at address {state.target}"
+    if state.at_target == "silent" and state.at_factory != "silent":
+        words += f" and {_KIND_WORDS[state.at_factory]} at {FACTORY_ADDRESS}"
+    if state.at_target == "digimax":
+        words += " in REMOTE" if state.remote else "" if state.remote is None else ", not in REMOTE"
     return words
 
 

@@ -1,5 +1,5 @@
 // What the server says, put where the page shows it: a Map from field to bound nodes, and no element is ever
-// measured, so a change costs one write. When it is written: see pace.js, and for what is out of sight, sight.js.
+// measured, so a change costs one write. When it is written: see pace.js, and for hidden units, visibility.js.
 // Attributes, each naming a field as GROUP.FIELD:
 //   data-live="dry-end/1.actual"          the text
 //   data-live-is="dry-end/1.state"        data-is, for CSS; "dry-end/1.inputs@2" takes one place of the text
@@ -8,7 +8,7 @@
 //   data-live-href="whole_line.at"        where a link leads; no link while the text is empty
 //   data-live-step="dry-end/1.off"        data-step, the nearest of 48 steps from 0 to 1; for bars in great number
 import { soon } from "./pace.js";
-import { mayWait } from "./sight.js";
+import { mayWait } from "./visibility.js";
 
 const values = new Map();
 /** What changed of each group and is not written yet. */

@@ -7,8 +7,8 @@ const seen = [];
 const { now: written, zone: named } = document.body.dataset;
 let offset = Number(written) - (performance.getEntriesByType("navigation")[0]?.responseStart ?? 0) / 1000;
 
-/** A message from the server said that its time is `serverTime` (seconds since the epoch). */
-export function heard(serverTime) {
+/** Take the time of a message from the server, Unix time in seconds. */
+export function received(serverTime) {
   seen.push(serverTime - performance.now() / 1000);
   if (seen.length > REMEMBERED) seen.shift();
   offset = Math.max(...seen);

@@ -15,7 +15,7 @@ const body = document.body;
 const url = body.dataset.liveUrl;
 let socket = null;
 let number = -1;
-let heardAt = performance.now();
+let receivedAt = performance.now();
 let lostSince = null;
 let cause = "closed";
 let tries = 0;
@@ -39,7 +39,7 @@ function open() {
   const mine = new WebSocket(new URL(url, location.href.replace(/^http/, "ws")));
   socket = mine;
   mine.onopen = () => socket === mine && speak();
-  mine.onmessage = (event) => socket === mine && hear(JSON.parse(event.data));
+  mine.onmessage = (event) => socket === mine && receive(JSON.parse(event.data));
   mine.onclose = () => {
     if (socket !== mine) return;
     socket = null;
@@ -55,10 +55,10 @@ function again() {
   if (tries === 3) askWhy();
 }
 
-function hear(message) {
-  heardAt = performance.now();
+function receive(message) {
+  receivedAt = performance.now();
   if (message.is === "frames") return frames(message.frames);
-  clock.heard(message.t);
+  clock.received(message.t);
   if (message.is === "snapshot") return begin(message);
   if (number < 0) return;
   if (message.p !== number) {
@@ -106,7 +106,7 @@ const covered = () => document.querySelectorAll(".main, .rail, .top");
 
 function lose(why) {
   if (body.dataset.link === "lost") return;
-  lostSince = clock.now() - (performance.now() - heardAt) / 1000;
+  lostSince = clock.now() - (performance.now() - receivedAt) / 1000;
   cause = navigator.onLine ? why : "offline";
   body.dataset.link = "lost";
   for (const part of covered()) part.inert = true;
@@ -159,14 +159,14 @@ function noticeSleep() {
   const slept = ahead() - wasAhead;
   wasAhead += slept;
   if (slept > SILENCE_S * 1000) {
-    heardAt -= slept;
+    receivedAt -= slept;
     clock.forget();
   }
 }
 
 function check() {
   noticeSleep();
-  const silent = (performance.now() - heardAt) / 1000;
+  const silent = (performance.now() - receivedAt) / 1000;
   if (silent > SILENCE_S && body.dataset.link !== "lost") lose("silent");
   if (silent > SILENCE_S && socket?.readyState === WebSocket.OPEN) drop();
   describe();

@@ -12,15 +12,15 @@ import * as quality from "./quality.js";
 import * as redraw from "./redraw.js";
 import * as review from "./review.js";
 import * as setter from "./setter.js";
-import * as sight from "./sight.js";
+import * as visibility from "./visibility.js";
 import * as strip from "./strip.js";
-import * as told from "./told.js";
+import * as announce from "./announce.js";
 import * as trace from "./trace.js";
 
-// On a phone the rail is longer than the window: where one is stands in sight.
+// On a phone the rail is longer than the window: scroll to the current page.
 document.querySelector(".rail__item[aria-current]")?.scrollIntoView({ block: "nearest", inline: "center" });
 rebind();
-sight.start(draw, drawAll);
+visibility.start(draw, drawAll);
 focus.start();
 quality.findUnits();
 quality.start();
@@ -30,7 +30,7 @@ setter.start();
 trace.start();
 people.start();
 redraw.start();
-told.start();
+announce.start();
 counts.start();
 keypad.start();
 kiosk.start();

@@ -23,7 +23,7 @@ function opened() {
 function show() {
   if (!dialog.open) dialog.showModal();
   dialog.classList.toggle("dialog--wide", Boolean(content.querySelector(".review--wide")));
-  // What is to be read first stands at the head; the button that has the focus is in sight anyway.
+  // Show the head first; the button with the focus is visible anyway.
   content.querySelector("[data-review-cancel]")?.focus({ preventScroll: true });
   dialog.scrollTop = 0;
 }
@@ -77,7 +77,7 @@ const isByItself = (source) => source.hasAttribute("hx-trigger");
 /** The review is over without a command: the button is gone and the reason stays. */
 function end(form, reason) {
   close();
-  if (form.dataset.asked !== undefined || form.dataset.ended !== undefined) return;
+  if (form.dataset.pending !== undefined || form.dataset.ended !== undefined) return;
   form.dataset.ended = "";
   const words = form.querySelector("[data-review-end]");
   words.textContent = reason;
@@ -103,35 +103,35 @@ function dismiss() {
   giveBack();
 }
 
-/** The wish is on its way: no second press, and its fate in words. */
-function asked(form) {
+/** Lock the form while its command is in progress, and show the progress. */
+function lock(form) {
   close();
-  form.dataset.asked = "";
-  const fate = form.querySelector("[data-review-fate]");
-  if (fate) fate.hidden = false;
+  form.dataset.pending = "";
+  const progress = form.querySelector("[data-review-progress]");
+  if (progress) progress.hidden = false;
   for (const button of form.querySelectorAll("button")) button.disabled = true;
   form.querySelector("[data-lapse]")?.parentElement.remove();
 }
 
-/** What was asked has no answer, and none is made up: whether it was done is not known. */
+/** Show that the request got no response, so the outcome is unknown. */
 function unanswered(form) {
-  delete form.dataset.asked;
+  delete form.dataset.pending;
   form.dataset.unanswered = "";
   for (const button of form.querySelectorAll("button")) button.disabled = false;
-  end(form, word("fateUnknown"));
+  end(form, word("outcomeUnknown"));
 }
 
 /** Of a press that had no review. */
 function sayUnanswered() {
   const words = document.createElement("p");
   words.className = "field__error";
-  words.textContent = word("fateUnknown");
+  words.textContent = word("outcomeUnknown");
   document.getElementById("setpoint-error")?.replaceChildren(words);
 }
 
-/** A review is over with its server; what was asked comes back with it, to say that its fate is not known. */
+/** End the review when the connection is lost; a pending command is reported as unknown after the reconnect. */
 function lost() {
-  const form = content.querySelector("[data-asked]");
+  const form = content.querySelector("[data-pending]");
   if (!form) return dismiss();
   unanswered(form);
   dialog.close();
@@ -144,7 +144,7 @@ function submitted(event) {
   if (event.defaultPrevented || !document.body.dataset.liveUrl) return;
   if (document.body.dataset.link === "lost") return event.preventDefault();
   if (form.method !== "post") return;
-  // A page that was opened just now has not been told the time; its server has only just answered.
+  // A page that was just opened has no server time yet; its server has only just responded.
   if (!isLive()) return;
   const url = new URL(form.action);
   url.searchParams.set("asked_at", clock.now().toFixed(3));
@@ -163,7 +163,7 @@ export function start() {
     if (event.target.closest("[data-review-cancel]")) dismiss();
   });
   dialog.addEventListener("cancel", (event) => {
-    if (content.querySelector("[data-asked]")) event.preventDefault();
+    if (content.querySelector("[data-pending]")) event.preventDefault();
     else dismiss();
   });
   dialog.addEventListener("keydown", (event) => {
@@ -180,7 +180,7 @@ export function start() {
     if (!dialog.open && content.querySelector("[data-unanswered]")) show();
   });
   document.addEventListener("lineside:idle", () => {
-    if (!content.querySelector("[data-asked]")) dismiss();
+    if (!content.querySelector("[data-pending]")) dismiss();
   });
 
   document.addEventListener("submit", submitted);
@@ -193,7 +193,7 @@ export function start() {
     const { request, sourceElement: source } = event.detail.ctx;
     // What only reads may come before the first word.
     if (!isLive() && !(request.method === "GET" && isByItself(source))) return event.preventDefault();
-    if (source.matches("[data-review]")) asked(source);
+    if (source.matches("[data-review]")) lock(source);
   });
   document.addEventListener("htmx:after:swap", (event) => {
     rebind();
@@ -208,7 +208,7 @@ export function start() {
       target.scrollIntoView({ block: "nearest" });
   });
   document.addEventListener("htmx:error", (event) => {
-    const form = content.querySelector("[data-asked]");
+    const form = content.querySelector("[data-pending]");
     if (form) unanswered(form);
     else if (event.detail.ctx?.sourceElement.matches("[data-once]")) sayUnanswered();
   });

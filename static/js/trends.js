@@ -63,7 +63,7 @@ const picture = new Picture(
 /** Where a person has put the cursor by a key or a press on what happened, which is also said aloud. */
 function put(seconds) {
   picture.point(seconds);
-  byId("trend-said").textContent = readInWords(answers, seconds);
+  byId("trend-announcement").textContent = readInWords(answers, seconds);
 }
 
 function moved(at) {

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.commands.forms.outcome import fate_of, fate_of_problem
+from app.commands.forms.outcome import outcome_text, problem_text
 from app.errors import Problem
 from app.web.deadline import Deadline, Instant, instant_now
 from bus.contract import Result, UnitOutcome
@@ -21,27 +21,31 @@ from tests.app.screens import voice
             "bad",
             "refused: unit is not in REMOTE mode",
         ),
-        (Result(id="1", at=0, outcome="unverified", read_back=1198), "doubt", "reads 1198 instead"),
-        (Result(id="1", at=0, outcome="unverified"), "doubt", "no answer: whether it was done is not known"),
+        (Result(id="1", at=0, outcome="unverified", read_back=1198), "unknown", "reads 1198 instead"),
+        (
+            Result(id="1", at=0, outcome="unverified"),
+            "unknown",
+            "no answer: whether it was done is not known",
+        ),
         (Result(id="1", at=0, outcome="not_sent"), "bad", "not sent: the wire was not free in time"),
         (Result(id="1", at=0, outcome="bus_closed"), "bad", "not sent: there is no link to the bus"),
         (Result(id="1", at=0, outcome="invalid", message=term("no")), "bad", "no"),
     ],
 )
 def test_every_outcome_has_its_words(result: Result, tone: str, text: str) -> None:
-    fate = fate_of(result, str, voice())
-    assert (fate.tone, fate.text) == (tone, text)
+    outcome = outcome_text(result, str, voice())
+    assert (outcome.tone, outcome.text) == (tone, text)
 
 
 def test_a_part_of_a_change_that_was_taken_back_says_so_in_the_reader_s_language() -> None:
     taken_back = Message.of("staged_withdrawn", present=1200)
     part = UnitOutcome(unit=3, outcome="not_sent", message=taken_back)
-    assert fate_of(part, str, voice()).text == str(taken_back)
-    assert "zurückgenommen; nicht ausgeführt" in fate_of(part, str, voice("de")).text
+    assert outcome_text(part, str, voice()).text == str(taken_back)
+    assert "zurückgenommen; nicht ausgeführt" in outcome_text(part, str, voice("de")).text
 
 
 def test_a_refusal_before_sending_is_said_in_the_reader_s_language() -> None:
     with pytest.raises(Problem) as late:
         Deadline(Instant(instant_now() - 4), 2.0).refuse_passed()
-    text = fate_of_problem(late.value, voice("de")).text
+    text = problem_text(late.value, voice("de")).text
     assert text.startswith("zu spät: der Befehl ist 4,0 s alt, erlaubt waren 2 s")

@@ -118,15 +118,15 @@ async def test_a_unit_silent_at_its_minute_is_said_once_and_taken_when_it_answer
     scene.link(2, "offline")
     await scene.schedule.look(ANNA, MIDNIGHT - timedelta(minutes=1), NOON)
     assert (await scene.kept(1), await scene.kept(2)) == (["on schedule"], [])
-    assert scene.schedule.owed("dry-end") == {}
+    assert scene.schedule.overdue("dry-end") == {}
     for _ in range(2):
         await scene.schedule.look(ANNA, NOON, NOON + SAID_AFTER)
     said = [event for event in scene.events.events if "not taken on schedule" in event["what"]]
     assert [(event["unit"], event["message"]) for event in said] == [(2, "the unit does not answer")]
-    assert list(scene.schedule.owed("dry-end")) == [2]
+    assert list(scene.schedule.overdue("dry-end")) == [2]
     scene.link(2, "online")
     await scene.schedule.look(ANNA, NOON, NOON + SAID_AFTER)
-    assert (await scene.kept(2), scene.schedule.owed("dry-end")) == (["on schedule"], {})
+    assert (await scene.kept(2), scene.schedule.overdue("dry-end")) == (["on schedule"], {})
 
 
 async def test_a_unit_that_falls_silent_while_it_is_read_stays_owed(scene: Scene) -> None:
@@ -134,7 +134,7 @@ async def test_a_unit_that_falls_silent_while_it_is_read_stays_owed(scene: Scene
     scene.link(1, "online")
     scene.desk.silent_after = 0
     await scene.schedule.look(ANNA, MIDNIGHT - timedelta(minutes=1), NOON)
-    assert scene.schedule.owed("dry-end")[1].why == "no answer"
+    assert scene.schedule.overdue("dry-end")[1].why == "no answer"
     scene.desk.silent_after = None
     await scene.schedule.look(ANNA, NOON, NOON)
     assert await scene.kept(1) == ["on schedule"]

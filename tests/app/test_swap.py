@@ -33,7 +33,7 @@ from tests.app.played_desk import ANNA, Noted
 from tests.app.screens import line
 
 
-def sight(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: object) -> SwapState:
+def state(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: object) -> SwapState:
     given = {"remote": None, "equal": None, "configured": frozenset({5})} | more
     return SwapState(5, at_target, at_factory, **given)  # type: ignore[arg-type]
 
@@ -41,18 +41,18 @@ def sight(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: 
 @pytest.mark.parametrize(
     ("seen", "step", "at_panel", "says"),
     [
-        (sight("silent"), "find", True, "Connect and power"),
-        (sight("silent", "digimax"), "address", True, "factory address"),
-        (sight("silent", "digimax", configured=frozenset({1, 5})), "find", True, "Connect and power"),
-        (sight("silent", "garbled"), "address", True, "Two units answer at address {factory}"),
-        (sight("garbled"), "address", True, "Two units answer at address {target}"),
-        (sight("foreign"), "address", True, "no DIGIMAX IV"),
-        (sight("late"), "find", False, "Increase turnaround_ms"),
-        (sight("digimax", remote=None), "remote", True, "REMOTE"),
-        (sight("digimax", remote=False), "remote", True, "REMOTE"),
-        (sight("digimax", remote=True), "restore", False, "Restore"),
-        (sight("digimax", remote=True, equal=False), "restore", False, "Restore"),
-        (sight("digimax", remote=True, equal=True), "proven", False, "proven"),
+        (state("silent"), "find", True, "Connect and power"),
+        (state("silent", "digimax"), "address", True, "factory address"),
+        (state("silent", "digimax", configured=frozenset({1, 5})), "find", True, "Connect and power"),
+        (state("silent", "garbled"), "address", True, "Two units answer at address {factory}"),
+        (state("garbled"), "address", True, "Two units answer at address {target}"),
+        (state("foreign"), "address", True, "no DIGIMAX IV"),
+        (state("late"), "find", False, "Increase turnaround_ms"),
+        (state("digimax", remote=None), "remote", True, "REMOTE"),
+        (state("digimax", remote=False), "remote", True, "REMOTE"),
+        (state("digimax", remote=True), "restore", False, "Restore"),
+        (state("digimax", remote=True, equal=False), "restore", False, "Restore"),
+        (state("digimax", remote=True, equal=True), "proven", False, "proven"),
     ],
 )
 def test_what_to_do_now(seen: SwapState, step: str, at_panel: bool, says: str) -> None:
@@ -63,13 +63,13 @@ def test_what_to_do_now(seen: SwapState, step: str, at_panel: bool, says: str) -
 
 
 def test_the_old_unit_is_not_taken_for_the_spare() -> None:
-    now = advice(sight("digimax", remote=True, is_new=False))
+    now = advice(state("digimax", remote=True, is_new=False))
     assert (now.step, now.asks) == ("find", True)
     assert "the old one" in now.text
 
 
 def test_another_baud_than_that_of_the_box_is_named() -> None:
-    assert "Out of its box it speaks at 9600 baud" in advice(sight("silent", baud=4800)).text
+    assert "Out of its box it speaks at 9600 baud" in advice(state("silent", baud=4800)).text
 
 
 class Scene:
@@ -110,10 +110,10 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
 async def test_a_swap_ends_with_one_event_that_tells_all_of_it(scene: Scene) -> None:
     swap, events = await scene.begin(), scene.events
     for seen in (
-        sight("digimax"),
-        sight("silent", "garbled"),
-        sight("silent"),
-        sight("digimax", remote=True),
+        state("digimax"),
+        state("silent", "garbled"),
+        state("silent"),
+        state("digimax", remote=True),
     ):
         swap.saw(seen)
     assert swap.is_new
@@ -145,8 +145,8 @@ async def test_a_restore_from_before_the_swap_proves_nothing_about_it(scene: Sce
 
 async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     swap, restore = await scene.begin(), a_restore(state="different")
-    await scene.desk.look(swap, lambda: shown(sight("silent")))
-    await scene.desk.look(swap, lambda: shown(sight("digimax", remote=True)))
+    await scene.desk.look(swap, lambda: shown(state("silent")))
+    await scene.desk.look(swap, lambda: shown(state("digimax", remote=True)))
     await scene.desk.ended(restore)
 
     scene.restores[restore.id] = restore
@@ -166,11 +166,11 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
 async def test_without_a_set_the_sheet_is_entered_and_the_unit_kept(scene: Scene) -> None:
     swap = await scene.desk.begin(ANNA, "dry-end", 2, None)
     assert scene.events.events[-1]["what"] == "unit swap begun, from the sheet"
-    ready = advice(sight("digimax", remote=True))
+    ready = advice(state("digimax", remote=True))
     assert "from the sheet" in step_text(ready, swap)
     await scene.desk.entered(ANNA, swap, ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9))
     assert swap.equal
-    assert "compare that with the sheet" in step_text(advice(sight("digimax", remote=True, equal=True)), swap)
+    assert "compare that with the sheet" in step_text(advice(state("digimax", remote=True, equal=True)), swap)
     assert "kept as set 9" in scene.events.events[-1]["message"]
 
 
@@ -266,10 +266,10 @@ async def test_a_page_that_asks_again_does_not_pile_up_looks(
     async def look() -> SwapState:
         begun.append(1)
         await seen.wait()
-        return sight("silent")
+        return state("silent")
 
     assert [await scene.desk.look(swap, look) for _ in range(3)] == [None] * 3
     assert len(begun) == 1
     seen.set()
-    assert (await scene.desk.look(swap, look)) == sight("silent", equal=None)
+    assert (await scene.desk.look(swap, look)) == state("silent", equal=None)
     assert swap.is_new

@@ -100,7 +100,7 @@ def test_a_group_change_opens_at_its_head_and_its_result_at_the_verdict(
     expect(act).to_be_in_viewport(ratio=1)
     expect(page.locator("[data-review-cancel]")).to_be_focused()
     act.click()
-    expect(page.locator("[data-review-done] .fate--final")).to_be_in_viewport(ratio=1)
+    expect(page.locator("[data-review-done] .outcome--final")).to_be_in_viewport(ratio=1)
     expect(page.locator("[data-review-done] [data-review-cancel]")).to_be_in_viewport(ratio=1)
 
 

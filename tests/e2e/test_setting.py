@@ -124,7 +124,7 @@ def test_a_press_without_an_answer_has_an_unknown_fate(site: Site, browser_page:
     page.route("**/nudge", lambda route: route.abort())
     page.get_by_role("button", name="Set now").click()
     page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-fate]")).to_be_visible()
+    expect(page.locator("[data-review-progress]")).to_be_visible()
     page.evaluate("document.dispatchEvent(new CustomEvent('lineside:lost'))")
     expect(page.locator("dialog[open]")).to_have_count(0)
     page.evaluate("document.dispatchEvent(new CustomEvent('lineside:found'))")

@@ -140,7 +140,7 @@ def test_a_spare_with_the_older_list_at_the_address_already(site: Site, browser_
         page.get_by_role("row", name=re.compile("Minimum Ratio.*this unit does not have it"))
     ).to_be_visible()
     page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
-    proven = page.locator("#told").get_by_text("what was asked but for the rows left out")
+    proven = page.locator("#restore-progress").get_by_text("what was asked but for the rows left out")
     expect(proven).to_be_visible(timeout=PROCEDURE_MS)
     assert "#38: this unit does not have it" in events(site, "swap")[0]["message"]
 

@@ -204,7 +204,7 @@ def test_a_value_is_taken_away_by_keyboard_and_the_cursor_said_aloud(browser_pag
     expect(rows).to_have_count(1)
     expect(page.locator("#trend-values button[aria-label]")).to_be_focused()
     page.locator("#trend-picture").press("ArrowLeft")
-    expect(page.locator("#trend-said")).to_contain_text("actual")
+    expect(page.locator("#trend-announcement")).to_contain_text("actual")
     page.locator("#trend-values button[aria-label]").press("Enter")
     expect(rows).to_have_count(0)
     expect(page.locator("#trend-add [name=unit]")).to_be_focused()

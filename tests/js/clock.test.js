@@ -20,25 +20,25 @@ test("before the first message the time is that of the page's response", async (
 });
 
 test("the message that was least delayed of the last twelve sets the clock", async () => {
-  const { clock, heard, now } = await open({ time: 0 });
-  const hear = (delay) => {
+  const { clock, received, now } = await open({ time: 0 });
+  const receive = (delay) => {
     clock.ms += 1000;
-    heard(5000 + clock.ms / 1000 - delay);
+    received(5000 + clock.ms / 1000 - delay);
   };
-  hear(0.5);
+  receive(0.5);
   assert.equal(now(), 5000.5);
-  hear(0.2);
-  hear(0.9);
+  receive(0.2);
+  receive(0.9);
   assert.ok(Math.abs(now() - (5000 + 3 - 0.2)) < 1e-9);
-  for (let i = 0; i < 11; i++) hear(0.7);
+  for (let i = 0; i < 11; i++) receive(0.7);
   assert.ok(Math.abs(now() - (5000 + 14 - 0.7)) < 1e-9, "the quick one is older than twelve messages");
 });
 
 test("after a sleep the next message alone sets the clock", async () => {
-  const { heard, forget, now } = await open({ time: 0 });
-  heard(9000);
+  const { received, forget, now } = await open({ time: 0 });
+  received(9000);
   forget();
-  heard(5000);
+  received(5000);
   assert.equal(now(), 5000);
 });
 

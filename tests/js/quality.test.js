@@ -5,7 +5,7 @@ import { openPage } from "./page.js";
 
 const clock = openPage();
 const { replace, show } = await import("../../static/js/bind.js");
-const { heard } = await import("../../static/js/clock.js");
+const { received } = await import("../../static/js/clock.js");
 const { qualityOf } = await import("../../static/js/quality.js");
 
 const BUS = { stale_after: 2, offline_after: 5 };
@@ -17,7 +17,7 @@ function qualityAfter(seconds) {
 }
 
 test("a value that is not renewed is stale, then offline", () => {
-  heard(1000);
+  received(1000);
   replace(unit());
   assert.deepEqual([2, 2.1, 5, 5.1].map(qualityAfter), ["online", "stale", "stale", "offline"]);
 });

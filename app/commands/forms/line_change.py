@@ -52,7 +52,7 @@ def proven(
         "setpoints/_done.html",
         title=title,
         bus=bus,
-        fate=_fate_of_all(desk, result, proofs),
+        outcome=_outcome_of_all(desk, result, proofs),
         proofs=proofs,
         former=_former(live, setpoints, form) if result.outcome == "verified" else {},
         skew=None if result.skew_s is None else desk.voice.formats.number(result.skew_s * 1000),
@@ -67,18 +67,18 @@ def _former(live: BusLive, setpoints: Mapping[int, int], form: FormData) -> dict
     return {number: shown_setpoint(int(text), live.units[number]) for number, text in was.items()}
 
 
-def _fate_of_all(desk: PageContext, result: Result, proofs: list[ResultRow]) -> OutcomeText:
+def _outcome_of_all(desk: PageContext, result: Result, proofs: list[ResultRow]) -> OutcomeText:
     """The whole change in one sentence: how many of its units are proven."""
-    fate = desk.fate(result)
+    outcome = desk.outcome(result)
     if result.outcome == "verified":
         return OutcomeText("good", desk.voice.tn("verified", "verified at each of {n} units", len(proofs)))
     if result.outcome != "unverified":
-        return fate
+        return outcome
     proven = sum(unit.outcome == "verified" for unit in result.units)
     counted = desk.voice.tn(
         "{good} of {n} unit verified", "{good} of {n} units verified", len(proofs), good=proven
     )
-    return OutcomeText(fate.tone, f"{counted}; {fate.text}")
+    return OutcomeText(outcome.tone, f"{counted}; {outcome.text}")
 
 
 def _proofs(
@@ -90,7 +90,7 @@ def _proofs(
         (
             live.units[number].settings.name,
             shown_setpoint(raw, live.units[number]),
-            desk.fate(said.get(number, result), live.units[number]),
+            desk.outcome(said.get(number, result), live.units[number]),
         )
         for number, raw in setpoints.items()
     ]

@@ -12,12 +12,12 @@ from bus.contract import Outcome, Result, UnitOutcome
 from bus.errors import unit_error
 from bus.messages import Message
 
-Tone = Literal["good", "bad", "doubt"]
+Tone = Literal["good", "bad", "unknown"]
 ValueFormat = Callable[[int], str]
 """A read-back integer as people read it."""
 
 
-_OF_A_PART: dict[Outcome, Tone] = {"not_sent": "bad", "unverified": "doubt"}
+_OF_A_PART: dict[Outcome, Tone] = {"not_sent": "bad", "unverified": "unknown"}
 """Where one unit's part in a change has an end of its own, told by its message: taken back, or still held."""
 
 
@@ -33,7 +33,7 @@ ResultRow = tuple[str, str, OutcomeText]
 """A unit's name, the requested value and the result."""
 
 
-def fate_of(result: Result | UnitOutcome, shown: ValueFormat, voice: Translator) -> OutcomeText:
+def outcome_text(result: Result | UnitOutcome, shown: ValueFormat, voice: Translator) -> OutcomeText:
     """The fate of a command, or of one unit's part in it."""
     read = "" if result.read_back is None else shown(result.read_back)
     if isinstance(result, UnitOutcome) and result.message and not read and result.outcome in _OF_A_PART:
@@ -48,12 +48,12 @@ def fate_of(result: Result | UnitOutcome, shown: ValueFormat, voice: Translator)
             return OutcomeText("bad", voice.t("refused: {reason}", reason=_reason(result, voice)))
         case "unverified":
             if read:
-                return OutcomeText("doubt", voice.t("reads {value} instead", value=read))
-            return OutcomeText("doubt", voice.t("no answer: whether it was done is not known"))
+                return OutcomeText("unknown", voice.t("reads {value} instead", value=read))
+            return OutcomeText("unknown", voice.t("no answer: whether it was done is not known"))
     return OutcomeText("bad", _not_sent(result.outcome, result.message, voice))
 
 
-def fate_of_problem(problem: Problem, voice: Translator) -> OutcomeText:
+def problem_text(problem: Problem, voice: Translator) -> OutcomeText:
     """What was refused before anything was sent."""
     return OutcomeText("bad", voice.formats.sentence(problem.text(voice.t)))
 

@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.catalogue import kind_of_command
-from app.commands.forms.outcome import OutcomeText, fate_of, fate_of_problem
+from app.commands.forms.outcome import OutcomeText, outcome_text, problem_text
 from app.commands.review.risks import Remark
 from app.commands.rules.timeouts import timeout_s_for
 from app.commands.safeguards.service import Safeguards
@@ -108,20 +108,22 @@ class PageContext:
         deadline = deadline or Deadline(self.made_at, timeout_s)
         return await self.desk.ask(person, bus, action, deadline=deadline, confirm=True, id=id, origin="page")
 
-    def fate(self, result: Result | UnitOutcome, unit: UnitLive | None = None) -> OutcomeText:
+    def outcome(self, result: Result | UnitOutcome, unit: UnitLive | None = None) -> OutcomeText:
         """What became of it; what was read back is a setpoint in the decimals of ``unit``, else as it is."""
         if unit is None:
-            return fate_of(result, str, self.voice)
-        return fate_of(result, lambda raw: self.voice.formats.point(shown_setpoint(raw, unit)), self.voice)
+            return outcome_text(result, str, self.voice)
+        return outcome_text(
+            result, lambda raw: self.voice.formats.point(shown_setpoint(raw, unit)), self.voice
+        )
 
     def refused(self, problem: Problem, title: str) -> Response:
         """The end of a review that sent nothing, in the dialog."""
-        return self.done(title, fate_of_problem(problem, self.voice), status=problem.status)
+        return self.done(title, problem_text(problem, self.voice), status=problem.status)
 
-    def done(self, title: str, fate: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
+    def done(self, title: str, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
         """The end of a review, in the dialog. ``setpoint``: what was asked, what field reads it, its undo."""
         context = {"asked": "", "reads": "", "undo": None} | setpoint
-        return self.render("unit/_done.html", title=title, fate=fate, status=status, **context)
+        return self.render("unit/_done.html", title=title, outcome=outcome, status=status, **context)
 
 
 def new_id() -> str:

@@ -44,4 +44,6 @@ async def change(
     """Change it at every unit; the fate of each."""
     live = desk.bus(bus)
     result = await desk.ask(person, bus, ChangeBaud(baud=baud), id, Deadline(desk.made_at, CHANGE_S))
-    return desk.render("bus/_baud_done.html", bus=live, baud=baud, fate=desk.fate(result), result=result)
+    return desk.render(
+        "bus/_baud_done.html", bus=live, baud=baud, outcome=desk.outcome(result), result=result
+    )

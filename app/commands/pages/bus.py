@@ -90,7 +90,7 @@ async def scan(
     result = await desk.ask(person, bus, action, new_id())
     return desk.render(
         "bus/_found.html",
-        fate=desk.fate(result),
+        outcome=desk.outcome(result),
         found=result.found,
         remarks=result.message,
         known=desk.bus(bus).units,

@@ -74,11 +74,11 @@ async def set_output(
         result = await desk.ask(person, bus, WriteOutput(unit=unit, number=number, on=on), id)
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
-    fate = desk.fate(result)
+    outcome = desk.outcome(result)
     if result.outcome == "verified":
         state = desk.voice.t(ON if on else OFF)
-        fate = OutcomeText("good", desk.voice.t("verified: output {n} is {state}", n=number, state=state))
-    return desk.done(live.settings.name, fate)
+        outcome = OutcomeText("good", desk.voice.t("verified: output {n} is {state}", n=number, state=state))
+    return desk.done(live.settings.name, outcome)
 
 
 @router.post("/analog-output/review")
@@ -122,7 +122,7 @@ async def set_analog(
         result = await desk.ask(person, bus, WriteAnalogOutput(unit=unit, raw=raw), id)
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
-    return desk.done(live.settings.name, desk.fate(result))
+    return desk.done(live.settings.name, desk.outcome(result))
 
 
 def _whole_number(text: str) -> int:

@@ -137,18 +137,18 @@ async def _write(
 ) -> Response:
     unit, number = live.settings.id, parameter.number
     result = await desk.ask(person, bus, WriteParameter(unit=unit, number=number, raw=raw), id)
-    fate = desk.fate(result, live)
+    outcome = desk.outcome(result, live)
     if parameter.secret and result.outcome == "unverified":
         # Why, in words: the value that was read back is not here.
-        fate = OutcomeText(fate.tone, desk.voice.t(result.message or ""))
+        outcome = OutcomeText(outcome.tone, desk.voice.t(result.message or ""))
     elif result.read_back is not None:
         reads = desk.voice.formats.point(text_of(parameter, result.read_back, live))
         said = "verified: reads {value}" if result.outcome == "verified" else "reads {value} instead"
-        fate = OutcomeText(fate.tone, desk.voice.t(said, value=reads))
+        outcome = OutcomeText(outcome.tone, desk.voice.t(said, value=reads))
     return desk.render(
         "unit/_parameter_done.html",
         title=f"#{number} {parameter.name}",
-        fate=fate,
+        outcome=outcome,
         bus=bus,
         unit=desk.shown(bus, unit),
         row=_row(desk, bus, live, number),

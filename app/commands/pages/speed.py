@@ -109,7 +109,7 @@ def _done(
     reads = "" if follower(live) else f"{bus}/{live.settings.id}.commanded"
     return desk.done(
         live.settings.name,
-        desk.fate(result, live),
+        desk.outcome(result, live),
         asked=shown_setpoint(raw, live),
         reads=reads,
         undo=undo,
@@ -146,7 +146,9 @@ async def nudge(
         result = await desk.ask(person, bus, SetSpeed(unit=unit, raw=raw), id)
     except Problem as problem:
         return _not_so(desk, live, problem)
-    response = desk.render("unit/_nudged.html", asked=shown_setpoint(raw, live), fate=desk.fate(result, live))
+    response = desk.render(
+        "unit/_nudged.html", asked=shown_setpoint(raw, live), outcome=desk.outcome(result, live)
+    )
     response.headers["HX-Retarget"] = ERROR_PLACE
     return response
 

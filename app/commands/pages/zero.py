@@ -11,7 +11,7 @@ from fastapi import APIRouter, Form
 from starlette.responses import Response
 
 from app.commands.catalogue import SET_LINE
-from app.commands.forms.outcome import OutcomeText, ResultRow, fate_of_problem
+from app.commands.forms.outcome import OutcomeText, ResultRow, problem_text
 from app.commands.forms.page_context import Page, PageContext
 from app.commands.review.risks import by_remark
 from app.commands.review.zero import ZeroPlan, plan_zero
@@ -79,9 +79,9 @@ async def set_zero(
         desk.refuse_lapsed(reviewed_at)
     except Problem as problem:
         return desk.refused(problem, title)
-    told = await asyncio.gather(*(_zero_bus(person, desk, plan, id) for plan in _plans(desk)))
-    proofs = [proof for bus in told for proof in bus]
-    return desk.render("line/_zero_done.html", title=title, proofs=proofs, fate=_in_all(desk, proofs))
+    by_bus = await asyncio.gather(*(_zero_bus(person, desk, plan, id) for plan in _plans(desk)))
+    proofs = [proof for bus in by_bus for proof in bus]
+    return desk.render("line/_zero_done.html", title=title, proofs=proofs, outcome=_in_all(desk, proofs))
 
 
 async def _zero_bus(person: Person, desk: PageContext, plan: ZeroPlan, id: str) -> list[ResultRow]:
@@ -99,21 +99,26 @@ async def _zero_bus(person: Person, desk: PageContext, plan: ZeroPlan, id: str) 
 
 async def _zero_units(person: Person, desk: PageContext, plan: ZeroPlan, id: str) -> list[ResultRow]:
     """All at once; then each alone that is not proven, unless the press itself came too late."""
-    action, told = SetLine(setpoints=dict.fromkeys(plan.units, 0)), _BusCommands(person, desk, plan.bus, id)
+    action, bus_commands = (
+        SetLine(setpoints=dict.fromkeys(plan.units, 0)),
+        _BusCommands(person, desk, plan.bus, id),
+    )
     live, units = desk.bus(plan.bus), len(plan.units)
-    together = await told(action, "", desk.deadline(live, units))
+    together = await bus_commands(action, "", desk.deadline(live, units))
     came_late = isinstance(together, Problem) and together.code == "not_sent"
     at_the_end = Deadline(desk.made_at, _longest_s(live, units))
-    said = {fate.unit: fate for fate in together.units} if isinstance(together, Result) else {}
+    by_unit = {result.unit: result for result in together.units} if isinstance(together, Result) else {}
     proofs = []
     for number, name in plan.units.items():
-        fate: Result | UnitOutcome | Problem = said.get(number, together)
-        settled = not isinstance(fate, Problem) and fate.outcome in ("verified", "bus_closed")
+        result: Result | UnitOutcome | Problem = by_unit.get(number, together)
+        settled = not isinstance(result, Problem) and result.outcome in ("verified", "bus_closed")
         if not settled and not came_late and at_the_end.left_s > 0:
             deadline = Deadline.within(timeout_s_for(live))
-            fate = await told(SetSpeed(unit=number, raw=0), f"-{number}", deadline)
+            result = await bus_commands(SetSpeed(unit=number, raw=0), f"-{number}", deadline)
         unit = desk.unit(plan.bus, number)
-        shown = fate_of_problem(fate, desk.voice) if isinstance(fate, Problem) else desk.fate(fate, unit)
+        shown = (
+            problem_text(result, desk.voice) if isinstance(result, Problem) else desk.outcome(result, unit)
+        )
         proofs.append((_on_site(desk, plan.bus, name), shown_setpoint(0, unit), shown))
     return proofs
 
@@ -137,7 +142,7 @@ def _on_site(desk: PageContext, bus: str, name: str) -> str:
 
 
 def _in_all(desk: PageContext, proofs: list[ResultRow]) -> OutcomeText:
-    at_zero = sum(fate.tone == "good" for _, _, fate in proofs)
+    at_zero = sum(outcome.tone == "good" for _, _, outcome in proofs)
     if proofs and at_zero == len(proofs):
         good = desk.voice.tn(
             "{n} unit took speed 0 and ramps down", "{n} units took speed 0 and ramp down", at_zero

@@ -21,7 +21,7 @@ SHOW = """async (texts) => {
   return [read("line/1"), read("line/8")];
 }"""
 KNOWN_TO_BE_OUT_OF_SIGHT = """async () =>
-  (await import(document.querySelector('link[href$="/sight.js"]').href)).mayWait("line/8")"""
+  (await import(document.querySelector('link[href$="/visibility.js"]').href)).mayWait("line/8")"""
 LAST_TEXT_IN_THE_FRAME = """(act) => new Promise((resolve) => {
   act();
   requestAnimationFrame(

@@ -1,13 +1,13 @@
-// Which units nobody can see: what is scrolled away is drawn once a second, so a slow device has its time for what
-// is looked at. Before any of it is seen it is up to date: in the frame that scrolls, sizes or prints it.
+// Draws units outside the window once a second, which leaves main-thread time for what is visible. Before a unit
+// becomes visible it is brought up to date, in the frame that scrolls, resizes or prints.
 //   data-unit="dry-end/1" data-only    whatever the page shows of this unit is in this element
 
 const LATE_MS = 1000;
 const AHEAD = "10% 0px";
-/** Of each unit out of sight: when it is due. */
+/** By hidden unit, when its next drawing is due. */
 const due = new Map();
 
-/** Whether nobody would see it if this unit were drawn now, and it is not due. */
+/** Whether a unit is outside the window and its next drawing is not due yet. */
 export function mayWait(unit) {
   const at = due.get(unit);
   if (at === undefined) return false;
@@ -17,7 +17,7 @@ export function mayWait(unit) {
   return false;
 }
 
-/** Call `draw` when units may have come into sight: of those, and `drawAll` of everything. */
+/** Call `draw` when units may have become visible, and `drawAll` when anything may have. */
 export function start(draw, drawAll) {
   let turn = 0;
   const watcher = new IntersectionObserver(

@@ -16,7 +16,7 @@ globalThis.addEventListener = document.addEventListener = (name, act) => {
   events[name] = act;
 };
 document.querySelectorAll = () => [{}];
-const { mayWait, start } = await import("../../static/js/sight.js");
+const { mayWait, start } = await import("../../static/js/visibility.js");
 
 const drawn = { some: 0, all: 0 };
 start(
