@@ -1,36 +1,104 @@
-"""All that belongs to one bus: made once for each ``[[bus]]``, so that another server could be its home.
-
-What belongs to the site (people, configuration, the files of events and history) is passed in.
-"""
+"""All that belongs to one bus: made once for each ``[[bus]]``, so that another server could be its home."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
 
 from app.audit.log import EventLog
+from app.commands.authority import SessionEnds, Withdrawals
+from app.commands.safeguards.service import AccountLookup, Safeguards
+from app.commands.service.command_service import CommandService
+from app.commands.service.idempotency_cache import IdempotencyCache
+from app.commands.service.record import CommandRecord
+from app.database import Database
 from app.feed.bus_feed import TIMEOUT_TICKS, BusFeed
 from app.feed.channel import Channel
 from app.live.change_recorder import ChangeRecorder
 from app.live.state.bus_live import BusLive
 from app.pipeline import HistoryIntake, Pipeline
+from app.sets.drift import BusDrift
+from app.sets.first_write import FirstWrites
+from app.sets.keeper import SetKeeper
+from app.sets.reading import ParameterReader
+from app.sets.schedule import SetSchedule
+from app.sets.store import SetStore
+from app.web.access import Person, Role
+
+SERVER = Person("server", Role.ENGINEER, "worker")
+"""Who acts when nobody asked: the schedule of parameter sets."""
+
+
+@dataclass(frozen=True, slots=True)
+class BusDependencies:
+    """What every bus needs of its site."""
+
+    events: EventLog
+    database: Database
+    history: HistoryIntake
+    sets: SetStore
+    rights: Withdrawals
+    sessions: SessionEnds
+    find_account: AccountLookup
+    control_required: bool
+    local_time: Callable[[], datetime]
+    record: CommandRecord
+    idempotency: IdempotencyCache
 
 
 class BusService:
-    """The live state of one bus, and all that its worker reports and is asked. ``monotonic`` times what is
-    kept for a worker that may come back."""
+    """One bus: its live state, what its worker reports, and what is commanded. Call :meth:`load` before the
+    first command. ``monotonic`` times what is kept for a worker that may come back."""
 
     def __init__(
         self,
         live: BusLive,
-        history: HistoryIntake,
-        events: EventLog,
+        site: BusDependencies,
         *,
         monotonic: Callable[[], float] = time.monotonic,
         timeout_ticks: int = TIMEOUT_TICKS,
     ) -> None:
+        name = live.settings.name
         self.live = live
-        self.recorder = ChangeRecorder(events, live.settings.name)
-        self.pipeline = Pipeline(live, history, self.recorder)
+        self.recorder = ChangeRecorder(site.events, name)
+        self.pipeline = Pipeline(live, site.history, self.recorder)
         self.channel = Channel()
         self.feed = BusFeed(self.channel, self.pipeline, monotonic=monotonic, timeout_ticks=timeout_ticks)
+        self.safeguards = Safeguards(
+            name,
+            site.database,
+            site.events,
+            control_required=site.control_required,
+            find=site.find_account,
+            rights=site.rights,
+            sessions=site.sessions,
+        )
+        self.commands = CommandService(
+            live, self.channel, site.record, site.idempotency, self.safeguards, site.rights
+        )
+        self.reader = ParameterReader(live, self.commands)
+        self.drift = BusDrift(live, site.sets, site.events)
+        self.sets = SetKeeper(live, self.reader, self.drift, site.sets, site.events, site.rights)
+        self.set_schedule = SetSchedule(live, self.sets, site.events, site.local_time)
+        self.first_writes = FirstWrites(live, self.commands, self.sets, site.local_time)
+
+    async def load(self) -> None:
+        """Read what is stored of the bus."""
+        await self.safeguards.load()
+        await self.drift.load()
+
+    def works(self) -> Iterable[Callable[[], Awaitable[None]]]:
+        """What runs as long as the server does."""
+        return (
+            self.recorder.follow,
+            partial(self.set_schedule.follow, SERVER),
+            partial(self.sets.learn_marked, SERVER),
+        )
+
+    async def close(self) -> None:
+        """End what still runs."""
+        await self.first_writes.close()
+        await self.drift.close()

@@ -108,7 +108,8 @@ def create_app(
         lifespan=_lifespan,
         openapi_url=None,
     )
-    app.state.services, app.state.registry = services, Registry(vars(services).values())
+    of_buses = {name: vars(bus).values() for name, bus in services.buses.items()}
+    app.state.services, app.state.registry = services, Registry(vars(services).values(), of_buses)
     for feature in FEATURES:
         # Not by include_router: that builds every route again, which is a third of a second of the start.
         # Copies: an app guards its own routes, and a process may have several apps.

@@ -25,15 +25,15 @@ from app.auth.passwords import Passwords
 from app.auth.rights import Rights
 from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
-from app.bus_service import BusService
-from app.commands.safeguards.service import Safeguards
-from app.commands.service.command_service import CommandService
+from app.bus_service import BusDependencies, BusService
+from app.commands.service.idempotency_cache import IdempotencyCache
+from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.database.private import make_private
 from app.feed.workers import Workers
 from app.history.pages.warming import warm
 from app.history.service import History
-from app.history.status import sentence
+from app.history.status import store_notice
 from app.history.status_words import status_words
 from app.live.browsers.hub import Hub
 from app.live.change_recorder import ChangeRecorder
@@ -46,26 +46,19 @@ from app.metrics.measured import MetricSources
 from app.pipeline import record_history_faults
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore
-from app.sets.first_write import FirstWrites
-from app.sets.keeper import SetKeeper
-from app.sets.reading import ParameterReader
 from app.sets.restore import RestoreService
 from app.sets.restore_store import RestoreStore
-from app.sets.schedule import SetSchedule
 from app.sets.store import SetStore
 from app.sets.taking import Takings
 from app.settings import Settings
 from app.swap.desk import SwapService
 from app.swap.store import SwapStore
-from app.web.access import Person, Role
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from app.web.turns import Turns
 
 log = structlog.get_logger()
 
-SERVER = Person("server", Role.ENGINEER, "worker")
-"""Who acts when nobody asked: the schedule of parameter sets."""
 AGAIN_AFTER_S = 1.0
 RECORDED_WITHIN_S = 1.0
 """What the end waits for the last changes of the line to be written down."""
@@ -93,11 +86,7 @@ class Services:
     recorder: ChangeRecorder
     workers: Workers
     hub: Hub
-    safeguards: Safeguards
-    desk: CommandService
-    sets: SetKeeper
-    set_schedule: SetSchedule
-    first_writes: FirstWrites
+    sets: SetStore
     takings: Takings
     restores: RestoreService
     swaps: SwapService
@@ -126,26 +115,29 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
     live, history = LiveState(settings.bus, time()), History(settings)
     recorder = ChangeRecorder(events)
     record_history_faults(history, recorder)
-    buses = {name: BusService(bus, history, events) for name, bus in live.buses.items()}
-    workers = Workers({name: bus.feed for name, bus in buses.items()}, recorder)
-    safeguards = Safeguards(
-        database,
-        events,
-        control_required=site.control,
-        find=accounts.find,
+    sets = SetStore(database)
+    of_site = BusDependencies(
+        events=events,
+        database=database,
+        history=history,
         rights=rights,
         sessions=sign_in,
+        find_account=accounts.find,
+        control_required=site.control,
+        sets=sets,
+        local_time=partial(datetime.now, ZoneInfo(site.zone)),
+        record=CommandRecord(events, database, time),
+        idempotency=IdempotencyCache(),
     )
-    channels = {name: bus.channel for name, bus in buses.items()}
-    desk = CommandService(live, channels, events, database, safeguards, rights)
-    reader = ParameterReader(live, desk)
-    sets = SetKeeper(live, reader, SetStore(database), events, rights)
-    restores = RestoreService(reader, desk, events, RestoreStore(database))
-    recipes = RecipeBook(live, desk, RecipeStore(database), events)
-    local_time = partial(datetime.now, ZoneInfo(site.zone))
+    buses = {name: BusService(bus, of_site) for name, bus in live.buses.items()}
+    workers = Workers({name: bus.feed for name, bus in buses.items()}, recorder)
+    commands = {name: bus.commands for name, bus in buses.items()}
+    readers = {name: bus.reader for name, bus in buses.items()}
+    restores = RestoreService(readers, commands, events, RestoreStore(database))
+    recipes = RecipeBook(live, commands, RecipeStore(database), events)
     sources = Sources(
-        guards=safeguards,
-        drift=sets.drifts,
+        guards={name: bus.safeguards for name, bus in buses.items()},
+        drift={name: bus.drift for name, bus in buses.items()},
         recipes=recipes,
         notices=partial(_notices, history, anchoring),
         history_fault=lambda: history.status.message,
@@ -170,12 +162,8 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         recorder=recorder,
         workers=workers,
         hub=hub,
-        safeguards=safeguards,
-        desk=desk,
         sets=sets,
-        set_schedule=SetSchedule(live, sets, events, local_time),
-        first_writes=FirstWrites(live, desk, sets, local_time),
-        takings=Takings(sets),
+        takings=Takings(),
         restores=restores,
         swaps=SwapService(events, SwapStore(database), restores, time),
         recipes=recipes,
@@ -192,7 +180,7 @@ def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
 def _notices(history: History, anchoring: Anchoring | None, voice: Translator, now: float) -> str:
     """What of the records is not well, in the reader's language; mostly nothing."""
     found = (
-        sentence(history.status, voice.t, voice.formats, now),
+        store_notice(history.status, voice.t, voice.formats, now),
         anchor_notice(_anchor_status(anchoring), voice.t, voice.formats, now),
     )
     return " ".join(filter(None, found))
@@ -206,13 +194,11 @@ async def running(services: Services) -> AsyncIterator[None]:
         *((services.anchoring.follow,) if services.anchoring else ()),
         services.events.repeated.follow,
         services.recorder.follow,
-        *(bus.recorder.follow for bus in services.buses.values()),
+        *(work for bus in services.buses.values() for work in bus.works()),
         services.hub.beat,
         services.onsets.follow,
         services.history.inspect_daily,
         services.rights.watch,
-        partial(services.set_schedule.follow, SERVER),
-        partial(services.sets.learn_marked, SERVER),
     )
     tasks = [asyncio.create_task(_restarted(work)) for work in works]
     language = services.settings.site.language
@@ -223,8 +209,8 @@ async def running(services: Services) -> AsyncIterator[None]:
     finally:
         with suppress(TimeoutError):
             async with asyncio.timeout(RECORDED_WITHIN_S):
-                for recorder in (services.recorder, *(bus.recorder for bus in services.buses.values())):
-                    await recorder.recorded()
+                recorders = (services.recorder, *(bus.recorder for bus in services.buses.values()))
+                await asyncio.gather(*(recorder.recorded() for recorder in recorders))
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
@@ -246,8 +232,8 @@ async def _begin(services: Services) -> None:
     )
     if changed:
         await services.events.record(kind="configuration", what="configuration changed", message=changed)
-    await services.safeguards.load()
-    await services.sets.drifts.load()
+    for bus in services.buses.values():
+        await bus.load()
     await services.restores.load()
     await services.swaps.load()
     await services.recipes.load_marks()
@@ -255,8 +241,8 @@ async def _begin(services: Services) -> None:
 
 async def _end(services: Services) -> None:
     await services.takings.close()
-    await services.first_writes.close()
-    await services.sets.drifts.close()
+    for bus in services.buses.values():
+        await bus.close()
     await services.restores.close()
     await services.events.repeated.tell_rest()
     await services.events.record(kind="server", what="server ended")

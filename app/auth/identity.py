@@ -16,6 +16,7 @@ from app.auth.store import Session, Token
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.web.access import Person, Role, account_of
+from bus.messages import Message
 
 
 class Identity:
@@ -102,8 +103,7 @@ class ExpiredTokenError(Problem):
 
     def __init__(self, token: Token) -> None:
         day = datetime.fromtimestamp(token.expires_at or 0.0, UTC).date().isoformat()
-        detail = "the token {called} expired on {day}; an admin can create a new one"
-        super().__init__(401, "unauthorized", detail, params={"called": token.name, "day": day})
+        super().__init__(401, "unauthorized", Message.of("token_expired", called=token.name, day=day))
         self.account = account_of(token.name, token=True)
         # RFC 6750, 3.1
         self.with_headers(

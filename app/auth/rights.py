@@ -21,15 +21,16 @@ from app.auth.store import Token, User
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.web.access import AccountSubscriber, Person, Role, account_of
+from bus.messages import Message
 
 WATCH_EVERY_S = 0.5
 FRESH_S = 1.0
 """What was read longer ago permits nothing before the store has been read again."""
 
-USER_ENDED = "rights withdrawn: the user was removed or disabled; nothing more was sent"
-TOKEN_ENDED = "rights withdrawn: the token was revoked or has expired; nothing more was sent"
-PASSWORD_CHANGED = "rights withdrawn: the password was changed; nothing more was sent"
-ROLE_LOWERED = "rights withdrawn: the role was lowered; nothing more was sent"
+USER_ENDED = Message("rights_user_ended")
+TOKEN_ENDED = Message("rights_token_ended")
+PASSWORD_CHANGED = Message("rights_password_changed")
+ROLE_LOWERED = Message("rights_role_lowered")
 
 _log = structlog.get_logger()
 
@@ -52,14 +53,14 @@ def credential_of_token(token: Token) -> str:
     return f"{token.id} {token.created_at}"
 
 
-def why_withdrawn(person: Person, standing: Standing | None) -> str:
-    """Why what a person began must stop; empty while it may go on. ``standing``: of the account now."""
+def why_withdrawn(person: Person, standing: Standing | None) -> Message | None:
+    """Why what a person began must stop; None while it may go on. ``standing``: of the account now."""
     is_token = person.via == "token"
     if standing is None:
         return TOKEN_ENDED if is_token else USER_ENDED
     if standing.credential != person.credential:
         return TOKEN_ENDED if is_token else PASSWORD_CHANGED
-    return "" if standing.role.includes(person.role) else ROLE_LOWERED
+    return None if standing.role.includes(person.role) else ROLE_LOWERED
 
 
 class AccountChanges(Protocol):
@@ -113,10 +114,13 @@ class Rights:
         before, self._standings, self._read_at = self._standings, standings, began
         if before != standings:
             self.rechecks.now()
-        for account, standing in before.items():
-            if account != kept and _is_less(standing, standings.get(account)):
-                for withdrawn in self._withdrawn:
-                    await withdrawn(account)
+        lessened = [
+            account
+            for account, standing in before.items()
+            if account != kept and _is_less(standing, standings.get(account))
+        ]
+        # Together: a store that cannot record what one subscriber did keeps no other from acting.
+        await asyncio.gather(*(withdrawn(account) for account in lessened for withdrawn in self._withdrawn))
 
     async def _on_account_change(self, kept: str) -> None:
         await self.refresh(kept)
@@ -135,7 +139,7 @@ class Rights:
                 fault = str(error)
             await asyncio.sleep(WATCH_EVERY_S)
 
-    def _why_withdrawn(self, person: Person) -> str:
+    def _why_withdrawn(self, person: Person) -> Message | None:
         return why_withdrawn(person, self._standings.get(person.account))
 
     def _read(self, connection: sqlite3.Connection) -> dict[str, Standing]:

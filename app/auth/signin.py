@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import sqlite3
 import time
 from collections.abc import Callable
@@ -24,7 +25,7 @@ from app.web.access import AccountSubscriber, Person, Role
 from bus.errors import CallerError
 from bus.messages import Message, term
 
-_WRONG = {False: "the name or the password is not right", True: "the name or the PIN is not right"}
+_WRONG = {False: Message("name_or_password_wrong"), True: Message("name_or_pin_wrong")}
 """What a person is told, and what somebody at a panel."""
 HASHED_AT_ONCE = 2
 """As many as there are threads for it; each takes 20 ms of a core."""
@@ -124,8 +125,7 @@ class SignIn:
             lambda connection: store.end_session(connection, hash_, name, now)
         )
         if was_last:
-            for subscriber in self._signed_out:
-                await subscriber(name)
+            await asyncio.gather(*(subscriber(name) for subscriber in self._signed_out))
 
     def lifetime_of(self, user: User) -> rules.Lifetime:
         """How long the sessions of this user last."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from app.web.formats import Formats
+from bus.messages import Message
 
 StoreState = Literal["ok", "low", "scarce", "paused", "failed"]
 
@@ -32,36 +33,32 @@ class Status:
     """How often something that was kept turned out to be damaged, in the last seven days."""
 
 
-WORDS: dict[StoreState, str] = {
-    "ok": "",
-    "low": "the disk with the history is nearly full: free some space soon",
-    "scarce": "the disk with the history is nearly full: the oldest readings are being given up",
-    "paused": "the disk is full: no readings are stored until some space is free",
-    "failed": "no history is kept, everything else works",
+NOTICES: dict[StoreState, Message] = {
+    "low": Message("history_disk_low"),
+    "scarce": Message("history_disk_scarce"),
+    "paused": Message("history_disk_full"),
+    "failed": Message("history_failed"),
 }
+DAMAGED = Message("history_damaged")
 
 
-DAMAGED = (
-    "History: something that was kept was damaged; the events say what is missing, the rest is whole. "
-    "Check the disk."
-)
+def store_message(state: StoreState, cause: str = "") -> str:
+    """How the store is, in English; empty while it is well."""
+    if state == "ok":
+        return ""
+    return str(Message.of("history_because", notice=NOTICES[state], cause=cause) if cause else NOTICES[state])
 
 
-def sentence(status: Status, t: Callable[..., str], formats: Formats, now: float) -> str:
+def store_notice(status: Status, t: Callable[..., str], formats: Formats, now: float) -> str:
     """What people are told on the pages, in their language; empty while history is well."""
     since = formats.since(status.since, now)
     match status.state:
-        case "ok" if status.damaged:
-            text = (
-                "History: something that was kept was damaged; the events say what is missing, the rest is "
-            )
-            return t(text + "whole. Check the disk.")
         case "ok":
-            return ""
+            return t(DAMAGED) if status.damaged else ""
         case "failed":
             text = "Since {time} no history is kept, everything else works. The reason: {why}"
             return t(text, time=since, why=status.cause)
         case "paused":
             return t("Since {time} no history is kept: the disk is full. Free some space.", time=since)
         case _:
-            return f"{t('History')}: {t(status.message)}"
+            return f"{t('History')}: {t(NOTICES[status.state])}"

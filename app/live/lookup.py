@@ -17,7 +17,12 @@ def bus_or_404(live: LiveState, bus: str) -> BusLive:
 
 def unit_or_404(live: LiveState, bus: str, unit: int) -> UnitLive:
     """A configured unit. Raises Problem 404."""
-    found = bus_or_404(live, bus).units.get(unit)
+    return unit_of_bus_or_404(bus_or_404(live, bus), unit)
+
+
+def unit_of_bus_or_404(bus: BusLive, unit: int) -> UnitLive:
+    """A configured unit of this bus. Raises Problem 404."""
+    found = bus.units.get(unit)
     if found is None:
-        raise unknown_unit(bus, unit)
+        raise unknown_unit(bus.settings.name, unit)
     return found

@@ -34,9 +34,11 @@ MOST_RECIPES = 1000
 class RecipeBook:
     """One for the app."""
 
-    def __init__(self, state: LiveState, desk: CommandService, store: RecipeStore, events: EventLog) -> None:
+    def __init__(
+        self, state: LiveState, commands: Mapping[str, CommandService], store: RecipeStore, events: EventLog
+    ) -> None:
         self._state = state
-        self._desk = desk
+        self._commands = commands
         self.store = store
         self._events = events
         self._loaded: dict[str, Loaded] = {}
@@ -105,9 +107,8 @@ class RecipeBook:
             message = Message.of("recipe_not_loadable", name=recipe.name, why=why)
             raise Problem(409, "not_loadable", message)
         action = SetLine(setpoints={setpoint.unit: setpoint.raw for setpoint in recipe.setpoints})
-        result = await self._desk.ask(
+        result = await self._commands[recipe.bus].ask(
             person,
-            recipe.bus,
             action,
             deadline=Deadline(made_at, SET_LINE.timeout_s(action, self._bus(recipe))),
             confirm=confirm,
@@ -119,9 +120,9 @@ class RecipeBook:
         return result
 
     def _refusal(self, person: Person, bus: str, unit: int, raw: int) -> str:
-        """Why the desk would refuse this setpoint now, confirmed as it will be; empty when it would not."""
+        """Why this setpoint would be refused now, confirmed as it will be; empty when it would not."""
         try:
-            self._desk.check(person, bus, SetSpeed(unit=unit, raw=raw), confirm=True)
+            self._commands[bus].check(person, SetSpeed(unit=unit, raw=raw), confirm=True)
         except Problem as problem:
             return problem.detail
         return ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
 from app.audit.api import Events
@@ -14,6 +14,7 @@ from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.sets.compare import compare
 from app.sets.document import write_document
+from app.sets.drift import BusDrift
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.model import ParameterSet
@@ -27,11 +28,12 @@ from app.sets.shown import (
     SetShown,
     SummaryShown,
 )
+from app.sets.store import SetStore
 from app.sets.view import compared_json, departure_json, set_json, summary_json
 from app.web.access import Engineer, Person, Role, Viewer
 from app.web.api_route import ApiRoute
 from app.web.schema_problem import problems
-from app.web.services import service
+from app.web.services import bus_service, bus_service_of, service
 from app.web.shape import StrictBody, UnitAddresses
 from bus.messages import Message
 from bus.text import Lines, OneLine
@@ -64,21 +66,23 @@ class SaveScheduleRequest(StrictBody):
     minute_of_day: Annotated[int, Field(ge=0, le=1439)] | None
 
 
-ParameterSets = Annotated[SetKeeper, service(SetKeeper)]
-Schedules = Annotated[SetSchedule, service(SetSchedule)]
+Sets = Annotated[SetStore, service(SetStore)]
+ParameterSets = Annotated[SetKeeper, bus_service(SetKeeper)]
+Drift = Annotated[BusDrift, bus_service(BusDrift)]
+ScheduleOfBus = Annotated[SetSchedule, bus_service(SetSchedule)]
 
 
 @router.get("/sets")
 async def list_sets(
     _: Viewer,
-    keeper: ParameterSets,
+    sets: Sets,
     bus: str | None = None,
     unit: int | None = None,
     before: int | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST)] = MOST,
 ) -> list[SummaryShown]:
     """Stored sets, newest first: at most 1000; ask on with ``before`` = the last ``id``."""
-    found = await keeper.store.summaries(bus, unit, before=before, most=limit)
+    found = await sets.summaries(bus, unit, before=before, most=limit)
     return [summary_json(summary) for summary in found]
 
 
@@ -91,21 +95,21 @@ async def take_set(
     units = wanted.units or list(known)
     for unit in units:
         unit_or_404(live, bus, unit)
-    return set_json(await keeper.take(person, bus, units, wanted.name, wanted.comment))
+    return set_json(await keeper.take(person, units, wanted.name, wanted.comment))
 
 
 @router.get("/sets/{set_id}")
-async def one_set(_: Viewer, keeper: ParameterSets, set_id: int) -> SetShown:
+async def one_set(_: Viewer, sets: Sets, set_id: int) -> SetShown:
     """A whole set with the evidence of each value; #21 masked."""
-    return set_json(await set_or_404(keeper, set_id))
+    return set_json(await set_or_404(sets, set_id))
 
 
 @router.get("/sets/{set_id}/document", response_class=Response, responses=DOCUMENT)
 async def set_document(
-    person: Viewer, keeper: ParameterSets, events: Events, set_id: int, secrets: bool = False
+    person: Viewer, sets: Sets, events: Events, set_id: int, secrets: bool = False
 ) -> Response:
     """The set as a TOML file. With ``secrets`` (engineer) #21 is in it, and the asking is an event."""
-    stored = await set_or_404(keeper, set_id)
+    stored = await set_or_404(sets, set_id)
     if secrets:
         await _ask_for_secrets(person, events, stored)
     headers = {"Content-Disposition": f'attachment; filename="lineside-{stored.bus}-{set_id}.toml"'}
@@ -115,16 +119,19 @@ async def set_document(
 
 
 @router.post("/sets/{set_id}/golden")
-async def mark_golden(person: Engineer, keeper: ParameterSets, set_id: int, mark: GoldenMark) -> GoldenShown:
+async def mark_golden(
+    request: Request, person: Engineer, sets: Sets, set_id: int, mark: GoldenMark
+) -> GoldenShown:
     """From now on the unit ought to be as this set says."""
-    await keeper.mark_golden(person, set_id, mark.unit)
+    stored = await set_or_404(sets, set_id)
+    await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, mark.unit)
     return {"set": set_id, "unit": mark.unit, "golden": True}
 
 
 @router.get("/sets/{set_id}/compare/{other_id}")
 async def compare_sets(
     _: Viewer,
-    keeper: ParameterSets,
+    sets: Sets,
     set_id: int,
     other_id: int,
     unit: int,
@@ -132,42 +139,38 @@ async def compare_sets(
     tolerance: int = 0,
 ) -> list[ComparedShown]:
     """Set with set, row by row."""
-    left = unit_rows_or_404(await set_or_404(keeper, set_id), unit)
-    right = unit_rows_or_404(await set_or_404(keeper, other_id), other_unit or unit)
+    left = unit_rows_or_404(await set_or_404(sets, set_id), unit)
+    right = unit_rows_or_404(await set_or_404(sets, other_id), other_unit or unit)
     return [compared_json(row) for row in compare(left, right, tolerance)]
 
 
 @router.get("/buses/{bus}/units/{unit}/drift")
-async def unit_drift(_: Viewer, keeper: ParameterSets, live: Live, bus: str, unit: int) -> DriftShown:
+async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -> DriftShown:
     """Where the unit as last read departs from its golden set, and who changed it: ``changed_by`` null is
     somebody at the panel. ``unread``: parameters that could not be compared yet."""
     unit_or_404(live, bus, unit)
     return {
-        "golden": keeper.drifts.golden(bus, unit) is not None,
-        "unread": keeper.drifts.unread(bus, unit),
-        "rows": [departure_json(one) for one in await keeper.drifts.traced(bus, unit)],
+        "golden": drift.has_golden(unit),
+        "unread": drift.unread(unit),
+        "rows": [departure_json(one) for one in await drift.traced(unit)],
     }
 
 
 @router.get("/buses/{bus}/set-schedule")
-async def read_schedule(
-    _: Viewer, keeper: ParameterSets, schedules: Schedules, live: Live, bus: str
-) -> ScheduleShown:
+async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> ScheduleShown:
     """At which minute of the day the units of the bus are read, and which are owed since, with why."""
-    bus_or_404(live, bus)
     overdue: list[OverdueShown] = [
-        {"unit": unit, "why": each.why} for unit, each in schedules.overdue(bus).items()
+        {"unit": unit, "why": each.why} for unit, each in schedule.overdue().items()
     ]
-    return {"minute_of_day": (await keeper.store.schedule()).get(bus), "owed": overdue}
+    return {"minute_of_day": (await sets.schedule()).get(bus), "owed": overdue}
 
 
 @router.put("/buses/{bus}/set-schedule")
 async def write_schedule(
-    person: Engineer, schedules: Schedules, live: Live, bus: str, wanted: SaveScheduleRequest
+    person: Engineer, schedule: ScheduleOfBus, wanted: SaveScheduleRequest
 ) -> ScheduleShown:
     """Read all units of the bus daily, or no longer."""
-    bus_or_404(live, bus)
-    await schedules.set(person, bus, wanted.minute_of_day)
+    await schedule.set(person, wanted.minute_of_day)
     return {"minute_of_day": wanted.minute_of_day, "owed": []}
 
 

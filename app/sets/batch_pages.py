@@ -52,7 +52,7 @@ async def batch_write(request: Request, person: Engineer, live: Live, desk: Comm
     if any(row.fault for row in rows):
         raise Problem(422, "invalid", Message("value_not_writable"))
     refuse_moved(rows, _by_unit(await request.form(), "was-"))
-    results = await write_batch(desk, person, bus, number, rows, confirm=bool(parameter.dangerous))
+    results = await write_batch(desk, person, number, rows, confirm=bool(parameter.dangerous))
     undone = {result.unit for result in results if result.outcome != "verified"}
     rows = rows_of_batch(live.buses[bus], number, {unit: typed[unit] for unit in undone})
     return render(request, "sets/_batch_done.html", parameter=parameter, results=results, rows=rows)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 from app.audit.log import Event, EventLog
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Drifted, UnitSubscriber
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import BusLive
 from app.sets.background import Background
 from app.sets.changers import who_changed
 from app.sets.compare import Compared, drift
@@ -18,8 +17,6 @@ from app.sets.reading import known_rows
 from app.sets.store import SetStore
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, Update
-
-DriftKey = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,19 +43,19 @@ class DriftedParameter:
         return self._told == other._told
 
 
-class Drifts:
-    """Compares every unit that has a golden set with it as its parameters are read."""
+class BusDrift:
+    """Compares every unit of one bus that has a golden set with it as its parameters are read."""
 
-    def __init__(self, state: LiveState, store: SetStore, events: EventLog) -> None:
-        self._state = state
+    def __init__(self, live: BusLive, store: SetStore, events: EventLog) -> None:
+        self._live = live
+        self._bus = live.settings.name
         self._store = store
         self._events = events
-        self._golden: dict[DriftKey, UnitRows] = {}
-        self._found: dict[DriftKey, dict[int, DriftedParameter]] = {}
+        self._golden: dict[int, UnitRows] = {}
+        self._found: dict[int, dict[int, DriftedParameter]] = {}
         self._background = Background()
         self._subscribers: list[UnitSubscriber] = []
-        for name, bus in state.buses.items():
-            bus.subscribe(partial(self._see, name))
+        live.subscribe(self._see)
 
     def on_change(self, subscriber: UnitSubscriber) -> None:
         """Call ``subscriber`` when the departures of a unit have changed."""
@@ -66,77 +63,74 @@ class Drifts:
 
     async def load(self) -> None:
         """Read which sets are golden; once at start, and after a mark has moved."""
-        self._golden = await self._store.golden()
+        self._golden = await self._store.golden(self._bus)
         self._found = {}
-        for bus, unit in self.marked():
-            self._look(bus, unit, PARAMETERS)
+        for unit in self.marked():
+            self._look(unit, PARAMETERS)
 
     async def close(self) -> None:
         """Ask the events no more."""
         await self._background.close()
 
-    def marked(self) -> list[DriftKey]:
-        """Bus and address of every configured unit that has a golden set."""
-        return [(bus, unit) for bus, unit in self._golden if self._is_known(bus, unit)]
+    def marked(self) -> list[int]:
+        """The configured units that have a golden set."""
+        return [unit for unit in self._golden if unit in self._live.units]
 
-    def golden(self, bus: str, unit: int) -> UnitRows | None:
-        """What a unit ought to be, where somebody has said so."""
-        return self._golden.get((bus, unit))
+    def has_golden(self, unit: int) -> bool:
+        """Whether a set of this unit is its golden set."""
+        return unit in self._golden
 
-    def of(self, bus: str, unit: int) -> list[DriftedParameter]:
+    def of(self, unit: int) -> list[DriftedParameter]:
         """Rows in which a unit, as last read, departs from its golden set."""
-        return list(self._found.get((bus, unit), {}).values())
+        return list(self._found.get(unit, {}).values())
 
-    async def traced(self, bus: str, unit: int) -> list[DriftedParameter]:
+    async def traced(self, unit: int) -> list[DriftedParameter]:
         """The same, after the events have been asked of every one now."""
-        await self._trace(bus, unit, self.of(bus, unit))
-        return self.of(bus, unit)
+        await self._trace(unit, self.of(unit))
+        return self.of(unit)
 
-    def unread(self, bus: str, unit: int) -> int:
+    def unread(self, unit: int) -> int:
         """How many parameters have not been read from the unit since the server started."""
-        known = self._state.buses[bus].units[unit].parameters
+        known = self._live.units[unit].parameters
         return sum(number not in known for number in PARAMETERS)
 
-    def summary(self, bus: str, unit: int, voice: Translator, now: float) -> Drifted:
+    def summary(self, unit: int, voice: Translator, now: float) -> Drifted:
         """The same for the line, and what the list of them on the unit's page depends on."""
-        if (bus, unit) not in self._golden:
+        if unit not in self._golden:
             return Drifted()
-        found = self.of(bus, unit)
+        found = self.of(unit)
         rows = ",".join(one.key for one in found)
-        return Drifted(_sentence(found, voice, now) if found else "", f"{self.unread(bus, unit)}:{rows}")
+        return Drifted(_sentence(found, voice, now) if found else "", f"{self.unread(unit)}:{rows}")
 
-    def _is_known(self, bus: str, unit: int) -> bool:
-        return bus in self._state.buses and unit in self._state.buses[bus].units
-
-    def _see(self, bus: str, updates: Sequence[Update]) -> None:
+    def _see(self, updates: Sequence[Update]) -> None:
         """Parameters were read: look now, so that nobody has to compare forty rows at every reading."""
         read: dict[int, set[int]] = {}
         for update in updates:
-            if isinstance(update, ParameterValue) and (bus, update.unit) in self._golden:
+            if isinstance(update, ParameterValue) and update.unit in self._golden:
                 read.setdefault(update.unit, set()).add(update.number)
         for unit, numbers in read.items():
-            self._look(bus, unit, numbers)
+            self._look(unit, numbers)
 
-    def _look(self, bus: str, unit: int, numbers: Iterable[int]) -> None:
+    def _look(self, unit: int, numbers: Iterable[int]) -> None:
         """Compare anew; ``numbers`` were read, so who changed them is asked again."""
-        before, asked = self._found.get((bus, unit), {}), frozenset(numbers)
-        rows = drift(self._golden[bus, unit], known_rows(self._state.buses[bus].units[unit]))
+        before, asked = self._found.get(unit, {}), frozenset(numbers)
+        rows = drift(self._golden[unit], known_rows(self._live.units[unit]))
         found = {row.number: _known_before(DriftedParameter(row), before) for row in rows}
-        self._found[bus, unit] = found
+        self._found[unit] = found
         ask = [one for one in found.values() if not one.traced or one.row.number in asked]
         if ask:
-            self._background.begin(self._trace(bus, unit, ask), f"who changed unit {unit} of {bus}")
+            self._background.begin(self._trace(unit, ask), f"who changed unit {unit} of {self._bus}")
 
-    async def _trace(self, bus: str, unit: int, departures: list[DriftedParameter]) -> None:
-        before = self.of(bus, unit)
+    async def _trace(self, unit: int, departures: list[DriftedParameter]) -> None:
+        before = self.of(unit)
         for one in departures:
-            change = await who_changed(self._events, bus, unit, one.row)
-            present = self._found.get((bus, unit), {})
+            change = await who_changed(self._events, self._bus, unit, one.row)
+            present = self._found.get(unit, {})
             if one.row.number in present and one.same(present[one.row.number]):
                 present[one.row.number] = DriftedParameter(one.row, change, traced=True)
-        if self.of(bus, unit) != before:
+        if self.of(unit) != before:
             for subscriber in self._subscribers:
-                subscriber(bus, unit)
+                subscriber(unit)
 
 
 def _known_before(departure: DriftedParameter, before: dict[int, DriftedParameter]) -> DriftedParameter:

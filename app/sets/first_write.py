@@ -11,10 +11,10 @@ import structlog
 
 from app.commands.service.command_service import WriteSubscriber
 from app.errors import Problem, StoreError
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import BusLive
 from app.sets.background import Background
 from app.sets.keeper import SetKeeper
-from app.sets.model import UnitRows
+from app.sets.model import SetOrigin, UnitRows
 from app.sets.reading import known_rows
 from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
@@ -30,16 +30,17 @@ class Writes(Protocol):
 
 
 class FirstWrites:
-    """Stores a set before the first write of a day. ``clock`` returns the local time with its zone: a day
-    begins at its midnight."""
+    """Stores a set before the first write of a day to a unit of one bus. ``clock`` returns the local time
+    with its zone: a day begins at its midnight."""
 
     def __init__(
-        self, state: LiveState, writes: Writes, keeper: SetKeeper, clock: Callable[[], datetime]
+        self, live: BusLive, writes: Writes, keeper: SetKeeper, clock: Callable[[], datetime]
     ) -> None:
-        self._state = state
+        self._live = live
+        self._bus = live.settings.name
         self._keeper = keeper
         self._clock = clock
-        self._kept: dict[tuple[str, int], date] = {}
+        self._kept: dict[int, date] = {}
         self._background = Background()
         writes.on_write(self.before)
 
@@ -51,60 +52,61 @@ class FirstWrites:
         """End what is still being kept."""
         await self._background.close()
 
-    async def before(self, person: Person, bus: str, units: Sequence[int], *, parameters: bool) -> None:
+    async def before(self, person: Person, units: Sequence[int], *, parameters: bool) -> None:
         """``units`` are about to be written to. A write of ``parameters`` waits until they are stored (a few
         milliseconds of disk; raises StoreError); a setpoint or an output changes no parameter and waits for
         nothing, and is kept only when all forty are known."""
         today = self._clock().date()
-        due = [unit for unit in units if self._kept.get((bus, unit)) != today]
-        live = self._state.buses[bus].units
+        due = [unit for unit in units if self._kept.get(unit) != today]
+        live = self._live.units
         needed = 1 if parameters else len(PARAMETERS)
         known = [known_rows(live[unit]) for unit in due if len(live[unit].parameters) >= needed]
         if known and parameters:
-            await self._keep(person, bus, known)
+            await self._keep(person, known)
         elif known:
-            self._background.begin(self._keep_behind(person, bus, known), f"first write of the day, {bus}")
+            self._background.begin(self._keep_behind(person, known), f"first write of the day, {self._bus}")
 
-    async def _keep_behind(self, person: Person, bus: str, known: list[UnitRows]) -> None:
+    async def _keep_behind(self, person: Person, known: list[UnitRows]) -> None:
         try:
-            await self._keep(person, bus, known)
+            await self._keep(person, known)
         except (Problem, StoreError) as error:
             _log.error("the set before the first write of the day was not stored", error=str(error))
 
-    async def _keep(self, person: Person, bus: str, known: list[UnitRows]) -> None:
+    async def _keep(self, person: Person, known: list[UnitRows]) -> None:
         now = self._clock()
         midnight = now.replace(hour=0, minute=0, second=0, microsecond=0).timestamp()
-        fresh = [rows for rows in known if not await self._has_set(bus, rows.unit, midnight)]
+        fresh = [rows for rows in known if not await self._has_set(rows.unit, midnight)]
         if not fresh:
             return
         for rows in fresh:
-            self._kept[bus, rows.unit] = now.date()
+            self._kept[rows.unit] = now.date()
         try:
-            await self._keeper.keep(person, bus, fresh, "", _gaps(fresh), "before the first write of the day")
+            origin: SetOrigin = "before the first write of the day"
+            await self._keeper.keep(person, fresh, "", _gaps(fresh), origin)
         except (Problem, StoreError):
             for rows in fresh:
-                del self._kept[bus, rows.unit]
+                del self._kept[rows.unit]
             raise
         for rows in fresh:
             if len(rows.rows) < len(PARAMETERS):
-                self._background.begin(self._complete(person, bus, rows.unit), f"rest of unit {rows.unit}")
+                self._background.begin(self._complete(person, rows.unit), f"rest of unit {rows.unit}")
 
-    async def _has_set(self, bus: str, unit: int, midnight: float) -> bool:
+    async def _has_set(self, unit: int, midnight: float) -> bool:
         """Whether a set of today is there; then nobody asks again today."""
         today = self._clock().date()
-        if self._kept.get((bus, unit)) == today:
+        if self._kept.get(unit) == today:
             return True
-        if not await self._keeper.store.has_set_since(bus, unit, midnight):
+        if not await self._keeper.store.has_set_since(self._bus, unit, midnight):
             return False
-        self._kept[bus, unit] = today
+        self._kept[unit] = today
         return True
 
-    async def _complete(self, person: Person, bus: str, unit: int) -> None:
+    async def _complete(self, person: Person, unit: int) -> None:
         """What was not known before the write follows in a set of its own, in the gaps of the scan."""
         try:
-            await self._keeper.take(person, bus, [unit], "", "", "after the first write of the day")
+            await self._keeper.take(person, [unit], "", "", "after the first write of the day")
         except (Problem, StoreError) as error:
-            _log.info("the rest of a unit was not read", bus=bus, unit=unit, why=str(error))
+            _log.info("the rest of a unit was not read", bus=self._bus, unit=unit, why=str(error))
 
 
 def _gaps(known: Sequence[UnitRows]) -> str:

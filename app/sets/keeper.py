@@ -11,8 +11,8 @@ import structlog
 from app.audit.log import EventLog
 from app.commands.authority import Authority
 from app.errors import Problem
-from app.live.state.live_state import LiveState
-from app.sets.drift import Drifts
+from app.live.state.bus_live import BusLive
+from app.sets.drift import BusDrift
 from app.sets.model import ParameterSet, SetOrigin, UnitRows
 from app.sets.reading import ParameterReader
 from app.sets.store import SetStore
@@ -25,27 +25,28 @@ _LEARN_EVERY_S = 5.0
 
 
 class SetKeeper:
-    """One for the app."""
+    """Takes and keeps the sets of one bus."""
 
     def __init__(
         self,
-        state: LiveState,
+        live: BusLive,
         reader: ParameterReader,
+        drift: BusDrift,
         store: SetStore,
         events: EventLog,
         rights: Authority,
     ) -> None:
-        self._state = state
+        self.bus = live.settings.name
+        self._live = live
         self._rights = rights
         self._reader = reader
+        self._drift = drift
         self.store = store
         self._events = events
-        self.drifts = Drifts(state, store, events)
 
     async def take(
         self,
         person: Person,
-        bus: str,
         units: Sequence[int],
         name: str,
         comment: str,
@@ -55,27 +56,26 @@ class SetKeeper:
 
         Raises Problem 504 or 503 when one does not answer; nothing is kept then.
         """
-        rows = [await self.read(person, bus, unit) for unit in units]
-        return await self.keep(person, bus, rows, name, comment, origin)
+        rows = [await self.read(person, unit) for unit in units]
+        return await self.keep(person, rows, name, comment, origin)
 
-    async def read(self, person: Person, bus: str, unit: int) -> UnitRows:
+    async def read(self, person: Person, unit: int) -> UnitRows:
         """All parameters of a unit, read in the gaps of the scan. Raises Problem 504 or 503."""
-        return await self._reader.read_unit(person, bus, unit)
+        return await self._reader.read_unit(person, unit)
 
-    async def mark_golden(self, person: Person, set_id: int, unit: int) -> None:
+    async def mark_golden(self, person: Person, stored: ParameterSet, unit: int) -> None:
         """From now on the unit ought to be as this set says. Raises Problem 404 where it does not hold it."""
-        stored = await self.store.load(set_id)
-        if stored is None or stored.unit(unit) is None:
-            raise Problem(404, "unknown_set", Message.of("set_lacks_unit", set=set_id, unit=unit))
-        await self.store.mark_golden(stored.bus, unit, set_id, person.name, time.time())
-        await self.drifts.load()
+        if stored.unit(unit) is None:
+            raise Problem(404, "unknown_set", Message.of("set_lacks_unit", set=stored.id, unit=unit))
+        await self.store.mark_golden(self.bus, unit, stored.id, person.name, time.time())
+        await self._drift.load()
         await self._events.record(
             kind="parameter_set",
             who=person.name,
             origin=person.via,
-            bus=stored.bus,
+            bus=self.bus,
             unit=unit,
-            what=Message.of("event_set_golden", set=set_id, unit=unit),
+            what=Message.of("event_set_golden", set=stored.id, unit=unit),
         )
 
     async def learn_marked(self, person: Person) -> None:
@@ -83,33 +83,30 @@ class SetKeeper:
         yet. The slow circle of the scan would take a quarter of an hour to come round."""
         while True:
             await asyncio.sleep(_LEARN_EVERY_S)
-            for bus, unit in self.drifts.marked():
-                if self._is_heard(bus, unit) and self.drifts.unread(bus, unit):
-                    await self._learn(person, bus, unit)
+            for unit in self._drift.marked():
+                if self._live.units[unit].link.link == "online" and self._drift.unread(unit):
+                    await self._learn(person, unit)
 
-    def _is_heard(self, bus: str, unit: int) -> bool:
-        return self._state.buses[bus].units[unit].link.link == "online"
-
-    async def _learn(self, person: Person, bus: str, unit: int) -> None:
+    async def _learn(self, person: Person, unit: int) -> None:
         try:
-            await self.read(person, bus, unit)
+            await self.read(person, unit)
         except Problem as problem:
-            _log.info("a unit with a golden set was not read", bus=bus, unit=unit, why=problem.detail)
+            _log.info("a unit with a golden set was not read", bus=self.bus, unit=unit, why=problem.detail)
 
     async def keep(
-        self, person: Person, bus: str, rows: Sequence[UnitRows], name: str, comment: str, origin: SetOrigin
+        self, person: Person, rows: Sequence[UnitRows], name: str, comment: str, origin: SetOrigin
     ) -> ParameterSet:
         """Store what was read as a set, with an event. Reading takes a while: raises Problem 403 when the
         rights of the person were withdrawn meanwhile."""
         await self._rights.check(person)
         kept = await self.store.save(
-            ParameterSet(bus, time.time(), person.name, origin, tuple(rows), name=name, comment=comment)
+            ParameterSet(self.bus, time.time(), person.name, origin, tuple(rows), name=name, comment=comment)
         )
         await self._events.record(
             kind="parameter_set",
             who=person.name,
             origin=person.via,
-            bus=bus,
+            bus=self.bus,
             unit=rows[0].unit if len(rows) == 1 else None,
             what=Message.of(
                 "event_set_taken", set=kept.id, units=[unit.unit for unit in rows], origin=term(origin)

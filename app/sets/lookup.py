@@ -6,22 +6,22 @@ from fastapi import UploadFile
 
 from app.errors import Problem
 from app.sets.document import LONGEST_DOCUMENT, DocumentError, read_document
-from app.sets.keeper import SetKeeper
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
+from app.sets.store import SetStore
 from app.web.parsing import parse_apart
 from bus.messages import Message
 
 
 async def wanted_rows(
-    keeper: SetKeeper, unit: int, set_id: int | None, document_text: str | None, from_unit: int | None
+    store: SetStore, unit: int, set_id: int | None, document_text: str | None, from_unit: int | None
 ) -> UnitRows:
     """What the unit shall become. Raises Problem 422 or 404 in words."""
     if (set_id is None) == (document_text is None):
         raise Problem(422, "invalid", Message("set_or_document"))
     if set_id is not None:
-        return unit_rows_or_404(await set_or_404(keeper, set_id), from_unit or unit)
+        return unit_rows_or_404(await set_or_404(store, set_id), from_unit or unit)
     return await document_rows(document_text or "", "the document", unit, from_unit)
 
 
@@ -55,9 +55,9 @@ async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
         ) from error
 
 
-async def set_or_404(keeper: SetKeeper, set_id: int) -> ParameterSet:
+async def set_or_404(store: SetStore, set_id: int) -> ParameterSet:
     """A stored set."""
-    stored = await keeper.store.load(set_id)
+    stored = await store.load(set_id)
     if stored is None:
         raise Problem(404, "unknown_set", Message.of("no_such_set", set=set_id))
     return stored

@@ -9,14 +9,16 @@ from fastapi import APIRouter, Form, Request, Response
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
-from app.sets.api import ParameterSets, Schedules
+from app.sets.api import Drift, Sets
 from app.sets.compare import compare
+from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404
+from app.sets.schedule import SetSchedule
 from app.sets.sides import choices, side
 from app.sets.taking import Taking, Takings
 from app.sets.view import set_json
 from app.web.access import Engineer, Viewer
-from app.web.services import service
+from app.web.services import bus_service_of, service
 from app.web.shape import UnitAddresses
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
@@ -36,23 +38,22 @@ MOST_LISTED = 100
 async def list_page(
     request: Request,
     _: Viewer,
-    keeper: ParameterSets,
-    schedules: Schedules,
+    sets: Sets,
     live: Live,
     bus: str = "",
     unit: int | None = None,
     before: int | None = None,
 ) -> Response:
     """The newest sets, or those before one, of one bus or unit where asked, and the form to take one."""
-    sets = await keeper.store.summaries(bus or None, unit, before=before, most=MOST_LISTED + 1)
+    found = await sets.summaries(bus or None, unit, before=before, most=MOST_LISTED + 1)
     return render(
         request,
         "sets/page.html",
         buses=live.buses,
-        sets=sets[:MOST_LISTED],
-        older=sets[MOST_LISTED - 1].id if len(sets) > MOST_LISTED else None,
-        schedule=await keeper.store.schedule(),
-        overdue={name: schedules.overdue(name) for name in live.buses},
+        sets=found[:MOST_LISTED],
+        older=found[MOST_LISTED - 1].id if len(found) > MOST_LISTED else None,
+        schedule=await sets.schedule(),
+        overdue={name: bus_service_of(request, name, SetSchedule).overdue() for name in live.buses},
         bus=bus,
         unit=unit,
     )
@@ -60,6 +61,7 @@ async def list_page(
 
 @router.post("/sets/take")
 async def take(
+    request: Request,
     person: Engineer,
     live: Live,
     readings: Readings,
@@ -72,7 +74,7 @@ async def take(
     units = unit or list(bus_or_404(live, bus).units)
     for number in units:
         unit_or_404(live, bus, number)
-    taking = readings.begin(person, bus, units, name, comment)
+    taking = readings.begin(person, bus_service_of(request, bus, SetKeeper), units, name, comment)
     return go_to(f"/sets/taking/{taking.id}")
 
 
@@ -85,17 +87,16 @@ async def taking_page(request: Request, _: Viewer, readings: Readings, taking_id
 
 
 @router.post("/sets/schedule")
-async def schedule(
+async def set_schedule(
+    request: Request,
     person: Engineer,
-    schedules: Schedules,
-    live: Live,
     bus: Annotated[str, Form()],
     at: Annotated[str, Form(pattern=r"^([01]\d|2[0-3]):[0-5]\d$|^$")] = "",
 ) -> Response:
     """Read a bus daily at a time of the day, or no longer (empty)."""
-    bus_or_404(live, bus)
     hour, _, minute = at.partition(":")
-    await schedules.set(person, bus, int(hour) * 60 + int(minute) if at else None)
+    schedule = bus_service_of(request, bus, SetSchedule)
+    await schedule.set(person, int(hour) * 60 + int(minute) if at else None)
     return go_to("/sets")
 
 
@@ -103,7 +104,7 @@ async def schedule(
 async def compare_page(
     request: Request,
     _: Viewer,
-    keeper: ParameterSets,
+    sets: Sets,
     live: Live,
     left: str = "",
     right: str = "",
@@ -111,8 +112,8 @@ async def compare_page(
     everything: bool = False,
 ) -> Response:
     """Two sides row by row, equal rows only when asked for; and the choice of both sides."""
-    one = await side(left, keeper, live) if left else None
-    other = await side(right, keeper, live) if right else None
+    one = await side(left, sets, live) if left else None
+    other = await side(right, sets, live) if right else None
     rows = compare(one.rows, other.rows, max(0, tolerance)) if one and other else []
     return render(
         request,
@@ -121,7 +122,7 @@ async def compare_page(
         right=right,
         one=one,
         other=other,
-        choices=choices(live, await keeper.store.summaries()),
+        choices=choices(live, await sets.summaries()),
         tolerance=tolerance,
         everything=everything,
         equal=sum(row.kind == "equal" for row in rows),
@@ -131,10 +132,10 @@ async def compare_page(
 
 
 @router.get("/sets/{set_id}")
-async def one_page(request: Request, _: Viewer, keeper: ParameterSets, live: Live, set_id: int) -> Response:
+async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, set_id: int) -> Response:
     """A stored set, each value with its evidence."""
-    stored = await set_or_404(keeper, set_id)
-    others = await keeper.store.summaries(stored.bus)
+    stored = await set_or_404(sets, set_id)
+    others = await sets.summaries(stored.bus)
     return render(
         request,
         "sets/one.html",
@@ -148,16 +149,17 @@ async def one_page(request: Request, _: Viewer, keeper: ParameterSets, live: Liv
 
 @router.post("/sets/{set_id}/golden")
 async def golden(
-    person: Engineer, keeper: ParameterSets, set_id: int, unit: Annotated[int, Form()]
+    request: Request, person: Engineer, sets: Sets, set_id: int, unit: Annotated[int, Form()]
 ) -> Response:
     """Mark it as what the unit ought to be."""
-    await keeper.mark_golden(person, set_id, unit)
+    stored = await set_or_404(sets, set_id)
+    await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, unit)
     return go_to(f"/sets/{set_id}")
 
 
 @router.get("/units/{bus}/{unit}/drift")
 async def drift_fragment(
-    request: Request, _: Viewer, keeper: ParameterSets, live: Live, bus: str, unit: int
+    request: Request, _: Viewer, drift: Drift, live: Live, bus: str, unit: int
 ) -> Response:
     """Where the unit departs from its golden set, and who changed it."""
     unit_or_404(live, bus, unit)
@@ -166,9 +168,9 @@ async def drift_fragment(
         "sets/_drift.html",
         bus=bus,
         unit=unit,
-        golden=keeper.drifts.golden(bus, unit) is not None,
-        departures=await keeper.drifts.traced(bus, unit),
-        unread=keeper.drifts.unread(bus, unit),
+        golden=drift.has_golden(unit),
+        departures=await drift.traced(unit),
+        unread=drift.unread(unit),
         PARAMETERS=PARAMETERS,
     )
 

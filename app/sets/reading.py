@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, UnitLive
-from app.live.state.live_state import LiveState
 from app.sets.model import ParameterRow, UnitRows
 from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
@@ -40,27 +39,26 @@ def status_of(bus: BusLive, unit: UnitLive) -> StatusBits | None:
 
 
 class ParameterReader:
-    """Reads units now; an unread or partly read unit is an answer too, never a guess."""
+    """Reads units of one bus now; an unread or partly read unit is an answer too, never a guess."""
 
-    def __init__(self, state: LiveState, desk: CommandService) -> None:
-        self._state = state
+    def __init__(self, live: BusLive, desk: CommandService) -> None:
+        self._live = live
         self._desk = desk
 
-    def status(self, bus: str, unit: int) -> StatusBits | None:
-        """As :func:`status_of`, by the names of bus and unit."""
-        live = self._state.buses[bus]
-        return status_of(live, live.units[unit])
+    def status(self, unit: int) -> StatusBits | None:
+        """As :func:`status_of`, by the address of the unit."""
+        return status_of(self._live, self._live.units[unit])
 
-    async def read_unit(self, person: Person, bus: str, unit: int, *, urgent: bool = False) -> UnitRows:
+    async def read_unit(self, person: Person, unit: int, *, urgent: bool = False) -> UnitRows:
         """All 40 parameters as the unit gives them now.
 
         Raises Problem 503 or 504 when the bus is closed or the unit does not answer.
         """
         action = ReadParameters(unit=unit, numbers=list(PARAMETERS), urgent=urgent)
-        result = await self._desk.ask(person, bus, action, timeout_s=READ_TIMEOUT_S)
+        result = await self._desk.ask(person, action, timeout_s=READ_TIMEOUT_S)
         if len(result.values) < len(PARAMETERS):
             raise _unread(result, unit)
-        settings = self._state.buses[bus].units[unit].settings
+        settings = self._live.units[unit].settings
         return UnitRows(unit, settings.name, rows_of(result.values))
 
 

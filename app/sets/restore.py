@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 
 import structlog
 
@@ -39,10 +39,14 @@ class RestoreService:
     """Plans restores, runs them one at a time per unit, and remembers how they went, also on disk."""
 
     def __init__(
-        self, reader: ParameterReader, desk: CommandService, events: EventLog, store: RestoreStore
+        self,
+        readers: Mapping[str, ParameterReader],
+        commands: Mapping[str, CommandService],
+        events: EventLog,
+        store: RestoreStore,
     ) -> None:
-        self._reader = reader
-        self._desk = desk
+        self._readers = readers
+        self._commands = commands
         self._events = events
         self._store = store
         self._restores: dict[str, Restore] = {}
@@ -81,8 +85,9 @@ class RestoreService:
         Raises Problem 503 or 504 when the unit cannot be read, 409 ``dangerous`` or 422 ``invalid`` for a row
         that the selection includes and that cannot be written.
         """
-        before = await self._reader.read_unit(person, bus, unit, urgent=True)
-        status = self._reader.status(bus, unit)
+        reader = self._readers[bus]
+        before = await reader.read_unit(person, unit, urgent=True)
+        status = reader.status(unit)
         running, remote = (None, None) if status is None else (status.run, status.remote)
         plan = plan_restore(wanted, before, running=running, remote=remote, selection=selection)
         refuse_unwritable(plan, selection)
@@ -130,7 +135,8 @@ class RestoreService:
 
     async def _run(self, person: Person, restore: Restore) -> None:
         try:
-            await RestoreRun(self._reader, self._desk, self._store, person, restore).run()
+            reader, commands = self._readers[restore.bus], self._commands[restore.bus]
+            await RestoreRun(reader, commands, self._store, person, restore).run()
         except Problem as problem:
             restore.stop(problem.code, problem.detail)
         except StoreError as error:

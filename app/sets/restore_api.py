@@ -9,7 +9,7 @@ from pydantic import Field
 
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
-from app.sets.api import ParameterSets
+from app.sets.api import Sets
 from app.sets.lookup import restore_or_404, wanted_rows
 from app.sets.restore import RestoreService
 from app.sets.restore_shown import RestoreShown
@@ -57,18 +57,12 @@ class StartRestore(StrictBody):
     max_body_size=MOST_BODY_BYTES,
 )
 async def plan_unit_restore(
-    person: Engineer,
-    keeper: ParameterSets,
-    restores: Restores,
-    live: Live,
-    bus: str,
-    unit: int,
-    wanted: PlanRestore,
+    person: Engineer, sets: Sets, restores: Restores, live: Live, bus: str, unit: int, wanted: PlanRestore
 ) -> RestoreShown:
     """Read the unit and say what a restore would write. Nothing is written."""
     unit_or_404(live, bus, unit)
     selection = Selection(frozenset(wanted.include), frozenset(wanted.exclude), frozenset(wanted.ticked))
-    rows = await wanted_rows(keeper, unit, wanted.set, wanted.document, wanted.from_unit)
+    rows = await wanted_rows(sets, unit, wanted.set, wanted.document, wanted.from_unit)
     return restore_json(await restores.plan(person, bus, unit, rows, selection))
 
 

@@ -10,11 +10,10 @@ from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
 from app.live.state.live_state import LiveState
-from app.sets.api import ParameterSets
+from app.sets.api import Sets
 from app.sets.compare import compare
 from app.sets.effects import OPERATING_VALUES
 from app.sets.form_source import Chosen, FormSource, post_source
-from app.sets.keeper import SetKeeper
 from app.sets.lookup import restore_or_404
 from app.sets.model import UnitRows
 from app.sets.offers import offers
@@ -25,6 +24,7 @@ from app.sets.restore_view import restore_json
 from app.sets.selection import Selection
 from app.sets.shown import ComparedShown
 from app.sets.sides import side
+from app.sets.store import SetStore
 from app.sets.view import compared_json
 from app.swap.desk import SwapService
 from app.web.access import Engineer
@@ -40,7 +40,7 @@ Ticks = Annotated[list[int] | None, Form()]
 
 @router.get("/units/{bus}/{unit}/restore")
 async def restore_page(
-    request: Request, _: Engineer, keeper: ParameterSets, restores: Restores, live: Live, bus: str, unit: int
+    request: Request, _: Engineer, sets: Sets, restores: Restores, live: Live, bus: str, unit: int
 ) -> Response:
     """Choose what the unit shall become; and the results of earlier restores of it."""
     live_unit = unit_or_404(live, bus, unit)
@@ -49,24 +49,18 @@ async def restore_page(
         "sets/restore.html",
         bus=bus,
         unit=live_unit,
-        offers=offers(live, await keeper.store.summaries(), bus, unit),
+        offers=offers(live, await sets.summaries(), bus, unit),
         earlier=await restores.of_unit(bus, unit),
     )
 
 
 @post_source(router, "/units/{bus}/{unit}/restore")
 async def plan_page(
-    person: Engineer,
-    keeper: ParameterSets,
-    restores: Restores,
-    live: Live,
-    bus: str,
-    unit: int,
-    chosen: Chosen,
+    person: Engineer, sets: Sets, restores: Restores, live: Live, bus: str, unit: int, chosen: Chosen
 ) -> Response:
     """Read the unit and say what would be written. Nothing is."""
     unit_or_404(live, bus, unit)
-    rows = await chosen.uploaded(unit) or await _stored(keeper, live, chosen)
+    rows = await chosen.uploaded(unit) or await _stored(sets, live, chosen)
     restore = await restores.plan(person, bus, unit, rows)
     return go_to(f"/restores/{restore.id}")
 
@@ -131,11 +125,11 @@ async def cancel(person: Engineer, restores: Restores, restore_id: str) -> Respo
     return go_to(f"/restores/{restore_id}")
 
 
-async def _stored(keeper: SetKeeper, live: LiveState, chosen: FormSource) -> UnitRows:
+async def _stored(sets: SetStore, live: LiveState, chosen: FormSource) -> UnitRows:
     """The rows of a stored set named ``set:12:3``. Raises Problem 422 or 404."""
     if not chosen.text.startswith("set:"):
         raise Problem(422, "invalid", Message("set_or_file_missing"))
-    return (await side(chosen.text, keeper, live)).rows
+    return (await side(chosen.text, sets, live)).rows
 
 
 def _ticked(restore: Restore, rows: frozenset[int]) -> Selection:

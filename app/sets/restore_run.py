@@ -52,8 +52,8 @@ class RestoreRun:
         restore = self._restore
         if not restore.rows:
             return
-        before = await self._reader.read_unit(self._person, restore.bus, restore.unit, urgent=True)
-        status = self._reader.status(restore.bus, restore.unit)
+        before = await self._reader.read_unit(self._person, restore.unit, urgent=True)
+        status = self._reader.status(restore.unit)
         running, remote = (None, None) if status is None else (status.run, status.remote)
         now = plan_restore(
             restore.wanted, before, running=running, remote=remote, selection=restore.selection
@@ -85,7 +85,7 @@ class RestoreRun:
         restore, write = self._restore, row.write
         action = WriteParameter(unit=restore.unit, number=write.number, raw=write.wanted)
         try:
-            result = await self._desk.ask(self._person, restore.bus, action, confirm=True, origin="restore")
+            result = await self._desk.ask(self._person, action, confirm=True, origin="restore")
         except Problem as problem:
             if problem.code not in _OF_ITS_ROW:
                 raise
@@ -98,13 +98,13 @@ class RestoreRun:
     async def _prove(self) -> None:
         restore = self._restore
         restore.state = "proving"
-        restore.proven = await self._reader.read_unit(self._person, restore.bus, restore.unit, urgent=True)
+        restore.proven = await self._reader.read_unit(self._person, restore.unit, urgent=True)
         restore.state = "different" if restore.remaining else "equal"
 
     def _would_surprise(self, row: RowResult) -> bool:
         """Whether this row changes what a unit does that runs now and did not when it was reviewed."""
         restore = self._restore
-        status = self._reader.status(restore.bus, restore.unit)
+        status = self._reader.status(restore.unit)
         runs = status is not None and status.run
         if not runs or restore.running is not False:
             return False

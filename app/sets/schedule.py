@@ -11,7 +11,7 @@ import structlog
 
 from app.audit.log import EventLog
 from app.errors import StoreError
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import BusLive
 from app.sets.keeper import SetKeeper
 from app.sets.model import UnitRows
 from app.sets.taking import read_together
@@ -36,28 +36,29 @@ class OverdueSet:
 
 
 class SetSchedule:
-    """One for the app. ``clock`` gives the local time with its zone."""
+    """The daily sets of one bus. ``clock`` gives the local time with its zone."""
 
-    def __init__(self, state: LiveState, keeper: SetKeeper, events: EventLog, clock: LocalClock) -> None:
-        self._state = state
+    def __init__(self, live: BusLive, keeper: SetKeeper, events: EventLog, clock: LocalClock) -> None:
+        self._live = live
+        self._bus = live.settings.name
         self._keeper = keeper
         self._events = events
         self._clock = clock
-        self._overdue: dict[str, dict[int, OverdueSet]] = {}
+        self._overdue: dict[int, OverdueSet] = {}
 
-    def overdue(self, bus: str) -> Mapping[int, OverdueSet]:
-        """The units of a bus whose set of the day could not be taken yet."""
-        return {unit: overdue for unit, overdue in self._overdue.get(bus, {}).items() if overdue.why}
+    def overdue(self) -> Mapping[int, OverdueSet]:
+        """The units whose set of the day could not be taken yet."""
+        return {unit: overdue for unit, overdue in self._overdue.items() if overdue.why}
 
-    async def set(self, person: Person, bus: str, minute_of_day: int | None) -> None:
-        """Take the sets of a bus every day at a minute of the day, or no longer (None)."""
-        await self._keeper.store.set_schedule(bus, minute_of_day)
-        self._overdue.pop(bus, None)
+    async def set(self, person: Person, minute_of_day: int | None) -> None:
+        """Take the sets every day at a minute of the day, or no longer (None)."""
+        await self._keeper.store.set_schedule(self._bus, minute_of_day)
+        self._overdue = {}
         what = Message("event_sets_not_scheduled")
         if minute_of_day is not None:
             time = f"{minute_of_day // 60:02}:{minute_of_day % 60:02}"
             what = Message.of("event_sets_scheduled", time=time)
-        await self._record(person, bus, what)
+        await self._record(person, what)
 
     async def follow(self, person: Person) -> None:
         """Run for ever; ``person`` is whom the sets are taken for in the events. What came due today while
@@ -71,71 +72,70 @@ class SetSchedule:
 
     async def look(self, person: Person, seen: datetime, now: datetime) -> None:
         """Take what came due after ``seen``, up to ``now``, and what is owed from before."""
-        for at, bus in due_between(await self._keeper.store.schedule(), seen, now):
-            if bus in self._state.buses:
-                self._overdue[bus] = {unit: OverdueSet(now) for unit in await self._without_set(bus, at)}
-        for bus, units in tuple(self._overdue.items()):
-            heard = [unit for unit in units if self._is_heard(bus, unit)]
-            if heard:
-                await self._take(person, bus, heard, units)
-            for unit, overdue in tuple(units.items()):
-                if not overdue.why and not self._is_heard(bus, unit) and now - overdue.since >= SAID_AFTER:
-                    await self._not_taken(person, bus, unit, overdue, "the unit does not answer")
+        minute_of_day = (await self._keeper.store.schedule()).get(self._bus)
+        due = None if minute_of_day is None else due_between(minute_of_day, seen, now)
+        if due is not None:
+            self._overdue = {unit: OverdueSet(now) for unit in await self._without_set(due)}
+        overdue = self._overdue
+        heard = [unit for unit in overdue if self._is_heard(unit)]
+        if heard:
+            await self._take(person, heard, overdue)
+        for unit, one in tuple(overdue.items()):
+            if not one.why and not self._is_heard(unit) and now - one.since >= SAID_AFTER:
+                await self._not_taken(person, unit, one, "the unit does not answer")
 
-    def _is_heard(self, bus: str, unit: int) -> bool:
-        return self._state.buses[bus].units[unit].link.link == "online"
+    def _is_heard(self, unit: int) -> bool:
+        return self._live.units[unit].link.link == "online"
 
-    async def _without_set(self, bus: str, at: datetime) -> list[int]:
-        store = self._keeper.store
+    async def _without_set(self, due: datetime) -> list[int]:
+        since, store = due.timestamp(), self._keeper.store
         return [
             unit
-            for unit in self._state.buses[bus].units
-            if not await store.has_set_since(bus, unit, at.timestamp(), "on schedule")
+            for unit in self._live.units
+            if not await store.has_set_since(self._bus, unit, since, "on schedule")
         ]
 
-    async def _take(self, person: Person, bus: str, units: list[int], overdue: dict[int, OverdueSet]) -> None:
-        read, silent = await read_together(self._keeper, person, bus, units)
-        if read and await self._keep(person, bus, read):
+    async def _take(self, person: Person, units: list[int], overdue: dict[int, OverdueSet]) -> None:
+        read, silent = await read_together(self._keeper, person, units)
+        if read and await self._keep(person, read):
             for rows in read:
                 overdue.pop(rows.unit)
         for unit, why in silent.items():
-            await self._not_taken(person, bus, unit, overdue[unit], why)
+            await self._not_taken(person, unit, overdue[unit], why)
 
-    async def _keep(self, person: Person, bus: str, read: list[UnitRows]) -> bool:
+    async def _keep(self, person: Person, read: list[UnitRows]) -> bool:
         try:
-            await self._keeper.keep(person, bus, read, "", "", "on schedule")
+            await self._keeper.keep(person, read, "", "", "on schedule")
         except StoreError as error:
-            _log.error("a set on schedule was not stored", bus=bus, error=str(error))
+            _log.error("a set on schedule was not stored", bus=self._bus, error=str(error))
             return False
         return True
 
-    async def _not_taken(self, person: Person, bus: str, unit: int, overdue: OverdueSet, why: str) -> None:
+    async def _not_taken(self, person: Person, unit: int, overdue: OverdueSet, why: str) -> None:
         """Said once; tried again as long as it is owed."""
         first, overdue.why = not overdue.why, why
         if first:
             what = Message.of("event_set_not_taken", unit=unit)
-            await self._record(person, bus, what, unit, why)
+            await self._record(person, what, unit, why)
 
     async def _record(
-        self, person: Person, bus: str, what: Message, unit: int | None = None, message: str = ""
+        self, person: Person, what: Message, unit: int | None = None, message: str = ""
     ) -> None:
         await self._events.record(
             kind="parameter_set",
             who=person.name,
             origin=person.via,
-            bus=bus,
+            bus=self._bus,
             unit=unit,
             what=what,
             message=message,
         )
 
 
-def due_between(schedule: Mapping[str, int], since: datetime, until: datetime) -> list[tuple[datetime, str]]:
-    """When, and the buses whose minute of the day came after ``since``, up to ``until``, in order."""
-    due: list[tuple[datetime, str]] = []
-    for day in (since, until) if since.date() != until.date() else (until,):
-        due += [(_midnight(day) + timedelta(minutes=minute), bus) for bus, minute in schedule.items()]
-    return [(at, bus) for at, bus in sorted(due) if since < at <= until]
+def due_between(minute_of_day: int, since: datetime, until: datetime) -> datetime | None:
+    """The last time at which this minute of the day began after ``since``, up to ``until``; None for none."""
+    due = [_midnight(day) + timedelta(minutes=minute_of_day) for day in (until, since)]
+    return next((at for at in due if since < at <= until), None)
 
 
 def _midnight(of: datetime) -> datetime:

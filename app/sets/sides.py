@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from app.errors import Problem
 from app.live.lookup import unit_or_404
 from app.live.state.live_state import LiveState
-from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.model import UnitRows
 from app.sets.reading import known_rows
-from app.sets.store import SetSummary
+from app.sets.store import SetStore, SetSummary
 from app.web.numbers import whole_number
 from bus.messages import Message
 
@@ -71,7 +70,7 @@ def _stored(live: LiveState, one: SetSummary, unit: int) -> SideOption:
     )
 
 
-async def side(text: str, keeper: SetKeeper, live: LiveState) -> Side:
+async def side(text: str, store: SetStore, live: LiveState) -> Side:
     """Find what ``text`` names. Raises Problem 404 or 422 in words."""
     kind, _, rest = text.partition(":")
     of, _, number = rest.rpartition(":")
@@ -82,18 +81,18 @@ async def side(text: str, keeper: SetKeeper, live: LiveState) -> Side:
             "invalid",
             Message.of("no_such_side", text=text, known="set:12:3, golden:BUS:3 or live:BUS:3"),
         )
-    return Side(kind, of, unit, await _rows(kind, of, unit, keeper, live))
+    return Side(kind, of, unit, await _rows(kind, of, unit, store, live))
 
 
-async def _rows(kind: str, of: str, unit: int, keeper: SetKeeper, live: LiveState) -> UnitRows:
+async def _rows(kind: str, of: str, unit: int, store: SetStore, live: LiveState) -> UnitRows:
     if kind == "set":
         number = whole_number(of)
         if number is None:
             raise Problem(422, "invalid", Message.of("not_a_set_number", text=of))
-        return unit_rows_or_404(await set_or_404(keeper, number), unit)
+        return unit_rows_or_404(await set_or_404(store, number), unit)
     if kind == "live":
         return known_rows(unit_or_404(live, of, unit))
-    golden = keeper.drifts.golden(of, unit)
+    golden = (await store.golden(of)).get(unit)
     if golden is None:
         raise Problem(404, "unknown_set", Message.of("no_golden_set", unit=unit, bus=of))
     return golden

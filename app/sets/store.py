@@ -56,9 +56,9 @@ class SetStore:
             )
         )
 
-    async def golden(self) -> dict[tuple[str, int], UnitRows]:
-        """The golden rows of every unit that has some, by bus and address."""
-        return await self._database.read(_golden)
+    async def golden(self, bus: str) -> dict[int, UnitRows]:
+        """The golden rows of every unit of a bus that has some, by its address."""
+        return await self._database.read(lambda connection: _golden(connection, bus))
 
     async def has_set_since(self, bus: str, unit: int, since: float, origin: SetOrigin | None = None) -> bool:
         """Whether a set of this unit, of this origin if given, was stored at or after ``since`` (seconds
@@ -175,12 +175,10 @@ def _numbers(joined: str | None) -> tuple[int, ...]:
     return tuple(sorted(int(part) for part in joined.split(","))) if joined else ()
 
 
-def _golden(connection: sqlite3.Connection) -> dict[tuple[str, int], UnitRows]:
-    marks: Iterable[tuple[str, int, int, str]] = connection.execute(
-        "SELECT golden_set.bus, golden_set.unit, golden_set.set_id, parameter_set_unit.name FROM golden_set"
-        " JOIN parameter_set_unit USING (set_id, unit)"
+def _golden(connection: sqlite3.Connection, bus: str) -> dict[int, UnitRows]:
+    marks: Iterable[tuple[int, int, str]] = connection.execute(
+        "SELECT golden_set.unit, golden_set.set_id, parameter_set_unit.name FROM golden_set"
+        " JOIN parameter_set_unit USING (set_id, unit) WHERE golden_set.bus = ?",
+        (bus,),
     ).fetchall()
-    return {
-        (bus, unit): UnitRows(unit, name, _rows(connection, set_id, unit))
-        for bus, unit, set_id, name in marks
-    }
+    return {unit: UnitRows(unit, name, _rows(connection, set_id, unit)) for unit, set_id, name in marks}

@@ -44,8 +44,7 @@ class Taking:
 class Takings:
     """Begins readings and remembers how they went."""
 
-    def __init__(self, keeper: SetKeeper) -> None:
-        self._keeper = keeper
+    def __init__(self) -> None:
         self._takings: dict[str, Taking] = {}
         self._background = Background()
 
@@ -53,28 +52,28 @@ class Takings:
         """A reading begun since the server started."""
         return self._takings.get(taking_id)
 
-    def begin(self, person: Person, bus: str, units: Sequence[int], name: str, comment: str) -> Taking:
+    def begin(
+        self, person: Person, keeper: SetKeeper, units: Sequence[int], name: str, comment: str
+    ) -> Taking:
         """Read the units one after another and keep what they say as one set."""
-        taking = Taking(secrets.token_hex(8), bus, tuple(units), name, comment)
+        taking = Taking(secrets.token_hex(8), keeper.bus, tuple(units), name, comment)
         self._takings[taking.id] = taking
         for old in list(self._takings)[:-_KEEP]:
             del self._takings[old]
-        self._background.begin(self._run(person, taking), f"parameter set {taking.id}")
+        self._background.begin(self._run(person, keeper, taking), f"parameter set {taking.id}")
         return taking
 
     async def close(self) -> None:
         """End what runs; nothing is kept of it."""
         await self._background.close()
 
-    async def _run(self, person: Person, taking: Taking) -> None:
-        await read_together(self._keeper, person, taking.bus, taking.units, taking.read, taking.silent)
+    async def _run(self, person: Person, keeper: SetKeeper, taking: Taking) -> None:
+        await read_together(keeper, person, taking.units, taking.read, taking.silent)
         if not taking.read:
             taking.state = "failed"
             return
         try:
-            kept = await self._keeper.keep(
-                person, taking.bus, taking.read, taking.name, taking.comment, "by hand"
-            )
+            kept = await keeper.keep(person, taking.read, taking.name, taking.comment, "by hand")
         except Problem as problem:
             taking.state, taking.cause = "failed", problem.detail
             return
@@ -84,7 +83,6 @@ class Takings:
 async def read_together(
     keeper: SetKeeper,
     person: Person,
-    bus: str,
     units: Sequence[int],
     read: list[UnitRows] | None = None,
     silent: dict[int, str] | None = None,
@@ -98,7 +96,7 @@ async def read_together(
     async def read_one(unit: int) -> None:
         async with at_once:
             try:
-                read.append(await keeper.read(person, bus, unit))
+                read.append(await keeper.read(person, unit))
             except Problem as problem:
                 silent[unit] = problem.detail
 

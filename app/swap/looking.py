@@ -22,7 +22,7 @@ async def look(desk: CommandService, live: LiveState, person: Person, swap: Swap
     at_target = await _at_section(desk, live, person, bus, target)
     at_factory: ProbeFinding = "silent"
     if at_target == "silent" and target != FACTORY_ADDRESS:
-        at_factory = await _answers(desk, person, bus, FACTORY_ADDRESS)
+        at_factory = await _answers(desk, person, FACTORY_ADDRESS)
     return SwapState(
         target=target,
         at_target=at_target,
@@ -40,15 +40,15 @@ async def _at_section(
 ) -> ProbeFinding:
     """One lost answer is no silence: it would let the old unit, still on the cable, pass for the spare."""
     for _ in range(LOOKS):
-        kind = await _answers(desk, person, bus, unit)
+        kind = await _answers(desk, person, unit)
         if kind != "silent" or live.buses[bus].units[unit].link.link != "online":
             return kind
     return "silent"
 
 
-async def _answers(desk: CommandService, person: Person, bus: str, address: int) -> ProbeFinding:
+async def _answers(desk: CommandService, person: Person, address: int) -> ProbeFinding:
     action = ScanBus(first=address, last=address)
-    result = await desk.ask(person, bus, action, timeout_s=LOOK_TIMEOUT_S, origin="unit swap")
+    result = await desk.ask(person, action, timeout_s=LOOK_TIMEOUT_S, origin="unit swap")
     if result.outcome != "verified":
         raise Problem(503, "not_looked", result.message or "")
     return next((found.kind for found in result.found if found.unit == address), "silent")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from time import time
 from typing import Annotated
 
@@ -12,8 +13,9 @@ from app.commands.service.writer import Commands
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
-from app.sets.api import ParameterSets
+from app.sets.api import ParameterSets, Sets
 from app.sets.form_source import Chosen, post_source
+from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.offers import offers
 from app.sets.restore_api import Restores
@@ -25,7 +27,7 @@ from app.swap.record import Swap
 from app.swap.rules import FACTORY_ADDRESS, PROVEN, STEPS, Advice, advice, done_steps
 from app.swap.sources import source_of
 from app.web.access import Engineer, Person
-from app.web.services import service
+from app.web.services import bus_service_of, service
 from app.web.templating import render
 from bus.messages import Message
 
@@ -37,11 +39,11 @@ Swaps = Annotated[SwapService, service(SwapService)]
 
 @router.get("/swap/{bus}/{unit}")
 async def swap_page(
-    request: Request, _: Engineer, keeper: ParameterSets, live: Live, swaps: Swaps, bus: str, unit: int
+    request: Request, _: Engineer, sets: Sets, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
     """What the spare shall become, then the path."""
     found = unit_or_404(live, bus, unit)
-    found_offers = offers(live, await keeper.store.summaries(), bus, unit)
+    found_offers = offers(live, await sets.summaries(), bus, unit)
     return render(
         request, "swap/page.html", bus=bus, unit=found, offers=found_offers, swap=swaps.of(bus, unit)
     )
@@ -49,11 +51,20 @@ async def swap_page(
 
 @post_source(router, "/swap/{bus}/{unit}")
 async def begin(
-    person: Engineer, keeper: ParameterSets, live: Live, swaps: Swaps, bus: str, unit: int, chosen: Chosen
+    request: Request,
+    person: Engineer,
+    sets: Sets,
+    live: Live,
+    swaps: Swaps,
+    bus: str,
+    unit: int,
+    chosen: Chosen,
 ) -> Response:
     """Begin it; units are only read."""
     unit_or_404(live, bus, unit)
-    await swaps.begin(person, bus, unit, await source_of(person, keeper, live, bus, unit, chosen))
+    keepers = partial(bus_service_of, request, kind=SetKeeper)
+    source = await source_of(person, keepers, sets, live, bus, unit, chosen)
+    await swaps.begin(person, bus, unit, source)
     return _to_swap(bus, unit)
 
 
@@ -99,14 +110,14 @@ async def it_is_the_spare(_: Engineer, swaps: Swaps, bus: str, unit: int) -> Res
 
 @router.post("/swap/{bus}/{unit}/restore")
 async def begin_restore(
-    person: Engineer, keeper: ParameterSets, restores: Restores, live: Live, swaps: Swaps, bus: str, unit: int
+    person: Engineer, sets: Sets, restores: Restores, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
     """Plan the restore of the spare; the review of it comes next."""
     unit_or_404(live, bus, unit)
     swap = swaps.of_or_404(bus, unit)
     if swap.source is None:
         raise Problem(409, "no_set", Message("swap_without_set"))
-    rows = unit_rows_or_404(await set_or_404(keeper, swap.source.set), swap.source.unit)
+    rows = unit_rows_or_404(await set_or_404(sets, swap.source.set), swap.source.unit)
     restore = await restores.plan(person, bus, unit, rows)
     await swaps.restoring(swap, restore)
     return Response(status_code=303, headers={"Location": f"/restores/{restore.id}"})
@@ -119,7 +130,7 @@ async def entered(
     """All is entered from the sheet: read the unit whole and keep it as a set."""
     unit_or_404(live, bus, unit)
     swap = swaps.of_or_404(bus, unit)
-    kept = await keeper.take(person, bus, [unit], "entered from the sheet", "")
+    kept = await keeper.take(person, [unit], "entered from the sheet", "")
     await swaps.entered(person, swap, kept)
     return Response(status_code=303, headers={"Location": f"/sets/{kept.id}"})
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from app.errors import Problem
 from app.live.state.live_state import LiveState
 from app.sets.form_source import FormSource
 from app.sets.keeper import SetKeeper
 from app.sets.sides import side
+from app.sets.store import SetStore
 from app.swap.record import SwapSource
 from app.web.access import Person
 from bus.messages import Message
@@ -16,21 +19,27 @@ SHEET = "sheet"
 
 
 async def source_of(
-    person: Person, keeper: SetKeeper, live: LiveState, bus: str, unit: int, form: FormSource
+    person: Person,
+    keepers: Callable[[str], SetKeeper],
+    sets: SetStore,
+    live: LiveState,
+    bus: str,
+    unit: int,
+    form: FormSource,
 ) -> SwapSource | None:
     """What the form chooses, as a stored set: a neighbor is read now, a file is kept. None: the sheet.
 
-    Raises Problem 404, 422 or 504.
+    ``keepers``: by bus. Raises Problem 404, 422 or 504.
     """
     if rows := await form.uploaded(unit):
-        kept = await keeper.keep(person, bus, [rows], form.file_name[:80], "", "from a file")
+        kept = await keepers(bus).keep(person, [rows], form.file_name[:80], "", "from a file")
         return SwapSource(kept.id, rows.unit)
     if form.text == SHEET:
         return None
     if not form.text:
         raise Problem(422, "invalid", Message("spare_not_chosen"))
-    chosen = await side(form.text, keeper, live)
+    chosen = await side(form.text, sets, live)
     if chosen.kind == "set":
         return SwapSource(int(chosen.of), chosen.unit)
     name = f"for the swap of unit {unit}"
-    return SwapSource((await keeper.take(person, chosen.of, [chosen.unit], name, "")).id, chosen.unit)
+    return SwapSource((await keepers(chosen.of).take(person, [chosen.unit], name, "")).id, chosen.unit)

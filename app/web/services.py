@@ -2,32 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any, TypeVar
 
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
+from app.web.absent import unknown_bus
+
 S = TypeVar("S")
 
 
 class Registry:
-    """The services of an app, one of each type."""
+    """The services of an app, one of each type; ``buses``: those of each bus, by its name."""
 
-    def __init__(self, services: Iterable[object]) -> None:
+    def __init__(
+        self, services: Iterable[object], buses: Mapping[str, Iterable[object]] | None = None
+    ) -> None:
         self._services = {type(each): each for each in services}
+        self._buses = {bus: Registry(of_bus) for bus, of_bus in (buses or {}).items()}
 
     def __getitem__(self, kind: type[S]) -> S:
         found = self._services[kind]
         assert isinstance(found, kind)
         return found
 
+    def of_bus(self, bus: str) -> Registry:
+        """The services of a configured bus. Raises Problem 404."""
+        if bus not in self._buses:
+            raise unknown_bus(bus, self._buses)
+        return self._buses[bus]
+
 
 def service_of(connection: HTTPConnection, kind: type[S]) -> S:
     """The service of this type."""
     registry: Registry = connection.app.state.registry
     return registry[kind]
+
+
+def bus_service_of(connection: HTTPConnection, bus: str, kind: type[S]) -> S:
+    """The service of this type of a configured bus. Raises Problem 404."""
+    registry: Registry = connection.app.state.registry
+    return registry.of_bus(bus)[kind]
 
 
 def looked_up(find: Callable[[HTTPConnection], Any]) -> Any:
@@ -43,3 +60,8 @@ def looked_up(find: Callable[[HTTPConnection], Any]) -> Any:
 def service(kind: type[Any]) -> Any:
     """A dependency of FastAPI: ``Keeper = Annotated[SetKeeper, service(SetKeeper)]``."""
     return looked_up(partial(service_of, kind=kind))
+
+
+def bus_service(kind: type[Any]) -> Any:
+    """The same for a service of ``{bus}`` in the path. Raises Problem 404."""
+    return looked_up(lambda connection: bus_service_of(connection, connection.path_params["bus"], kind))

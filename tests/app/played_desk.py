@@ -16,6 +16,7 @@ from app.commands.service.command_service import WriteSubscriber
 from app.database import Database
 from app.errors import Problem
 from app.live.state.live_state import LiveState
+from app.sets.drift import BusDrift
 from app.sets.keeper import SetKeeper
 from app.sets.reading import ParameterReader
 from app.sets.store import SetStore
@@ -64,9 +65,8 @@ class PlayedDesk:
         """As the real one; a test calls it itself."""
         self.write_subscribers.append(subscriber)
 
-    async def ask(self, person: Person, bus: str, action: Action, **_: Any) -> Result:
+    async def ask(self, person: Person, action: Action, **_: Any) -> Result:
         assert person.name
-        assert bus == "dry-end"
         self.asked.append(action)
         match action:
             case ReadParameters():
@@ -81,11 +81,11 @@ class PlayedDesk:
                 return Result(id="x", at=time.time(), outcome="verified")
         raise AssertionError(action)
 
-    def check(self, person: Person, bus: str, action: Action, *, confirm: bool = False) -> None:
-        assert (person.name, bus, confirm) == ("anna", "dry-end", True)
+    def check(self, person: Person, action: Action, *, confirm: bool = False) -> None:
+        assert (person.name, confirm) == ("anna", True)
         assert isinstance(action, SetSpeed)
         now = RuleContext(
-            self.live.buses[bus], lambda _: NO_LIMITS, lambda _: None, lambda _: 0, confirm=confirm
+            self.live.buses["dry-end"], lambda _: NO_LIMITS, lambda _: None, lambda _: 0, confirm=confirm
         )
         try:
             check.check(action, now)
@@ -182,8 +182,10 @@ class SetScene:
         self.database = Database(folder / "store.db")
         self.store = SetStore(self.database)
         self.rights = PlayedRights()
-        reader = ParameterReader(self.live, self.desk)  # type: ignore[arg-type]
-        self.keeper = SetKeeper(self.live, reader, self.store, self.events, self.rights)  # type: ignore[arg-type]
+        bus = self.live.buses["dry-end"]
+        reader = ParameterReader(bus, self.desk)  # type: ignore[arg-type]
+        self.drift = BusDrift(bus, self.store, self.events)  # type: ignore[arg-type]
+        self.keeper = SetKeeper(bus, reader, self.drift, self.store, self.events, self.rights)  # type: ignore[arg-type]
 
     def tells(self, unit: int, *numbers: int, raw: int = 30) -> None:
         """A unit says that these of its parameters are ``raw``."""

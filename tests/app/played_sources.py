@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Drifted, Sources, UnitSubscriber
@@ -11,17 +11,18 @@ from app.live.screen.sources import Drifted, Sources, UnitSubscriber
 class PlayedGuards:
     """``blocks``: by unit, why commands to it are blocked; ``controls``: by bus, who controls it."""
 
-    def __init__(self, blocks: Mapping[int, str], controls: Mapping[str, str]) -> None:
+    def __init__(self, bus: str, blocks: Mapping[int, str], controls: Mapping[str, str]) -> None:
+        self._bus = bus
         self._blocks = blocks
         self._controls = controls
 
-    def block_reason(self, _bus: str, unit: int) -> str:
+    def block_reason(self, unit: int) -> str:
         """As the real ones."""
         return self._blocks.get(unit, "")
 
-    def holder(self, bus: str) -> str:
+    def holder(self) -> str:
         """As the real ones."""
-        return self._controls.get(bus, "")
+        return self._controls.get(self._bus, "")
 
     def on_block(self, _subscriber: UnitSubscriber) -> None:
         """These never change."""
@@ -30,7 +31,7 @@ class PlayedGuards:
 class NoGoldenSets:
     """No unit has a golden set."""
 
-    def summary(self, _bus: str, _unit: int, _voice: Translator, _now: float) -> Drifted:
+    def summary(self, _unit: int, _voice: Translator, _now: float) -> Drifted:
         """Nothing."""
         return Drifted()
 
@@ -47,8 +48,12 @@ class NoRecipes:
 
 
 def played_sources(
-    blocks: Mapping[int, str] | None = None, controls: Mapping[str, str] | None = None
+    buses: Iterable[str] = ("dry",),
+    blocks: Mapping[int, str] | None = None,
+    controls: Mapping[str, str] | None = None,
 ) -> Sources:
     """Nothing to show but what the test names."""
-    guards = PlayedGuards(blocks or {}, {} if controls is None else controls)
-    return Sources(guards, NoGoldenSets(), NoRecipes(), lambda _voice, _now: "", lambda: "")
+    controls = {} if controls is None else controls
+    guards = {bus: PlayedGuards(bus, blocks or {}, controls) for bus in buses}
+    drift = {bus: NoGoldenSets() for bus in guards}
+    return Sources(guards, drift, NoRecipes(), lambda _voice, _now: "", lambda: "")

@@ -22,13 +22,16 @@ from websockets.exceptions import ConnectionClosed
 
 from app.audit.api import router as events_router
 from app.audit.log import EventLog
-from app.bus_service import BusService
 from app.commands.api.commands import router as commands_router
 from app.commands.api.safeguards import router as safeguards_router
 from app.commands.api.trace import router as trace_router
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
+from app.commands.service.idempotency_cache import IdempotencyCache
+from app.commands.service.record import CommandRecord
 from app.database import Database
+from app.feed.bus_feed import BusFeed
+from app.feed.channel import Channel
 from app.feed.socket import router as feed_router
 from app.feed.workers import Workers
 from app.history.status import Status
@@ -36,12 +39,14 @@ from app.live.api.routes import router as live_router
 from app.live.change_recorder import ChangeRecorder
 from app.live.screen.sources import Sources
 from app.live.state.live_state import LiveState
+from app.pipeline import Pipeline
 from app.settings import Settings, Site
 from app.web.access import Person, Role, Via
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
 from app.web.services import Registry
 from app.web.templating import Templates
+from app.web.turns import Turns
 from bus.contract import (
     CONTRACT_VERSION,
     AppMessage,
@@ -213,17 +218,20 @@ class Stage:
         self.history = History()
         self.skipped_s = 0.0
         """By how much the clock of the leases is ahead of the real one."""
-        self.bus = BusService(
-            self.live.buses[settings.name],
-            self.history,
-            self.events,
+        bus = self.live.buses[settings.name]
+        self.recorder = ChangeRecorder(self.events, settings.name)
+        self.pipeline = Pipeline(bus, self.history, self.recorder)
+        self.channel = Channel()
+        self.feed = BusFeed(
+            self.channel,
+            self.pipeline,
             monotonic=lambda: time.monotonic() + self.skipped_s,
             timeout_ticks=silent_ticks,
         )
-        self.channels = {settings.name: self.bus.channel}
-        self.workers = Workers({settings.name: self.bus.feed}, ChangeRecorder(self.events))
+        self.workers = Workers({settings.name: self.feed}, ChangeRecorder(self.events))
         self.rights = PlayedRights()
         self.guards = Safeguards(
+            settings.name,
             self.database,
             self.events,
             control_required=control,
@@ -231,13 +239,11 @@ class Stage:
             rights=self.rights,
             sessions=self.rights,
         )
-        self.desk = CommandService(
-            self.live, self.channels, self.events, self.database, self.guards, self.rights
-        )
+        self.desk = self.commands_after_restart()
         self.app = FastAPI()
         sources = Sources(
-            self.guards,
-            NoGoldenSets(),
+            {settings.name: self.guards},
+            {settings.name: NoGoldenSets()},
             NoRecipes(),
             lambda _voice, _now: "",
             lambda: self.history.status.message,
@@ -246,8 +252,9 @@ class Stage:
         self.app.state.registry = Registry(
             (
                 *(configuration, _templates(), sources),
-                *(self.live, self.desk, self.guards, self.workers, self.events),
-            )
+                *(self.live, self.workers, self.events, Turns()),
+            ),
+            {settings.name: (bus, self.desk, self.guards)},
         )
         for router in (
             *(live_router, commands_router, safeguards_router),
@@ -258,6 +265,11 @@ class Stage:
         install(self.app)
         self.url = ""
         self._people: dict[str, httpx.AsyncClient] = {}
+
+    def commands_after_restart(self) -> CommandService:
+        """The commands of a server that remembers nothing but what is on disk."""
+        (live,), record = self.live.buses.values(), CommandRecord(self.events, self.database, time.time)
+        return CommandService(live, self.channel, record, IdempotencyCache(), self.guards, self.rights)
 
     def http(self, role: str = "admin", name: str = "") -> httpx.AsyncClient:
         """A client signed in as somebody with this role."""
@@ -290,7 +302,7 @@ class Stage:
         await played.say(whole)
         if not before:
             await until(lambda: self.live.buses["dry-end"].worker_connected, "the snapshot taken in")
-        await until(lambda: self.bus.channel.connected, "the way down open")
+        await until(lambda: self.channel.connected, "the way down open")
         return played
 
     async def connect(self, role: str = "worker", bus: str = "dry-end", name: str = "") -> PlayedWorker:
@@ -331,7 +343,7 @@ async def staged(
     )
     server = uvicorn.Server(config)
     serving = asyncio.create_task(server.serve())
-    recording = asyncio.create_task(stage.bus.recorder.follow())
+    recording = asyncio.create_task(stage.recorder.follow())
     await until(lambda: server.started, "the server listening")
     stage.url = f"127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
     try:

@@ -48,7 +48,7 @@ async def test_the_intent_is_on_disk_before_anything_is_sent(stage: Stage, worke
         return [fate(command, "verified")]
 
     worker.play = play
-    await stage.desk.ask(ANNA, "dry-end", WISH)
+    await stage.desk.ask(ANNA, WISH)
     assert seen == [("set speed (84h)", None)]
     assert (await commands(stage))[0]["outcome"] == "verified"
 
@@ -73,18 +73,18 @@ async def test_a_fate_that_cannot_be_written_down_is_told_all_the_same(
 
     worker.play = answering("verified")
     monkeypatch.setattr(stage.events, "conclude", full)
-    assert (await stage.desk.ask(ANNA, "dry-end", WISH)).outcome == "verified"
+    assert (await stage.desk.ask(ANNA, WISH)).outcome == "verified"
 
 
 async def test_progress_is_told_and_a_change_can_be_given_up(stage: Stage, worker: PlayedWorker) -> None:
     heard: list[Progress] = []
-    asked = asyncio.create_task(stage.desk.ask(ANNA, "dry-end", WISH, id="mine", listener=heard.append))
+    asked = asyncio.create_task(stage.desk.ask(ANNA, WISH, id="mine", listener=heard.append))
     command = await worker.hear(Command)
     assert isinstance(command, Command)
     await worker.update(
         Progress(id=command.id, at=1.0, stage="sent"), Progress(id="mine", at=1.0, stage="sent")
     )
-    await stage.desk.cancel("dry-end", command.id)
+    await stage.desk.cancel(command.id)
     assert await worker.hear(Cancel) == Cancel(id=command.id)
     await worker.update(fate(command, "not_sent", message=term("given up")))
     assert (await asked).outcome == "not_sent"
@@ -94,12 +94,12 @@ async def test_progress_is_told_and_a_change_can_be_given_up(stage: Stage, worke
 async def test_whoever_asked_may_go_and_the_fate_is_still_written_down(
     stage: Stage, worker: PlayedWorker
 ) -> None:
-    asked = asyncio.create_task(stage.desk.ask(ANNA, "dry-end", WISH, id="mine"))
+    asked = asyncio.create_task(stage.desk.ask(ANNA, WISH, id="mine"))
     command = await worker.hear(Command)
     assert isinstance(command, Command)
     asked.cancel()
     await worker.update(fate(command, "verified"))
-    assert (await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")).outcome == "verified"
+    assert (await stage.desk.ask(ANNA, WISH, id="mine")).outcome == "verified"
     assert [event["outcome"] for event in await commands(stage)] == ["verified"]
     assert len(worker.commands) == 1
 
@@ -108,14 +108,14 @@ async def test_whoever_has_lost_the_right_sends_nothing(stage: Stage, worker: Pl
     stage.rights.withdrawn["anna"] = "rights withdrawn: the role was lowered; nothing more was sent"
     for action in (WISH, ReadParameters(unit=1, numbers=[6])):
         with pytest.raises(Problem, match="the role was lowered") as refused:
-            await stage.desk.ask(ANNA, "dry-end", action)
+            await stage.desk.ask(ANNA, action)
         assert (refused.value.status, refused.value.code) == (403, "rights_withdrawn")
     assert worker.commands == []
     assert (await commands(stage))[-1]["outcome"] == "rights_withdrawn"
 
 
 async def block(stage: Stage) -> str:
-    await stage.guards.block(ANNA, "dry-end", 2, "belt off")
+    await stage.guards.block(ANNA, 2, "belt off")
     return "unit 2 is blocked by anna: belt off"
 
 
@@ -126,7 +126,7 @@ async def withdraw(stage: Stage) -> str:
 
 async def hand_over(stage: Stage) -> str:
     stage.guards.control.required = True
-    stage.guards.control.hand_over("dry-end", "", "ben", time.time(), by_force=True)
+    stage.guards.control.hand_over("", "ben", time.time(), by_force=True)
     return "ben holds control of this line"
 
 
@@ -137,9 +137,7 @@ async def hand_over(stage: Stage) -> str:
 async def test_a_long_command_is_given_up_when_it_may_not_go_on(
     stage: Stage, worker: PlayedWorker, trouble: Callable[[Stage], Awaitable[str]], action: Action
 ) -> None:
-    asked = asyncio.create_task(
-        stage.desk.ask(ANNA, "dry-end", action, timeout_s=30, confirm=True, id="mine")
-    )
+    asked = asyncio.create_task(stage.desk.ask(ANNA, action, timeout_s=30, confirm=True, id="mine"))
     command = await worker.hear(Command)
     assert isinstance(command, Command)
     reason = await trouble(stage)
@@ -162,7 +160,7 @@ async def test_what_changes_after_the_check_is_seen_before_the_command_is_sent(
 
     worker.play = answering("verified")
     stage.desk.on_write(keep)
-    result = await stage.desk.ask(ANNA, "dry-end", WriteParameter(unit=2, number=6, raw=50))
+    result = await stage.desk.ask(ANNA, WriteParameter(unit=2, number=6, raw=50))
     assert (result.outcome, str(result.message)) == ("not_sent", reasons[0])
     assert worker.commands == []
     event = (await commands(stage))[-1]
@@ -170,9 +168,9 @@ async def test_what_changes_after_the_check_is_seen_before_the_command_is_sent(
 
 
 async def test_checking_alone_sends_and_writes_nothing(stage: Stage, worker: PlayedWorker) -> None:
-    stage.desk.check(ANNA, "dry-end", WISH)
+    stage.desk.check(ANNA, WISH)
     with pytest.raises(Problem) as refused:
-        stage.desk.check(ANNA, "dry-end", WriteParameter(unit=1, number=19, raw=0))
+        stage.desk.check(ANNA, WriteParameter(unit=1, number=19, raw=0))
     assert (refused.value.status, refused.value.code) == (409, "dangerous")
     assert worker.commands == []
     assert await commands(stage) == []
@@ -181,8 +179,8 @@ async def test_checking_alone_sends_and_writes_nothing(stage: Stage, worker: Pla
 async def test_what_is_wanted_before_a_write_comes_first(stage: Stage, worker: PlayedWorker) -> None:
     order: list[str] = []
 
-    async def keep(person: Person, bus: str, units: Sequence[int], *, parameters: bool) -> None:
-        order.append(f"kept {person.name} {bus} {[*units]}{' for parameters' if parameters else ''}")
+    async def keep(person: Person, units: Sequence[int], *, parameters: bool) -> None:
+        order.append(f"kept {person.name} {[*units]}{' for parameters' if parameters else ''}")
 
     async def play(command: Command) -> Sequence[Update]:
         order.append("sent")
@@ -190,10 +188,10 @@ async def test_what_is_wanted_before_a_write_comes_first(stage: Stage, worker: P
 
     worker.play = play
     stage.desk.on_write(keep)
-    await stage.desk.ask(ANNA, "dry-end", WriteParameter(unit=1, number=6, raw=50))
-    await stage.desk.ask(ANNA, "dry-end", WISH)
-    await stage.desk.ask(ANNA, "dry-end", ReadParameters(unit=1, numbers=[6]))
-    kept = "kept anna dry-end [1]"
+    await stage.desk.ask(ANNA, WriteParameter(unit=1, number=6, raw=50))
+    await stage.desk.ask(ANNA, WISH)
+    await stage.desk.ask(ANNA, ReadParameters(unit=1, numbers=[6]))
+    kept = "kept anna [1]"
     assert order == [f"{kept} for parameters", "sent", kept, "sent", "sent"]
 
 

@@ -184,7 +184,7 @@ async def test_a_second_worker_is_refused_while_the_first_lives(stage: Stage) ->
 async def test_a_refusal_is_an_event_that_names_both_tokens_and_addresses(stage: Stage) -> None:
     await stage.worker(name="cabinet-3")
     await refused(stage, name="laptop")
-    await stage.bus.recorder.recorded()
+    await stage.recorder.recorded()
     found, _ = await stage.events.page(Filter(kind="worker"), 1)
     assert (found[0]["what"], found[0]["bus"]) == ("bus worker refused", "dry-end")
     assert (found[0]["old"], found[0]["new"]) == ("cabinet-3 (127.0.0.1)", "laptop (127.0.0.1)")
@@ -316,10 +316,10 @@ async def test_a_command_under_way_is_unverified_with_another_worker(stage: Stag
 
 
 async def test_what_is_watched_is_told_to_whoever_comes(stage: Stage) -> None:
-    stage.bus.feed.watch([2, 1], True)
+    stage.feed.watch([2, 1], True)
     worker = await stage.worker()
     assert await worker.hear(Watch) == Watch(units=[1, 2], trace=True)
-    stage.bus.feed.watch([], False)
+    stage.feed.watch([], False)
     assert await worker.hear(Watch, 2) == Watch(units=[], trace=False)
 
 

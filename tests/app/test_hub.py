@@ -29,7 +29,7 @@ class World:
 
     def __post_init__(self) -> None:
         templates = Templates(templates_dir(), Assets(static_dir()), Site())
-        sources = played_sources(controls=self.controls)
+        sources = played_sources(self.live.buses, controls=self.controls)
         watchers = {bus: partial(self.watch, bus) for bus in self.live.buses}
         self.hub = Hub(self.live, sources, templates, watchers, lambda: self.now)
 

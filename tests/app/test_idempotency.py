@@ -25,16 +25,14 @@ WISH = SetSpeed(unit=1, raw=5)
 
 
 def restarted(stage: Stage) -> CommandService:
-    """The desk of a server that remembers nothing but what is on disk."""
-    return CommandService(
-        stage.live, stage.channels, stage.events, stage.database, stage.guards, stage.rights
-    )
+    """The commands of a server that remembers nothing but what is on disk."""
+    return stage.commands_after_restart()
 
 
 async def test_a_known_fate_is_given_again_and_nothing_is_sent(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("refused", unit_error=129, message=term("value above max"))
-    first = await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")
-    again = await restarted(stage).ask(ANNA, "dry-end", WISH, id="mine")
+    first = await stage.desk.ask(ANNA, WISH, id="mine")
+    again = await restarted(stage).ask(ANNA, WISH, id="mine")
     assert (again.outcome, again.unit_error, again.message) == ("refused", 129, term("value above max"))
     assert again.at == first.at
     assert len(worker.commands) == 1
@@ -43,10 +41,10 @@ async def test_a_known_fate_is_given_again_and_nothing_is_sent(stage: Stage, wor
 async def test_what_was_open_at_the_restart_is_unverified_and_not_sent_again(
     stage: Stage, worker: PlayedWorker
 ) -> None:
-    open_still = asyncio.create_task(stage.desk.ask(ANNA, "dry-end", WISH, id="mine"))
+    open_still = asyncio.create_task(stage.desk.ask(ANNA, WISH, id="mine"))
     command = await worker.hear(Command)
     assert isinstance(command, Command)
-    again = await restarted(stage).ask(ANNA, "dry-end", WISH, id="mine")
+    again = await restarted(stage).ask(ANNA, WISH, id="mine")
     assert (again.outcome, again.message) == ("unverified", Message("server_stopped"))
     await worker.update(fate(command, "verified"))
     assert (await open_still).outcome == "verified"
@@ -57,9 +55,9 @@ async def test_an_id_of_another_command_is_refused_after_a_restart_too(
     stage: Stage, worker: PlayedWorker
 ) -> None:
     worker.play = answering("verified")
-    await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")
+    await stage.desk.ask(ANNA, WISH, id="mine")
     with pytest.raises(Problem) as refused:
-        await restarted(stage).ask(ANNA, "dry-end", SetSpeed(unit=1, raw=6), id="mine")
+        await restarted(stage).ask(ANNA, SetSpeed(unit=1, raw=6), id="mine")
     assert (refused.value.status, refused.value.code) == (422, "invalid")
     assert len(worker.commands) == 1
 
@@ -71,8 +69,8 @@ async def test_what_was_refused_before_it_was_sent_may_be_asked_again(
 
     worker.play = answering("verified")
     with pytest.raises(Problem):
-        await stage.desk.ask(ANNA, "dry-end", dangerous, id="mine")
-    confirmed = await restarted(stage).ask(ANNA, "dry-end", dangerous, confirm=True, id="mine")
+        await stage.desk.ask(ANNA, dangerous, id="mine")
+    confirmed = await restarted(stage).ask(ANNA, dangerous, confirm=True, id="mine")
     assert confirmed.outcome == "verified"
     assert len(worker.commands) == 1
 
@@ -90,12 +88,12 @@ SENDERS = [
 async def test_a_key_is_its_senders_own(stage: Stage, worker: PlayedWorker, other: Person) -> None:
     """Two who count their commands from 1 neither hinder each other nor see what became of the other's."""
     worker.play = answering("verified", read_back=5)
-    await stage.desk.ask(ANNA, "dry-end", WISH, id="1")
+    await stage.desk.ask(ANNA, WISH, id="1")
     worker.play = answering("refused", unit_error=129)
     for desk in (stage.desk, restarted(stage)):
-        first = await desk.ask(other, "dry-end", SetSpeed(unit=2, raw=7), id="1")
+        first = await desk.ask(other, SetSpeed(unit=2, raw=7), id="1")
         assert (first.id, first.outcome, first.read_back) == ("1", "refused", None)
-        mine = await desk.ask(ANNA, "dry-end", WISH, id="1")
+        mine = await desk.ask(ANNA, WISH, id="1")
         assert (mine.id, mine.outcome, mine.read_back) == ("1", "verified", 5)
     assert len(worker.commands) == 2
 
@@ -104,17 +102,17 @@ async def test_no_two_commands_have_the_same_id_at_the_worker(stage: Stage, work
     """It repeats the result of an id that it knows: of somebody else's, or of last week's."""
     worker.play = answering("verified")
     for person in (ANNA, *SENDERS):
-        await stage.desk.ask(person, "dry-end", WISH, id="1")
+        await stage.desk.ask(person, WISH, id="1")
     await stage.database.write(lambda connection: connection.execute("DELETE FROM idempotency"))
-    await restarted(stage).ask(ANNA, "dry-end", WISH, id="1")
+    await restarted(stage).ask(ANNA, WISH, id="1")
     assert len({command.id for command in worker.commands}) == len(SENDERS) + 2
     assert {key_of(command.id) for command in worker.commands} == {"1"}
 
 
 async def test_two_requests_with_one_key_at_once_are_one_command(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("verified", read_back=5)
-    asked = [stage.desk.ask(ANNA, "dry-end", WISH, id="mine") for _ in range(5)]
-    other = stage.desk.ask(ANNA, "dry-end", SetSpeed(unit=1, raw=6), id="mine")
+    asked = [stage.desk.ask(ANNA, WISH, id="mine") for _ in range(5)]
+    other = stage.desk.ask(ANNA, SetSpeed(unit=1, raw=6), id="mine")
     *same, refused = await asyncio.gather(*asked, other, return_exceptions=True)
     assert {result.read_back for result in same if isinstance(result, Result)} == {5}
     assert len(same) == 5
@@ -132,9 +130,9 @@ async def test_what_could_not_be_written_down_may_be_asked_again(
     worker.play = answering("verified")
     monkeypatch.setattr(stage.events, "intend_together", full)
     with pytest.raises(StoreError):
-        await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")
+        await stage.desk.ask(ANNA, WISH, id="mine")
     monkeypatch.undo()
-    assert (await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")).outcome == "verified"
+    assert (await stage.desk.ask(ANNA, WISH, id="mine")).outcome == "verified"
     assert len(worker.commands) == 1
 
 
@@ -142,8 +140,8 @@ async def test_the_order_of_the_setpoints_is_not_part_of_the_command(
     stage: Stage, worker: PlayedWorker
 ) -> None:
     worker.play = answering("verified")
-    await stage.desk.ask(ANNA, "dry-end", SetLine(setpoints={1: 5, 2: 6}), id="mine")
-    await restarted(stage).ask(ANNA, "dry-end", SetLine(setpoints={2: 6, 1: 5}), id="mine")
+    await stage.desk.ask(ANNA, SetLine(setpoints={1: 5, 2: 6}), id="mine")
+    await restarted(stage).ask(ANNA, SetLine(setpoints={2: 6, 1: 5}), id="mine")
     assert len(worker.commands) == 1
 
 
@@ -205,7 +203,7 @@ async def test_a_command_without_a_key_is_not_kept(stage: Stage, worker: PlayedW
     worker.play = answering("verified")
     for key in (None, ""):
         for _ in range(2):
-            await stage.desk.ask(ANNA, "dry-end", WISH, id=key)
+            await stage.desk.ask(ANNA, WISH, id=key)
     assert len(worker.commands) == 4
     assert await Table(stage).rows() == []
 
@@ -223,16 +221,16 @@ async def test_nothing_of_a_secret_is_stored(stage: Stage) -> None:
 
 async def test_a_result_that_cannot_be_read_is_unverified(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("verified")
-    await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")
+    await stage.desk.ask(ANNA, WISH, id="mine")
     await stage.database.write(lambda c: c.execute("UPDATE idempotency SET result = x'7b'"))
-    again = await restarted(stage).ask(ANNA, "dry-end", WISH, id="mine")
+    again = await restarted(stage).ask(ANNA, WISH, id="mine")
     assert (again.outcome, again.message) == ("unverified", idempotency.UNREADABLE)
     assert len(worker.commands) == 1
 
 
 async def test_a_newer_key_of_the_log_forgets_no_command(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("verified")
-    await stage.desk.ask(ANNA, "dry-end", WISH, id="mine")
+    await stage.desk.ask(ANNA, WISH, id="mine")
     stage.events.keys.rotate()
-    assert (await restarted(stage).ask(ANNA, "dry-end", WISH, id="mine")).outcome == "verified"
+    assert (await restarted(stage).ask(ANNA, WISH, id="mine")).outcome == "verified"
     assert len(worker.commands) == 1

@@ -40,7 +40,7 @@ async def test_what_happens_on_the_line_is_written_down_in_order(stage: Stage) -
     ]
     assert "unplugged" in found[-1]["what"]
     assert abs(datetime.fromisoformat(found[1]["time"]).timestamp() - local.at) < 0.001
-    await stage.bus.recorder.recorded()
+    await stage.recorder.recorded()
 
 
 async def test_workers_come_go_and_come_back(stage: Stage) -> None:
@@ -69,7 +69,7 @@ async def test_what_happened_while_the_app_was_away_is_written_down_too(stage: S
 
 
 async def test_a_stepped_clock_is_written_down(stage: Stage) -> None:
-    stage.bus.pipeline.clock_stepped(-3600.0, 5.0)
+    stage.pipeline.clock_stepped(-3600.0, 5.0)
     found = await events(stage, 1)
     assert found[0]["kind"] == "clock"
     assert "-3600" in found[0]["what"]
@@ -99,8 +99,8 @@ async def test_a_port_that_opens_and_closes_for_ever_is_few_events_with_a_count(
     """Four a second came into a log that is kept for good."""
     for number in range(500):
         links: list[BusLink] = [BusLink(1.0, "open"), BusLink(1.0, "closed", f"closed {number}")]
-        stage.bus.pipeline.batch(links, live=True)
-    await stage.bus.recorder.recorded()
+        stage.pipeline.batch(links, live=True)
+    await stage.recorder.recorded()
     found, _ = await stage.events.page(Filter(kind="bus"), 100)
     assert len(found) == FEW + 1
     last = found[0]
@@ -112,8 +112,8 @@ async def test_a_summary_is_recorded_without_anything_new(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     later = 0.0
-    monkeypatch.setattr(stage.bus.recorder, "_monotonic", lambda: later)
+    monkeypatch.setattr(stage.recorder, "_monotonic", lambda: later)
     for _ in range(10):
-        stage.bus.pipeline.batch([BusLink(1.0, "open"), BusLink(1.0, "closed")], live=True)
+        stage.pipeline.batch([BusLink(1.0, "open"), BusLink(1.0, "closed")], live=True)
     later = 3600.0
     await events(stage, FEW + 1)

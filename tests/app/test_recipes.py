@@ -24,7 +24,7 @@ class Scene:
         self.events = Noted()
         self.database = Database(folder / "store.db")
         store = RecipeStore(self.database)
-        self.book = RecipeBook(self.live, self.desk, store, self.events)  # type: ignore[arg-type]
+        self.book = RecipeBook(self.live, {"dry-end": self.desk}, store, self.events)  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_de
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
     await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id="one")
     live = a_bus()
-    again = RecipeBook(live, scene.desk, scene.book.store, scene.events)  # type: ignore[arg-type]
+    again = RecipeBook(live, {"dry-end": scene.desk}, scene.book.store, scene.events)  # type: ignore[arg-type]
     await again.load_marks()
     assert again.loaded_words("dry-end") == ("Kraft 80", [])
     answering(live, commanded=1200)

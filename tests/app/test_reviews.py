@@ -104,7 +104,7 @@ async def test_a_change_of_several_names_who_is_left_out_and_why(house: House) -
 async def test_a_recipe_and_zero_name_who_is_left_out_too(house: House) -> None:
     say(house, 2, outputs=0)
     assert remarks(await recipe(house, {1: 500})) == [("not_in_remote", "Nip")]
-    await house.services.safeguards.block(ANNA, "dry-end", 2, "belt off")
+    await house.services.buses["dry-end"].safeguards.block(ANNA, 2, "belt off")
     answer = await zero(house)
     assert remarks(answer) == [("blocked", "Nip")]
     assert "belt off" in answer.text
@@ -152,7 +152,7 @@ async def test_a_value_that_is_old_is_said_with_its_age(house: House) -> None:
 
 
 async def test_above_the_maximum_by_an_engineers_leave_is_said(house: House) -> None:
-    await house.services.safeguards.set_limits(ANNA, "dry-end", 1, Limits(highest=25000))
+    await house.services.buses["dry-end"].safeguards.set_limits(ANNA, 1, Limits(highest=25000))
     assert remarks(await single(house, "2100.0")) == [("above_display", "Unwind")]
     assert remarks(await single(house, "2000.0")) == []
 

@@ -24,6 +24,7 @@ from app.auth.store import Token, User
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.web.access import Person, Role
+from bus.messages import Message
 
 ANN = Person("ann", Role.ENGINEER, "session", credential="a")
 PROGRAM = Person("ann", Role.ENGINEER, "token", credential="a")
@@ -32,19 +33,21 @@ PROGRAM = Person("ann", Role.ENGINEER, "token", credential="a")
 @pytest.mark.parametrize(
     ("person", "standing", "reason"),
     [
-        (ANN, Standing(Role.ENGINEER, "a"), ""),
-        (ANN, Standing(Role.ADMIN, "a"), ""),
+        (ANN, Standing(Role.ENGINEER, "a"), None),
+        (ANN, Standing(Role.ADMIN, "a"), None),
         (ANN, Standing(Role.OPERATOR, "a"), ROLE_LOWERED),
         (ANN, Standing(Role.ENGINEER, "b"), PASSWORD_CHANGED),
         (ANN, None, USER_ENDED),
-        (PROGRAM, Standing(Role.ENGINEER, "a"), ""),
+        (PROGRAM, Standing(Role.ENGINEER, "a"), None),
         (PROGRAM, Standing(Role.VIEWER, "a"), ROLE_LOWERED),
         (PROGRAM, Standing(Role.ENGINEER, "b"), TOKEN_ENDED),
         (PROGRAM, None, TOKEN_ENDED),
         (Person("ann", Role.ENGINEER, "session"), Standing(Role.ENGINEER, "a"), PASSWORD_CHANGED),
     ],
 )
-def test_why_what_a_person_began_must_stop(person: Person, standing: Standing | None, reason: str) -> None:
+def test_why_what_a_person_began_must_stop(
+    person: Person, standing: Standing | None, reason: Message | None
+) -> None:
     assert why_withdrawn(person, standing) == reason
 
 

@@ -168,7 +168,7 @@ async def test_labels_say_what_the_checks_do(house: House) -> None:
     browser = await house.signed_in(Role.ENGINEER)
     bus = "/api/v1/buses/dry-end/units/1"
     for highest, label in ((None, "2000.0"), (25000, "2500.0"), (1500, "150.0")):
-        await house.services.safeguards.set_limits(ANNA, "dry-end", 1, Limits(highest=highest))
+        await house.services.buses["dry-end"].safeguards.set_limits(ANNA, 1, Limits(highest=highest))
         assert f"0.0 to {label}" in (await browser.get("/units/dry-end/1")).text
         assert f"0.0 to {label}" in (await browser.get("/setpoints")).text
         review = await browser.post("/units/dry-end/1/review", data={"value": label})
@@ -187,7 +187,7 @@ async def test_an_engineer_s_limit_is_what_the_protocol_can_carry_at_most(house:
     browser = await house.signed_in(Role.ENGINEER)
     answer = await browser.post("/units/dry-end/1/limits", data={"highest": "10000.0"})
     assert "9999.9" in answer.text
-    assert house.services.safeguards.limits.of("dry-end", 1) == NO_LIMITS
+    assert house.services.buses["dry-end"].safeguards.limits.of(1) == NO_LIMITS
 
 
 # --- what was never read is read first --------------------------------------------------------------

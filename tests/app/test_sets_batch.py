@@ -70,7 +70,7 @@ async def test_a_refusal_of_the_person_ends_it_and_one_of_a_unit_does_not(
     live = line(run=False)
     desk = PlayedDesk(live, {1: factory(), 2: factory()}, objects={6: Problem(403, code, "no longer")})
     rows = typed(live, 6, "20", "30")
-    results = await write_batch(desk, ANNA, "dry-end", 6, rows, confirm=False)  # type: ignore[arg-type]
+    results = await write_batch(desk, ANNA, 6, rows, confirm=False)  # type: ignore[arg-type]
     assert [result.outcome for result in results] == outcomes
     assert {result.message for result in results} == {"no longer"}
     assert len(desk.asked) == outcomes.count(code)

@@ -10,7 +10,7 @@ import pytest
 from app.audit.log import EventLog
 from app.database import Database
 from app.live.screen.sources import Drifted
-from app.sets.drift import Drifts
+from app.sets.drift import BusDrift
 from app.sets.model import ParameterRow, ParameterSet, UnitRows
 from app.sets.store import SetStore
 from bus.catalogue.parameters import PARAMETERS
@@ -29,16 +29,16 @@ class Scene:
         self.now = NOW
         self.events = EventLog(self.database, lambda: self.now)
         self.store = SetStore(self.database)
-        self.drifts = Drifts(self.live, self.store, self.events)
-        self.told: list[tuple[str, int]] = []
-        self.drifts.on_change(lambda bus, unit: self.told.append((bus, unit)))
+        self.drift = BusDrift(self.live.buses["dry-end"], self.store, self.events)
+        self.told: list[int] = []
+        self.drift.on_change(self.told.append)
 
     async def golden(self) -> None:
         rows = {number: ParameterRow(number, 0, read_at=GOLDEN_READ) for number in PARAMETERS}
         unit = UnitRows(1, "Unwind", rows)
         kept = await self.store.save(ParameterSet("dry-end", GOLDEN_READ, "anna", "by hand", (unit,)))
         await self.store.mark_golden("dry-end", 1, kept.id, "anna", GOLDEN_READ)
-        await self.drifts.load()
+        await self.drift.load()
 
     def reads(self, number: int, raw: int) -> None:
         self.live.buses["dry-end"].apply([ParameterValue(unit=1, number=number, at=self.now, raw=raw)])
@@ -49,11 +49,11 @@ class Scene:
         await self.events.record(kind="command", what=what, outcome=outcome, **said)
 
     def key(self) -> str:
-        return self.drifts.summary("dry-end", 1, voice(), NOW).key
+        return self.drift.summary(1, voice(), NOW).key
 
     async def says(self, tag: str = "en") -> str:
-        await self.drifts.traced("dry-end", 1)
-        return self.drifts.summary("dry-end", 1, voice(tag), NOW).words
+        await self.drift.traced(1)
+        return self.drift.summary(1, voice(tag), NOW).words
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ async def test_a_command_is_named_with_its_hour_and_a_hand_at_the_panel_too(scen
     assert await scene.says() == "3 values differ from golden: 1 by anna 14:20, 2 at the panel"
     scene.reads(12, 0)
     assert await scene.says() == "2 values differ from golden, at the panel"
-    assert ("dry-end", 1) in scene.told
+    assert 1 in scene.told
 
 
 async def test_the_hand_that_came_after_the_command_is_the_one(scene: Scene) -> None:
@@ -121,12 +121,12 @@ async def test_the_last_write_of_the_operator_password_is_named_unseen(
 async def test_after_a_restart_the_events_still_tell(scene: Scene) -> None:
     await scene.asked("anna", 12, 21)
     live = a_bus()
-    again = Drifts(live, scene.store, scene.events)
+    again = BusDrift(live.buses["dry-end"], scene.store, scene.events)
     await again.load()
     live.buses["dry-end"].apply([ParameterValue(unit=1, number=41, at=NOW, raw=7)])
-    assert again.unread("dry-end", 1) == 40, "what a scan asks beyond the list is none of the forty"
+    assert again.unread(1) == 40, "what a scan asks beyond the list is none of the forty"
     live.buses["dry-end"].apply([ParameterValue(unit=1, number=12, at=NOW + 5, raw=21)])
-    [one] = await again.traced("dry-end", 1)
+    [one] = await again.traced(1)
     assert one.change is not None
     assert (one.change["who"], one.traced) == ("anna", True)
     await again.close()
@@ -144,4 +144,4 @@ async def test_the_list_on_the_units_page_has_another_key_when_it_says_something
     scene.reads(12, 5)
     await scene.says()
     assert scene.key() == keys[-1]
-    assert scene.drifts.summary("dry-end", 2, voice(), NOW) == Drifted()
+    assert scene.drift.summary(2, voice(), NOW) == Drifted()

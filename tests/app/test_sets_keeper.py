@@ -17,7 +17,7 @@ NOON = datetime(2026, 11, 20, 12, 0, tzinfo=UTC)
 
 class Scene(SetScene):
     def line_says(self, unit: int) -> str:
-        return self.keeper.drifts.summary("dry-end", unit, voice(), NOON.timestamp()).words
+        return self.drift.summary(unit, voice(), NOON.timestamp()).words
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
 
 
 async def test_a_set_keeps_every_value_with_its_evidence(scene: Scene) -> None:
-    kept = await scene.keeper.take(ANNA, "dry-end", [1, 2], "before the felt", "")
+    kept = await scene.keeper.take(ANNA, [1, 2], "before the felt", "")
     again = await scene.store.load(kept.id)
     assert again is not None
     assert [unit.unit for unit in again.units] == [1, 2]
@@ -39,7 +39,7 @@ async def test_a_set_keeps_every_value_with_its_evidence(scene: Scene) -> None:
 
 
 async def test_the_list_goes_on_before_the_oldest_that_was_shown(scene: Scene) -> None:
-    ids = [(await scene.keeper.take(ANNA, "dry-end", [1], "", "")).id for _ in range(3)]
+    ids = [(await scene.keeper.take(ANNA, [1], "", "")).id for _ in range(3)]
     newest = await scene.store.summaries(most=2)
     assert [summary.id for summary in newest] == ids[:0:-1]
     older = await scene.store.summaries(before=newest[-1].id, most=2)
@@ -49,31 +49,31 @@ async def test_the_list_goes_on_before_the_oldest_that_was_shown(scene: Scene) -
 async def test_nothing_is_kept_when_a_unit_does_not_answer(scene: Scene) -> None:
     scene.desk.silent_after = 0
     with pytest.raises(Problem):
-        await scene.keeper.take(ANNA, "dry-end", [1], "", "")
+        await scene.keeper.take(ANNA, [1], "", "")
     assert await scene.store.summaries() == []
 
 
 @pytest.mark.parametrize("change", ["UPDATE parameter_set_row SET raw = 1", "DELETE FROM parameter_set_row"])
 async def test_a_stored_set_does_not_change(scene: Scene, change: str) -> None:
-    await scene.keeper.take(ANNA, "dry-end", [1], "", "")
+    await scene.keeper.take(ANNA, [1], "", "")
     with pytest.raises(Exception, match="does not change"):
         await scene.database.write(lambda connection: connection.execute(change))
 
 
 async def test_drift_is_what_departs_from_the_golden_set(scene: Scene) -> None:
-    kept = await scene.keeper.take(ANNA, "dry-end", [1], "", "")
-    drifts = scene.keeper.drifts
-    assert drifts.golden("dry-end", 1) is None
-    await scene.keeper.mark_golden(ANNA, kept.id, 1)
+    kept = await scene.keeper.take(ANNA, [1], "", "")
+    drift = scene.drift
+    assert not drift.has_golden(1)
+    await scene.keeper.mark_golden(ANNA, kept, 1)
     scene.tells(1, 6, raw=0)
-    assert drifts.of("dry-end", 1) == []
-    assert drifts.unread("dry-end", 1) == 39
+    assert drift.of(1) == []
+    assert drift.unread(1) == 39
     scene.tells(1, 6)
     scene.tells(1, 20, raw=500)
-    assert [one.row.number for one in drifts.of("dry-end", 1)] == [6]
-    assert drifts.of("dry-end", 2) == []
+    assert [one.row.number for one in drift.of(1)] == [6]
+    assert drift.of(2) == []
     assert scene.line_says(1) == "#6 differs from golden"
     scene.tells(1, 6, raw=0)
-    assert (drifts.of("dry-end", 1), scene.line_says(1)) == ([], "")
+    assert (drift.of(1), scene.line_says(1)) == ([], "")
     with pytest.raises(Problem):
-        await scene.keeper.mark_golden(ANNA, kept.id, 2)
+        await scene.keeper.mark_golden(ANNA, kept, 2)

@@ -33,13 +33,13 @@ class Scene:
         answering(live)
         self.desk = PlayedDesk(live, {1: factory(), 2: factory()}, **desk)  # type: ignore[arg-type]
         self.events = Noted()
-        reader = ParameterReader(live, self.desk)  # type: ignore[arg-type]
+        reader = ParameterReader(live.buses["dry-end"], self.desk)  # type: ignore[arg-type]
         self.reader, self.store = reader, RestoreStore(database)
         self.restores = self.server()
 
     def server(self) -> RestoreService:
         """The desk of a server that has just been started."""
-        return RestoreService(self.reader, self.desk, self.events, self.store)  # type: ignore[arg-type]
+        return RestoreService({"dry-end": self.reader}, {"dry-end": self.desk}, self.events, self.store)  # type: ignore[arg-type]
 
     async def plan(self, wanted: dict[int, int] = WANTED, **chosen: frozenset[int]) -> Restore:
         return await self.restores.plan(ANNA, "dry-end", 2, rows(wanted), Selection(**chosen))

@@ -26,8 +26,8 @@ class Scene(SetScene):
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
         self.now = NOON
-        self.schedule = SetSchedule(self.live, self.keeper, self.events, lambda: self.now)  # type: ignore[arg-type]
-        self.first = FirstWrites(self.live, self.desk, self.keeper, lambda: self.now)
+        self.schedule = SetSchedule(self.live.buses["dry-end"], self.keeper, self.events, lambda: self.now)  # type: ignore[arg-type]
+        self.first = FirstWrites(self.live.buses["dry-end"], self.desk, self.keeper, lambda: self.now)
 
     def link(self, unit: int, state: UnitLinkState) -> None:
         self.live.buses["dry-end"].apply([UnitLink(unit=unit, at=1.0, link=state)])
@@ -50,55 +50,55 @@ async def test_what_could_not_be_kept_for_one_person_is_kept_for_the_next(scene:
     scene.tells(1, *PARAMETERS)
     scene.rights.withdrawn["anna"] = "rights withdrawn"
     with pytest.raises(Problem):
-        await scene.first.before(ANNA, "dry-end", [1], parameters=True)
-    await scene.first.before(ANNA, "dry-end", [1], parameters=False)
+        await scene.first.before(ANNA, [1], parameters=True)
+    await scene.first.before(ANNA, [1], parameters=False)
     await scene.first.settled()
     assert await scene.kept(1) == []
-    await scene.first.before(Person("ben", Role.ENGINEER, "session"), "dry-end", [1], parameters=True)
+    await scene.first.before(Person("ben", Role.ENGINEER, "session"), [1], parameters=True)
     assert await scene.kept(1) == [BEFORE]
 
 
 async def test_before_the_first_parameter_write_what_is_known_is_stored_once_and_the_rest_follows(
     scene: Scene,
 ) -> None:
-    await scene.first.before(ANNA, "dry-end", [1], parameters=True)
+    await scene.first.before(ANNA, [1], parameters=True)
     assert await scene.kept(1) == []
     scene.tells(1, 6)
-    await scene.first.before(ANNA, "dry-end", [1], parameters=True)
+    await scene.first.before(ANNA, [1], parameters=True)
     assert scene.desk.asked == []
     summary = (await scene.store.summaries("dry-end", 1))[-1]
     assert summary.origin == BEFORE
     assert summary.comment == "unit 1: 1 of 40 parameters were known"
     await scene.first.settled()
-    await scene.first.before(ANNA, "dry-end", [1], parameters=True)
+    await scene.first.before(ANNA, [1], parameters=True)
     assert await scene.kept(1) == [AFTER, BEFORE]
 
 
 async def test_a_setpoint_waits_for_nothing_and_keeps_every_unit_that_is_known_whole(scene: Scene) -> None:
     scene.tells(1, *range(1, 41))
     scene.tells(2, 6)
-    await scene.first.before(ANNA, "dry-end", [1, 2], parameters=False)
+    await scene.first.before(ANNA, [1, 2], parameters=False)
     scene.tells(1, 6)
     await scene.first.settled()
     assert (await scene.kept(1), await scene.kept(2)) == ([BEFORE], [])
     assert scene.desk.asked == []
-    await scene.first.before(ANNA, "dry-end", [1, 2], parameters=False)
+    await scene.first.before(ANNA, [1, 2], parameters=False)
     await scene.first.settled()
     assert await scene.kept(1) == [BEFORE]
 
 
 async def test_a_new_day_keeps_anew_and_a_set_of_the_day_is_enough(scene: Scene) -> None:
-    await scene.keeper.take(ANNA, "dry-end", [1], "", "")
+    await scene.keeper.take(ANNA, [1], "", "")
     scene.tells(1, *range(1, 41))
-    await scene.first.before(ANNA, "dry-end", [1], parameters=True)
+    await scene.first.before(ANNA, [1], parameters=True)
     assert await scene.kept(1) == ["by hand"]
     scene.now += timedelta(days=1)
-    await scene.first.before(ANNA, "dry-end", [1], parameters=True)
+    await scene.first.before(ANNA, [1], parameters=True)
     assert await scene.kept(1) == [BEFORE, "by hand"]
 
 
 async def test_what_is_due_is_taken_as_one_set_and_once(scene: Scene) -> None:
-    await scene.schedule.set(ANNA, "dry-end", 0)
+    await scene.schedule.set(ANNA, 0)
     for unit in (1, 2):
         scene.link(unit, "online")
     await scene.schedule.look(ANNA, MIDNIGHT, NOON)
@@ -113,53 +113,49 @@ async def test_what_is_due_is_taken_as_one_set_and_once(scene: Scene) -> None:
 
 
 async def test_a_unit_silent_at_its_minute_is_said_once_and_taken_when_it_answers(scene: Scene) -> None:
-    await scene.schedule.set(ANNA, "dry-end", 0)
+    await scene.schedule.set(ANNA, 0)
     scene.link(1, "online")
     scene.link(2, "offline")
     await scene.schedule.look(ANNA, MIDNIGHT - timedelta(minutes=1), NOON)
     assert (await scene.kept(1), await scene.kept(2)) == (["on schedule"], [])
-    assert scene.schedule.overdue("dry-end") == {}
+    assert scene.schedule.overdue() == {}
     for _ in range(2):
         await scene.schedule.look(ANNA, NOON, NOON + SAID_AFTER)
     said = [event for event in scene.events.events if "not taken on schedule" in event["what"]]
     assert [(event["unit"], event["message"]) for event in said] == [(2, "the unit does not answer")]
-    assert list(scene.schedule.overdue("dry-end")) == [2]
+    assert list(scene.schedule.overdue()) == [2]
     scene.link(2, "online")
     await scene.schedule.look(ANNA, NOON, NOON + SAID_AFTER)
-    assert (await scene.kept(2), scene.schedule.overdue("dry-end")) == (["on schedule"], {})
+    assert (await scene.kept(2), scene.schedule.overdue()) == (["on schedule"], {})
 
 
 async def test_a_unit_that_falls_silent_while_it_is_read_stays_owed(scene: Scene) -> None:
-    await scene.schedule.set(ANNA, "dry-end", 0)
+    await scene.schedule.set(ANNA, 0)
     scene.link(1, "online")
     scene.desk.silent_after = 0
     await scene.schedule.look(ANNA, MIDNIGHT - timedelta(minutes=1), NOON)
-    assert scene.schedule.overdue("dry-end")[1].why == "no answer"
+    assert scene.schedule.overdue()[1].why == "no answer"
     scene.desk.silent_after = None
     await scene.schedule.look(ANNA, NOON, NOON)
     assert await scene.kept(1) == ["on schedule"]
 
 
-def test_a_daily_minute_is_due_once_also_over_midnight_and_for_two_buses() -> None:
-    schedule = {"wet-end": 60, "dry-end": 60, "late": 1439}
-
+def test_a_daily_minute_is_due_once_also_over_midnight() -> None:
     def at(day: int, hour: int, minute: int) -> datetime:
         return datetime(2026, 11, day, hour, minute, tzinfo=UTC)
 
-    def due(since: datetime, until: datetime) -> list[str]:
-        return [bus for _, bus in due_between(schedule, since, until)]
-
-    assert due(at(20, 0, 59), at(20, 1, 0)) == ["dry-end", "wet-end"]
-    assert due(at(20, 1, 0), at(20, 1, 1)) == []
-    assert due(at(20, 23, 58), at(21, 0, 1)) == ["late"]
-    assert due(at(20, 23, 58), at(21, 1, 0)) == ["late", "dry-end", "wet-end"]
+    assert due_between(60, at(20, 0, 59), at(20, 1, 0)) == at(20, 1, 0)
+    assert due_between(60, at(20, 1, 0), at(20, 1, 1)) is None
+    assert due_between(1439, at(20, 23, 58), at(21, 0, 1)) == at(20, 23, 59)
+    assert due_between(60, at(20, 23, 58), at(21, 1, 0)) == at(21, 1, 0)
+    assert due_between(60, at(20, 0, 58), at(21, 1, 0)) == at(21, 1, 0), "the last of two"
 
 
 async def test_the_schedule_is_kept_and_ended(scene: Scene) -> None:
-    await scene.schedule.set(ANNA, "dry-end", 125)
+    await scene.schedule.set(ANNA, 125)
     assert await scene.store.schedule() == {"dry-end": 125}
     assert "02:05" in scene.events.events[-1]["what"]
-    await scene.schedule.set(ANNA, "dry-end", None)
+    await scene.schedule.set(ANNA, None)
     assert await scene.store.schedule() == {}
     with pytest.raises(sqlite3.IntegrityError):
         await scene.store.set_schedule("dry-end", 1440)

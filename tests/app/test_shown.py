@@ -23,7 +23,7 @@ EXACT = with_config(ConfigDict(extra="forbid", strict=True))
 def test_units_and_buses_read_and_unread() -> None:
     live = LiveState([bus_settings()], time.time())
     for _ in range(2):
-        bus = bus_json(live.buses["dry-end"], time.time(), lambda bus, unit: f"{bus} {unit}", voice())
+        bus = bus_json(live.buses["dry-end"], time.time(), lambda unit: f"dry-end {unit}", voice())
         TypeAdapter(EXACT(BusShown)).validate_python(bus)
         for unit in bus["units"]:
             TypeAdapter(EXACT(UnitShown)).validate_python(unit)

@@ -209,7 +209,7 @@ class Wire:
     seen: list[ProbeFinding]
     outcome: Outcome = "verified"
 
-    async def ask(self, _who: Person, _bus: str, action: Action, **_: Any) -> Result:
+    async def ask(self, _who: Person, action: Action, **_: Any) -> Result:
         assert isinstance(action, ScanBus)
         kind = self.seen.pop(0)
         found = [] if kind == "silent" else [FoundUnit(action.first, 9600, kind)]

@@ -48,7 +48,7 @@ async def test_a_file_takes_the_place_of_what_is_selected(house: House, client: 
     assert begun.status_code == 303
     source = house.services.swaps.of_or_404(BUS, 2).source
     assert source is not None
-    kept = await house.services.sets.store.load(source.set)
+    kept = await house.services.sets.load(source.set)
     assert kept is not None
     assert (kept.id > number, kept.name, kept.origin) == (True, "nip.toml", "from a file")
 

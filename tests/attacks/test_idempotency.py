@@ -36,10 +36,8 @@ async def test_another_password_with_the_same_key_is_not_verified(tmp_path: Path
 
 
 async def _ask(desk: CommandService, raw: int) -> Result:
-    return await desk.ask(ANNA, "dry-end", password(raw), id="mine")
+    return await desk.ask(ANNA, password(raw), id="mine")
 
 
 def _restarted(stage: Stage) -> CommandService:
-    return CommandService(
-        stage.live, stage.channels, stage.events, stage.database, stage.guards, stage.rights
-    )
+    return stage.commands_after_restart()

@@ -183,8 +183,8 @@ def test_without_an_admin_it_says_how_to_make_one(plant: Plant) -> None:
 
 def test_blocks_and_limits_of_now_stay_in_force(plant: Plant) -> None:
     async def protect(_: Accounts, database: Database) -> None:
-        await BlockStore(database).put("dry-end", 2, CommandBlock("belt off", "ann", 1.0))
-        await LimitsStore(database).put("dry-end", 2, Limits(highest=500), "ann", 1.0)
+        await BlockStore(database, "dry-end").put(2, CommandBlock("belt off", "ann", 1.0))
+        await LimitsStore(database, "dry-end").put(2, Limits(highest=500), "ann", 1.0)
 
     plant.change(protect)
     plant.restore()

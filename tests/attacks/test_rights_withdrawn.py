@@ -179,4 +179,4 @@ async def test_a_swap_from_the_sheet_is_not_proven_for_somebody_who_was_removed_
     swap = house.services.swaps.of(BUS, 2)
     assert swap is not None
     assert not swap.proven
-    assert await house.services.sets.store.summaries(BUS, 2) == []
+    assert await house.services.sets.summaries(BUS, 2) == []

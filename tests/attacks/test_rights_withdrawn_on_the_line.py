@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from app.audit.entry import Event
+from app.bus_service import SERVER
 from app.web.access import Role
-from app.wiring import SERVER
 from tests.app.played_line import BUS, PlayedLine, played_line
 from tests.app.stage import until
 from tests.app.whole_app import House, whole_app
@@ -86,8 +86,8 @@ async def test_a_schedule_outlives_who_made_it_and_only_reads(
     assert (await client.put(f"/api/v1/buses/{BUS}/set-schedule", json=wanted)).status_code == 200
     await removed(house, tmp_path)
     now = datetime.now().astimezone()
-    await house.services.set_schedule.look(SERVER, now - timedelta(days=1), now)
-    kept = await house.services.sets.store.summaries(BUS)
+    await house.services.buses[BUS].set_schedule.look(SERVER, now - timedelta(days=1), now)
+    kept = await house.services.sets.summaries(BUS)
     assert {(one.who, one.origin) for one in kept} == {("server", "on schedule")}
     assert (line.written, line.held) == ([], [])
     refused = await client.put(f"/api/v1/buses/{BUS}/set-schedule", json={"minute_of_day": None})
@@ -118,12 +118,12 @@ async def test_a_token_that_another_process_revokes_loses_control_of_the_line(tm
         client = await house.program(Role.ENGINEER)
         await played_line(house.services)
         assert (await client.post(f"/api/v1/buses/{BUS}/control")).status_code == 200
-        assert house.services.safeguards.holder(BUS) == "key-engineer (token)"
+        assert house.services.buses[BUS].safeguards.holder() == "key-engineer (token)"
         released: list[Event] = []
         house.services.events.subscribe(released.append)
         in_another_process(tmp_path, "DELETE FROM tokens WHERE name = 'key-engineer'")
         await until(lambda: released, "control released, on disk")
-        assert house.services.safeguards.holder(BUS) == ""
+        assert house.services.buses[BUS].safeguards.holder() == ""
         [event] = released
         assert (event["what"], event["old"]) == ("control given back", "key-engineer (token)")
 
@@ -146,7 +146,7 @@ async def test_a_write_that_ends_while_the_set_before_it_is_stored_is_an_event(
     """It was answered 403, and no event named the command."""
     client = await house.signed_in(Role.ENGINEER)
     await client.get(f"/api/v1/buses/{BUS}/units/1/parameters?refresh=true")
-    store = house.services.sets.store
+    store = house.services.sets
     has_set_since = store.has_set_since
 
     async def withdrawn_meanwhile(bus: str, unit: int, since: float) -> bool:

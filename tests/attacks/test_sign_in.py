@@ -246,15 +246,15 @@ def test_a_token_that_the_command_line_revokes_stops_soon(
 def test_control_of_a_line_ends_with_a_token_that_the_command_line_revokes(tmp_path: Path) -> None:
     """It was kept for ten minutes."""
     app = create_app(settings_in(tmp_path, control=True))
-    accounts, safeguards = app.state.services.accounts, app.state.services.safeguards
+    accounts, safeguards = app.state.services.accounts, app.state.services.buses["dry-end"].safeguards
     with TestClient(app) as client:
         call = client.portal.call  # type: ignore[union-attr]
         token = call(lambda: accounts.create_token("t", Role.OPERATOR, **BY))
         taken = client.post("/api/v1/buses/dry-end/control", headers={"authorization": f"Bearer {token}"})
         assert taken.status_code == 200, taken.text
-        assert safeguards.holder("dry-end") == "t (token)"
+        assert safeguards.holder() == "t (token)"
         elsewhere(tmp_path, lambda there: there.revoke_token("t", **BY))
         end = time.monotonic() + 20
-        while safeguards.holder("dry-end"):
+        while safeguards.holder():
             assert time.monotonic() < end, "never: control given back"
             time.sleep(0.01)

@@ -94,9 +94,7 @@ class CommandCall:
 
     def typed(self, person: Person, unit: int, deadline: Deadline) -> QuantityConverter:
         """Conversion of typed values for a unit. Raises Problem 404."""
-        return QuantityConverter(
-            self.desk, person, self.bus, unit_or_404(self.live, self.bus, unit), deadline
-        )
+        return QuantityConverter(self.desk, person, unit_or_404(self.live, self.bus, unit), deadline)
 
     async def ask(
         self,
@@ -108,9 +106,7 @@ class CommandCall:
     ) -> Response:
         """The fate of ``action`` as an answer."""
         deadline = deadline or self.deadline(body)
-        result = await self.desk.ask(
-            person, self.bus, action, deadline=deadline, confirm=body.confirm, id=self.key
-        )
+        result = await self.desk.ask(person, action, deadline=deadline, confirm=body.confirm, id=self.key)
         secret = kind_of_command(action).is_secret(action)
         return answer(self.request, bus_or_404(self.live, self.bus), result, unit, secret=secret)
 
@@ -229,7 +225,7 @@ async def get_parameters(
 async def _read(person: Person, ask: CommandCall, unit: int, numbers: list[int], *, gaps: bool) -> None:
     """Read them from the unit. Raises Problem 503 or 504 when not all of them come."""
     action = ReadParameters(unit=unit, numbers=numbers, urgent=not gaps)
-    result = await ask.desk.ask(person, ask.bus, action)
+    result = await ask.desk.ask(person, action)
     if len(result.values) == len(numbers):
         return
     status = 503 if result.outcome in ("bus_closed", "not_sent") else 504

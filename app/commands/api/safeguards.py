@@ -11,11 +11,11 @@ from app.commands.api.schemas import BlockShown, ControlShown
 from app.commands.safeguards.control import LAPSES_AFTER_S, Holding
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.commands.safeguards.service import Safeguards
-from app.live.api.routes import Live
-from app.live.lookup import bus_or_404, unit_or_404
+from app.live.lookup import unit_of_bus_or_404
+from app.live.state.bus_live import BusLive
 from app.web.access import Engineer, Operator, Viewer, name_of
 from app.web.api_route import ApiRoute
-from app.web.services import service
+from app.web.services import bus_service
 from app.web.shape import StrictBody, iso
 from bus.messages import Message
 from bus.text import OneLine
@@ -60,14 +60,15 @@ class HandOverBody(StrictBody):
     to: Annotated[str, Field(min_length=1, max_length=60)]
 
 
-Guards = Annotated[Safeguards, service(Safeguards)]
+Guards = Annotated[Safeguards, bus_service(Safeguards)]
+BusInPath = Annotated[BusLive, bus_service(BusLive)]
 
 
 @router.get("/units/{unit:int}/limits")
-async def get_limits(_: Viewer, live: Live, guards: Guards, bus: str, unit: int) -> LimitsBody:
+async def get_limits(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> LimitsBody:
     """What an engineer allows for the speed of this unit."""
-    unit_or_404(live, bus, unit)
-    limits = guards.limits.of(bus, unit)
+    unit_of_bus_or_404(bus, unit)
+    limits = guards.limits.of(unit)
     return LimitsBody(
         lowest=limits.lowest,
         highest=limits.highest,
@@ -78,72 +79,64 @@ async def get_limits(_: Viewer, live: Live, guards: Guards, bus: str, unit: int)
 
 @router.put("/units/{unit:int}/limits")
 async def put_limits(
-    person: Engineer, live: Live, guards: Guards, bus: str, unit: int, body: LimitsBody
+    person: Engineer, bus: BusInPath, guards: Guards, unit: int, body: LimitsBody
 ) -> LimitsBody:
     """Replace the limits of this unit. They hold on every path at once."""
-    unit_or_404(live, bus, unit)
-    await guards.set_limits(person, bus, unit, Limits(**body.model_dump()))
+    unit_of_bus_or_404(bus, unit)
+    await guards.set_limits(person, unit, Limits(**body.model_dump()))
     return body
 
 
 @router.get("/units/{unit:int}/block")
-async def get_block(_: Viewer, live: Live, guards: Guards, bus: str, unit: int) -> BlockShown:
+async def get_block(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> BlockShown:
     """Whether this unit is blocked, why and by whom."""
-    unit_or_404(live, bus, unit)
-    return _block_json(guards, bus, unit)
+    unit_of_bus_or_404(bus, unit)
+    return _block_json(guards, unit)
 
 
 @router.post("/units/{unit:int}/block")
-async def block(
-    person: Operator, live: Live, guards: Guards, bus: str, unit: int, body: BlockBody
-) -> BlockShown:
+async def block(person: Operator, bus: BusInPath, guards: Guards, unit: int, body: BlockBody) -> BlockShown:
     """Refuse every write to this unit, on every path, until somebody lifts it."""
-    unit_or_404(live, bus, unit)
-    await guards.block(person, bus, unit, body.reason)
-    return _block_json(guards, bus, unit)
+    unit_of_bus_or_404(bus, unit)
+    await guards.block(person, unit, body.reason)
+    return _block_json(guards, unit)
 
 
 @router.delete("/units/{unit:int}/block")
-async def lift_block(person: Operator, live: Live, guards: Guards, bus: str, unit: int) -> BlockShown:
+async def lift_block(person: Operator, bus: BusInPath, guards: Guards, unit: int) -> BlockShown:
     """Free this unit; the events keep who did."""
-    unit_or_404(live, bus, unit)
-    await guards.lift(person, bus, unit)
-    return _block_json(guards, bus, unit)
+    unit_of_bus_or_404(bus, unit)
+    await guards.lift(person, unit)
+    return _block_json(guards, unit)
 
 
 @router.get("/control")
-async def get_control(_: Viewer, live: Live, guards: Guards, bus: str) -> ControlShown:
+async def get_control(_: Viewer, guards: Guards) -> ControlShown:
     """Who holds control of this line, where the site wants one person at a time."""
-    bus_or_404(live, bus)
-    return _control_json(guards, guards.holding(bus))
+    return _control_json(guards, guards.holding())
 
 
 @router.post("/control")
-async def take_control(person: Operator, live: Live, guards: Guards, bus: str) -> ControlShown:
+async def take_control(person: Operator, guards: Guards) -> ControlShown:
     """Take control that nobody else holds."""
-    bus_or_404(live, bus)
-    return _control_json(guards, await guards.take(person, bus))
+    return _control_json(guards, await guards.take(person))
 
 
 @router.post("/control/hand-over")
-async def hand_over_control(
-    person: Operator, live: Live, guards: Guards, bus: str, body: HandOverBody
-) -> ControlShown:
+async def hand_over_control(person: Operator, guards: Guards, body: HandOverBody) -> ControlShown:
     """Give control to somebody else who may set the line. An admin may do so without holding it."""
-    bus_or_404(live, bus)
-    return _control_json(guards, await guards.hand_over(person, bus, body.to))
+    return _control_json(guards, await guards.hand_over(person, body.to))
 
 
 @router.delete("/control")
-async def release_control(person: Operator, live: Live, guards: Guards, bus: str) -> ControlShown:
+async def release_control(person: Operator, guards: Guards) -> ControlShown:
     """Give control back."""
-    bus_or_404(live, bus)
-    await guards.release(person, bus)
+    await guards.release(person)
     return _control_json(guards, None)
 
 
-def _block_json(guards: Safeguards, bus: str, unit: int) -> BlockShown:
-    block = guards.blocks.of(bus, unit)
+def _block_json(guards: Safeguards, unit: int) -> BlockShown:
+    block = guards.blocks.of(unit)
     if block is None:
         return {"blocked": False, "reason": None, "by": None, "since": None}
     return {"blocked": True, "reason": block.reason, "by": block.set_by, "since": iso(block.set_at)}

@@ -7,12 +7,11 @@ from typing import Annotated
 from fastapi import APIRouter
 from pydantic import Field
 
-from app.commands.api.safeguards import Guards
+from app.commands.api.safeguards import BusInPath, Guards
 from app.commands.rules.setpoint_range import Basis, SetpointKind, setpoint_range
-from app.live.api.routes import Live
 from app.live.api.schemas import DisplayedValue
 from app.live.api.view import setpoint_text
-from app.live.lookup import unit_or_404
+from app.live.lookup import unit_of_bus_or_404
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
 from app.web.shape import StrictBody
@@ -32,12 +31,10 @@ class SetpointRangeShown(StrictBody):
 
 
 @router.get("/units/{unit:int}/setpoint-range")
-async def get_setpoint_range(
-    _: Viewer, live: Live, guards: Guards, bus: str, unit: int
-) -> SetpointRangeShown:
+async def get_setpoint_range(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> SetpointRangeShown:
     """What a setpoint of this unit may be, as every page and every write holds it."""
-    found = unit_or_404(live, bus, unit)
-    allowed = setpoint_range(found, guards.limits.of(bus, unit))
+    found = unit_of_bus_or_404(bus, unit)
+    allowed = setpoint_range(found, guards.limits.of(unit))
     return SetpointRangeShown(
         kind=allowed.kind,
         lowest_raw=allowed.lowest,

@@ -27,7 +27,7 @@ from app.live.state.live_state import LiveState
 from app.web.access import Person
 from app.web.arrival import made_at, refuse_late
 from app.web.deadline import Deadline
-from app.web.services import service_of
+from app.web.services import bus_service_of, service_of
 from app.web.templating import render, templates_of
 from bus.contract import Action, Result, UnitOutcome
 from bus.messages import Message
@@ -45,13 +45,19 @@ class PageContext:
         language = templates.language_of(request)
         self.voice = Translator(language, templates.formats(language.tag))
         self.live = service_of(request, LiveState)
-        self.desk = service_of(request, CommandService)
-        self.guards = service_of(request, Safeguards)
         self.made_at = made_at(request)
 
     def bus(self, name: str) -> BusLive:
         """Raises Problem 404."""
         return bus_or_404(self.live, name)
+
+    def commands(self, bus: str) -> CommandService:
+        """Raises Problem 404."""
+        return bus_service_of(self.request, bus, CommandService)
+
+    def guards(self, bus: str) -> Safeguards:
+        """Raises Problem 404."""
+        return bus_service_of(self.request, bus, Safeguards)
 
     def unit(self, bus: str, unit: int) -> UnitLive:
         """Raises Problem 404."""
@@ -106,7 +112,8 @@ class PageContext:
         """
         timeout_s = kind_of_command(action).timeout_s(action, self.bus(bus))
         deadline = deadline or Deadline(self.made_at, timeout_s)
-        return await self.desk.ask(person, bus, action, deadline=deadline, confirm=True, id=id, origin="page")
+        commands = self.commands(bus)
+        return await commands.ask(person, action, deadline=deadline, confirm=True, id=id, origin="page")
 
     def outcome(self, result: Result | UnitOutcome, unit: UnitLive | None = None) -> OutcomeText:
         """What became of it; what was read back is a setpoint in the decimals of ``unit``, else as it is."""

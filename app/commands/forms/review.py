@@ -26,8 +26,8 @@ async def judge(
     Raises Problem for what would not be sent.
     """
     deadline = deadline or desk.deadline(desk.bus(bus))
-    await desk.desk.read_ranges(person, bus, action, deadline)
-    desk.desk.check(person, bus, action, confirm=True)
+    await desk.commands(bus).read_ranges(person, action, deadline)
+    desk.commands(bus).check(person, action, confirm=True)
 
 
 async def know_ramps(desk: PageContext, person: Person, bus: str, units: Iterable[int]) -> None:
@@ -36,7 +36,7 @@ async def know_ramps(desk: PageContext, person: Person, bus: str, units: Iterabl
 
     async def read(unit: int, numbers: list[int]) -> None:
         with suppress(Problem):
-            await read_first(desk.desk.ask, person, bus, unit, numbers, deadline)
+            await read_first(desk.commands(bus).ask, person, unit, numbers, deadline)
 
     missing = {unit: ramp_parameters_missing(desk.unit(bus, unit)) for unit in units}
     await asyncio.gather(*(read(unit, numbers) for unit, numbers in missing.items() if numbers))
@@ -44,13 +44,13 @@ async def know_ramps(desk: PageContext, person: Person, bus: str, units: Iterabl
 
 def change(desk: PageContext, bus: str, unit: int, raw: int) -> SetpointChange:
     """What a new setpoint means for a unit."""
-    limits, block = desk.guards.limits.of(bus, unit), desk.guards.block_reason(bus, unit)
+    limits, block = desk.guards(bus).limits.of(unit), desk.guards(bus).block_reason(unit)
     return change_of(desk.bus(bus), desk.unit(bus, unit), raw, limits, time.time(), block=block)
 
 
 def facts(desk: PageContext, bus: str, unit: int) -> RiskInputs:
     """What is known of a unit now, no ramp in view."""
-    block = desk.guards.block_reason(bus, unit)
+    block = desk.guards(bus).block_reason(unit)
     return facts_of(desk.bus(bus), desk.unit(bus, unit), time.time(), block=block)
 
 

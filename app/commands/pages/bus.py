@@ -42,7 +42,7 @@ async def bus_page(person: Viewer, desk: Page, bus: str) -> Response:
         buses=list(desk.live.buses),
         rows=_rows(desk, bus),
         bauds=sorted(BAUDS),
-        control_required=desk.guards.control.required,
+        control_required=desk.guards(bus).control.required,
         **_control(desk, person, bus),
     )
 
@@ -124,13 +124,13 @@ async def control(
 async def _move_control(desk: PageContext, person: Person, bus: str, do: str, to: str) -> None:
     match do:
         case "take":
-            await desk.guards.take(person, bus)
+            await desk.guards(bus).take(person)
         case "release":
-            await desk.guards.release(person, bus)
+            await desk.guards(bus).release(person)
         case _:
             if to not in _others(desk, person, bus):
                 raise Problem(422, "invalid", Message("new_holder_unknown"))
-            await desk.guards.hand_over(person, bus, to)
+            await desk.guards(bus).hand_over(person, to)
 
 
 def _control_part(desk: PageContext, person: Person, bus: str, fault: str = "") -> Response:
@@ -141,7 +141,7 @@ def _control_part(desk: PageContext, person: Person, bus: str, fault: str = "") 
 def _control(desk: PageContext, person: Person, bus: str) -> dict[str, Any]:
     return {
         "fault": "",
-        "holding": desk.guards.holding(bus),
+        "holding": desk.guards(bus).holding(),
         "others": _others(desk, person, bus),
         "lapses_min": round(LAPSES_AFTER_S / 60),
     }
@@ -149,7 +149,7 @@ def _control(desk: PageContext, person: Person, bus: str) -> dict[str, Any]:
 
 def _others(desk: PageContext, person: Person, bus: str) -> list[str]:
     """Who is here, may set a line and does not hold this one; an admin may take it this way."""
-    holder = desk.guards.holder(bus)
+    holder = desk.guards(bus).holder()
     here = {name for name, role in desk.people().items() if Role(role).includes(Role.OPERATOR)}
     if person.role.includes(Role.ADMIN):
         here.add(person.account)

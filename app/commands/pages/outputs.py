@@ -43,7 +43,7 @@ async def review_output(
         if live.reading is None:
             raise Problem(409, "unknown", Message("output_unknown"))
         on = not output_is_on(live.reading.outputs, number)
-        desk.desk.check(person, bus, WriteOutput(unit=unit, number=number, on=on), confirm=True)
+        desk.commands(bus).check(person, WriteOutput(unit=unit, number=number, on=on), confirm=True)
     except Problem as problem:
         return desk.refused(problem, live.settings.name)
     return desk.review(
@@ -93,7 +93,7 @@ async def review_analog(
     live = desk.unit(bus, unit)
     try:
         raw = _whole_number(value)
-        desk.desk.check(person, bus, WriteAnalogOutput(unit=unit, raw=raw), confirm=True)
+        desk.commands(bus).check(person, WriteAnalogOutput(unit=unit, raw=raw), confirm=True)
     except (CallerError, Problem) as error:
         return desk.not_so(error.text(desk.voice.t), "#analog-error")
     return desk.review(

@@ -47,7 +47,7 @@ async def read_all(
     """All 40 as the unit gives them now."""
     desk.unit(bus, unit)
     action = ReadParameters(unit=unit, numbers=list(PARAMETERS))
-    result = await desk.desk.ask(person, bus, action, origin="page")
+    result = await desk.commands(bus).ask(person, action, origin="page")
     missing = len(PARAMETERS) - len(result.values)
     return desk.render("unit/_parameters.html", missing=missing, **_table(desk, bus, unit))
 
@@ -68,7 +68,7 @@ def _by_group(number: int) -> tuple[int, int]:
 
 def _row(desk: PageContext, bus: str, live: UnitLive, number: int) -> dict[str, Any]:
     known = live.parameters.get(number)
-    lowest, highest = parameter_bounds(live, number, desk.guards.limits.of(bus, live.settings.id))
+    lowest, highest = parameter_bounds(live, number, desk.guards(bus).limits.of(live.settings.id))
     shown = {"at": None if known is None else known.at, "min": lowest, "max": highest}
     return parameter_json(live, number) | shown
 
@@ -85,12 +85,12 @@ async def review_parameter(
     """What was typed, judged and shown again: old → new, range, danger."""
     live, parameter = desk.unit(bus, unit), PARAMETERS[number]
     try:
-        typed = QuantityConverter(desk.desk, person, bus, live, desk.deadline(desk.bus(bus)))
+        typed = QuantityConverter(desk.commands(bus), person, live, desk.deadline(desk.bus(bus)))
         raw = await typed.parameter(number, Quantity(value=value))
         await judge(desk, person, bus, WriteParameter(unit=unit, number=number, raw=raw))
     except (CallerError, Problem) as error:
         return _not_so(desk, live, parameter, error)
-    lowest, highest = parameter_bounds(live, number, desk.guards.limits.of(bus, unit))
+    lowest, highest = parameter_bounds(live, number, desk.guards(bus).limits.of(unit))
     return desk.review(
         "unit/_review_parameter.html",
         lowest=lowest,

@@ -42,7 +42,7 @@ async def set_limits(
             raise CallerError(Message("limits_reversed"))
     except (CallerError, Problem) as error:
         return desk.not_so(error.text(desk.voice.t), "#limits-said")
-    await desk.guards.set_limits(person, bus, unit, limits)
+    await desk.guards(bus).set_limits(person, unit, limits)
     return desk.render("unit/_limits_set.html")
 
 
@@ -73,7 +73,7 @@ async def block(
     desk.unit(bus, unit)
     if not reason.strip():
         raise Problem(422, "invalid", Message("block_needs_reason"))
-    await desk.guards.block(person, bus, unit, reason.strip())
+    await desk.guards(bus).block(person, unit, reason.strip())
     return RedirectResponse(f"/units/{bus}/{unit}", SEE_OTHER)
 
 
@@ -81,5 +81,5 @@ async def block(
 async def unblock(person: Operator, desk: Page, bus: str, unit: int) -> Response:
     """Free this unit; the events keep who did."""
     desk.unit(bus, unit)
-    await desk.guards.lift(person, bus, unit)
+    await desk.guards(bus).lift(person, unit)
     return RedirectResponse(f"/units/{bus}/{unit}", SEE_OTHER)

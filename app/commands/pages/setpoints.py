@@ -50,7 +50,7 @@ def _line_of(desk: PageContext, name: str, bus: BusLive, number: int) -> dict[st
     live = bus.units[number]
     present = present_setpoint(bus, live)
     decimals = 4 if follower(live) else live.parameter_raw(DECIMALS)
-    allowed = setpoint_range(live, desk.guards.limits.of(name, number))
+    allowed = setpoint_range(live, desk.guards(name).limits.of(number))
     limits = {"low": shown_setpoint(allowed.lowest, live), "high": shown_setpoint(allowed.highest, live)}
     return {
         "unit": desk.shown(name, number),
@@ -104,7 +104,7 @@ async def _typed_setpoints(
     setpoints = {}
     for unit, text in typed.items():
         try:
-            found = QuantityConverter(desk.desk, person, bus, live.units[unit], deadline)
+            found = QuantityConverter(desk.commands(bus), person, live.units[unit], deadline)
             setpoints[unit] = await found.setpoint(Quantity(value=text))
         except CallerError as error:
             raise CallerError(

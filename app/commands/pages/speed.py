@@ -45,7 +45,7 @@ async def review_speed(
     """What was typed, judged and shown again: old → new, limits, ramp."""
     live = desk.unit(bus, unit)
     try:
-        typed = QuantityConverter(desk.desk, person, bus, live, desk.deadline(desk.bus(bus)))
+        typed = QuantityConverter(desk.commands(bus), person, live, desk.deadline(desk.bus(bus)))
         raw = await typed.setpoint(Quantity(value=value))
         return await _review(person, desk, bus, live, raw, execute=how == "now")
     except (CallerError, Problem) as error:
@@ -154,7 +154,7 @@ async def nudge(
 
 
 def _is_small(desk: PageContext, bus: str, live: UnitLive, step: int) -> bool:
-    allowed = desk.guards.limits.of(bus, live.settings.id).largest_step
+    allowed = desk.guards(bus).limits.of(live.settings.id).largest_step
     return abs(step) <= (max(nudges(live)) if allowed is None else allowed)
 
 

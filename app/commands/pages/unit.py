@@ -27,7 +27,7 @@ async def unit_page(_: Viewer, desk: Page, bus: str, unit: int) -> Response:
 
 
 def _faceplate(desk: PageContext, bus: str, live: UnitLive) -> dict[str, Any]:
-    unit, limits = live.settings.id, desk.guards.limits.of(bus, live.settings.id)
+    unit, limits = live.settings.id, desk.guards(bus).limits.of(live.settings.id)
     allowed = setpoint_range(live, limits)
     present = present_setpoint(desk.bus(bus), live)
     fine, coarse = nudges(live)
@@ -44,7 +44,7 @@ def _faceplate(desk: PageContext, bus: str, live: UnitLive) -> dict[str, Any]:
         "nudges": [(sign * step, shown_setpoint(step, live), sign) for sign, step in _signed(fine, coarse)],
         "limits": limits,
         "limit_texts": {name: shown_setpoint(getattr(limits, name), live) for name in _LIMIT_NAMES},
-        "block": desk.guards.blocks.of(bus, unit),
+        "block": desk.guards(bus).blocks.of(unit),
         "analog_low": live.parameter_raw(ANALOG_OUT_LOW),
         "analog_high": live.parameter_raw(ANALOG_OUT_HIGH),
         "analog_by_link": live.parameter_raw(ANALOG_OUT_SOURCE) == 2,

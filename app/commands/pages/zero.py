@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Form
@@ -34,7 +33,7 @@ async def review_zero(person: Viewer, desk: Page) -> Response:
     if not person.role.includes(SET_LINE.role):
         return desk.render("line/_zero_not_yours.html")
     now = time.time()
-    objections = {bus: desk.guards.control.objection(bus, person.account, now) for bus in desk.live.buses}
+    objections = {bus: desk.guards(bus).control.objection(person.account, now) for bus in desk.live.buses}
     plans = [plan for plan in _plans(desk) if not objections[plan.bus]]
     return desk.review(
         "line/_review_zero.html",
@@ -58,9 +57,7 @@ def _longest_s(bus: BusLive, units: int) -> float:
 
 def _plans(desk: PageContext) -> list[ZeroPlan]:
     now = time.time()
-    return [
-        plan_zero(bus, partial(desk.guards.block_reason, name), now) for name, bus in desk.live.buses.items()
-    ]
+    return [plan_zero(bus, desk.guards(name).block_reason, now) for name, bus in desk.live.buses.items()]
 
 
 @router.post("")

@@ -9,23 +9,23 @@ WINDOW_S = 60.0
 
 
 class Moves:
-    """Steps of the last minute, by bus and unit."""
+    """Steps of the last minute, by unit of one bus."""
 
     def __init__(self) -> None:
-        self._steps: dict[tuple[str, int], deque[tuple[float, int]]] = {}
+        self._steps: dict[int, deque[tuple[float, int]]] = {}
 
-    def note(self, bus: str, unit: int, step: int, at: float) -> None:
+    def note(self, unit: int, step: int, at: float) -> None:
         """A setpoint was moved by ``step``."""
-        self._steps.setdefault((bus, unit), deque()).append((at, step))
+        self._steps.setdefault(unit, deque()).append((at, step))
 
-    def take_back(self, bus: str, unit: int, step: int, at: float) -> None:
+    def take_back(self, unit: int, step: int, at: float) -> None:
         """The step noted for ``at`` did not happen."""
         with suppress(ValueError):
-            self._steps.get((bus, unit), deque()).remove((at, step))
+            self._steps.get(unit, deque()).remove((at, step))
 
-    def within_a_minute(self, bus: str, unit: int, now: float) -> int:
+    def within_a_minute(self, unit: int, now: float) -> int:
         """The sum of all steps of the last minute."""
-        steps = self._steps.get((bus, unit))
+        steps = self._steps.get(unit)
         if steps is None:
             return 0
         while steps and steps[0][0] <= now - WINDOW_S:

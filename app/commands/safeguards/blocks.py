@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from dataclasses import dataclass
+from functools import partial
 
 from app.database import Database
 
@@ -18,34 +19,35 @@ class CommandBlock:
 
 
 class BlockStore:
-    """Every block: read once, written through."""
+    """The blocks of the units of one bus: read once, written through."""
 
-    def __init__(self, database: Database) -> None:
+    def __init__(self, database: Database, bus: str) -> None:
         self._database = database
-        self._blocks: dict[tuple[str, int], CommandBlock] = {}
+        self._bus = bus
+        self._blocks: dict[int, CommandBlock] = {}
 
     async def load(self) -> None:
         """Read what is stored; once, before the first command."""
-        self._blocks = await self._database.read(_select_all)
+        self._blocks = await self._database.read(partial(_select, bus=self._bus))
 
-    def of(self, bus: str, unit: int) -> CommandBlock | None:
+    def of(self, unit: int) -> CommandBlock | None:
         """The block of a unit, or None."""
-        return self._blocks.get((bus, unit))
+        return self._blocks.get(unit)
 
-    async def put(self, bus: str, unit: int, block: CommandBlock) -> None:
+    async def put(self, unit: int, block: CommandBlock) -> None:
         """Block a unit, or give another reason."""
-        await self._database.write(lambda store: _replace(store, bus, unit, block))
-        self._blocks[bus, unit] = block
+        await self._database.write(lambda store: _replace(store, self._bus, unit, block))
+        self._blocks[unit] = block
 
-    async def lift(self, bus: str, unit: int) -> None:
+    async def lift(self, unit: int) -> None:
         """Free a unit."""
-        await self._database.write(lambda store: _delete(store, bus, unit))
-        self._blocks.pop((bus, unit), None)
+        await self._database.write(lambda store: _delete(store, self._bus, unit))
+        self._blocks.pop(unit, None)
 
 
-def _select_all(store: sqlite3.Connection) -> dict[tuple[str, int], CommandBlock]:
-    rows = store.execute("SELECT bus, unit, reason, set_by, set_at FROM blocks")
-    return {(bus, unit): CommandBlock(reason, set_by, set_at) for bus, unit, reason, set_by, set_at in rows}
+def _select(store: sqlite3.Connection, bus: str) -> dict[int, CommandBlock]:
+    rows = store.execute("SELECT unit, reason, set_by, set_at FROM blocks WHERE bus = ?", (bus,))
+    return {unit: CommandBlock(*block) for unit, *block in rows}
 
 
 def _replace(store: sqlite3.Connection, bus: str, unit: int, block: CommandBlock) -> None:

@@ -1,4 +1,4 @@
-"""Who holds control of a line, where the site wants one person at a time. Pure: the time is passed in.
+"""Who holds control of a bus, where the site wants one person at a time. Pure: the time is passed in.
 
 Control is held in memory only: a restarted server has given it to nobody.
 """
@@ -32,64 +32,64 @@ class ControlledError(LinesideError):
 
 
 class Control:
-    """One holder at most for each bus, by account."""
+    """One holder at most, by account."""
 
     def __init__(self, *, required: bool) -> None:
         self.required = required
-        self._holdings: dict[str, Holding] = {}
+        self._holding: Holding | None = None
 
-    def holding(self, bus: str, now: float) -> Holding | None:
-        """Who holds control of this bus now, if anybody."""
-        holding = self._holdings.get(bus)
+    def holding(self, now: float) -> Holding | None:
+        """Who holds control now, if anybody."""
+        holding = self._holding
         return holding if holding is not None and now < holding.lapses_at else None
 
-    def take(self, bus: str, who: str, now: float) -> Holding:
+    def take(self, who: str, now: float) -> Holding:
         """Take control that nobody else holds. Raises ControlledError."""
-        holding = self.holding(bus, now)
+        holding = self.holding(now)
         if holding is not None and holding.holder != who:
             raise ControlledError(Message.of("control_held_by", who=holding.holder))
         since = holding.since if holding is not None else now
-        self._holdings[bus] = Holding(who, since, now)
-        return self._holdings[bus]
+        self._holding = Holding(who, since, now)
+        return self._holding
 
-    def hand_over(self, bus: str, who: str, to: str, now: float, *, by_force: bool = False) -> Holding:
+    def hand_over(self, who: str, to: str, now: float, *, by_force: bool = False) -> Holding:
         """Give control to somebody else. Raises ControlledError for one who does not hold it."""
-        holding = self.holding(bus, now)
+        holding = self.holding(now)
         if not by_force and (holding is None or holding.holder != who):
             raise ControlledError(_who_holds(holding))
-        self._holdings[bus] = Holding(to, now, now)
-        return self._holdings[bus]
+        self._holding = Holding(to, now, now)
+        return self._holding
 
-    def release(self, bus: str, who: str, now: float) -> None:
+    def release(self, who: str, now: float) -> None:
         """Give control back. Raises ControlledError for one who does not hold it."""
-        holding = self.holding(bus, now)
+        holding = self.holding(now)
         if holding is None or holding.holder != who:
             raise ControlledError(_who_holds(holding))
-        del self._holdings[bus]
+        self._holding = None
 
-    def release_all_of(self, who: str, now: float) -> list[str]:
-        """Whatever somebody held is free, as they are gone. Gives the buses."""
-        theirs = [bus for bus, holding in self._holdings.items() if holding.holder == who]
-        held = [bus for bus in theirs if self.holding(bus, now) is not None]
-        for bus in theirs:
-            del self._holdings[bus]
+    def revoke(self, who: str, now: float) -> bool:
+        """Free what this account held, as it may hold nothing more. Returns whether it held control now."""
+        if self._holding is None or self._holding.holder != who:
+            return False
+        held = self.holding(now) is not None
+        self._holding = None
         return held
 
-    def objection(self, bus: str, who: str, now: float) -> Message | None:
+    def objection(self, who: str, now: float) -> Message | None:
         """Why somebody may not write now; None where they may."""
-        holding = self.holding(bus, now)
+        holding = self.holding(now)
         if not self.required or (holding is not None and holding.holder == who):
             return None
         return _who_holds(holding)
 
-    def use(self, bus: str, who: str, now: float) -> None:
+    def use(self, who: str, now: float) -> None:
         """A write is about to be asked: it needs control, and keeps it. Raises ControlledError."""
-        objection = self.objection(bus, who, now)
+        objection = self.objection(who, now)
         if objection:
             raise ControlledError(objection)
-        holding = self.holding(bus, now)
+        holding = self.holding(now)
         if self.required and holding is not None:
-            self._holdings[bus] = replace(holding, used_at=now)
+            self._holding = replace(holding, used_at=now)
 
 
 def _who_holds(holding: Holding | None) -> Message:

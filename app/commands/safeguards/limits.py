@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sqlite3
 from dataclasses import astuple, dataclass
+from functools import partial
 
 from app.database import Database
 from bus.messages import Message, listed, term
@@ -48,29 +49,31 @@ NO_LIMITS = Limits()
 
 
 class LimitsStore:
-    """Every unit's limits: read once, written through."""
+    """The limits of the units of one bus: read once, written through."""
 
-    def __init__(self, database: Database) -> None:
+    def __init__(self, database: Database, bus: str) -> None:
         self._database = database
-        self._limits: dict[tuple[str, int], Limits] = {}
+        self._bus = bus
+        self._limits: dict[int, Limits] = {}
 
     async def load(self) -> None:
         """Read what is stored; once, before the first command."""
-        self._limits = await self._database.read(_select_all)
+        self._limits = await self._database.read(partial(_select, bus=self._bus))
 
-    def of(self, bus: str, unit: int) -> Limits:
+    def of(self, unit: int) -> Limits:
         """The limits of a unit; without any, all that the protocol allows."""
-        return self._limits.get((bus, unit), NO_LIMITS)
+        return self._limits.get(unit, NO_LIMITS)
 
-    async def put(self, bus: str, unit: int, limits: Limits, set_by: str, set_at: float) -> None:
+    async def put(self, unit: int, limits: Limits, set_by: str, set_at: float) -> None:
         """Replace the limits of a unit."""
-        await self._database.write(lambda store: _replace(store, bus, unit, limits, set_by, set_at))
-        self._limits[bus, unit] = limits
+        await self._database.write(lambda store: _replace(store, self._bus, unit, limits, set_by, set_at))
+        self._limits[unit] = limits
 
 
-def _select_all(store: sqlite3.Connection) -> dict[tuple[str, int], Limits]:
-    rows = store.execute("SELECT bus, unit, lowest, highest, largest_step, per_minute FROM limits")
-    return {(bus, unit): Limits(*limits) for bus, unit, *limits in rows}
+def _select(store: sqlite3.Connection, bus: str) -> dict[int, Limits]:
+    columns = "unit, lowest, highest, largest_step, per_minute"
+    rows = store.execute(f"SELECT {columns} FROM limits WHERE bus = ?", (bus,))
+    return {unit: Limits(*limits) for unit, *limits in rows}
 
 
 def _replace(

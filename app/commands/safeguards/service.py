@@ -1,4 +1,4 @@
-"""Limits, blocks and control: what keeps a wish from being sent. Every change of them is an event."""
+"""Limits, blocks and control of one bus: what keeps a command from being sent. Every change is an event."""
 
 from __future__ import annotations
 
@@ -18,34 +18,36 @@ from app.web.access import Person, Role, name_of
 from bus.messages import Message, term
 
 SIGNED_OUT = "signed out, or has other rights"
-Find = Callable[[str], Awaitable[tuple[str, Role] | None]]
+AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
 """The account that somebody names, and what it may do; None when there is none."""
 
 
 class Safeguards:
-    """Of every line. Call :meth:`load` once before the first command."""
+    """Of one bus. Call :meth:`load` once before the first command."""
 
     def __init__(
         self,
+        bus: str,
         database: Database,
         events: EventLog,
         *,
         control_required: bool,
-        find: Find,
+        find: AccountLookup,
         rights: Withdrawals,
         sessions: SessionEnds,
         now: Callable[[], float] = time.time,
     ) -> None:
-        self.limits = LimitsStore(database)
-        self.blocks = BlockStore(database)
+        self._bus = bus
+        self.limits = LimitsStore(database, bus)
+        self.blocks = BlockStore(database, bus)
         self.control = Control(required=control_required)
         self._block_subscribers: list[UnitSubscriber] = []
         self._find = find
         self._rights = rights
         self._events = events
         self._now = now
-        rights.on_withdrawn(self.release_all_of)
-        sessions.on_signed_out(self.release_all_of)
+        rights.on_withdrawn(self.revoke_control)
+        sessions.on_signed_out(self.revoke_control)
 
     async def load(self) -> None:
         """Read what is stored."""
@@ -56,71 +58,69 @@ class Safeguards:
         """Call ``subscriber`` when a unit was blocked or freed."""
         self._block_subscribers.append(subscriber)
 
-    def block_reason(self, bus: str, unit: int) -> str:
+    def block_reason(self, unit: int) -> str:
         """Why a unit is blocked and by whom, as a page shows it; empty when it is not."""
-        block = self.blocks.of(bus, unit)
+        block = self.blocks.of(unit)
         return f"{block.reason} ({block.set_by})" if block is not None else ""
 
-    async def set_limits(self, person: Person, bus: str, unit: int, limits: Limits) -> None:
+    async def set_limits(self, person: Person, unit: int, limits: Limits) -> None:
         """Replace the limits of a unit."""
-        before = self.limits.of(bus, unit)
-        await self.limits.put(bus, unit, limits, person.name, self._now())
+        before = self.limits.of(unit)
+        await self.limits.put(unit, limits, person.name, self._now())
         await self._record(
-            "limits", person, bus, unit, Message("event_limits_changed"), before.message, limits.message
+            "limits", person, unit, Message("event_limits_changed"), before.message, limits.message
         )
 
-    async def block(self, person: Person, bus: str, unit: int, reason: str) -> None:
+    async def block(self, person: Person, unit: int, reason: str) -> None:
         """Refuse every write to a unit from now on."""
-        before = self.blocks.of(bus, unit)
-        await self.blocks.put(bus, unit, CommandBlock(reason, person.name, self._now()))
-        self._tell_of_block(bus, unit)
+        before = self.blocks.of(unit)
+        await self.blocks.put(unit, CommandBlock(reason, person.name, self._now()))
+        self._publish_block(unit)
         old = before.reason if before is not None else None
-        await self._record("block", person, bus, unit, Message("event_unit_blocked"), old, reason)
+        await self._record("block", person, unit, Message("event_unit_blocked"), old, reason)
 
-    async def lift(self, person: Person, bus: str, unit: int) -> None:
+    async def lift(self, person: Person, unit: int) -> None:
         """Free a unit. Nothing happens to one that is free."""
-        before = self.blocks.of(bus, unit)
+        before = self.blocks.of(unit)
         if before is None:
             return
-        await self.blocks.lift(bus, unit)
-        self._tell_of_block(bus, unit)
-        await self._record("block", person, bus, unit, Message("event_block_lifted"), before.reason, None)
+        await self.blocks.lift(unit)
+        self._publish_block(unit)
+        await self._record("block", person, unit, Message("event_block_lifted"), before.reason, None)
 
-    def holding(self, bus: str) -> Holding | None:
-        """Who holds control of a line now, if anybody."""
-        return self.control.holding(bus, self._now())
+    def holding(self) -> Holding | None:
+        """Who holds control now, if anybody."""
+        return self.control.holding(self._now())
 
-    def holder(self, bus: str) -> str:
-        """The account of who holds control of a line; empty when nobody does."""
-        holding = self.holding(bus)
+    def holder(self) -> str:
+        """The account of who holds control; empty when nobody does."""
+        holding = self.holding()
         return holding.holder if holding is not None else ""
 
-    async def take(self, person: Person, bus: str) -> Holding:
+    async def take(self, person: Person) -> Holding:
         """Take control that nobody else holds. Raises Problem 409."""
         await self._rights.check(person)
-        before = self.holding(bus)
+        before = self.holding()
         try:
-            holding = self.control.take(bus, person.account, self._now())
+            holding = self.control.take(person.account, self._now())
         except ControlledError as error:
             raise _controlled(error) from error
         if before is None:
-            await self._record(
-                "control", person, bus, None, Message("event_control_taken"), None, person.account
-            )
+            await self._record("control", person, None, Message("event_control_taken"), None, person.account)
         return holding
 
-    async def hand_over(self, person: Person, bus: str, to: str) -> Holding:
+    async def hand_over(self, person: Person, to: str) -> Holding:
         """Give control to somebody else; an admin may without holding it. Raises Problem 409, and 422
         for a name that nobody has who could use it: the line would be held by nobody until it lapses."""
         to = await self._who_may_hold(person, to)
-        before = self.holding(bus)
+        before = self.holding()
         by_force = person.role.includes(Role.ADMIN)
         try:
-            holding = self.control.hand_over(bus, person.account, to, self._now(), by_force=by_force)
+            holding = self.control.hand_over(person.account, to, self._now(), by_force=by_force)
         except ControlledError as error:
             raise _controlled(error) from error
         old = before.holder if before is not None else None
-        await self._record("control", person, bus, None, Message("event_control_handed_over"), old, to)
+        await self._record("control", person, None, Message("event_control_handed_over"), old, to)
         return holding
 
     async def _who_may_hold(self, person: Person, to: str) -> str:
@@ -132,46 +132,51 @@ class Safeguards:
             raise Problem(422, "invalid", Message.of("holder_may_not_command", name=to, role=term(role)))
         return account
 
-    async def release(self, person: Person, bus: str) -> None:
+    async def release(self, person: Person) -> None:
         """Give control back. Raises Problem 409."""
         try:
-            self.control.release(bus, person.account, self._now())
+            self.control.release(person.account, self._now())
         except ControlledError as error:
             raise _controlled(error) from error
-        await self._record(
-            "control", person, bus, None, Message("event_control_given_back"), person.account, None
+        await self._record("control", person, None, Message("event_control_given_back"), person.account, None)
+
+    async def revoke_control(self, account: str) -> None:
+        """The account is signed in nowhere any more, or may do less: what it held is free."""
+        if not self.control.revoke(account, self._now()):
+            return
+        who, is_token = name_of(account)
+        await self._events.record(
+            kind="control",
+            what=Message("event_control_given_back"),
+            who=who,
+            origin="token" if is_token else "",
+            bus=self._bus,
+            old=account,
+            message=SIGNED_OUT,
         )
 
-    async def release_all_of(self, account: str) -> None:
-        """Somebody is signed in nowhere any more, or may do less: whatever they held is free."""
-        who, is_token = name_of(account)
-        for bus in self.control.release_all_of(account, self._now()):
-            await self._events.record(
-                kind="control",
-                what=Message("event_control_given_back"),
-                who=who,
-                origin="token" if is_token else "",
-                bus=bus,
-                old=account,
-                message=SIGNED_OUT,
-            )
-
-    def _tell_of_block(self, bus: str, unit: int) -> None:
+    def _publish_block(self, unit: int) -> None:
         for subscriber in self._block_subscribers:
-            subscriber(bus, unit)
+            subscriber(unit)
 
     async def _record(
         self,
         kind: EventKind,
         person: Person,
-        bus: str,
         unit: int | None,
         what: Message,
         old: str | Message | None,
         new: str | Message | None,
     ) -> None:
         await self._events.record(
-            kind=kind, who=person.name, origin=person.via, bus=bus, unit=unit, what=what, old=old, new=new
+            kind=kind,
+            who=person.name,
+            origin=person.via,
+            bus=self._bus,
+            unit=unit,
+            what=what,
+            old=old,
+            new=new,
         )
 
 

@@ -15,10 +15,10 @@ from starlette.requests import HTTPConnection
 from app.commands.catalogue import CommandKind
 from app.commands.service.command_service import CommandService
 from app.web.access import Person, Requires
-from app.web.services import service, service_of
+from app.web.services import bus_service, bus_service_of
 
-Commands = Annotated[CommandService, service(CommandService)]
-"""The way to the wire."""
+Commands = Annotated[CommandService, bus_service(CommandService)]
+"""Sends commands to ``{bus}`` in the path."""
 
 
 class _Writes(Requires):
@@ -31,7 +31,7 @@ class _Writes(Requires):
     async def __call__(self, connection: HTTPConnection) -> Person:
         person = self.permitted(connection)
         if "bus" in connection.path_params:
-            await service_of(connection, CommandService).reserve(connection.path_params["bus"])
+            await bus_service_of(connection, connection.path_params["bus"], CommandService).reserve()
         return person
 
 

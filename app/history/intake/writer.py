@@ -23,7 +23,7 @@ from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery
 from app.history.intake.upkeep import Keep, Upkeep, prepare
 from app.history.series.runs import DAY, SECOND, micros
-from app.history.status import DAMAGED, WORDS, Status, StoreState
+from app.history.status import DAMAGED, NOTICES, Status, StoreState, store_message
 from app.history.store import tables
 from app.history.store.damage import BlockKey
 from app.history.store.repair import FoundDamage, Repair
@@ -121,14 +121,14 @@ class Writer:
     def status(self) -> Status:
         """How it is now."""
         said = self._status
-        message = said.message or (DAMAGED if said.damaged else "")
+        message = said.message or (str(DAMAGED) if said.damaged else "")
         return replace(said, message=message, waiting=self._waiting - self._taken, lost=self._lost)
 
     @property
     def database(self) -> Database:
         """For readers. Raises StoreError with the reason when the store cannot be used."""
         if self._open is None:
-            raise StoreError(self._status.message or WORDS["failed"])
+            raise StoreError(self._status.message or NOTICES["failed"])
         return self._open.database
 
     # --- the writer's thread -----------------------------------------------------------------
@@ -288,7 +288,7 @@ class Writer:
         )
 
     def _set_state(self, state: StoreState, cause: str = "") -> None:
-        message = f"{WORDS[state]}: {cause}" if cause else WORDS[state]
+        message = store_message(state, cause)
         since = self._status.since if state == self._status.state else time.time()
         if message != self._status.message:
             log.log(30 if message else 20, "history", state=state, message=message)

@@ -16,7 +16,7 @@ from app.history.query import labels
 from app.history.series.runs import micros
 from app.history.series.values import VALUES
 from app.history.service import History
-from app.history.status import sentence
+from app.history.status import store_notice
 from app.web.access import Viewer
 from app.web.templating import render, templates_of
 
@@ -34,7 +34,7 @@ async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
         catalogue=_catalogue(history),
         values=VALUES,
         has_parquet=parquet_file.is_available(),
-        memory=sentence(history.status, language.t, templates.formats(language.tag), time.time()),
+        memory=store_notice(history.status, language.t, templates.formats(language.tag), time.time()),
         preload=preload_address(history, request.query_params, micros(time.time())),
     )
 

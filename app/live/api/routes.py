@@ -42,14 +42,15 @@ async def get_line(
     _: Viewer, live: Live, settings: Configured, sources: LineSources, english: English
 ) -> dict[str, Any]:
     """Every bus and every unit, now. ``history``: empty, or why no readings are kept."""
-    block, fault = sources.guards.block_reason, sources.history_fault()
-    return line_json(settings.site.name, live, time.time(), block, fault, english)
+    blocks, fault = {bus: of.block_reason for bus, of in sources.guards.items()}, sources.history_fault()
+    return line_json(settings.site.name, live, time.time(), blocks, fault, english)
 
 
 @router.get("/buses/{bus}", response_model=BusShown)
 async def get_bus(_: Viewer, live: Live, sources: LineSources, english: English, bus: str) -> dict[str, Any]:
     """One bus with its units."""
-    return bus_json(bus_or_404(live, bus), time.time(), sources.guards.block_reason, english)
+    found = bus_or_404(live, bus)
+    return bus_json(found, time.time(), sources.guards[bus].block_reason, english)
 
 
 @router.get("/buses/{bus}/units/{unit:int}", response_model=UnitShown)
@@ -58,7 +59,7 @@ async def get_unit(
 ) -> dict[str, Any]:
     """One unit, with the age of what it said."""
     found = unit_or_404(live, bus, unit)
-    return unit_json(live.buses[bus], found, time.time(), sources.guards.block_reason, english)
+    return unit_json(live.buses[bus], found, time.time(), sources.guards[bus].block_reason, english)
 
 
 @router.get("/buses/{bus}/figures")

@@ -7,7 +7,7 @@ may be answering in this one's name; null where nothing says so.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from app.live.diagnosis.cause import Cause, unit_cause
@@ -40,8 +40,8 @@ from bus.contract import Reading
 from bus.messages import Message, in_english
 
 Json = dict[str, Any]
-BlockReason = Callable[[str, int], str]
-"""Why a unit of a bus is blocked; empty when it is not."""
+BlockReason = Callable[[int], str]
+"""Why a unit is blocked; empty when it is not."""
 
 _NEVER_READ = dict.fromkeys(
     (
@@ -61,10 +61,16 @@ _NEVER_READ = dict.fromkeys(
 
 
 def line_json(
-    site: str, live: LiveState, now: float, block: BlockReason, history: str, english: Translator
+    site: str,
+    live: LiveState,
+    now: float,
+    blocks: Mapping[str, BlockReason],
+    history: str,
+    english: Translator,
 ) -> Json:
-    """Every bus with its units in floor order. ``history``: why none is kept; empty while it is."""
-    buses = [bus_json(bus, now, block, english) for bus in live.buses.values()]
+    """Every bus with its units in floor order. ``blocks``: by bus. ``history``: why none is kept;
+    empty while it is."""
+    buses = [bus_json(bus, now, blocks[name], english) for name, bus in live.buses.items()]
     return {"site": site, "time": iso(now), "history": history, "buses": buses}
 
 
@@ -101,7 +107,7 @@ def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason, engl
         "link_cause": in_english(unit.link.cause),
         "cause": cause_json(unit_cause(bus, unit, now), now, english),
         "suspect": suspicion(bus, unit) or None,
-        "blocked": block(bus.settings.name, unit.settings.id) or None,
+        "blocked": block(unit.settings.id) or None,
         "decimals": unit.parameter_raw(DECIMALS),
         "follower": follower(unit),
         "staged_raw": unit.staged,

@@ -70,8 +70,8 @@ class Hub:
         self._watched_is_due = False
         for name, bus in live.buses.items():
             bus.subscribe(partial(self._on_updates, name))
-        sources.guards.on_block(self.refresh_unit)
-        sources.drift.on_change(self.refresh_unit)
+            sources.guards[name].on_block(partial(self.refresh_unit, name))
+            sources.drift[name].on_change(partial(self.refresh_unit, name))
 
     @property
     def connected(self) -> int:
@@ -146,7 +146,7 @@ class Hub:
         for readers in self._read():
             screen = readers.screen
             groups = screen.settle(now)
-            held_by = {bus: self._sources.guards.holder(bus) for bus in self.live.buses}
+            held_by = {bus: guards.holder() for bus, guards in self._sources.guards.items()}
             notices = self._sources.notices(screen.voice, now)
             totals = {"holder": holders(held_by, screen.voice), "memory": notices}
             held_fields = [screen.put(bus, {"held_by": holder}) for bus, holder in held_by.items()]

@@ -95,8 +95,8 @@ class Screen:
 
     def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: float) -> Fields:
         number = unit.settings.id
-        blocked = self.sources.guards.block_reason(bus_name, number)
-        drifted = self.sources.drift.summary(bus_name, number, self.voice, now)
+        blocked = self.sources.guards[bus_name].block_reason(number)
+        drifted = self.sources.drift[bus_name].summary(number, self.voice, now)
         cause = shown_cause(bus, unit, now, blocked=blocked, drifted=drifted.words)
         view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
         self._views[unit_key(bus_name, number)] = view

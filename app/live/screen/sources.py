@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from app.live.screen.fields import Translator
 
-UnitSubscriber = Callable[[str, int], None]
-"""Called with the bus and the address of a unit of which something changed."""
+UnitSubscriber = Callable[[int], None]
+"""Called with the address of a unit of a bus of which something changed."""
 
 
 class Drifted(NamedTuple):
@@ -21,22 +21,22 @@ class Drifted(NamedTuple):
 
 
 class UnitGuards(Protocol):
-    """Which units are blocked, and who controls a bus."""
+    """Which units of a bus are blocked, and who controls it."""
 
-    def block_reason(self, bus: str, unit: int) -> str:
+    def block_reason(self, unit: int) -> str:
         """Why commands to a unit are blocked and by whom; empty when they are not."""
 
-    def holder(self, bus: str) -> str:
-        """The account that controls a bus; empty when there is none."""
+    def holder(self) -> str:
+        """The account that controls the bus; empty when there is none."""
 
     def on_block(self, subscriber: UnitSubscriber) -> None:
         """Call ``subscriber`` when a unit was blocked or released."""
 
 
 class GoldenDrift(Protocol):
-    """How units differ from their golden sets."""
+    """How the units of a bus differ from their golden sets."""
 
-    def summary(self, bus: str, unit: int, voice: Translator, now: float) -> Drifted:
+    def summary(self, unit: int, voice: Translator, now: float) -> Drifted:
         """The differences of a unit in the reader's language. ``now``: Unix time in seconds."""
 
     def on_change(self, subscriber: UnitSubscriber) -> None:
@@ -52,11 +52,12 @@ class LoadedRecipes(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """The owners. ``notices``: what is wrong with the records, for a page in its language and at a Unix time;
-    ``history_fault``: why no history is stored. Both return an empty text while there is nothing to say."""
+    """The owners, those of a bus by its name. ``notices``: what is wrong with the records, for a page in its
+    language and at a Unix time; ``history_fault``: why no history is stored. Both return an empty text while
+    there is nothing to say."""
 
-    guards: UnitGuards
-    drift: GoldenDrift
+    guards: Mapping[str, UnitGuards]
+    drift: Mapping[str, GoldenDrift]
     recipes: LoadedRecipes
     notices: Callable[[Translator, float], str]
     history_fault: Callable[[], str]

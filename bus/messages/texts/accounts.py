@@ -39,5 +39,12 @@ TEXTS: dict[str, EnglishText] = {
     ),
     "no_such_role": "there is no role '{role}'; choose one of {known}",
     "role_needed": "this needs the role {role}; {name} is {present}",
+    "rights_user_ended": "rights withdrawn: the user was removed or disabled; nothing more was sent",
+    "rights_token_ended": "rights withdrawn: the token was revoked or has expired; nothing more was sent",
+    "rights_password_changed": "rights withdrawn: the password was changed; nothing more was sent",
+    "rights_role_lowered": "rights withdrawn: the role was lowered; nothing more was sent",
+    "name_or_password_wrong": "the name or the password is not right",
+    "name_or_pin_wrong": "the name or the PIN is not right",
+    "token_expired": "the token {called} expired on {day}; an admin can create a new one",
     "sign_in_needed": "sign in, or send a token that is valid",
 }

@@ -5,6 +5,15 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText
 
 TEXTS: dict[str, EnglishText] = {
+    "history_disk_low": "the disk with the history is nearly full: free some space soon",
+    "history_disk_scarce": "the disk with the history is nearly full: the oldest readings are being given up",
+    "history_disk_full": "the disk is full: no readings are stored until some space is free",
+    "history_failed": "no history is kept, everything else works",
+    "history_because": "{notice}: {cause}",
+    "history_damaged": (
+        "History: something that was kept was damaged; the events say what is missing, the rest "
+        "is whole. Check the disk."
+    ),
     "too_many_sparklines": "series: at most {most}, not {count}",
     "no_parquet": (
         "This server cannot write Parquet: pyarrow is not installed. Export CSV, or install "
