@@ -8,6 +8,7 @@ import json
 import sys
 import time
 from collections.abc import AsyncIterator
+from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -21,13 +22,17 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from app.audit.log import EventLog
 from app.database import Database
 from app.history.api.routes import router
+from app.history.intake.tail import Tail
+from app.history.series.runs import Run
 from app.history.service import History
+from app.history.store import tables
 from app.settings import ServerSettings, Settings, Site
 from app.web.access import Person, Role
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
 from app.web.services import Registry
 from app.web.templating import Templates
+from app.web.turns import Turns
 from bus.contract import UnitLink
 from tests.app.history_line import BUS, NOON, parameter, polls, until
 
@@ -64,7 +69,7 @@ async def client(history: History, tmp_path: Path) -> AsyncIterator[httpx.AsyncC
     await events.record(kind="login", what="signed in", who="anna")
     app = FastAPI()
     templates = Templates(templates_dir(), Assets(static_dir()), Site())
-    app.state.registry = Registry((history, events, templates))
+    app.state.registry = Registry((history, events, templates, Turns()))
     app.include_router(router)
     app.add_middleware(AsViewer)
     install(app)
@@ -231,6 +236,29 @@ async def test_parquet_holds_the_same(client: httpx.AsyncClient, history: Histor
     assert table.column("time").to_pylist()[0] == datetime.fromtimestamp(NOON, UTC)
 
 
+async def test_an_export_reads_the_tail_before_the_store(
+    client: httpx.AsyncClient, history: History, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A minute that is folded in between is in neither of them otherwise."""
+    fill(history)
+    order = list[str]()
+    still, runs = tables.standing_still, Tail.runs
+
+    def stand_still(connection: tables.StoreConnection) -> AbstractContextManager[None]:
+        order.append("store")
+        return still(connection)
+
+    def read_tail(*args: Any) -> list[Run]:
+        order.append("tail")
+        return runs(*args)
+
+    monkeypatch.setattr(tables, "standing_still", stand_still)
+    monkeypatch.setattr(Tail, "runs", read_tail)
+    params = {"series": ["dry-end/1/actual", "dry-end/1/commanded"], "from": at(0), "to": at(20)}
+    assert (await client.get("/history/export", params=params)).status_code == 200
+    assert order == ["tail", "store"]
+
+
 async def test_parquet_without_pyarrow_is_refused_in_words(
     client: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -262,7 +290,7 @@ async def test_a_store_that_fails_is_said_and_the_rest_goes_on(tmp_path: Path) -
     history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
     history.start()
     app = FastAPI()
-    app.state.registry = Registry((history,))
+    app.state.registry = Registry((history, Turns()))
     app.include_router(router)
     app.add_middleware(AsViewer)
     install(app)

@@ -77,7 +77,7 @@ def fates(page: Page) -> dict[int, str]:
 
 def cancel(site: Site, page: Page) -> None:
     assert site.units == 2
-    page.get_by_role("button", name="Leave off after this row").click()
+    page.get_by_role("button", name="Stop after this row").click()
 
 
 def pull_the_cable(site: Site, page: Page) -> None:

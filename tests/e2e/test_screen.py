@@ -154,7 +154,7 @@ def test_the_view_is_chosen_and_remembered(browser_page: OpensPages) -> None:
     expect(page.locator(".rows__row")).to_have_count(8)
     opened(page, "/")
     expect(page.locator(".rows__row")).to_have_count(8)
-    page.get_by_role("link", name="By itself").click()
+    page.get_by_role("link", name="Auto").click()
     expect(page.locator(".tile")).to_have_count(8)
 
 

@@ -37,7 +37,7 @@ def writes(served: Site, command: int) -> list[dict[str, Any]]:
 def take_set(page: Page) -> str:
     page.goto("/sets")
     page.get_by_label("Name", exact=True).fill("before the felt")
-    page.get_by_role("button", name="Read and keep").click()
+    page.get_by_role("button", name="Save set").click()
     page.get_by_role("link", name="Open the set").click()
     expect(page.get_by_role("heading", level=1)).to_have_text("before the felt")
     return page.url

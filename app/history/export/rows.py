@@ -103,21 +103,35 @@ def _rows(
     rows: list[ExportRow] = []
     numbered = list(enumerate(part))
     by_unit = sorted(numbered, key=lambda item: (item[1].bus.name, item[1].unit))
+    sources = [
+        (_source(connection, tail, unit, part[0], damaged), list(group))
+        for unit, group in groupby(by_unit, key=lambda item: (item[1].bus.name, item[1].unit))
+    ]
     with tables.standing_still(connection):
-        for unit, group in groupby(by_unit, key=lambda item: (item[1].bus.name, item[1].unit)):
-            wanted = list(group)
-            key = tables.find_unit(connection, *unit)
-            if key is None:
+        for source, wanted in sources:
+            if source is None:
                 continue
-            source = unit_history.StoredUnit(
-                connection, key, tail.runs(key, part[0].start, part[0].end), damaged
-            )
             if table.fineness == "readings":
                 rows += _reading_rows(source, wanted, len(part), heard)
             else:
                 rows += _rollup_rows(source, wanted, 3 * len(part), table.fineness)
     rows.sort(key=lambda row: row.at)
     return rows if table.fineness == "readings" else _together(rows)
+
+
+def _source(
+    connection: tables.StoreConnection,
+    tail: Tail,
+    unit: tuple[str, int],
+    span: SeriesQuery,
+    damaged: list[BlockKey],
+) -> unit_history.StoredUnit | None:
+    """None for a unit without history. Made before the store stands still: what is folded in between is there
+    twice, not never."""
+    key = tables.find_unit(connection, *unit)
+    if key is None:
+        return None
+    return unit_history.StoredUnit(connection, key, tail.runs(key, span.start, span.end), damaged)
 
 
 def _reading_rows(
