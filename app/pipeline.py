@@ -12,6 +12,7 @@ from app.live.change_recorder import ChangeRecorder
 from app.live.changes import Changes, LineEvent
 from app.live.state.bus_live import BusLive
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
+from bus.messages import Message
 
 KEPT = (Reading, ParameterValue, UnitLink, BusLink)
 """What belongs to history; what is of the moment only does not wait in its queue."""
@@ -84,10 +85,10 @@ class Pipeline:
         what = "updates of the bus worker refused"
         self._recorder.note(LineEvent("worker", None, at, what, "", str(count), IMPLAUSIBLE, series=what))
 
-    def worker_disconnected(self, at: float, cause: str) -> None:
+    def worker_disconnected(self, at: float, cause: Message) -> None:
         """A worker's connection ended."""
         self._live.lose_worker(at, cause)
-        self._recorder.note(LineEvent("worker", None, at, cause, "connected", "gone"))
+        self._recorder.note(LineEvent("worker", None, at, str(cause), "connected", "gone"))
 
     def clock_stepped(self, step_s: float, at: float) -> None:
         """The worker's clock was set."""

@@ -60,6 +60,9 @@ class UnitError(LinesideError):
 class WireError(LinesideError):
     """The port, the cable or an answer failed; whether the unit acted is not known."""
 
+    def __init__(self, message: Message) -> None:
+        super().__init__(message)
+
 
 class UnitErrorCode(IntEnum):
     """[ERR] of a NAK (manual, the command pages)."""

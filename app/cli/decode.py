@@ -43,7 +43,7 @@ def decode(
         typer.echo(json.dumps([frame.as_json() for frame in frames]))
     else:
         for item in found:
-            typer.echo(f"{item.wire.hex(' ').upper()}\n    {item.words}")
+            typer.echo(f"{item.wire.hex(' ').upper()}\n    {item.meaning}")
     if not any(frame.checksum_ok for frame in frames):
         typer.echo("lineside: no valid frame in these bytes; a frame is 10 02 … 10 03 checksum.", err=True)
         raise typer.Exit(1)

@@ -14,6 +14,7 @@ from app.cli.ending import ending
 from bus.line.scan.found import Found, conclude, settings_seen
 from bus.line.scan.passes import PASSES, no_response_s
 from bus.line.scan.scanner import BaudScan, scan_baud
+from bus.messages import Message
 from bus.settings import BAUDS, check_port
 
 FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
@@ -145,13 +146,13 @@ def _report(
 ) -> None:
     remarks = conclude(found)
     if any(done.echoes for done in scans):
-        remarks.append("the adapter hears what it sends (half duplex): its echo is recognised")
+        remarks.append(Message("scan_echo"))
     allowed_ms = max(round(1000 * done.turnaround_s) for done in scans)
     if allowed_ms > turnaround_ms:
-        remarks.append(f"units begin their answers late: set turnaround_ms = {allowed_ms} for this bus")
+        remarks.append(Message.of("scan_turnaround", value=allowed_ms))
     if as_json:
         settings = {**settings_seen(found), "turnaround_ms": allowed_ms}
-        answer = _json(port, scans, found, remarks)
+        answer = _json(port, scans, found, [str(remark) for remark in remarks])
         typer.echo(json.dumps({**answer, "settings": settings, "complete": complete}))
         return
     for one in found:
@@ -159,7 +160,7 @@ def _report(
         for remark in one.remarks:
             typer.echo(f"    {remark}")
     for remark in remarks:
-        typer.echo(remark)
+        typer.echo(str(remark))
 
 
 def _line(one: Found) -> str:
@@ -196,5 +197,5 @@ def _unit_json(one: Found) -> dict[str, Any]:
         "parameter_reply_bytes": list(one.reply_bytes),
         "estop_healthy": one.estop_healthy,
         "turnaround_ms": None if answered is None else round(1000 * answered, 1),
-        "remarks": list(one.remarks),
+        "remarks": [str(remark) for remark in one.remarks],
     }

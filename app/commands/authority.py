@@ -10,6 +10,7 @@ import msgspec
 
 from app.web.access import AccountSubscriber, Person
 from bus.contract import Result
+from bus.messages import Message, joined
 
 RECHECK_S = 0.25
 """Most commands are over by then; a change of the baud rate or of many units is not."""
@@ -38,22 +39,21 @@ class SessionEnds(Protocol):
 
 async def while_permitted(
     work: Coroutine[Any, Any, Result],
-    why_not: Callable[[], Awaitable[str]],
+    why_not: Callable[[], Awaitable[Message | None]],
     give_up: Callable[[], Awaitable[None]],
 ) -> Result:
     """The result of ``work``, a command on its way. When ``why_not`` gives a reason, ``give_up`` is called
     once, the worker stops where nothing is half done, and the reason stands before the result's message."""
     task = asyncio.ensure_future(work)
-    reason = ""
+    reason: Message | None = None
     try:
         while not task.done():
             await asyncio.wait({task}, timeout=RECHECK_S)
-            if not task.done() and not reason:
+            if not task.done() and reason is None:
                 reason = await why_not()
-                if reason:
+                if reason is not None:
                     await give_up()
         result = task.result()
     finally:
         task.cancel()
-    message = "; ".join(part for part in (reason, result.message) if part)
-    return msgspec.structs.replace(result, message=message)
+    return msgspec.structs.replace(result, message=joined((reason, result.message)))

@@ -16,12 +16,13 @@ from app.feed.rates import update_bucket
 from app.live.state.bus_live import NO_WORKER
 from app.pipeline import Pipeline
 from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome
+from bus.messages import Message
 
 _log = structlog.get_logger()
 
 HELD = "another worker has this bus, or had it a moment ago"
-SILENT = "the bus worker is connected and says nothing"
-MALFORMED = "the bus worker was disconnected: it sent a malformed message"
+SILENT = Message("worker_silent")
+MALFORMED = Message("worker_malformed")
 REPLACED = "another worker connected for this bus"
 TICK_S = 1.0
 TIMEOUT_TICKS = 5
@@ -127,7 +128,7 @@ class BusFeed:
             await connection.close(str(error))
         except WorkerSilent:
             self._release(connection, SILENT, Ending.CUT)
-            await connection.close(SILENT)
+            await connection.close(str(SILENT))
         except WorkerLeft:
             self._release(connection, NO_WORKER, Ending.LEFT)
 
@@ -155,9 +156,9 @@ class BusFeed:
         while ingest.silent_ticks < self._timeout_ticks:
             await ingest.tick()
             await asyncio.sleep(TICK_S)
-        raise WorkerSilent(SILENT)
+        raise WorkerSilent(str(SILENT))
 
-    def _release(self, connection: WorkerConnection, cause: str, ending: Ending) -> None:
+    def _release(self, connection: WorkerConnection, cause: Message, ending: Ending) -> None:
         """This connection has ended. Nothing where it was released already, or another has its place."""
         self._channel.closed(connection)
         if self._connection is connection and self._holder is not None:

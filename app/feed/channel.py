@@ -18,6 +18,7 @@ from typing import Protocol
 from app.feed.plausibility import result_for
 from app.live.state.bus_live import NO_WORKER
 from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, ReserveTurn, Result, Watch
+from bus.messages import Message
 
 REASK_WITHIN_S = 10.0
 """How long a command under way waits for its worker to come back."""
@@ -77,7 +78,7 @@ class Channel:
             await self._send(self._watch)
         for asked in tuple(self._asked.values()):
             if asked.worker != worker:
-                _end(asked, "unverified", "the bus worker was restarted: whether the unit acted is not known")
+                _end(asked, "unverified", Message("worker_restarted"))
             else:
                 asked.give_up_at = self._last_moment(asked.command)
                 await self._send_command(asked)
@@ -169,18 +170,18 @@ class Channel:
         stuck = silent_looks >= (SILENT_LOOKS if self.connected else AWAY_LOOKS)
         return (min(asked.due_at, asked.give_up_at) if stuck else asked.give_up_at) - time.monotonic()
 
-    def _why_no_fate(self, silent_looks: int) -> str:
+    def _why_no_fate(self, silent_looks: int) -> Message:
         if not self.connected:
-            return f"{NO_WORKER}: whether the unit acted is not known"
+            return Message("worker_lost")
         if silent_looks >= SILENT_LOOKS:
-            return "the bus worker does not answer: whether the unit acted is not known"
-        return "the bus worker did not say what became of it: whether the unit acted is not known"
+            return Message("worker_no_response")
+        return Message("worker_no_result")
 
 
 def _due_at(command: Command) -> float:
     return time.monotonic() + max(0.0, command.deadline - time.time())
 
 
-def _end(asked: _OpenCommand, outcome: Outcome, message: str) -> None:
+def _end(asked: _OpenCommand, outcome: Outcome, message: Message) -> None:
     if not asked.fate.done():
         asked.fate.set_result(Result(id=asked.command.id, at=time.time(), outcome=outcome, message=message))

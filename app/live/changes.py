@@ -8,6 +8,7 @@ from app.audit.kinds import EventKind
 from app.live.state.conditions import Condition, status_conditions
 from bus.catalogue.status import status_bits
 from bus.contract import BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
+from bus.messages import Message
 from bus.settings import BusSettings
 
 
@@ -96,5 +97,5 @@ class Changes:
         return [LineEvent("bus", None, update.at, what, before, update.link)]
 
 
-def _with_cause(what: str, cause: str) -> str:
+def _with_cause(what: str, cause: Message | None) -> str:
     return f"{what}: {cause}" if cause else what

@@ -21,7 +21,7 @@ from bus.catalogue.status import StatusBits
 from bus.catalogue.values import is_follower, parameter_raw
 from bus.contract import ReadParameters, WriteParameter
 from bus.errors import CallerError
-from bus.messages import Message
+from bus.messages import Message, in_english
 
 _OF_THE_PERSON = frozenset({"rights_withdrawn", "controlled"})
 """Refusals that hold for every other unit too."""
@@ -143,4 +143,4 @@ async def _write(
         result = await desk.ask(person, action, confirm=confirm, origin="batch edit")
     except Problem as problem:
         return BatchResult(row.unit, row.name, problem.code, problem.detail)
-    return BatchResult(row.unit, row.name, result.outcome, result.message)
+    return BatchResult(row.unit, row.name, result.outcome, in_english(result.message))

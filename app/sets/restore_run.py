@@ -15,7 +15,7 @@ from app.sets.restore_store import ENDED_MEANWHILE, RestoreStore
 from app.web.access import Person
 from bus.contract import WriteParameter
 from bus.errors import unit_error_name
-from bus.messages import Message, term
+from bus.messages import Message, in_english, term
 
 _OF_ITS_ROW = frozenset({"invalid"})
 """Refusals that say something of one row only."""
@@ -90,7 +90,7 @@ class RestoreRun:
             if problem.code not in _OF_ITS_ROW:
                 raise
             return replace(row, outcome="invalid", message=problem.detail)
-        message = result.message
+        message = in_english(result.message)
         if result.outcome == "refused" and result.unit_error is not None:
             message = f"refused: {unit_error_name(result.unit_error)}"
         return replace(row, outcome=result.outcome, message=message, read_back=result.read_back)

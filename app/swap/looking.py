@@ -50,7 +50,7 @@ async def _answers(desk: CommandService, person: Person, address: int) -> ProbeF
     action = ScanBus(first=address, last=address)
     result = await desk.ask(person, action, timeout_s=LOOK_TIMEOUT_S, origin="unit swap")
     if result.outcome != "verified":
-        raise Problem(503, "not_looked", result.message)
+        raise Problem(503, "not_looked", result.message or "")
     return next((found.kind for found in result.found if found.unit == address), "silent")
 
 

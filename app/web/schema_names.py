@@ -40,6 +40,7 @@ SCHEMAS = {
     "MarkShown": "HistoryMark",
     "MarkTextShown": "HistoryMarkText",
     "MarksShown": "HistoryMarks",
+    "MessageShown": "Message",
     "MeShown": "CurrentUser",
     "NakShown": "NakCount",
     "OutcomeShown": "Outcome",

@@ -11,7 +11,6 @@ Speeds, parameters and analog values are the raw integers of the wire.
 
 from __future__ import annotations
 
-from bus.clauses import Clause
 from bus.contract.actions import (
     Action,
     ChangeBaud,
@@ -27,7 +26,7 @@ from bus.contract.actions import (
     WriteOutput,
     WriteParameter,
 )
-from bus.contract.bounds import LONGEST_FRAME, MOST_CLAUSES, MOST_UPDATES
+from bus.contract.bounds import LONGEST_FRAME, LONGEST_MEANING, MOST_MEANINGS, MOST_UPDATES
 from bus.contract.readings import (
     BusFigures,
     BusLink,
@@ -82,7 +81,8 @@ __all__ = [
     "BUFFER_AGE_S",
     "CONTRACT_VERSION",
     "LONGEST_FRAME",
-    "MOST_CLAUSES",
+    "LONGEST_MEANING",
+    "MOST_MEANINGS",
     "MOST_UPDATES",
     "Action",
     "AppMessage",
@@ -92,7 +92,6 @@ __all__ = [
     "BusLinkState",
     "Cancel",
     "ChangeBaud",
-    "Clause",
     "ClockSync",
     "Command",
     "Delivered",

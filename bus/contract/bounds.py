@@ -15,8 +15,11 @@ MOST_UNITS = 255
 MOST_UPDATES = 500
 """In a batch, so that no message takes the app's loop for long."""
 MOST_FRAMES = 2_000
-MOST_CLAUSES = 30
+MOST_MEANINGS = 30
+MOST_REMARKS = 20
 LONGEST_TEXT = 4_000
+LONGEST_MEANING = 1_000
+"""Characters that are shown of what a frame means."""
 LONGEST_WORDS = 300
 LONGEST_ID = 200
 LONGEST_FRAME = 1_024

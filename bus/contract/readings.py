@@ -6,17 +6,17 @@ from typing import Annotated
 
 from msgspec import Meta, Struct, field
 
-from bus.clauses import Clause, in_english
 from bus.contract.bounds import (
-    MOST_CLAUSES,
+    LONGEST_MEANING,
     MOST_FRAMES,
+    MOST_MEANINGS,
+    MOST_REMARKS,
     MOST_UNITS,
     Byte,
     DurationSeconds,
     FourBytes,
     FrameBytes,
     Hertz,
-    LongText,
     ParameterNumber,
     Share,
     Stamp,
@@ -24,6 +24,7 @@ from bus.contract.bounds import (
     UnitId,
 )
 from bus.contract.tagged import BusLinkState, Direction, TaggedStruct, UnitLinkState
+from bus.messages import Message
 
 
 class Reading(TaggedStruct, frozen=True, tag="reading"):
@@ -56,18 +57,25 @@ class UnitLink(TaggedStruct, frozen=True, tag="unit_link"):
     unit: UnitId
     at: Stamp
     link: UnitLinkState
-    cause: LongText = ""
+    cause: Message | None = None
 
 
 class BusLink(TaggedStruct, frozen=True, tag="bus_link"):
-    """The port was opened or closed ``at``; ``cause`` says why in words. Told again, with the same ``at``,
+    """The port was opened or closed ``at``; ``cause`` says why. Told again, with the same ``at``,
     when it goes at another rate."""
 
     at: Stamp
     link: BusLinkState
-    cause: LongText = ""
+    cause: Message | None = None
     baud: Annotated[int, Meta(ge=0, le=9600)] = 0
     """The rate that the port goes at now, which a change of #18 may have moved; 0 from an older worker."""
+
+    @property
+    def refusal(self) -> Message:
+        """Why nothing is sent while it is closed."""
+        if self.cause is None:
+            return Message("bus_not_linked")
+        return Message.of("bus_closed", reason=self.cause)
 
 
 class Staged(TaggedStruct, frozen=True, tag="staged"):
@@ -113,7 +121,7 @@ class UnitFigures(UnitCounts, TaggedStruct, frozen=True, tag="unit_figures"):  #
 
 
 class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
-    """What the wire carries, about once a second. ``diagnosis`` is the likely cause of trouble in words."""
+    """What the wire carries, about once a second. ``diagnosis`` is the likely cause of what is wrong."""
 
     at: Stamp
     scan_hz: Hertz
@@ -122,7 +130,7 @@ class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
     scan_s_with_one_more: DurationSeconds
     noise_bytes: Total = 0
     echoes: Total = 0
-    diagnosis: LongText = ""
+    diagnosis: Annotated[list[Message], Meta(max_length=MOST_REMARKS)] = field(default_factory=list)
     units: Annotated[list[UnitFigures], Meta(max_length=MOST_UNITS)] = field(default_factory=list)
     updates_lost: Total = 0
     """Readings and news dropped because the app was away longer than the worker can keep them."""
@@ -137,13 +145,13 @@ class Frame(TaggedStruct, frozen=True, tag="frame"):
     at: Stamp
     direction: Direction
     data: FrameBytes
-    clauses: Annotated[list[Clause], Meta(max_length=MOST_CLAUSES)]
+    meanings: Annotated[list[Message], Meta(max_length=MOST_MEANINGS)]
     valid: bool = True
 
     @property
     def meaning(self) -> str:
         """What it says, in English."""
-        return in_english(self.clauses)
+        return "; ".join(map(str, self.meanings))[:LONGEST_MEANING]
 
 
 class Frames(TaggedStruct, frozen=True, tag="frames"):

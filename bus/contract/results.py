@@ -8,20 +8,20 @@ from msgspec import Meta, field
 
 from bus.contract.bounds import (
     MOST_FRAMES,
+    MOST_REMARKS,
     MOST_UNITS,
     BaudRate,
     Byte,
     DurationSeconds,
     FourBytes,
     Id,
-    LongText,
-    ShortText,
     Stamp,
     Total,
     UnitId,
 )
 from bus.contract.readings import Frame, ParameterValue
 from bus.contract.tagged import Outcome, Stage, TaggedStruct
+from bus.messages import Message
 
 
 class Progress(TaggedStruct, frozen=True, tag="progress"):
@@ -40,7 +40,7 @@ class UnitOutcome(TaggedStruct, frozen=True, tag="unit_outcome"):
 
     unit: UnitId
     outcome: Outcome
-    message: LongText = ""
+    message: Message | None = None
     unit_error: Byte | None = None
     read_back: FourBytes | None = None
     sent_at: Stamp | None = None
@@ -57,7 +57,7 @@ class FoundUnit(TaggedStruct, frozen=True, tag="found_unit"):
     baud: BaudRate
     kind: Literal["digimax", "garbled", "foreign", "late"]
     parameters: Annotated[list[Byte], Meta(max_length=256)] = field(default_factory=list)
-    remarks: Annotated[list[ShortText], Meta(max_length=20)] = field(default_factory=list)
+    remarks: Annotated[list[Message], Meta(max_length=MOST_REMARKS)] = field(default_factory=list)
 
 
 class Result(TaggedStruct, frozen=True, tag="result"):
@@ -67,7 +67,7 @@ class Result(TaggedStruct, frozen=True, tag="result"):
     id: Id
     at: Stamp
     outcome: Outcome
-    message: LongText = ""
+    message: Message | None = None
     unit_error: Byte | None = None
     read_back: FourBytes | None = None
     units: Annotated[list[UnitOutcome], Meta(max_length=MOST_UNITS)] = field(default_factory=list)

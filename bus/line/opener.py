@@ -12,6 +12,7 @@ from bus.errors import WireError
 from bus.line.poller import Poller
 from bus.line.port.open_port import open_port
 from bus.line.port.port import EndedWhileOpening, OpenPort, Receiver
+from bus.messages import Message
 from bus.reconnect_delay import STABLE_S, ReconnectDelay, is_worth_logging
 
 RETRY_S = 0.5
@@ -29,12 +30,12 @@ class Opener:
     def __init__(self, poller: Poller, open_function: OpenFunction = open_port) -> None:
         self._poller = poller
         self._open = open_function
-        self._lost: asyncio.Future[str] | None = None
+        self._lost: asyncio.Future[Message] | None = None
         self._port: OpenPort | None = None
-        self._cause = ""
+        self._cause: Message | None = None
         self._causes = 0
         """How often in a row another cause was seen than before."""
-        self._lost_cause = ""
+        self._lost_cause: Message | None = None
         self._backoff = ReconnectDelay(random.random)
         self._listener: _Listener | None = None
         poller.lost = self._is_lost
@@ -74,8 +75,8 @@ class Opener:
         pause_s = RETRY_S if took_s < RETRY_S else 0.0
         if isinstance(failure, EndedWhileOpening):
             pause_s = self._backoff.ended(0.0)
-        self._log_closed(str(failure))
-        self._poller.still_closed(str(failure))
+        self._log_closed(failure.message)
+        self._poller.still_closed(failure.message)
         return pause_s
 
     async def _try(self) -> WireError | None:
@@ -87,7 +88,7 @@ class Opener:
             self._port = await self._open(poller.bus.port, poller.baud, self._listener)
         except WireError as error:
             return error
-        self._cause = ""
+        self._cause = None
         if self._backoff.is_worth_logging:
             self._log_open()
         poller.port_opened(self._port)
@@ -116,25 +117,27 @@ class Opener:
         try:
             self._port.check()
         except WireError as error:
-            self._poller.port_lost(str(error))
+            self._poller.port_lost(error.message)
 
-    def _is_lost(self, cause: str) -> None:
+    def _is_lost(self, cause: Message) -> None:
         self._lost_cause = cause
         if self._lost is not None and not self._lost.done():
             self._lost.set_result(cause)
 
-    def _log_closed(self, cause: str) -> None:
-        is_new, self._cause = bool(cause) and cause != self._cause, cause
+    def _log_closed(self, cause: Message | None) -> None:
+        is_new, self._cause = cause not in (None, self._cause), cause
         self._causes += is_new
         if is_new and self._backoff.is_worth_logging and is_worth_logging(self._causes):
-            _log.warning("port closed; retrying", cause=cause, lost_soon_after_opening=self._backoff.count)
+            _log.warning(
+                "port closed; retrying", cause=str(cause), lost_soon_after_opening=self._backoff.count
+            )
 
     def data_received(self, listener: _Listener, data: bytes) -> None:
         """Bytes of one opening; of an old one they mean nothing any more."""
         if listener is self._listener:
             self._poller.link.data_received(data)
 
-    def ended(self, listener: _Listener, cause: str) -> None:
+    def ended(self, listener: _Listener, cause: Message) -> None:
         """One opening is over."""
         if listener is self._listener:
             self._poller.port_lost(cause)
@@ -149,5 +152,5 @@ class _Listener:
     def data_received(self, data: bytes) -> None:
         self._opener.data_received(self, data)
 
-    def connection_lost(self, cause: str) -> None:
+    def connection_lost(self, cause: Message) -> None:
         self._opener.ended(self, cause)

@@ -26,6 +26,7 @@ from bus.line.schedule.command_queue import CommandQueue
 from bus.line.schedule.poll_schedule import PollSchedule
 from bus.line.statistics.figures import Figures
 from bus.line.statistics.trace import Interpreter, Trace
+from bus.messages import Message
 from bus.settings import BusSettings, wire_seconds
 from bus.wire.commands import Nak, ReadStatus, Request, WriteParameter
 from bus.wire.lengths import usual_reply_bytes
@@ -47,8 +48,8 @@ class Poller:
         self.schedule = PollSchedule(self.roster.configured, self._exchange_s(ReadStatus(1)), seed)
         self.link = Link(bus.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
         self.link.done = self._on_exchange_end
-        self.state = self._port_is("closed", "not opened yet")
-        self.lost: Callable[[str], None] = lambda _cause: None
+        self.state = self._port_is("closed", Message("port_not_opened"))
+        self.lost: Callable[[Message], None] = lambda _cause: None
         """Called when the port proved unusable; whoever opened it opens it again."""
         self._emit = emit
         self._figures = Figures()
@@ -71,7 +72,7 @@ class Poller:
         self._emit([self.state])
         self._go(now)
 
-    def port_lost(self, cause: str) -> None:
+    def port_lost(self, cause: Message) -> None:
         """Nothing can be asked; whatever was under way ends as unknown. Nothing is sent later."""
         now = self.clock.now()
         self._settle_last(self.link.detach(), now)
@@ -85,17 +86,17 @@ class Poller:
         self._sweep(now)
         self.lost(cause)
 
-    def not_opened(self, cause: str) -> list[Update]:
+    def not_opened(self, cause: Message) -> list[Update]:
         """The port is closed, and why; tells it when that is news."""
         if self.state.link == "closed" and self.state.cause == cause:
             return []
         self.state = self._port_is("closed", cause)
         return [self.state]
 
-    def _port_is(self, link: BusLinkState, cause: str = "") -> BusLink:
+    def _port_is(self, link: BusLinkState, cause: Message | None = None) -> BusLink:
         return BusLink(at=self.clock.epoch(self.clock.now()), link=link, cause=cause, baud=self.baud)
 
-    def still_closed(self, cause: str) -> None:
+    def still_closed(self, cause: Message) -> None:
         """Another try to open it failed."""
         now = self.clock.now()
         updates = self.not_opened(cause)
@@ -134,7 +135,7 @@ class Poller:
         try:
             self.link.retune(baud)
         except WireError as error:
-            cause = str(error)
+            cause = error.message
             self.clock.call_at(now, lambda: self.port_lost(cause))
         else:
             self.state = msgspec.structs.replace(self.state, baud=baud)
@@ -251,15 +252,15 @@ class Poller:
         try:
             self.link.send(request, attempts.dialect_of(request) if attempts is not None else None)
         except PartlySent as error:
-            self.port_lost(str(error))
+            self.port_lost(error.message)
         except WireError as error:
             self._sending = None
-            self.port_lost(str(error))
+            self.port_lost(error.message)
         except CallerError as error:
             self._arbiter.owner = None
             if run is None:
                 raise
-            run.end(Result(id="", at=0.0, outcome="invalid", message=str(error)))
+            run.end(Result(id="", at=0.0, outcome="invalid", message=error.message))
             self._go(self.clock.now())
         else:
             if run is not None and attempts is not None and attempts.reports(request):

@@ -21,6 +21,7 @@ from bus.contract import (
 )
 from bus.errors import UnitErrorCode
 from bus.line.statistics.unit_statistics import UnitStatistics
+from bus.messages import Message
 from bus.wire.commands import (
     Ack,
     ExecuteSpeed,
@@ -145,26 +146,28 @@ class Roster:
         record = self[unit]
         record.misses += 1
         if record.lost(at):
-            return self._link(record, "offline", at, f"no answer to {MISSES_TO_OFFLINE} questions in a row")
+            return self._link(record, "offline", at, Message.of("responses_missed", count=MISSES_TO_OFFLINE))
         if record.link.link == "online" and record.misses >= MISSES_TO_STALE:
-            return self._link(record, "stale", at, "an answer is overdue")
+            return self._link(record, "stale", at, Message("response_overdue"))
         return []
 
-    def port_closed(self, at: float, cause: str) -> list[Update]:
+    def port_closed(self, at: float, cause: Message | None) -> list[Update]:
         """No unit can be asked: whoever was online is stale from now on."""
         return self._all("online", "stale", at, cause)
 
-    def port_stays_closed(self, at: float, cause: str) -> list[Update]:
+    def port_stays_closed(self, at: float, cause: Message | None) -> list[Update]:
         """It has lasted: whoever was stale counts as lost."""
         return self._all("stale", "offline", at, cause)
 
-    def _all(self, was: UnitLinkState, becomes: UnitLinkState, at: float, cause: str) -> list[Update]:
+    def _all(
+        self, was: UnitLinkState, becomes: UnitLinkState, at: float, cause: Message | None
+    ) -> list[Update]:
         records = [record for record in self._records.values() if record.link.link == was]
         return [update for record in records for update in self._link(record, becomes, at, cause)]
 
     def _answered(self, record: UnitRecord, at: float) -> list[Update]:
         record.misses, record.responded_at = 0, at
-        return self._link(record, "online", at, "") if record.link.link != "online" else []
+        return self._link(record, "online", at, None) if record.link.link != "online" else []
 
     def _learn(self, record: UnitRecord, value: ParameterValue | None) -> list[Update]:
         if value is None:
@@ -178,7 +181,9 @@ class Roster:
         record.staged = raw
         return [Staged(unit=record.unit, at=at, raw=raw)]
 
-    def _link(self, record: UnitRecord, link: UnitLinkState, at: float, cause: str) -> list[Update]:
+    def _link(
+        self, record: UnitRecord, link: UnitLinkState, at: float, cause: Message | None
+    ) -> list[Update]:
         if record.link.link == link:
             return []
         record.link = UnitLink(unit=record.unit, at=at, link=link, cause=cause)
@@ -186,7 +191,7 @@ class Roster:
 
 
 def _stranger(unit: int, at: float) -> UnitRecord:
-    return UnitRecord(unit, UnitLink(unit=unit, at=at, link="unknown", cause="not heard yet"))
+    return UnitRecord(unit, UnitLink(unit=unit, at=at, link="unknown", cause=Message("no_response_yet")))
 
 
 def _reading(reply: StatusReply, at: float) -> Reading:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bus.messages.catalog import Catalog
-from bus.messages.message import NUMBER, TERM, Message, ParamValue, listed, number, term
+from bus.messages.message import NUMBER, TERM, Message, ParamValue, in_english, joined, listed, number, term
 from bus.messages.texts import TEXTS, Plural
 
 __all__ = [
@@ -14,6 +14,8 @@ __all__ = [
     "Message",
     "ParamValue",
     "Plural",
+    "in_english",
+    "joined",
     "listed",
     "number",
     "term",

@@ -82,6 +82,19 @@ class Message(msgspec.Struct, frozen=True):
         return found[0] if value is None else _shown(value, catalog)
 
 
+def in_english(message: Message | None) -> str:
+    """Its text in English; empty where there is none."""
+    return "" if message is None else str(message)
+
+
+def joined(messages: Iterable[Message | None]) -> Message | None:
+    """One message of several, those that are None left out; None where there is none."""
+    several: list[int | str | Message] = [each for each in messages if each is not None]
+    if len(several) > 1:
+        return Message("several", {"messages": several})
+    return next((each for each in several if isinstance(each, Message)), None)
+
+
 def number(value: Decimal | str) -> Message:
     """A decimal number; each language writes it with its own decimal sign."""
     return Message(NUMBER, {"value": str(value)})

@@ -10,6 +10,7 @@ wire; ``parse_request``, the unit's side, takes whatever can arrive and leaves t
 from __future__ import annotations
 
 from bus.errors import CallerError, LinesideError, UnitErrorCode
+from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.commands import (
     LARGEST_VALUE,
@@ -35,8 +36,9 @@ from bus.wire.lengths import acknowledged_lengths
 class IllegalRequest(LinesideError):
     """A unit received a frame that is no request; ``code`` is the NAK the manual has for it."""
 
-    def __init__(self, unit: int, code: int, message: str) -> None:
+    def __init__(self, unit: int, code: int, message: Message) -> None:
         super().__init__(message)
+        self.message: Message = message
         self.unit = unit
         self.code = code
 
@@ -52,7 +54,7 @@ def encode_request(request: Request, dialect: Dialect) -> bytes:
 def request_body(request: Request, dialect: Dialect) -> bytes:
     """What the frame carries, unstuffed. Raises CallerError like ``encode_request``."""
     lowest = 0 if isinstance(request, ExecuteSpeed) else 1
-    _require("unit address", request.unit, lowest, 255)
+    _require(Message("field_unit_address"), request.unit, lowest, 255)
     return bytes((request.unit, request.COMMAND)) + _request_data(request, dialect)
 
 
@@ -67,26 +69,28 @@ def _request_data(request: Request, dialect: Dialect) -> bytes:
         case WriteParameter():
             return _number_byte(request.number, dialect) + _value(request.raw)
         case WriteOutput():
-            _require("output", request.output, 1, 6)
+            _require(Message("field_output"), request.output, 1, 6)
             return bytes((request.output, request.on))
 
 
 def _value(raw: int) -> bytes:
-    _require("value", raw, 0, LARGEST_VALUE)
+    _require(Message("field_value"), raw, 0, LARGEST_VALUE)
     return raw.to_bytes(4, "big")
 
 
 def _number_byte(number: int, dialect: Dialect) -> bytes:
     if dialect.parameter_numbers == "bcd":
-        _require("parameter number", number, 1, 99)
+        _require(Message("field_parameter_number"), number, 1, 99)
         return bytes((number // 10 * 16 + number % 10,))
-    _require("parameter number", number, 1, 255)
+    _require(Message("field_parameter_number"), number, 1, 255)
     return bytes((number,))
 
 
-def _require(what: str, value: int, lowest: int, highest: int) -> None:
+def _require(field: Message, value: int, lowest: int, highest: int) -> None:
     if not lowest <= value <= highest:
-        raise CallerError(f"{what} {value} cannot be sent; it must be {lowest} to {highest}")
+        raise CallerError(
+            Message.of("request_out_of_range", field=field, value=value, lowest=lowest, highest=highest)
+        )
 
 
 # --- the unit's side of a request ----------------------------------------------------------------
@@ -110,9 +114,8 @@ def parse_request(body: bytes, dialect: Dialect) -> Request:
     """
     unit, command = body[0], body[1]
     if not is_request(body):
-        raise IllegalRequest(
-            unit, UnitErrorCode.ILLEGAL_COMMAND, f"{command:02X}h is no command of this length"
-        )
+        message = Message.of("command_unknown", command=f"{command:02X}")
+        raise IllegalRequest(unit, UnitErrorCode.ILLEGAL_COMMAND, message)
     data = body[2:]
     if command in _VALUE_COMMANDS:
         return _VALUE_COMMANDS[command](unit, int.from_bytes(data, "big"))
@@ -126,9 +129,8 @@ def parse_request(body: bytes, dialect: Dialect) -> Request:
         case WriteParameter.COMMAND:
             return WriteParameter(unit, _number(unit, data[0], dialect), int.from_bytes(data[1:], "big"))
     if data[1] > 1:
-        raise IllegalRequest(
-            unit, UnitErrorCode.ILLEGAL_OUTPUT_VALUE, f"output value {data[1]} is not 0 or 1"
-        )
+        message = Message.of("output_value_illegal", value=data[1])
+        raise IllegalRequest(unit, UnitErrorCode.ILLEGAL_OUTPUT_VALUE, message)
     return WriteOutput(unit, data[0], data[1] == 1)
 
 
@@ -137,7 +139,8 @@ def _number(unit: int, byte: int, dialect: Dialect) -> int:
         return byte
     tens, ones = divmod(byte, 16)
     if tens > 9 or ones > 9:
-        raise IllegalRequest(unit, UnitErrorCode.ILLEGAL_PARAMETER_NUMBER, f"{byte:02X}h is not BCD")
+        message = Message.of("number_not_bcd", byte=f"{byte:02X}")
+        raise IllegalRequest(unit, UnitErrorCode.ILLEGAL_PARAMETER_NUMBER, message)
     return tens * 10 + ones
 
 

@@ -10,12 +10,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from msgspec.structs import replace
-
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, status_bits
-from bus.clauses import Clause, in_english
-from bus.errors import UNNAMED_UNIT_ERROR, UnitErrorCode, unit_error_name
+from bus.errors import unit_error
+from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.bodies import IllegalRequest, parse_reply, parse_request
 from bus.wire.commands import (
@@ -38,36 +36,31 @@ from bus.wire.framing import ACK, NAK, FrameDecoder, Noise, Received, ReceivedFr
 Json: TypeAlias = "bool | int | str | list[Json] | dict[str, Json] | None"
 
 _KINDS = {
-    0x81: ("read_status", "read speed and status", "read speed and status"),
-    0x82: ("set_speed", "set speed (staged)", "set speed (staged) {raw}"),
-    0x83: ("execute_speed", "execute speed", "execute speed"),
-    0x84: ("set_and_execute_speed", "set and execute speed", "set and execute speed {raw}"),
-    0x85: ("read_parameter", "read parameter", "read parameter {parameter}"),
-    0x86: ("write_parameter", "write parameter", "write parameter {parameter} = {raw}"),
-    0x87: ("write_output", "write auxiliary output", "write auxiliary output {output} {state}"),
-    0x88: ("write_analog_output", "write analog output", "write analog output {raw}"),
+    0x81: "read_status",
+    0x82: "set_speed",
+    0x83: "execute_speed",
+    0x84: "set_and_execute_speed",
+    0x85: "read_parameter",
+    0x86: "write_parameter",
+    0x87: "write_output",
+    0x88: "write_analog_output",
 }
-"""Of each command: its name for programs, its name in words, and how one is told."""
+"""The name of each command for programs; in words it is the message ``request_…``."""
 _PARAMETER_VALUE_WIDTHS = (1, 2, 4)
 
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """One frame, or a frame whole but for its checksum. ``clauses`` never show a secret, ``fields`` do."""
+    """One frame, or a frame whole but for its checksum. ``meaning`` never shows a secret, ``fields`` do."""
 
     uid: int
     kind: str
     fields: dict[str, Json]
-    clauses: tuple[Clause, ...]
+    meaning: Message
     wire: bytes
     checksum_ok: bool = True
     request: Request | None = None
     """What it asks, where it is a request."""
-
-    @property
-    def words(self) -> str:
-        """What it says, in English."""
-        return in_english(self.clauses)
 
     def as_json(self) -> dict[str, Json]:
         """The object of ``lineside decode --json``."""
@@ -84,12 +77,7 @@ class DescribedNoise:
     """Bytes that are no frame."""
 
     wire: bytes
-    clauses: tuple[Clause, ...]
-
-    @property
-    def words(self) -> str:
-        """Why not, in English."""
-        return in_english(self.clauses)
+    meaning: Message
 
 
 class Describer:
@@ -116,13 +104,12 @@ class Describer:
 
     def _noise(self, noise: Noise) -> Described | DescribedNoise:
         if not noise.body:
-            no_frame = Clause("{count} bytes that are no frame", {"count": len(noise.data)}, ": ")
-            return DescribedNoise(noise.data, (no_frame, Clause(noise.reason.value)))
+            reason = Message(f"noise_{noise.reason.value}")
+            return DescribedNoise(noise.data, Message.of("noise", count=len(noise.data), reason=reason))
         described = describe_body(noise.body, noise.data, self._dialect, None)
-        right = {"right": f"{checksum(noise.body):02X}"}
-        wrong = Clause("checksum wrong, {right}h would be right; as it stands", right, ": ")
-        clauses = (wrong, *described.clauses)
-        return Described(described.uid, described.kind, described.fields, clauses, noise.data, False)
+        right = f"{checksum(noise.body):02X}"
+        meaning = Message.of("frame_checksum_wrong", right=right, frame=described.meaning)
+        return Described(described.uid, described.kind, described.fields, meaning, noise.data, False)
 
 
 def describe_bytes(data: bytes, dialect: Dialect | None = None) -> list[Described | DescribedNoise]:
@@ -140,7 +127,7 @@ def describe_body(body: bytes, wire: bytes, dialect: Dialect, asked: Request | N
         return _describe_request(parse_request(body, dialect), wire)
     except IllegalRequest as error:
         fields: dict[str, Json] = {"command": f"{body[1]:02X}", "data": body[2:].hex(" ").upper()}
-        return Described(body[0], "unknown", fields, (_unit(body[0]), Clause(str(error))), wire)
+        return Described(body[0], "unknown", fields, _of_unit(body[0], error.message), wire)
 
 
 def is_secret(request: Request) -> bool:
@@ -154,42 +141,56 @@ def is_secret(request: Request) -> bool:
 
 
 def _describe_request(request: Request, wire: bytes) -> Described:
-    kind, _, told = _KINDS[request.COMMAND]
-    to = Clause("all units", then=": ") if request.unit == 0 else _unit(request.unit)
-    fields, values = _request_detail(request)
-    return Described(request.unit, kind, fields, (to, Clause(told, values)), wire, request=request)
+    kind = _KINDS[request.COMMAND]
+    fields, meaning = _request_detail(request)
+    return Described(request.unit, kind, fields, _of_unit(request.unit, meaning), wire, request=request)
 
 
-def _request_detail(request: Request) -> tuple[dict[str, Json], dict[str, int | str]]:
+def _request_detail(request: Request) -> tuple[dict[str, Json], Message]:
     """What it carries, for programs and for people."""
+    kind = _KINDS[request.COMMAND]
     match request:
         case ReadParameter(number=number):
-            return {"number": number, "name": _name(number)}, {"parameter": _title(number)}
+            fields: dict[str, Json] = {"number": number, "name": _name(number)}
+            return fields, Message.of("request_read_parameter_number", parameter=_title(number))
         case WriteParameter(number=number, raw=raw):
-            shown = "hidden" if is_secret(request) else raw
-            fields: dict[str, Json] = {"number": number, "name": _name(number), "raw": raw}
-            return fields, {"parameter": _title(number), "raw": shown}
+            fields = {"number": number, "name": _name(number), "raw": raw}
+            return fields, Message.of(
+                "request_write_parameter_to", parameter=_title(number), raw=_unless_secret(request, raw)
+            )
         case StageSpeed(raw=raw) | SetAndExecuteSpeed(raw=raw) | WriteAnalogOutput(raw=raw):
-            return {"raw": raw}, {"raw": raw}
+            return {"raw": raw}, Message.of(f"request_{kind}_to", raw=raw)
         case WriteOutput(output=output, on=on):
-            return {"output": output, "on": on}, {"output": output, "state": "on" if on else "off"}
+            return {"output": output, "on": on}, Message.of(
+                "request_write_output_on" if on else "request_write_output_off", output=output
+            )
         case _:
-            return {}, {}
+            return {}, Message(f"request_{kind}")
 
 
-def _unit(unit: int) -> Clause:
-    return Clause("unit {unit}", {"unit": unit}, ": ")
+def _name_of(request: Request) -> Message:
+    return Message(f"request_{_KINDS[request.COMMAND]}")
+
+
+def _of_unit(unit: int, meaning: Message) -> Message:
+    whose = Message.of("frame_unit", unit=unit) if unit else Message("frame_all_units")
+    return Message.of("frame", unit=whose, meaning=meaning)
+
+
+def _unless_secret(request: Request, raw: int) -> int | Message:
+    return Message("value_hidden") if is_secret(request) else raw
 
 
 def _name(number: int) -> str | None:
     return PARAMETERS[number].name if number in PARAMETERS else None
 
 
-def _title(number: int) -> str:
-    return f"#{number} {_name(number) or '(not in the list)'}"
+def _title(number: int) -> str | Message:
+    name = _name(number)
+    return f"#{number} {name}" if name else Message.of("parameter_not_listed", number=number)
 
 
-# --- answers -------------------------------------------------------------------------------------
+# --- responses -----------------------------------------------------------------------------------
 
 
 def _describe_answer(body: bytes, wire: bytes, dialect: Dialect, asked: Request | None) -> Described:
@@ -204,59 +205,57 @@ def _in_context(reply: Reply, asked: Request, wire: bytes, dialect: Dialect) -> 
         case StatusReply():
             return _status(reply, wire, dialect)
         case Nak():
-            return _nak(reply, wire, Clause("NAK to {command}", _command(asked), ", "))
+            return _nak(reply, wire, asked)
         case ParameterReply() if isinstance(asked, ReadParameter):
             fields: dict[str, Json] = {"number": asked.number, "name": _name(asked.number), "raw": reply.raw}
-            shown = "hidden" if is_secret(asked) else reply.raw
-            value = Clause("{parameter} is {raw}", {"parameter": _title(asked.number), "raw": shown})
-            return Described(reply.unit, "parameter_value", fields, (_unit(reply.unit), value), wire)
+            value = Message.of(
+                "parameter_response", parameter=_title(asked.number), raw=_unless_secret(asked, reply.raw)
+            )
+            return Described(reply.unit, "parameter_value", fields, _of_unit(reply.unit, value), wire)
         case _:
             data = reply.data if isinstance(reply, Ack) else b""
-            told = "took {command}, and said a value" if data else "took {command}"
-            took = (_unit(reply.unit), Clause(told, _command(asked)))
-            return Described(reply.unit, "ack", _data_fields(data), took, wire)
-
-
-def _command(asked: Request) -> dict[str, int | str]:
-    return {"command": _KINDS[asked.COMMAND][1]}
+            accepted = Message.of(
+                "request_accepted_with_value" if data else "request_accepted", request=_name_of(asked)
+            )
+            return Described(reply.unit, "ack", _data_fields(data), _of_unit(reply.unit, accepted), wire)
 
 
 def _without_context(body: bytes, wire: bytes, dialect: Dialect) -> Described:
     unit, data = body[0], body[2:]
     if body[1] == NAK and len(data) == 1:
-        return _nak(Nak(unit, data[0]), wire, Clause("NAK", then=", "))
+        return _nak(Nak(unit, data[0]), wire, None)
     status = parse_reply(ReadStatus(unit), body, dialect)
     if isinstance(status, StatusReply):
         return _status(status, wire, dialect)
-    kind, fields, told = _without_request(body[1], data)
-    return Described(unit, kind, fields, (_unit(unit), told), wire)
+    kind, fields, meaning = _without_request(body[1], data)
+    return Described(unit, kind, fields, _of_unit(unit, meaning), wire)
 
 
-def _without_request(mark: int, data: bytes) -> tuple[str, dict[str, Json], Clause]:
+def _without_request(mark: int, data: bytes) -> tuple[str, dict[str, Json], Message]:
     if mark == ACK and not data:
-        return "ack", {}, Clause("ACK, a write was taken")
+        return "ack", {}, Message("ack")
     if mark == ACK and len(data) in _PARAMETER_VALUE_WIDTHS:
-        told = (
-            "ACK with {raw}: the value of a parameter, or the answer to a write of one;"
-            " only the request would tell which"
+        return (
+            "parameter_value",
+            _data_fields(data),
+            Message.of("ack_with_value", raw=int.from_bytes(data, "big")),
         )
-        fields = _data_fields(data)
-        return "parameter_value", fields, Clause(told, {"raw": int.from_bytes(data, "big")})
-    told = "{mark} with {count} bytes, which no answer has"
-    values: dict[str, int | str] = {"mark": "ACK" if mark == ACK else "NAK", "count": len(data)}
-    return "unknown", {"data": data.hex(" ").upper()}, Clause(told, values)
+    meaning = Message.of("ack_of_wrong_length" if mark == ACK else "nak_of_wrong_length", count=len(data))
+    return "unknown", {"data": data.hex(" ").upper()}, meaning
 
 
 def _data_fields(data: bytes) -> dict[str, Json]:
     return {"raw": int.from_bytes(data, "big"), "width": len(data)} if data else {}
 
 
-def _nak(reply: Nak, wire: bytes, nak: Clause) -> Described:
-    name = unit_error_name(reply.code)
-    fields: dict[str, Json] = {"unit_error": reply.code, "name": name}
-    is_named = reply.code in set(UnitErrorCode)
-    why = Clause(name) if is_named else Clause(UNNAMED_UNIT_ERROR, {"code": f"{reply.code:02X}"})
-    return Described(reply.unit, "nak", fields, (_unit(reply.unit), nak, why), wire)
+def _nak(reply: Nak, wire: bytes, asked: Request | None) -> Described:
+    error = unit_error(reply.code)
+    fields: dict[str, Json] = {"unit_error": reply.code, "name": str(error)}
+    if asked is None:
+        meaning = Message.of("nak", error=error)
+    else:
+        meaning = Message.of("nak_to_request", request=_name_of(asked), error=error)
+    return Described(reply.unit, "nak", fields, _of_unit(reply.unit, meaning), wire)
 
 
 def _status(reply: StatusReply, wire: bytes, dialect: Dialect) -> Described:
@@ -270,24 +269,20 @@ def _status(reply: StatusReply, wire: bytes, dialect: Dialect) -> Described:
         "outputs": list(bits.outputs),
         "inputs": {**bits.inputs},
     }
-    speeds = Clause(
-        "commanded {commanded}, actual {actual}, analog {analog}",
-        {"commanded": reply.commanded, "actual": reply.actual, "analog": reply.analog},
+    meaning = Message.of(
+        "status_response",
+        commanded=reply.commanded,
+        actual=reply.actual,
+        analog=reply.analog,
+        state=list(_state(bits)),
     )
-    clauses = (_unit(reply.unit), *_listed([speeds, *_bits_in_words(bits)]))
-    return Described(reply.unit, "status", fields, clauses, wire)
+    return Described(reply.unit, "status", fields, _of_unit(reply.unit, meaning), wire)
 
 
-def _bits_in_words(bits: StatusBits) -> Iterator[Clause]:
-    yield Clause("at speed" if bits.at_speed else "off speed")
-    yield Clause("remote" if bits.remote else "not remote")
+def _state(bits: StatusBits) -> Iterator[Message]:
+    yield Message("status_at_speed" if bits.at_speed else "status_off_speed")
+    yield Message("status_remote" if bits.remote else "status_not_remote")
     for number, on in enumerate(bits.outputs, start=1):
         if on:
-            yield Clause("output {output} on", {"output": number})
-    names = {"estop": "emergency stop active", "slave": "follower"}
-    yield from (Clause(names.get(name, name)) for name, on in bits.inputs.items() if on)
-
-
-def _listed(clauses: list[Clause]) -> list[Clause]:
-    *others, last = clauses
-    return [*(replace(clause, then=", ") for clause in others), last]
+            yield Message.of("status_output", output=number)
+    yield from (Message(f"status_{name}") for name, on in bits.inputs.items() if on)

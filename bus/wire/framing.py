@@ -24,6 +24,7 @@ from typing import NamedTuple
 import msgspec
 
 from bus.errors import CallerError
+from bus.messages import Message
 from bus.settings import Dialect
 
 DLE, STX, ETX, ACK, NAK = 0x10, 0x02, 0x03, 0x06, 0x15
@@ -41,13 +42,13 @@ _END = bytes((DLE, ETX))
 class Fault(StrEnum):
     """Why bytes are not a frame."""
 
-    OUTSIDE = "outside a frame"
-    RESTART = "a new frame began inside"
-    ESCAPE = "10h before a byte that it cannot precede"
-    TOO_LONG = "longer than any legal frame"
-    TOO_SHORT = "no address and command"
+    OUTSIDE = "outside"
+    RESTART = "restart"
+    ESCAPE = "escape"
+    TOO_LONG = "too_long"
+    TOO_SHORT = "too_short"
     CHECKSUM = "checksum"
-    CUT = "cut off"
+    CUT = "cut"
 
 
 class ReceivedFrame(msgspec.Struct, frozen=True):
@@ -96,7 +97,9 @@ def encode_frame(body: bytes, dialect: Dialect) -> bytes:
     Raises CallerError for a body that no frame can carry.
     """
     if not SHORTEST_BODY <= len(body) <= LONGEST_BODY:
-        raise CallerError(f"a frame carries {SHORTEST_BODY} to {LONGEST_BODY} bytes, not {len(body)}")
+        raise CallerError(
+            Message.of("frame_length_illegal", lowest=SHORTEST_BODY, highest=LONGEST_BODY, count=len(body))
+        )
     check = bytes((checksum(body),))
     if check[0] == DLE and dialect.checksum_10h == "twice":
         check += check

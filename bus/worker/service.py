@@ -32,6 +32,7 @@ from bus.line.opener import Opener, OpenFunction
 from bus.line.poller import Poller
 from bus.line.port.open_port import open_port
 from bus.line.statistics.trace import Interpreter, TracedFrame
+from bus.messages import Message, in_english
 from bus.settings import BusSettings
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
@@ -39,7 +40,7 @@ from bus.worker.uplink import Uplink
 RESULTS_KEPT = 2_000
 MOST_COMMANDS, MOST_TRACES = 300, 8
 """At once, far more than people and programs ask for: an app gone wrong must not fill the memory."""
-TOO_MANY = "too many commands are under way at the bus worker: nothing was sent"
+TOO_MANY = Message("too_many_commands")
 FIGURES_S = 1.0
 FINISH_WITHIN_S = 1.4
 """What a change in flight may take once the worker is told to go."""
@@ -147,7 +148,7 @@ class BusWorker:
         why = self._why_not(command, deadline - now)
         run = command_run_of(self.poller, command.id, command.action, deadline)
         if why is None and run is None:
-            why = Result(command.id, 0.0, "invalid", "this worker does not know such a command")
+            why = Result(command.id, 0.0, "invalid", Message("unknown_command"))
         if why is not None:
             self._emit([msgspec.structs.replace(why, id=command.id, at=self._epoch())])
             return
@@ -168,14 +169,13 @@ class BusWorker:
     def _why_not(self, command: Command, time_left_s: float) -> Result | None:
         """Why nothing is sent for it, when that is plain at once."""
         if self._leaving:
-            return Result("", 0.0, "not_sent", "the bus worker is stopping: nothing was sent")
+            return Result("", 0.0, "not_sent", Message("worker_stopping"))
         if len(self.poller.commands) >= MOST_COMMANDS:
             return Result("", 0.0, "not_sent", TOO_MANY)
         if not self.poller.link.open:
-            cause = self.poller.state.cause
-            return Result("", 0.0, "bus_closed", f"there is no link to the bus: {cause}; nothing was sent")
+            return Result("", 0.0, "bus_closed", self.poller.state.refusal)
         if time_left_s < 0 and command.action.writes:
-            message = f"it came {-time_left_s:.1f} s after its time was over: nothing was sent"
+            message = Message.of("arrived_late", seconds=round(-time_left_s, 1))
             return Result("", 0.0, "not_sent", message)
         return None
 
@@ -191,11 +191,13 @@ class BusWorker:
             if isinstance(update, Result):
                 if update.id in self._results:
                     self._remember(update.id, msgspec.structs.replace(update, frames=[]))
-                _log.info("command result", id=update.id, outcome=update.outcome, message=update.message)
+                _log.info(
+                    "command result", id=update.id, outcome=update.outcome, message=in_english(update.message)
+                )
             elif isinstance(update, UnitLink):
-                _log.info("unit", unit=update.unit, link=update.link, cause=update.cause)
+                _log.info("unit", unit=update.unit, link=update.link, cause=in_english(update.cause))
             elif isinstance(update, BusLink):
-                _log.debug("bus", link=update.link, cause=update.cause)
+                _log.debug("bus", link=update.link, cause=in_english(update.cause))
         self.outbox.put(updates)
 
     async def _report_figures(self) -> None:

@@ -34,7 +34,7 @@ from bus.contract import (
     UnitLink,
     WriteParameter,
 )
-from bus.messages import Message
+from bus.messages import Message, term
 from bus.settings import BusSettings
 from tests.app.played_rights import PlayedRights
 
@@ -98,7 +98,7 @@ class PlayedDesk:
 
     def _read(self, action: ReadParameters) -> Result:
         if self._silent:
-            return Result(id="r", at=time.time(), outcome="unverified", message="no answer")
+            return Result(id="r", at=time.time(), outcome="unverified", message=term("no answer"))
         values = [self._value(action.unit, number) for number in action.numbers]
         return Result(id="r", at=time.time(), outcome="verified", values=values)
 
@@ -111,7 +111,7 @@ class PlayedDesk:
         if action.number in self.objects:
             raise self.objects[action.number]
         if self._silent:
-            return Result(id="w", at=time.time(), outcome="unverified", message="no answer after 4 tries")
+            return Result(id="w", at=time.time(), outcome="unverified", message=term("no response"))
         if action.number in self.refuses:
             return Result(id="w", at=time.time(), outcome="refused", unit_error=self.refuses[action.number])
         self.written.append((action.unit, action.number, action.raw))

@@ -66,6 +66,7 @@ from bus.contract import (
     decode_from_app,
     encode,
 )
+from bus.messages import term
 from bus.settings import BusSettings, UnitSettings
 from tests.app.played_rights import PlayedRights
 from tests.app.played_sources import NoGoldenSets, NoRecipes
@@ -102,7 +103,7 @@ def snapshot(seq: int = 0, units: Sequence[UnitState] | None = None, link: str =
     now = time.time()
     states = [unit_state(number) for number in (1, 2, 16)] if units is None else list(units)
     port = BusLink(
-        at=now, link="open" if link == "open" else "closed", cause="" if link == "open" else "gone"
+        at=now, link="open" if link == "open" else "closed", cause=None if link == "open" else term("gone")
     )
     return Snapshot(seq=seq, sent_at=now, bus=port, units=states)
 

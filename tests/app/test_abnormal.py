@@ -10,6 +10,7 @@ from app.live.diagnosis.cause import Cause, bus_cause
 from app.live.diagnosis.suspicion import suspicion
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
+from bus.messages import term
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, voice
 
 NOW = 100.0
@@ -89,9 +90,10 @@ def test_a_bus_says_worker_or_port_and_since_when() -> None:
     live = line()
     bus = live.buses["dry"]
     assert bus_cause(bus, 100.5) is None
-    live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause="no such device")])
-    live.buses["dry"].apply([BusLink(at=105.0, link="closed", cause="permission denied")])
-    assert bus_cause(bus, 110.0) == Cause("port_lost", "urgent", Onset(101.0), {"why": "permission denied"})
+    live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("no such device"))])
+    live.buses["dry"].apply([BusLink(at=105.0, link="closed", cause=term("permission denied"))])
+    denied = {"why": term("permission denied")}
+    assert bus_cause(bus, 110.0) == Cause("port_lost", "urgent", Onset(101.0), denied)
     live.buses["dry"].lose_worker(120.0)
     assert bus_cause(bus, 130.0) == Cause("worker_lost", "urgent", Onset(120.0))
 

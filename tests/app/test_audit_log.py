@@ -14,7 +14,7 @@ import pytest
 from app.audit.log import ENDED_BEFORE, Event, EventLog
 from app.audit.store import Filter
 from app.database import Database
-from bus.contract import Clause, Frame
+from bus.contract import Frame
 from bus.messages import Message, term
 
 
@@ -59,7 +59,7 @@ async def test_an_intent_is_on_disk_when_it_returns(log: EventLog, database: Dat
 
 async def test_a_fate_is_folded_into_its_command(log: EventLog) -> None:
     number = await intent(log)
-    frame = Frame(at=1.5, direction="out", data=b"\x10\x02", clauses=[Clause("81h")])
+    frame = Frame(at=1.5, direction="out", data=b"\x10\x02", meanings=[term("81h")])
     await log.conclude(number, "verified", "reads 50.0", [frame])
     [event] = await newest(log)
     assert (event["id"], event["outcome"], event["message"]) == (number, "verified", "reads 50.0")

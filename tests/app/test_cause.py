@@ -11,6 +11,7 @@ from app.live.screen.cause_text import CAUSE_TEXTS, CHECK_TEXTS, cause_line, cau
 from app.live.state.live_state import LiveState
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink
+from bus.messages import term
 from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, reading, voice
 
 NOW = 8520.0
@@ -156,7 +157,7 @@ def test_of_a_unit_that_is_offline_nothing_else_is_claimed() -> None:
 
 def test_a_lost_port_is_the_cause_of_its_units_and_abnormal_once() -> None:
     live = after({})
-    live.buses["dry"].apply([BusLink(at=NOW + 10, link="closed", cause="the port is closed")])
+    live.buses["dry"].apply([BusLink(at=NOW + 10, link="closed", cause=term("the port is closed"))])
     assert said(live, NOW + 70) == ("", "Port closed since 02:22: the port is closed")
 
 

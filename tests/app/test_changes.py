@@ -6,6 +6,7 @@ import pytest
 
 from app.live.changes import Changes, LineEvent
 from bus.contract import BusLink, UnitLink, Update
+from bus.messages import term
 from tests.app.stage import HEALTHY, REMOTE, bus_settings, reading
 
 
@@ -19,7 +20,7 @@ def seen(*updates: Update, **settings: object) -> list[tuple[str, int | None, st
 
 
 def link(state: str, unit: int = 1) -> UnitLink:
-    return UnitLink(unit=unit, at=1.0, link=state, cause="no answer")  # type: ignore[arg-type]
+    return UnitLink(unit=unit, at=1.0, link=state, cause=term("no answer"))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -58,7 +59,7 @@ def test_a_unit_lost_and_back_but_not_a_late_answer() -> None:
 
 
 def test_a_closed_port_is_one_change_and_not_one_for_each_unit() -> None:
-    opened, closed = BusLink(at=1.0, link="open"), BusLink(at=2.0, link="closed", cause="unplugged")
+    opened, closed = BusLink(at=1.0, link="open"), BusLink(at=2.0, link="closed", cause=term("unplugged"))
     assert seen(opened, link("online"), link("online", 2), closed, link("offline"), link("offline", 2)) == [
         ("bus", None, "open", "closed")
     ]

@@ -9,6 +9,7 @@ import pytest
 from app.feed import channel as channels
 from app.feed.channel import SILENT_LOOKS, Channel
 from bus.contract import AppMessage, Command, Progress, Result, SetSpeed
+from bus.messages import Message
 
 COMMAND = Command(id="a", deadline=0.0, action=SetSpeed(unit=1, raw=5))
 
@@ -57,7 +58,7 @@ async def test_a_silent_worker_is_not_waited_for_past_the_deadline() -> None:
     await channel.opened(Connection(), "w")
     result = await channel.ask(COMMAND)
     assert result.outcome == "unverified"
-    assert "does not answer" in result.message
+    assert result.message == Message("worker_no_response")
 
 
 async def test_a_worker_that_speaks_of_other_things_is_waited_for(quick_looks: float) -> None:

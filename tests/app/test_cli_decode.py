@@ -12,8 +12,9 @@ from typer.testing import CliRunner
 from app.cli import decode
 from app.cli.decode import parse_hex
 from app.commands.api.trace_file import trace_line
-from bus.contract import Clause, Frame
+from bus.contract import Frame
 from bus.errors import CallerError
+from bus.messages import term
 
 MANUAL = "10 02 04 82 00 00 02 10 10 10 03 68"
 JSON_OF_MANUAL = [{"uid": 4, "kind": "set_speed", "fields": {"raw": 528}, "checksum_ok": True}]
@@ -86,9 +87,9 @@ def test_a_trace_file_with_its_directions_apart(tmp_path: Path) -> None:
     """The answer overlaps the next request, as it may on four wires; each direction is read for itself."""
     asked, answered = bytes.fromhex("10 02 01 85 06 10 03 74"), bytes.fromhex("10 02 01 06 00 32 10 03 C7")
     frames = [
-        Frame(1.0, "out", asked, [Clause("unit 1: read parameter #6")]),
-        Frame(1.01, "in", answered[:4], [Clause("the first half")]),
-        Frame(1.02, "in", answered[4:], [Clause("the second half")]),
+        Frame(1.0, "out", asked, [term("unit 1: read parameter #6")]),
+        Frame(1.01, "in", answered[:4], [term("the first half")]),
+        Frame(1.02, "in", answered[4:], [term("the second half")]),
     ]
     trace = tmp_path / "trace.txt"
     trace.write_text("".join(trace_line(frame) + "\n" for frame in frames))
@@ -102,7 +103,7 @@ def test_a_trace_file_with_its_directions_apart(tmp_path: Path) -> None:
 
 def test_a_spoilt_trace_names_the_line(tmp_path: Path) -> None:
     trace = tmp_path / "trace.txt"
-    trace.write_text(trace_line(Frame(1.0, "out", b"\x10", [Clause("x")])) + "\nnot a line\n")
+    trace.write_text(trace_line(Frame(1.0, "out", b"\x10", [term("x")])) + "\nnot a line\n")
     result = run(cli, ["--file", str(trace)])
     assert result.exit_code == 2
     assert "not a line of a trace" in result.stderr

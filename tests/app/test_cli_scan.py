@@ -19,6 +19,7 @@ from bus.catalogue import numbers
 from bus.errors import WireError
 from bus.line.scan.found import Found
 from bus.line.scan.prober import Prober
+from bus.messages import Message
 from bus.settings import Dialect
 from bus.simulator.faults import FaultKind, Faults
 from bus.simulator.line import SimulatedLine
@@ -30,6 +31,7 @@ from bus.simulator.serve import LineServer
 from bus.simulator.unit import Traits, Unit
 
 PATIENCE_MS = "400"
+GONE = Message.of("port_gone", port="it")
 """A unit of these tests answers at once, but on a busy machine its process may have to wait its turn. An
 address without a unit costs this at every look, so there are few of those."""
 
@@ -110,7 +112,7 @@ def test_a_unit_that_answers_to_every_address() -> None:
     faults.set(FaultKind.EVERYBODY, 1.0, unit=3)
     with line(unit(3), faults=faults) as port:
         answer = scanned(port, "--baud", "9600", last=6)
-    assert answer["remarks"] == ["unit 3 answers to addresses that are not its own (5 of them)"]
+    assert answer["remarks"] == ["unit 3 responds to addresses that are not its own (5 of them)"]
 
 
 def test_an_adapter_that_hears_itself() -> None:
@@ -156,7 +158,7 @@ def test_nobody_is_called_absent_after_one_question(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize(
     ("error", "code", "words"),
-    [(KeyboardInterrupt(), 130, "interrupted"), (WireError("it is gone"), 1, "it is gone")],
+    [(KeyboardInterrupt(), 130, "interrupted"), (WireError(GONE), 1, "it is gone")],
 )
 def test_what_was_found_before_the_end_is_told(
     monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int, words: str
@@ -185,7 +187,7 @@ def test_a_line_that_talks_unasked_is_not_scanned() -> None:
     with line(unit(2), faults=faults) as port:
         result = run(port, "--baud", "9600", "--last", "3")
     assert result.exit_code == 1
-    assert "nobody asked" in result.stderr
+    assert "without a request" in result.stderr
 
 
 def test_a_port_that_is_not_there() -> None:

@@ -27,6 +27,7 @@ from bus.contract import (
     Update,
     WriteParameter,
 )
+from bus.messages import term
 from tests.app.stage import PlayedWorker, Stage, answering, bus_settings, fate
 
 ANNA = Person("anna", Role.OPERATOR, "token")
@@ -85,7 +86,7 @@ async def test_progress_is_told_and_a_change_can_be_given_up(stage: Stage, worke
     )
     await stage.desk.cancel(command.id)
     assert await worker.hear(Cancel) == Cancel(id=command.id)
-    await worker.update(fate(command, "not_sent", message="given up"))
+    await worker.update(fate(command, "not_sent", message=term("given up")))
     assert (await asked).outcome == "not_sent"
     assert [progress.stage for progress in heard] == ["sent"]
 
@@ -141,8 +142,8 @@ async def test_a_long_command_is_given_up_when_it_may_not_go_on(
     assert isinstance(command, Command)
     reason = await trouble(stage)
     assert await worker.hear(Cancel) == Cancel(command.id)
-    await worker.update(fate(command, "not_sent", message="given up: every unit is back"))
-    assert (await asked).message == f"{reason}; given up: every unit is back"
+    await worker.update(fate(command, "not_sent", message=term("given up: every unit is back")))
+    assert str((await asked).message) == f"{reason}; given up: every unit is back"
     event = next(event for event in await commands(stage) if event["unit"] is None)
     assert (event["outcome"], event["message"]) == ("not_sent", f"{reason}; given up: every unit is back")
 
@@ -160,7 +161,7 @@ async def test_what_changes_after_the_check_is_seen_before_the_command_is_sent(
     worker.play = answering("verified")
     stage.desk.on_write(keep)
     result = await stage.desk.ask(ANNA, WriteParameter(unit=2, number=6, raw=50))
-    assert (result.outcome, result.message) == ("not_sent", reasons[0])
+    assert (result.outcome, str(result.message)) == ("not_sent", reasons[0])
     assert worker.commands == []
     event = (await commands(stage))[-1]
     assert (event["outcome"], event["message"]) == ("not_sent", reasons[0])

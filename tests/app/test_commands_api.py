@@ -12,7 +12,6 @@ import pytest
 from app.commands.api.trace_file import parse_trace_line
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
-    Clause,
     Command,
     ExecuteAll,
     ExecuteSpeed,
@@ -29,6 +28,7 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
+from bus.messages import term
 from tests.app.stage import PlayedWorker, Stage, answering, fate, reading, snapshot, unit_state
 
 
@@ -188,7 +188,7 @@ async def test_a_bus_there_is_not(stage: Stage) -> None:
 async def test_each_fate_has_its_status(
     stage: Stage, worker: PlayedWorker, outcome: str, status: int
 ) -> None:
-    worker.play = answering(outcome, message="as it was")
+    worker.play = answering(outcome, message=term("as it was"))
     answer = await stage.ask("POST", "/units/1/speed", {"raw": 5})
     assert answer.status_code == status
     said = answer.json()
@@ -212,13 +212,13 @@ async def test_a_refusal_names_the_units_error(stage: Stage, worker: PlayedWorke
 async def test_a_line_action_answers_for_each_unit_with_frames(stage: Stage, worker: PlayedWorker) -> None:
     units = [
         UnitOutcome(unit=1, outcome="verified", read_back=100, sent_at=1.0, proven_at=2.0),
-        UnitOutcome(unit=2, outcome="unverified", message="no answer"),
+        UnitOutcome(unit=2, outcome="unverified", message=term("no answer")),
     ]
     frame = Frame(
         at=time.time(),
         direction="out",
         data=b"\x10\x02\x00\x83\x10\x03\x7d",
-        clauses=[Clause("execute, all")],
+        meanings=[term("execute, all")],
     )
     worker.play = answering("unverified", units=units, skew_s=0.02, frames=[frame])
     answer = await stage.ask("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
@@ -292,7 +292,7 @@ async def test_a_value_reads_the_decimals_first_where_they_are_not_known(stage: 
 
 async def test_a_value_for_a_silent_unit_is_unverified_and_not_sent(stage: Stage) -> None:
     worker = await stage.worker(state=snapshot(units=[unit_state(1, {}), unit_state(2), unit_state(16)]))
-    worker.play = answering("unverified", message="no answer")
+    worker.play = answering("unverified", message=term("no answer"))
     answer = await stage.ask("POST", "/units/1/speed", {"value": "12.3"})
     assert answer.status_code == 504
     assert "nothing was sent" in answer.json()["detail"]
@@ -327,14 +327,19 @@ async def test_parameters_as_last_read_and_read_anew(stage: Stage, worker: Playe
 
 
 async def test_a_refresh_that_breaks_off_is_no_list(stage: Stage, worker: PlayedWorker) -> None:
-    worker.play = answering("unverified", message="no answer")
+    worker.play = answering("unverified", message=term("no answer"))
     answer = await stage.ask("GET", "/units/1/parameters?refresh=true")
     assert answer.status_code == 504
     assert answer.json()["code"] == "unverified"
 
 
 async def test_the_password_is_in_no_answer_and_no_event(stage: Stage, worker: PlayedWorker) -> None:
-    frame = Frame(at=1.0, direction="out", data=b"\x00\x00\x10\x92", clauses=[Clause("write #21 = 4242")])
+    frame = Frame(
+        at=1.0,
+        direction="out",
+        data=b"\x00\x00\x10\x92",
+        meanings=[term("write #21 = 4242")],
+    )
     worker.play = answering("verified", read_back=4242, frames=[frame])
     answer = await stage.ask("PUT", "/units/1/parameters/21", {"raw": 4242})
     assert answer.status_code == 200
@@ -358,7 +363,7 @@ async def test_a_change_of_several_is_an_event_for_the_line_and_one_for_each_uni
     stage: Stage, worker: PlayedWorker
 ) -> None:
     units = [UnitOutcome(unit=1, outcome="verified"), UnitOutcome(unit=2, outcome="unverified")]
-    worker.play = answering("unverified", units=units, message="unit 2 did not answer")
+    worker.play = answering("unverified", units=units, message=term("unit 2 did not answer"))
     await stage.ask("POST", "/speeds", {"setpoints": {"1": {"raw": 1100}, "2": {"raw": 1200}}})
     events = (await stage.http().get("/api/v1/events?kind=command")).json()["events"]
     said = [(event["unit"], event["old"], event["new"], event["outcome"]) for event in reversed(events)]
@@ -410,7 +415,12 @@ async def test_the_trace_is_read_in_pieces_and_its_file_can_be_read_back(
 ) -> None:
     start = time.time() - 30
     frames = [
-        Frame(at=start + n / 1000, direction="out", data=bytes([n % 256]), clauses=[Clause("m")])
+        Frame(
+            at=start + n / 1000,
+            direction="out",
+            data=bytes([n % 256]),
+            meanings=[term("m")],
+        )
         for n in range(2500)
     ]
 

@@ -23,6 +23,7 @@ from bus.contract import (
     Watch,
     Welcome,
 )
+from bus.messages import Message, term
 from tests.app.stage import OWN_WORKER, Stage, fate, hello, reading, snapshot, staged, until
 
 
@@ -81,7 +82,7 @@ async def test_rubbish_later_ends_it_and_nothing_of_it_is_applied(stage: Stage) 
     await worker.say_raw(b"\x00\x01\x02")
     await worker.gone()
     await until(lambda: stage.live.buses["dry-end"].link.link == "closed", "the bus closed")
-    assert "a malformed message" in stage.live.buses["dry-end"].link.cause
+    assert stage.live.buses["dry-end"].link.cause == Message("worker_malformed")
 
 
 async def test_a_batch_before_the_snapshot_ends_it(stage: Stage) -> None:
@@ -233,7 +234,7 @@ async def test_the_servers_own_worker_without_a_port_makes_room_and_takes_none(s
 
 async def test_the_servers_own_worker_keeps_the_bus_once_its_port_was_open(stage: Stage) -> None:
     child = await stage.worker(name=OWN_WORKER)
-    await child.update(BusLink(at=time.time(), link="closed", cause="gone"))
+    await child.update(BusLink(at=time.time(), link="closed", cause=term("gone")))
     await until(lambda: stage.live.buses["dry-end"].link.link == "closed", "the port closed")
     assert "another worker has this bus" in await refused(stage)
     await child.leave()
@@ -265,9 +266,9 @@ async def test_a_worker_that_says_nothing_any_more_is_taken_for_lost(tmp_path: P
         worker = await stage.worker()
         closed = await worker.gone()
         assert closed.rcvd is not None
-        assert "says nothing" in closed.rcvd.reason
+        assert "does not respond" in closed.rcvd.reason
         await until(lambda: not stage.live.buses["dry-end"].worker_connected, "the loss")
-        assert "says nothing" in stage.live.buses["dry-end"].link.cause
+        assert stage.live.buses["dry-end"].link.cause == Message("worker_silent")
 
 
 async def test_times_of_a_worker_with_another_clock_are_shifted(stage: Stage) -> None:

@@ -14,7 +14,8 @@ from app.live.state.live_state import LiveState
 from app.settings import Site
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
-from bus.contract import BusFigures, Clause, Frame, Frames, Progress, UnitFigures
+from bus.contract import BusFigures, Frame, Frames, Progress, UnitFigures
+from bus.messages import term
 from tests.app.played_sources import played_sources
 from tests.app.screens import line, reading
 
@@ -154,7 +155,7 @@ async def test_frames_go_only_to_who_follows(world: World) -> None:
     await told(follower)
     await told(other)
     world.hub.follow(follower, frozenset(), "dry")
-    frame = Frame(at=100.1, direction="out", data=b"\x10\x02", clauses=[Clause("a beginning")])
+    frame = Frame(at=100.1, direction="out", data=b"\x10\x02", meanings=[term("a beginning")])
     world.live.buses["dry"].apply([Frames(frames=[frame])])
     (shown,) = await told(follower)
     assert shown["frames"][0]["hex"] == "10 02"

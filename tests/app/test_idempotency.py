@@ -10,7 +10,6 @@ import msgspec
 import pytest
 
 from app.audit.keyring import KeyRing
-from app.audit.log import ENDED_BEFORE
 from app.commands.service import idempotency
 from app.commands.service.command_request import CommandRequest, without_secret
 from app.commands.service.command_service import CommandService
@@ -18,6 +17,7 @@ from app.errors import Problem, StoreError
 from app.live.command_ids import key_of
 from app.web.access import Person, Role
 from bus.contract import Action, Command, Result, SetLine, SetSpeed, UnitOutcome, WriteParameter
+from bus.messages import Message, term
 from tests.app.stage import PlayedWorker, Stage, answering, fate
 
 ANNA = Person("anna", Role.ENGINEER, "token")
@@ -30,10 +30,10 @@ def restarted(stage: Stage) -> CommandService:
 
 
 async def test_a_known_fate_is_given_again_and_nothing_is_sent(stage: Stage, worker: PlayedWorker) -> None:
-    worker.play = answering("refused", unit_error=129, message="value above max")
+    worker.play = answering("refused", unit_error=129, message=term("value above max"))
     first = await stage.desk.ask(ANNA, WISH, id="mine")
     again = await restarted(stage).ask(ANNA, WISH, id="mine")
-    assert (again.outcome, again.unit_error, again.message) == ("refused", 129, "value above max")
+    assert (again.outcome, again.unit_error, again.message) == ("refused", 129, term("value above max"))
     assert again.at == first.at
     assert len(worker.commands) == 1
 
@@ -45,7 +45,7 @@ async def test_what_was_open_at_the_restart_is_unverified_and_not_sent_again(
     command = await worker.hear(Command)
     assert isinstance(command, Command)
     again = await restarted(stage).ask(ANNA, WISH, id="mine")
-    assert (again.outcome, again.message) == ("unverified", ENDED_BEFORE)
+    assert (again.outcome, again.message) == ("unverified", Message("server_stopped"))
     await worker.update(fate(command, "verified"))
     assert (await open_still).outcome == "verified"
     assert len(worker.commands) == 1

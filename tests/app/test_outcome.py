@@ -6,6 +6,7 @@ from app.commands.forms.outcome import outcome_text, problem_text
 from app.errors import Problem
 from app.web.deadline import Deadline, Instant, instant_now
 from bus.contract import Result, UnitOutcome
+from bus.messages import Message, term
 from tests.app.screens import voice
 
 
@@ -28,7 +29,7 @@ from tests.app.screens import voice
         ),
         (Result(id="1", at=0, outcome="not_sent"), "bad", "not sent: the wire was not free in time"),
         (Result(id="1", at=0, outcome="bus_closed"), "bad", "not sent: there is no link to the bus"),
-        (Result(id="1", at=0, outcome="invalid", message="no"), "bad", "no"),
+        (Result(id="1", at=0, outcome="invalid", message=term("no")), "bad", "no"),
     ],
 )
 def test_every_outcome_has_its_words(result: Result, tone: str, text: str) -> None:
@@ -37,9 +38,9 @@ def test_every_outcome_has_its_words(result: Result, tone: str, text: str) -> No
 
 
 def test_a_part_of_a_change_that_was_taken_back_says_so_in_the_reader_s_language() -> None:
-    taken_back = "staged and put back to its present speed (1200); not executed"
+    taken_back = Message.of("staged_withdrawn", present=1200)
     part = UnitOutcome(unit=3, outcome="not_sent", message=taken_back)
-    assert outcome_text(part, str, voice()).text == taken_back
+    assert outcome_text(part, str, voice()).text == str(taken_back)
     assert "zurückgenommen; nicht ausgeführt" in outcome_text(part, str, voice("de")).text
 
 

@@ -11,6 +11,7 @@ from app.audit.store import Filter
 from app.errors import StoreError
 from app.live.change_recorder import FEW
 from bus.contract import Batch, BusLink
+from bus.messages import term
 from tests.app.stage import HEALTHY, Stage, hello, reading, snapshot, until
 
 
@@ -29,7 +30,7 @@ async def test_what_happens_on_the_line_is_written_down_in_order(stage: Stage) -
     await worker.update(local)
     await worker.update(reading(1, outputs=0, inputs=HEALTHY | 1))
     await worker.update(BusLink(at=1.0, link="open"))
-    await worker.update(BusLink(at=1.0, link="closed", cause="unplugged"))
+    await worker.update(BusLink(at=1.0, link="closed", cause=term("unplugged")))
     found = await events(stage, 4)
     assert [(event["kind"], event["unit"], event["old"], event["new"]) for event in found] == [
         ("worker", None, "", "connected"),

@@ -3,6 +3,7 @@ from __future__ import annotations
 import pytest
 
 from bus.contract import BusFigures, BusLink
+from bus.messages import term
 from tests.app.screens import line, reading, screen
 
 
@@ -58,7 +59,7 @@ def test_the_strip_has_what_is_abnormal_beside_the_worst() -> None:
 def test_a_unit_says_nothing_of_a_cable_that_its_bus_has_lost() -> None:
     live = line()
     shown = screen(live)
-    live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause="unplugged")])
+    live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
     shown.see("dry", [1, 2], 130.0, whole_bus=True)
     assert [shown.shown["dry/1"][name] for name in ("link", "level", "cause", "status")] == [
         *("offline", "", ""),
@@ -76,7 +77,7 @@ def test_time_alone_makes_stale_then_offline() -> None:
 def test_a_closed_port_is_one_entry_and_not_one_for_each_unit() -> None:
     live = line()
     shown = screen(live)
-    live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause="unplugged")])
+    live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
     changed = shown.see("dry", [1, 2], 101.0, whole_bus=True)
     said = {name: changed["whole_line"][name] for name in ("verdict", "at", "abnormal")}
     assert said == {"verdict": "dry · Port closed since 00:01: unplugged", "at": "/bus/dry", "abnormal": "1"}

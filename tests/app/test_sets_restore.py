@@ -99,7 +99,7 @@ async def test_silence_stops_it_and_running_it_again_finishes_the_rest(a_scene: 
     scene = a_scene(silent_after=2)
     restore = await scene.run()
     assert restore.state == "stopped"
-    assert "no answer" in restore.cause
+    assert "no response" in restore.cause
     assert [row.outcome for row in restore.rows] == ["verified", "verified", "unverified", "not_sent"]
     scene.desk.silent_after = None
     again = await scene.run()

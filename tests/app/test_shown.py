@@ -12,7 +12,8 @@ from app.live.api.schemas import BusShown, CauseShown, ParameterShown, UnitShown
 from app.live.api.view import bus_json, parameter_json
 from app.live.state.live_state import LiveState
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import Clause, Command, Frame, Result, UnitOutcome, Update
+from bus.contract import Command, Frame, Result, UnitOutcome, Update
+from bus.messages import term
 from tests.app.screens import voice
 from tests.app.stage import Stage, bus_settings, fate, snapshot
 
@@ -36,7 +37,7 @@ def test_units_and_buses_read_and_unread() -> None:
 
 def test_fates() -> None:
     live = LiveState([bus_settings()], time.time())
-    frame = Frame(at=1.0, direction="out", data=b"x", clauses=[Clause("m")])
+    frame = Frame(at=1.0, direction="out", data=b"x", meanings=[term("m")])
     parts = [UnitOutcome(unit=1, outcome="verified", sent_at=1.0, proven_at=2.0, attempts=1)]
     result = Result(id="a", at=1.0, outcome="verified", units=parts, frames=[frame])
     for unit in (None, 1):
@@ -48,7 +49,7 @@ async def test_the_api_gives_them(stage: Stage) -> None:
     worker = await stage.worker()
 
     async def silent(command: Command) -> list[Update]:
-        return [fate(command, "unverified", message="no answer")]
+        return [fate(command, "unverified", message=term("no answer"))]
 
     worker.play = silent
     for path in ("/units/1", "", "/units/1/parameters"):

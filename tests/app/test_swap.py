@@ -27,6 +27,7 @@ from app.swap.rules import STEPS, ProbeFinding, SwapState, advice, done_steps
 from app.swap.store import SwapStore
 from app.web.access import Person
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
+from bus.messages import term
 from bus.settings import BusSettings
 from tests.app.played_desk import ANNA, Noted
 from tests.app.screens import line
@@ -212,7 +213,7 @@ class Wire:
         assert isinstance(action, ScanBus)
         kind = self.seen.pop(0)
         found = [] if kind == "silent" else [FoundUnit(action.first, 9600, kind)]
-        return Result(id="x", at=1.0, outcome=self.outcome, message="no link", found=found)
+        return Result(id="x", at=1.0, outcome=self.outcome, message=term("no link"), found=found)
 
 
 @pytest.mark.parametrize(

@@ -7,15 +7,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.commands.api.trace_file import is_trace_line, parse_trace_line, trace_line
-from bus.contract import Clause, Direction, Frame
+from bus.contract import Direction, Frame
 from bus.errors import CallerError
+from bus.messages import term
 
 LINE = "2026-11-21T02:01:33.123456+00:00\tout\t10 02 04 81 10 03 7B\tunit 4: read speed and status"
 
 
 def test_a_line() -> None:
     frame = Frame(
-        1795226493.123456, "out", bytes.fromhex("10020481 10037B"), [Clause("unit 4: read speed and status")]
+        1795226493.123456,
+        "out",
+        bytes.fromhex("10020481 10037B"),
+        [term("unit 4: read speed and status")],
     )
     assert trace_line(frame) == LINE
     assert is_trace_line(LINE)
@@ -29,7 +33,7 @@ def test_a_line() -> None:
 )
 def test_lines_round_trip(microseconds: int, direction: Direction, data: bytes, meaning: str) -> None:
     at = microseconds / 1e6
-    line = trace_line(Frame(at, direction, data, [Clause(meaning)]))
+    line = trace_line(Frame(at, direction, data, [term(meaning)]))
     assert "\n" not in line
     assert is_trace_line(line)
     back = parse_trace_line(line + "\n")

@@ -11,6 +11,7 @@ import pytest
 from app.live.api.view import bus_json, line_json, parameter_json, unit_json
 from app.live.state.live_state import LiveState
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitLink
+from bus.messages import term
 from tests.app.screens import voice
 from tests.app.stage import HEALTHY, PARAMETERS, REMOTE, bus_settings, reading, snapshot
 
@@ -134,7 +135,7 @@ def test_a_bus_with_and_without_figures() -> None:
     assert bus.keys() >= CONTRACT_BUS
     assert (bus["link"], bus["scan_hz"], len(bus["units"])) == ("open", None, 3)
     figures = BusFigures(at=1.0, scan_hz=12.5, scan_s=0.08, wire_utilisation=0.98, scan_s_with_one_more=0.1)
-    live.buses["dry-end"].apply([figures, BusLink(at=2.0, link="closed", cause="unplugged")])
+    live.buses["dry-end"].apply([figures, BusLink(at=2.0, link="closed", cause=term("unplugged"))])
     bus = bus_json(live.buses["dry-end"], time.time(), not_blocked, voice())
     assert (bus["link"], bus["link_cause"], bus["scan_hz"]) == ("closed", "unplugged", 12.5)
 

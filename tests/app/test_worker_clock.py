@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.feed.clock import SAME_CLOCK_S, WorkerClock, shifted
-from bus.contract import Clause, Frame, Reading, Result, UnitOutcome
+from bus.contract import Frame, Reading, Result, UnitOutcome
 from bus.contract.clock_offset import WINDOW_S
+from bus.messages import term
 
 DELAYS = st.lists(st.floats(0.0005, 5.0), min_size=1, max_size=50)
 
@@ -71,7 +72,7 @@ def test_a_stall_is_no_step() -> None:
 
 def test_every_time_in_a_message_is_shifted_and_nothing_else() -> None:
     outcome = UnitOutcome(unit=1, outcome="verified", read_back=5, sent_at=1.0, proven_at=2.0)
-    frame = Frame(at=1.0, direction="out", data=b"x", clauses=[Clause("")])
+    frame = Frame(at=1.0, direction="out", data=b"x", meanings=[term("")])
     result = Result(id="a", at=3.0, outcome="verified", units=[outcome], frames=[frame])
     moved = shifted(result, 10.0)
     assert (moved.at, moved.frames[0].at) == (13.0, 11.0)

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from msgspec import inspect
 
 from bus.contract import Update
+from bus.messages import NUMBER, TERM, Message
+from bus.messages import TEXTS as MESSAGE_TEXTS
 
 Values = st.SearchStrategy[Any]
 
@@ -59,6 +61,15 @@ NONSENSE = st.one_of(
 )
 COMMAND_ID = "c"
 """Of the command that waits for its result."""
+CODES = [
+    *sorted(MESSAGE_TEXTS)[::7],
+    "several",
+    NUMBER,
+    TERM,
+    "change_too_long",
+    "of_another_version",
+    "x" * 60,
+]
 UNITS = [1, 2, 3, 255]
 """Of which the line has 1 and 2."""
 
@@ -87,9 +98,22 @@ def of_type(kind: inspect.Type, name: str = "") -> Values:
         case inspect.DictType(key_type=key, value_type=value):
             keys = st.sampled_from(["a", "0", ""]) if isinstance(key, inspect.StrType) else of_type(key)
             return st.dictionaries(keys, of_type(value), max_size=3)
+        case inspect.StructType(cls=cls) if cls is Message:
+            return messages()
         case inspect.StructType():
             return _of_struct(kind)
     return _simple(kind, name)
+
+
+def messages(deepest: int = 2) -> Values:
+    """Messages of known and unknown codes, with and without the values of their texts, in one another."""
+    texts = TEXTS.map(lambda text: text[:4_000])
+    leaf = st.one_of(st.sampled_from([0, -1, 2**63 - 1, 1.5, -1e15]), texts)
+    inner = messages(deepest - 1) if deepest else leaf
+    values = st.one_of(leaf, st.lists(st.one_of(st.integers(-5, 5), texts, inner), max_size=3), inner)
+    names = st.sampled_from(["unit", "n", "value", "text", "messages", "reason", "error", "__class__", ""])
+    params = st.dictionaries(names, values, max_size=4)
+    return st.fixed_dictionaries({"code": st.sampled_from(CODES), "params": params})
 
 
 def _simple(kind: inspect.Type, name: str) -> Values:

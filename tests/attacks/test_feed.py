@@ -41,6 +41,7 @@ from bus.contract import (
     Update,
     encode,
 )
+from bus.messages import term
 from tests.app.stage import hello, reading, snapshot
 from tests.app.whole_app import House, whole_app
 from tests.attacks.hostile import COMMAND_ID, GARBAGE, batches, broken, encoded, of_type
@@ -188,12 +189,12 @@ def test_values_from_outside_the_window_are_refused_and_counted(runner: asyncio.
 
 def test_a_state_without_a_plausible_time_still_holds(runner: asyncio.Runner, scene: Scene) -> None:
     async def attack() -> None:
-        closed = BusLink(at=time.time() + 1e9, link="closed", cause="cut")
+        closed = BusLink(at=time.time() + 1e9, link="closed", cause=term("cut"))
         live, seen = scene.house.services.buses[BUS].live, []
         end = live.subscribe(seen.extend)
         await scene.attack(encode(snapshot()), encode(Batch(1, time.time(), [closed])))
         end()
-        (taken,) = [update for update in seen if isinstance(update, BusLink) and update.cause == "cut"]
+        (taken,) = [update for update in seen if isinstance(update, BusLink) and update.cause == term("cut")]
         assert taken.link == "closed"
         assert taken.at < time.time() + 60
 

@@ -57,7 +57,9 @@ def test_more_commands_than_anybody_asks_for_are_not_taken() -> None:
         asked = [line.command(SetSpeed(1, 640), timeout_s=3600.0) for _ in range(MOST_COMMANDS + 50)]
         ended = [fate for each in asked if (fate := line.fate_of(each)) is not None]
         assert len(ended) == 50
-        assert {(fate.outcome, "too many commands" in fate.message) for fate in ended} == {("not_sent", True)}
+        assert {(fate.outcome, "too many commands" in str(fate.message)) for fate in ended} == {
+            ("not_sent", True)
+        }
 
     run(scene, 2)
 

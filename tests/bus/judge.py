@@ -237,6 +237,6 @@ def half_done(case: Case, before: Speeds, record: WireRecord, unit_at: Callable[
         now = unit_at(unit)
         if now.setpoint != speed:
             complaints.append(f"unit {unit} was changed from {speed} to {now.setpoint}")
-        if now.entered not in (speed, entered) and "staged" not in case.result.message:
+        if now.entered not in (speed, entered) and "staged" not in str(case.result.message):
             complaints.append(f"unit {unit} still holds {now.entered} staged, unsaid: {case.result.message}")
     return complaints

@@ -49,18 +49,18 @@ def test_vectors(vector: dict[str, Any]) -> None:
         ("10 02 04 06 10 03 F6", "unit 4: ACK, a write was taken"),
         (
             "10 02 01 06 00 00 03 E8 00 00 03 E7 80 C1 03 10 03 E0",
-            "unit 1: commanded 1000, actual 999, analog 128, at speed, remote, output 1 on, run",
+            "unit 1: commanded 1000, actual 999, analog 128; at speed; remote; output 1 on; run",
         ),
     ],
 )
 def test_words(frame: str, words: str) -> None:
-    assert only(bytes.fromhex(frame)).words == words
+    assert str(only(bytes.fromhex(frame)).meaning) == words
 
 
 def test_the_value_of_a_parameter_is_ambiguous_alone_and_says_so() -> None:
     alone = only(encode_reply(ParameterReply(1, 5, 4), PLAIN))
     assert alone.fields == {"raw": 5, "width": 4}
-    assert "only the request would tell" in alone.words
+    assert "only the request would tell" in str(alone.meaning)
 
 
 def test_the_request_before_it_tells_what_an_answer_means() -> None:
@@ -71,7 +71,7 @@ def test_the_request_before_it_tells_what_an_answer_means() -> None:
     described = describe_bytes(asked + answered)[1]
     assert isinstance(described, Described)
     assert described.fields == {"number": 6, "name": "Acceleration Ramp Rate", "raw": 50}
-    assert described.words == "unit 1: #6 Acceleration Ramp Rate is 50"
+    assert str(described.meaning) == "unit 1: #6 Acceleration Ramp Rate is 50"
 
 
 def test_an_answer_to_a_parameter_write_that_says_a_value() -> None:
@@ -80,21 +80,21 @@ def test_an_answer_to_a_parameter_write_that_says_a_value() -> None:
     assert isinstance(described, Described)
     assert (described.kind, described.fields) == ("ack", {"raw": 50, "width": 2})
     refused = describe_bytes(asked + encode_reply(Nak(1, 0x80), PLAIN))[1]
-    assert refused.words == "unit 1: NAK to write parameter, unit is not in REMOTE mode"
+    assert str(refused.meaning) == "unit 1: NAK to write parameter, unit is not in REMOTE mode"
 
 
 def test_the_answer_of_another_unit_is_read_alone() -> None:
     described = describe_bytes(
         encode_request(ReadParameter(1, 6), PLAIN) + encode_reply(ParameterReply(2, 50, 2), PLAIN)
     )[1]
-    assert "only the request would tell" in described.words
+    assert "only the request would tell" in str(described.meaning)
 
 
 def test_a_wrong_checksum_is_listed_as_such() -> None:
     described = only(bytes.fromhex("10 02 04 82 00 00 02 10 10 10 03 67"))
     assert not described.checksum_ok
     assert (described.uid, described.kind, described.fields) == (4, "set_speed", {"raw": 528})
-    assert described.words.startswith("checksum wrong, 68h would be right")
+    assert str(described.meaning).startswith("checksum wrong, 68h would be right")
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,10 @@ def test_a_good_frame_that_means_nothing_is_unknown(body: str) -> None:
 def test_rubbish_is_named() -> None:
     (described,) = describe_bytes(b"\x55\xaa")
     assert isinstance(described, DescribedNoise)
-    assert (described.wire, described.words) == (b"\x55\xaa", "2 bytes that are no frame: outside a frame")
+    assert (described.wire, str(described.meaning)) == (
+        b"\x55\xaa",
+        "2 bytes that are no frame: outside a frame",
+    )
 
 
 def test_a_doubled_checksum_byte_is_not_listed() -> None:
@@ -120,7 +123,7 @@ def test_the_password_is_in_no_words() -> None:
     asked = encode_request(WriteParameter(1, 21, 4711), PLAIN)
     read = encode_request(ReadParameter(1, 21), PLAIN) + encode_reply(ParameterReply(1, 4711), PLAIN)
     for described in describe_bytes(asked + read):
-        assert "4711" not in described.words
+        assert "4711" not in str(described.meaning)
     assert is_secret(WriteParameter(1, 21, 4711))
     assert is_secret(ReadParameter(1, 21))
     assert not is_secret(ReadParameter(1, 20))

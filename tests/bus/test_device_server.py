@@ -48,7 +48,9 @@ async def working(line: LineServer) -> AsyncIterator[FakeApp]:
 
 def causes(app: FakeApp) -> list[str]:
     return [
-        update.cause for update in app.updates() if isinstance(update, BusLink) and update.link == "closed"
+        str(update.cause)
+        for update in app.updates()
+        if isinstance(update, BusLink) and update.link == "closed"
     ]
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from bus.contract import LONGEST_FRAME, MOST_CLAUSES
+from bus.contract import LONGEST_FRAME, MOST_MEANINGS
 from bus.errors import WireError
 from bus.line.exchange.link import SECRET_LINGERS_S, Link
 from bus.line.exchange.port_pace import PortPace
@@ -15,6 +15,7 @@ from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.exchange.window import MARGIN_S
 from bus.line.roster import Roster
 from bus.line.statistics.trace import HIDDEN, Interpreter, Trace, TracedFrame
+from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.bodies import encode_reply
 from bus.wire.commands import (
@@ -252,7 +253,7 @@ def test_a_secret_passes_without_its_bytes(wires: Wires) -> None:
     wires.answer(ParameterReply(1, 4242))
     for passed in wires.trace.since(0.0):
         assert passed.data == b""
-        assert Interpreter(PLAIN).frame(passed).meaning == HIDDEN.text
+        assert Interpreter(PLAIN).frame(passed).meaning == str(HIDDEN)
     assert wires.heard[0][0].frame == b""
 
 
@@ -349,7 +350,7 @@ def test_what_noise_means_is_bounded(wires: Wires) -> None:
     many = b"".join(encode_reply(Ack(unit), PLAIN) for unit in range(1, 100))
     wires.link.data_received(many)
     (passed,) = wires.trace.since(0.0)
-    assert len(Interpreter(PLAIN).frame(passed).clauses) == MOST_CLAUSES
+    assert len(Interpreter(PLAIN).frame(passed).meanings) == MOST_MEANINGS
 
 
 def test_a_broadcast_is_left_to_leave() -> None:
@@ -470,7 +471,7 @@ def test_a_port_that_takes_nothing_tells_so_at_the_next_request() -> None:
     line = _followed()
 
     def broken(data: bytes) -> None:
-        raise WireError(f"{len(data)} bytes are not taken: it is gone")
+        raise WireError(Message.of("port_partly_sent", port="p", sent=0, all=len(data)))
 
     line.write = broken  # type: ignore[method-assign]
     line.answer()

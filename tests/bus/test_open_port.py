@@ -24,6 +24,7 @@ from bus.line.port.device_users import users_of
 from bus.line.port.open_error import why_not
 from bus.line.port.open_port import open_port
 from bus.line.port.port import OpenPort, PartlySent, PortUnavailable
+from bus.messages import Message
 from bus.settings import Dialect
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
@@ -41,14 +42,14 @@ class Ear:
 
     def __init__(self) -> None:
         self.data = bytearray()
-        self.lost: list[str] = []
+        self.lost: list[Message] = []
         self._news = asyncio.Event()
 
     def data_received(self, data: bytes) -> None:
         self.data += data
         self._news.set()
 
-    def connection_lost(self, cause: str) -> None:
+    def connection_lost(self, cause: Message) -> None:
         self.lost.append(cause)
         self._news.set()
 
@@ -118,9 +119,9 @@ async def test_a_pulled_port_is_told_once_and_found_again(line: LineServer) -> N
                 port.check()
                 port.write(POLL)
             except WireError as error:
-                ear.connection_lost(str(error))
+                ear.connection_lost(error.message)
             await asyncio.sleep(0.05)
-    assert line.port.name in ear.lost[0]
+    assert line.port.name in str(ear.lost[0])
     port.close()
     with pytest.raises(PortUnavailable) as absent:
         await open_port(line.port.name, 9600, Ear())
@@ -206,7 +207,7 @@ async def test_a_taken_port_is_named_with_its_holder() -> None:
         try:
             assert holder.stdout is not None
             await holder.stdout.readexactly(4)
-            assert [name for name in users_of(name) if str(holder.pid) in name]
+            assert [pid for pid, _ in users_of(name) if pid == holder.pid]
             with pytest.raises(PortUnavailable, match=rf"in use by .*\(process {holder.pid}\)"):
                 await open_port(name, 9600, Ear())
         finally:
@@ -236,8 +237,7 @@ async def test_why_a_port_cannot_be_opened(port: str, words: str) -> None:
 
 def test_a_missing_right_is_said_with_the_group_that_has_it() -> None:
     denied = serial.SerialException(errno.EACCES, "could not open port")
-    words = why_not("/dev/null", denied)
-    assert "usermod -aG root" in words
+    assert "usermod -aG root" in str(why_not("/dev/null", denied))
 
 
 @on_both_loops
@@ -251,7 +251,7 @@ async def test_a_server_that_never_answers_does_not_stop_the_loop(monkeypatch: p
         for each in waiting:
             each.setblocking(False)
             each.connect_ex(full.getsockname())
-        with pytest.raises(PortUnavailable, match=r"does not answer|refuses"):
+        with pytest.raises(PortUnavailable, match=r"does not respond|refuses"):
             await open_port(f"socket://127.0.0.1:{full.getsockname()[1]}", 9600, Ear())
     finally:
         for each in (*waiting, full):

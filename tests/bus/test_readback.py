@@ -117,7 +117,7 @@ def test_a_refusal_is_not_read_back(record: UnitRecord) -> None:
 def test_a_lost_acknowledgement_is_made_good_by_the_read_back(record: UnitRecord) -> None:
     result, _ = play(set_speed(record), brain_of(write=SendStatus.TIMED_OUT, reads=[status(640)]))
     assert result.outcome == "verified"
-    assert "not acknowledged" in result.message
+    assert "not acknowledged" in str(result.message)
 
 
 def test_a_unit_that_takes_a_moment_is_looked_at_again(record: UnitRecord) -> None:
@@ -138,19 +138,19 @@ def test_it_waits_between_its_looks_so_that_others_may_go(record: UnitRecord) ->
 def test_a_read_back_that_differs_is_unverified_with_what_was_read(record: UnitRecord) -> None:
     result, asked = play(set_speed(record), brain_of(reads=[status(100)]))
     assert (result.outcome, result.read_back) == ("unverified", 100)
-    assert "reads 100" in result.message
+    assert "reads 100" in str(result.message)
     assert len(asked) == 4, "and the looking ends"
 
 
 def test_what_stands_above_the_setpoint_is_named(record: UnitRecord) -> None:
     result, _ = play(set_speed(record), brain_of(reads=[status(200, PRESET)]))
-    assert "preset is active" in result.message
+    assert "(active: preset)" in str(result.message)
 
 
 def test_no_read_back_is_unverified(record: UnitRecord) -> None:
     result, _ = play(set_speed(record), brain_of(reads=[SendStatus.TIMED_OUT]))
     assert (result.outcome, result.read_back) == ("unverified", None)
-    assert result.message.endswith("it did not answer the read-back: its state is not known")
+    assert str(result.message).endswith("it did not respond to the read-back: its state is not known")
 
 
 def test_nothing_sent_is_never_more_than_not_sent(record: UnitRecord) -> None:

@@ -14,6 +14,7 @@ from bus.contract.clock_offset import ClockOffset
 from bus.errors import WireError
 from bus.line.opener import Opener
 from bus.line.port.port import EndedWhileOpening, OpenPort, Receiver
+from bus.messages import Message
 from bus.reconnect_delay import (
     JITTER,
     LONGEST_PAUSE_S,
@@ -27,6 +28,7 @@ from tests.bus.test_uplink import Desk
 from tests.bus.virtual_line import run_virtually
 
 DAY_S = 86_400.0
+CAUSES = ("connection_refused", "connection_closed")
 
 
 def middle() -> float:
@@ -87,7 +89,7 @@ class Poller:
         self,
         lasts: Callable[[int], float | None],
         answers: int = 0,
-        failure: Callable[[int], WireError] = lambda _: WireError("it is not there"),
+        failure: Callable[[int], WireError] = lambda _: WireError(Message("port_missing")),
     ) -> None:
         self.lasts = lasts
         self.failure = failure
@@ -96,7 +98,7 @@ class Poller:
         self.bus = SimpleNamespace(port="socket://box:4001")
         self.baud = 9600
         self.link = SimpleNamespace(counts=SimpleNamespace(answers=0))
-        self.lost: Callable[[str], None] = print
+        self.lost: Callable[[Message], None] = print
         self.opened: list[float] = []
         self.tried = 0
 
@@ -107,16 +109,16 @@ class Poller:
             raise self.failure(self.tried)
         loop = asyncio.get_running_loop()
         self.opened.append(loop.time())
-        loop.call_later(lasts, receiver.connection_lost, "it closed the connection")
+        loop.call_later(lasts, receiver.connection_lost, Message("connection_closed"))
         return Port()  # type: ignore[return-value]
 
     def port_opened(self, _port: OpenPort) -> None:
         self.link.counts.answers += self.answers
 
-    def port_lost(self, cause: str) -> None:
+    def port_lost(self, cause: Message) -> None:
         self.lost(cause)
 
-    def still_closed(self, _cause: str) -> None:
+    def still_closed(self, _cause: Message) -> None:
         """It is known."""
 
 
@@ -162,14 +164,14 @@ def test_one_that_is_absent_is_one_line() -> None:
 
 def test_a_server_that_accepts_and_ends_its_negotiation_is_left_in_peace_too() -> None:
     """With RFC 2217 a port opens only after that; it was opened every half second."""
-    poller = Poller(lambda _: None, failure=lambda n: EndedWhileOpening(f"{('reset', 'closed')[n % 2]}"))
+    poller = Poller(lambda _: None, failure=lambda n: EndedWhileOpening(Message(CAUSES[n % 2])))
     lines = play(poller, DAY_S)
     assert DAY_S / (LONGEST_PAUSE_S * (1 + JITTER)) < poller.tried < DAY_S / LONGEST_PAUSE_S * 1.4
     assert len(lines) < 40
 
 
 def test_causes_that_take_turns_are_few_lines() -> None:
-    poller = Poller(lambda _: None, failure=lambda n: WireError(("no route", "no response")[n % 2]))
+    poller = Poller(lambda _: None, failure=lambda n: WireError(Message(CAUSES[n % 2])))
     assert len(play(poller, DAY_S / 24)) < 20
     assert poller.tried > DAY_S / 24
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from bus.contract import ParameterValue, Reading, Staged, UnitLink
 from bus.line.roster import Roster
 from bus.line.statistics.unit_statistics import ResponseTimes
+from bus.messages import Message
 from bus.wire.commands import (
     Ack,
     ExecuteSpeed,
@@ -23,6 +24,7 @@ from bus.wire.commands import (
 )
 
 STATUS = StatusReply(1, 500, 498, 77, 0xC1, 0x03)
+PULLED = Message("adapter_gone")
 
 
 @pytest.fixture
@@ -122,10 +124,10 @@ def test_other_writes_leave_the_staged_speed(roster: Roster) -> None:
 
 def test_a_closed_port_makes_stale_and_then_offline(roster: Roster) -> None:
     roster.take_response(ReadStatus(1), STATUS, 101.0, b"")
-    assert links(roster.port_closed(102.0, "pulled")) == ["stale"]
-    assert links(roster.port_closed(102.5, "pulled")) == []
-    assert links(roster.port_stays_closed(105.0, "pulled")) == ["offline"]
-    assert roster.states()[0].link.cause == "pulled"
+    assert links(roster.port_closed(102.0, PULLED)) == ["stale"]
+    assert links(roster.port_closed(102.5, PULLED)) == []
+    assert links(roster.port_stays_closed(105.0, PULLED)) == ["offline"]
+    assert roster.states()[0].link.cause == PULLED
     assert roster.states()[1].link.link == "unknown", "never seen stays never seen"
 
 

@@ -101,7 +101,8 @@ def test_a_unit_that_answers_for_others_is_named() -> None:
         line.faults.set(FaultKind.EVERYBODY, 1.0, unit=2)
         return await scan(line)
 
-    assert "unit 2 answers to addresses that are not its own" in run(scene, 2, configured=2).message
+    message = str(run(scene, 2, configured=2).message)
+    assert "unit 2 responds to addresses that are not its own" in message
 
 
 def test_what_is_no_digimax_is_called_so() -> None:
@@ -150,5 +151,5 @@ def test_a_port_lost_meanwhile_ends_it() -> None:
 
     result = run(scene, PRESENT, configured=CONFIGURED)
     assert result.outcome == "unverified"
-    assert "the link to the bus was lost after" in result.message
+    assert "the link to the bus was lost after" in str(result.message)
     assert 1 in kinds(result)

@@ -23,6 +23,7 @@ from bus.contract import (
 from bus.errors import WireError
 from bus.line.clock import Timer
 from bus.line.port.open_port import OpenPort, Receiver
+from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import Faults
@@ -109,7 +110,7 @@ class VirtualPort:
 
     def write(self, data: bytes) -> None:
         if self.gone:
-            raise WireError("the port is gone")
+            raise WireError(Message.of("adapter_gone", port="/dev/virtual"))
         self.written.append((self._loop.time(), data))
         self._line.receive(self._loop.time(), data, self.baud)
         self._advance_later()
@@ -127,7 +128,7 @@ class VirtualPort:
 
     def check(self) -> None:
         if self.gone:
-            raise WireError("the port is gone")
+            raise WireError(Message.of("adapter_gone", port="/dev/virtual"))
 
     def close(self) -> None:
         self.gone = True
@@ -186,7 +187,7 @@ class VirtualLine:
 
     async def _open(self, _port: str, baud: int, receiver: Receiver) -> OpenPort:
         if not self.plugged:
-            raise WireError("/dev/virtual is not there: is the adapter plugged in?")
+            raise WireError(Message.of("port_missing", port="/dev/virtual"))
         self.port = VirtualPort(self.line, receiver, self.loop, baud)
         self.port.written = self.written
         self.port.start()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from msgspec import to_builtins
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
@@ -14,6 +15,7 @@ from app.web.problems import respond
 from app.web.shape import iso
 from bus.contract import Frame, Result, UnitOutcome
 from bus.errors import unit_error_name
+from bus.messages import in_english
 
 STATUS = {
     "verified": 200,
@@ -43,7 +45,8 @@ def answer(
     status = STATUS[result.outcome]
     if status == 200:
         return JSONResponse(body)
-    return respond(request, Problem(status, result.outcome, body["message"], **_without_code(body)))
+    detail = result.message or body["message"]
+    return respond(request, Problem(status, result.outcome, detail, **_members(body)))
 
 
 def fate_json(
@@ -68,7 +71,7 @@ def fate_json(
 def in_words(result: Result) -> str:
     """What became of it, as a sentence."""
     if result.message:
-        return result.message
+        return str(result.message)
     name = _error_name(result.unit_error)
     return f"{_WORDS[result.outcome]}: {name}" if name else _WORDS[result.outcome]
 
@@ -88,7 +91,7 @@ def frame_json(frame: Frame) -> FrameShown:
 def _unit_json(fate: UnitOutcome, secret: bool) -> dict[str, Any]:
     return {
         "unit": fate.unit,
-        **_told(fate, fate.message or _WORDS[fate.outcome], secret),
+        **_told(fate, in_english(fate.message) or _WORDS[fate.outcome], secret),
         "sent_at": _moment(fate.sent_at),
         "acknowledged_at": _moment(fate.acknowledged_at),
         "proven_at": _moment(fate.proven_at),
@@ -101,6 +104,7 @@ def _told(fate: Result | UnitOutcome, message: str, secret: bool) -> OutcomeMemb
         "outcome": fate.outcome,
         "code": fate.outcome,
         "message": message,
+        "reason": to_builtins(fate.message),
         "read_back": None if secret else fate.read_back,
         "unit_error": fate.unit_error,
         "unit_error_name": _error_name(fate.unit_error),
@@ -115,5 +119,6 @@ def _error_name(code: int | None) -> str | None:
     return None if code is None else unit_error_name(code)
 
 
-def _without_code(body: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in body.items() if name != "code"}
+def _members(body: dict[str, Any]) -> dict[str, Any]:
+    """Those that a problem does not have of itself."""
+    return {name: value for name, value in body.items() if name not in ("code", "reason")}

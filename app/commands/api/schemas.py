@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, NotRequired
+from typing import Annotated, Any, NotRequired
 
 from pydantic import Field
 from typing_extensions import TypeAliasType, TypedDict
@@ -26,12 +26,20 @@ class FrameShown(TypedDict):
     valid: Annotated[bool, Field(description="Whether it is a whole frame with the right checksum.")]
 
 
+class MessageShown(TypedDict):
+    """A text for programs; a value that is a text of its own is a message too."""
+
+    code: Annotated[str, Field(description="Which text it is.")]
+    params: Annotated[dict[str, Any], Field(description="Its values, by name.")]
+
+
 class OutcomeMembers(TypedDict):
     """What became of a command, or of its part at one unit."""
 
     outcome: OutcomeShown
     code: Annotated[OutcomeShown, Field(description="As outcome; problems have it too.")]
     message: Annotated[str, Field(description="The outcome in words, English.")]
+    reason: Annotated[MessageShown | None, Field(description="What message says; null: only the outcome.")]
     read_back: Annotated[
         int | None,
         Field(description="Raw value that the unit was read to have; null: not read, or a secret."),

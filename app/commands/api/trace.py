@@ -65,7 +65,7 @@ async def _pieces(desk: CommandService, person: Person, since: float) -> AsyncIt
     for _ in range(MOST_PIECES):
         result = await desk.ask(person, ReadTrace(since=since, limit=PIECE))
         if result.outcome not in ("verified", "acknowledged"):
-            raise Problem(503, result.outcome, result.message, outcome=result.outcome)
+            raise Problem(503, result.outcome, result.message or "", outcome=result.outcome)
         frames = [frame for frame in result.frames if frame.at > since]
         if frames:
             yield frames

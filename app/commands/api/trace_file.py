@@ -10,7 +10,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import cast
 
-from bus.contract import Clause, Direction, Frame
+from bus.contract import Direction, Frame
 from bus.errors import CallerError
 from bus.messages import Message
 
@@ -36,7 +36,8 @@ def parse_trace_line(line: str) -> Frame:
         if direction not in _DIRECTIONS:
             raise ValueError(f"direction {direction!r}")
         at = datetime.fromisoformat(time).timestamp()
-        return Frame(at, cast(Direction, direction), bytes.fromhex(data), [Clause(meaning)])
+        recorded = Message.of("frame_recorded", text=meaning)
+        return Frame(at, cast(Direction, direction), bytes.fromhex(data), [recorded])
     except ValueError as error:
         raise CallerError(
             Message.of("trace_line_malformed", error=str(error), line=line.strip()[:60])

@@ -9,7 +9,8 @@ from typing import Literal
 from app.errors import Problem
 from app.live.screen.fields import Translator
 from bus.contract import Outcome, Result, UnitOutcome
-from bus.errors import unit_error_name
+from bus.errors import unit_error
+from bus.messages import Message
 
 Tone = Literal["good", "bad", "unknown"]
 ValueFormat = Callable[[int], str]
@@ -59,13 +60,13 @@ def problem_text(problem: Problem, voice: Translator) -> OutcomeText:
 
 def _reason(result: Result | UnitOutcome, voice: Translator) -> str:
     if result.unit_error is not None:
-        return voice.t(unit_error_name(result.unit_error))
-    return voice.t(result.message)
+        return voice.t(unit_error(result.unit_error))
+    return voice.t(result.message or "")
 
 
-def _not_sent(outcome: Outcome, message: str, voice: Translator) -> str:
+def _not_sent(outcome: Outcome, message: Message | None, voice: Translator) -> str:
     if outcome == "not_sent":
         return voice.t("not sent: the wire was not free in time")
     if outcome == "bus_closed":
         return voice.t("not sent: there is no link to the bus")
-    return voice.t(message)
+    return voice.t(message or "")

@@ -14,7 +14,7 @@ from app.commands.service.writer import permitted
 from app.errors import Problem
 from app.web.access import Operator, Person, Role, Viewer
 from bus.contract import ScanBus, UnitFigures
-from bus.errors import unit_error_name
+from bus.errors import unit_error
 from bus.messages import Message
 from bus.settings import BAUDS
 
@@ -65,9 +65,7 @@ def _row(desk: PageContext, bus: str, number: int, figures: UnitFigures | None) 
     return {
         "unit": desk.shown(bus, number),
         "figures": figures,
-        "naks": ", ".join(
-            f"{count} x {voice.t(unit_error_name(code))}" for code, count in sorted(naks.items())
-        ),
+        "naks": ", ".join(f"{count} x {voice.t(unit_error(code))}" for code, count in sorted(naks.items())),
         "median": _ms(desk, figures.answer_s_median if figures is not None else None),
         "p99": _ms(desk, figures.answer_s_p99 if figures is not None else None),
         "most": _ms(desk, figures.answer_s_max if figures is not None else None),
@@ -94,7 +92,7 @@ async def scan(
         "bus/_found.html",
         outcome=desk.outcome(result),
         found=result.found,
-        remarks=[remark for remark in result.message.split("; ") if remark],
+        remarks=result.message,
         known=desk.bus(bus).units,
         action=action,
     )

@@ -140,7 +140,7 @@ async def _write(
     outcome = desk.outcome(result, live)
     if parameter.secret and result.outcome == "unverified":
         # Why, in words: the value that was read back is not here.
-        outcome = OutcomeText(outcome.tone, desk.voice.t(result.message))
+        outcome = OutcomeText(outcome.tone, desk.voice.t(result.message or ""))
     elif result.read_back is not None:
         reads = desk.voice.formats.point(text_of(parameter, result.read_back, live))
         said = "verified: reads {value}" if result.outcome == "verified" else "reads {value} instead"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from msgspec import to_builtins
 from msgspec.structs import replace
 
 from app.commands.catalogue import kind_of_command
@@ -11,8 +12,9 @@ from app.feed.channel import ProgressListener
 from app.web.access import Person
 from app.web.deadline import Deadline
 from bus.contract import Action, Result, UnitOutcome
+from bus.messages import Message
 
-SECRET_DIFFERS = "the unit reads another value, which is not shown"
+SECRET_DIFFERS = Message("secret_differs")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +46,6 @@ def without_secret(action: Action, result: Result) -> Result:
     return replace(result, read_back=None, message=_masked(result), units=units, values=[], frames=[])
 
 
-def _masked(result: Result | UnitOutcome) -> str:
-    is_told = result.message and result.read_back is not None and str(result.read_back) in result.message
-    return SECRET_DIFFERS if is_told else result.message
+def _masked(result: Result | UnitOutcome) -> Message | None:
+    holds_it = result.read_back is not None and str(result.read_back) in str(to_builtins(result.message))
+    return SECRET_DIFFERS if holds_it else result.message

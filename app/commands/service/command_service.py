@@ -231,11 +231,11 @@ class CommandService:
     async def _send(self, wish: CommandRequest) -> Result:
         link = self._live.link
         if link.link == "closed":
-            message = f"{link.cause or 'the port is closed'}; nothing was sent"
-            return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=message)
+            refusal = link.refusal
+            return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=refusal)
         # Storing the intent and what the unit was may have taken a while on a slow disk.
         reason = await self._why_no_longer(wish)
-        if reason:
+        if reason is not None:
             return Result(id=wish.id, at=self._now(), outcome="not_sent", message=reason)
         # This clock first: whatever stops this process between the two makes the deadline earlier.
         deadline = self._now() + wish.deadline.left_s
@@ -246,22 +246,22 @@ class CommandService:
             lambda: self._channel.cancel(wish.id),
         )
 
-    async def _why_no_longer(self, wish: CommandRequest) -> str:
-        """Why a command must not be sent, or be given up; empty while it may go on. A store that cannot be
+    async def _why_no_longer(self, wish: CommandRequest) -> Message | None:
+        """Why a command must not be sent, or be given up; None while it may go on. A store that cannot be
         read now ends nothing that is half done."""
         try:
             await self._rights.check(wish.person)
         except Problem as problem:
-            return problem.detail
+            return problem.message
         except StoreError:
-            return ""
+            return None
         if not wish.action.writes:
-            return ""
+            return None
         for unit in kind_of_command(wish.action).units_written(wish.action, self._live):
             block = self._guards.blocks.of(unit)
             if block is not None:
-                return f"unit {unit} is blocked by {block.set_by}: {block.reason}"
-        return str(self._guards.control.objection(wish.person.account, self._now()) or "")
+                return Message.of("unit_blocked", unit=unit, who=block.set_by, reason=block.reason)
+        return self._guards.control.objection(wish.person.account, self._now())
 
 
 def _refuse_other(id: str | None, same: bool) -> None:

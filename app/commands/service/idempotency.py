@@ -14,15 +14,15 @@ from dataclasses import dataclass
 import msgspec
 
 from app.audit.keyring import KeyRing
-from app.audit.log import ENDED_BEFORE
 from app.commands.service.command_request import CommandRequest
 from bus.contract import Action, Result
+from bus.messages import Message, term
 
 KEPT_S = 7 * 86_400.0
 """How long a key is remembered."""
 MOST_OF_A_SENDER = 2000
 """How many keys of one sender are remembered; the oldest are forgotten first."""
-UNREADABLE = "its result was stored and cannot be read: whether the unit acted is not known"
+UNREADABLE = Message("result_unreadable")
 _FROM_BEFORE = ""
 """The sender of keys that an earlier version has stored without one."""
 _FORGET_OLD = "DELETE FROM idempotency WHERE requested_at < ?"
@@ -90,8 +90,17 @@ def find(connection: sqlite3.Connection, sender: str, key: str) -> Earlier | Non
         return None
     requested_at, command, result = row
     if result is None:
-        return Earlier(command, Result(key, requested_at, "unverified", ENDED_BEFORE))
+        return Earlier(command, Result(key, requested_at, "unverified", Message("server_stopped")))
     try:
-        return Earlier(command, msgspec.json.decode(result, type=Result))
+        return Earlier(command, _decoded(result))
     except msgspec.MsgspecError:
         return Earlier(command, Result(key, requested_at, "unverified", UNREADABLE))
+
+
+def _decoded(stored: bytes) -> Result:
+    """Raises msgspec.MsgspecError. Before messages were data, a result held finished texts."""
+    members = msgspec.json.decode(stored, type=dict)
+    for part in (members, *members.get("units", ())):
+        if isinstance(part.get("message"), str):
+            part["message"] = term(part["message"]) if part["message"] else None
+    return msgspec.convert(members, Result)

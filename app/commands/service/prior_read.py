@@ -26,8 +26,8 @@ class UnreadError(Problem):
     def result(self, id: str, at: float, units: Sequence[int]) -> Result:
         """The same as what became of a command for ``units`` of which nothing was sent."""
         outcome: Outcome = "bus_closed" if self.code == "bus_closed" else "unverified"
-        parts = [UnitOutcome(unit, "not_sent", "nothing was sent to it") for unit in units]
-        return Result(id, at, outcome, self.detail, units=parts)
+        parts = [UnitOutcome(unit, "not_sent", Message("unit_untouched")) for unit in units]
+        return Result(id, at, outcome, self.message, units=parts)
 
 
 class CommandSender(Protocol):
@@ -47,7 +47,7 @@ async def read_first(
     result = await ask(person, action, deadline=deadline)
     values: dict[int, int | None] = {value.number: value.raw for value in result.values}
     if result.outcome == "bus_closed":
-        raise UnreadError(503, "bus_closed", result.message, outcome="bus_closed")
+        raise UnreadError(503, "bus_closed", result.message or "", outcome="bus_closed")
     if not values.keys() >= set(numbers):
         raise _unread(unit, numbers)
     return values

@@ -23,6 +23,7 @@ from app.database import Database
 from app.errors import Problem, StoreError
 from app.live.state.bus_live import BusLive
 from bus.contract import Action, Outcome, Result
+from bus.messages import Message
 
 log = structlog.get_logger()
 
@@ -72,7 +73,8 @@ class CommandRecord:
             if intent.parts:
                 await self._events.conclude_together(_fates(intent, result))
             remember = partial(idempotency.end, wish=wish, result=result)
-            await self._events.conclude(intent.event, result.outcome, result.message, result.frames, remember)
+            message = result.message or ""
+            await self._events.conclude(intent.event, result.outcome, message, result.frames, remember)
         except StoreError as error:
             log.error("fate not stored", command=wish.id, outcome=result.outcome, error=str(error))
 
@@ -96,7 +98,7 @@ def _entry(wish: CommandRequest, unit: int | None, words: Wording) -> dict[str, 
     }
 
 
-def _fates(intent: Intent, result: Result) -> dict[int, tuple[Outcome, str]]:
-    said: dict[int, tuple[Outcome, str]] = {fate.unit: (fate.outcome, fate.message) for fate in result.units}
-    whole = (result.outcome, result.message)
+def _fates(intent: Intent, result: Result) -> dict[int, tuple[Outcome, str | Message]]:
+    said = {fate.unit: (fate.outcome, fate.message or "") for fate in result.units}
+    whole = (result.outcome, result.message or "")
     return {event: said.get(unit, whole) for unit, event in intent.parts.items()}

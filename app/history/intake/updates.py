@@ -10,6 +10,7 @@ from app.history.series.runs import Run, micros, run_of
 from app.history.series.scaling import DECIDING, ParameterStep
 from app.history.store import tables
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update
+from bus.messages import in_english
 
 BUS = 0
 """The number under which a bus itself has its key."""
@@ -83,7 +84,7 @@ class Intake:
             self._links[key] = (at, update.link)
             if state == update.link:
                 return
-        tables.write_link(connection, key, at, update.link, update.cause)
+        tables.write_link(connection, key, at, update.link, in_english(update.cause))
         if update.link in tables.LOST_STATES:
             units = tables.units_of(connection, bus) if isinstance(update, BusLink) else [key]
             taken.lost += [(unit, at) for unit in units]

@@ -82,7 +82,7 @@ def figures_json(bus: str, figures: BusFigures | None) -> BusFiguresShown:
         "echoes": figures.echoes if figures else None,
         "updates_lost": figures.updates_lost if figures else None,
         "answers_for_all": figures.answers_for_all if figures else None,
-        "diagnosis": figures.diagnosis if figures else None,
+        "diagnosis": " ".join(map(str, figures.diagnosis)) if figures else None,
         "units": [_unit_json(unit) for unit in figures.units] if figures else [],
     }
 

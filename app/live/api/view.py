@@ -37,6 +37,7 @@ from bus.catalogue.values import (
     speed_text,
 )
 from bus.contract import Reading
+from bus.messages import Message, in_english
 
 Json = dict[str, Any]
 BlockReason = Callable[[int], str]
@@ -81,14 +82,14 @@ def bus_json(bus: BusLive, now: float, block: BlockReason, english: Translator) 
         "port": bus.settings.port,
         "baud": bus.baud,
         "link": bus.link.link,
-        "link_cause": bus.link.cause,
+        "link_cause": in_english(bus.link.cause),
         "link_since": iso(bus.link_onset.at),
         "worker": bus.worker_connected,
         "scan_hz": figures.scan_hz if figures else None,
         "scan_s": figures.scan_s if figures else None,
         "scan_s_with_one_more": figures.scan_s_with_one_more if figures else None,
         "wire_utilisation": figures.wire_utilisation if figures else None,
-        "diagnosis": figures.diagnosis if figures else "",
+        "diagnosis": " ".join(map(str, figures.diagnosis)) if figures else "",
         "scan_s_expected": scan_s_of(bus),
         "units": [unit_json(bus, unit, now, block, english) for unit in bus.units.values()],
     }
@@ -103,7 +104,7 @@ def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason, engl
         "group": unit.settings.group,
         "labels": unit.settings.labels.model_dump(),
         "link": unit_link_now(bus, unit, now),
-        "link_cause": unit.link.cause,
+        "link_cause": in_english(unit.link.cause),
         "cause": cause_json(unit_cause(bus, unit, now), now, english),
         "suspect": suspicion(bus, unit) or None,
         "blocked": block(unit.settings.id) or None,
@@ -122,11 +123,15 @@ def cause_json(cause: Cause | None, now: float, english: Translator) -> Json | N
         return None
     return {
         "code": cause.code,
-        "params": dict(cause.params),
+        "params": {name: _plain(value) for name, value in cause.params.items()},
         "detail": cause_line(cause, english, now),
         "since": None if cause.onset is None else iso(cause.onset.at),
         "since_exact": None if cause.onset is None else cause.onset.exact,
     }
+
+
+def _plain(value: Any) -> Any:
+    return str(value) if isinstance(value, Message) else value
 
 
 def parameter_json(unit: UnitLive, number: int) -> Json:

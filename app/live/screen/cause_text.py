@@ -105,7 +105,7 @@ def _named(cause: Cause) -> dict[str, Any]:
 
 
 def _why(cause: Cause, voice: Translator) -> str:
-    why = str(cause.params.get("why", ""))
+    why = cause.params.get("why")
     return voice.t(why) if why else ""
 
 

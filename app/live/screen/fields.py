@@ -7,7 +7,6 @@ language for all browsers. Positions are fractions as text; bits are strings of 
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 from app.live.state.age import figures_now, offline_after_s, scan_s_of, stale_after_s
@@ -27,7 +26,8 @@ from bus.catalogue.numbers import (
 from bus.catalogue.status import StatusBits
 from bus.catalogue.values import RATIO_DECIMALS, analog_input_value
 from bus.contract import Reading, UnitFigures, UnitLinkState
-from bus.errors import unit_error_name
+from bus.errors import unit_error
+from bus.messages import Message
 
 DEVIATION_WINDOWS = 3
 """Half the width of a deviation bar in at-speed windows, so that the band is its middle third."""
@@ -47,7 +47,6 @@ MODE_WORDS = {"": UNKNOWN, "remote": "REMOTE", "local": "LOCAL", "keylock": "KEY
 PORT_WORDS = {"open": "open", "closed": "closed"}
 
 Fields = dict[str, str]
-_SENTENCES = re.compile(r"(?<=[.?]) (?=[A-Z])")
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +56,7 @@ class Translator:
     language: Language
     formats: Formats
 
-    def t(self, text: str, /, **values: object) -> str:
+    def t(self, text: str | Message, /, **values: object) -> str:
         """The text in this language."""
         return self.language.t(text, **values)
 
@@ -98,7 +97,7 @@ def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, voice: Transl
 def bus_fields(bus: BusLive, voice: Translator, now: float) -> Fields:
     """The figures of one bus, and for how long its units' readings count as fresh."""
     scan_s = scan_s_of(bus)
-    cause = voice.t(bus.link.cause) if bus.link.link == "closed" else ""
+    cause = voice.t(bus.link.cause) if bus.link.cause is not None and bus.link.link == "closed" else ""
     fields = {
         "link": bus.link.link,
         "link_text": voice.t(PORT_WORDS[bus.link.link]),
@@ -127,13 +126,13 @@ def bus_fields(bus: BusLive, voice: Translator, now: float) -> Fields:
         "wire_fill": f"{min(1.0, figures.wire_utilisation):.3f}",
         "one_more": f"{number(figures.scan_s_with_one_more, 2)} s",
         "noise": f"{figures.noise_bytes}",
-        "diagnosis": " ".join(voice.t(said) for said in _SENTENCES.split(figures.diagnosis)),
+        "diagnosis": " ".join(map(voice.t, figures.diagnosis)),
     }
 
 
 def health_fields(figures: UnitFigures, voice: Translator) -> Fields:
     """How one unit answers, for whoever has its page open."""
-    naks = [f"{count} x {voice.t(unit_error_name(code))}" for code, count in sorted(figures.naks.items())]
+    naks = [f"{count} x {voice.t(unit_error(code))}" for code, count in sorted(figures.naks.items())]
     median, most = figures.answer_s_median, figures.answer_s_max
     times = ""
     if median is not None and most is not None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from app.live.screen.fields import Translator
-from bus.clauses import LONGEST, filled
-from bus.contract import Clause, Frame
+from bus.contract import LONGEST_MEANING, Frame
 
 
 def frame_fields(frame: Frame, voice: Translator) -> dict[str, Any]:
@@ -17,15 +15,6 @@ def frame_fields(frame: Frame, voice: Translator) -> dict[str, Any]:
         "at": round(frame.at, 4),
         "direction": frame.direction,
         "hex": frame.data.hex(" ").upper(),
-        "meaning": "".join(
-            _translated(clause, voice.language.fixed) + clause.then for clause in frame.clauses
-        )[:LONGEST],
+        "meaning": "; ".join(map(voice.t, frame.meanings))[:LONGEST_MEANING],
         "valid": frame.valid,
     }
-
-
-def _translated(clause: Clause, term: Callable[[str], str]) -> str:
-    """Only whole texts of the catalog are translated: a worker's words are neither matched against patterns
-    nor used as a format. Words among the values are in English too."""
-    values = {name: term(value) if isinstance(value, str) else value for name, value in clause.values.items()}
-    return filled(term(clause.text), values)

@@ -24,11 +24,12 @@ from bus.contract import (
     UnitLink,
     Update,
 )
+from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
 
 log = structlog.get_logger()
 
-NO_WORKER = "the bus worker is not connected"
+NO_WORKER = Message("worker_not_connected")
 BusSubscriber = Callable[[Sequence[Update]], None]
 """Called with the updates of a bus after they were applied."""
 
@@ -108,7 +109,7 @@ class BusLive:
         self.apply(updates)
         return updates
 
-    def lose_worker(self, at: float, cause: str = NO_WORKER) -> None:
+    def lose_worker(self, at: float, cause: Message = NO_WORKER) -> None:
         """The worker's connection ended: the port counts as closed, nothing counts as fresh."""
         self.worker_lost = Onset(at)
         self.figures = None

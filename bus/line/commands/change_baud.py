@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 from bus.catalogue.numbers import BAUD_RATE
 from bus.contract import Outcome, Result, UnitOutcome
-from bus.errors import unit_error_name
+from bus.errors import unit_refused
 from bus.line.commands.procedure import (
     CommandContext,
     ExpectBaud,
@@ -26,12 +26,12 @@ from bus.line.commands.procedure import (
 from bus.line.commands.readback import read_parameter
 from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import Roster
+from bus.messages import Message
 from bus.settings import BAUDS
 from bus.wire.commands import ReadStatus, WriteParameter
 
 HUNDREDS = 100
 READ_ATTEMPTS = 2
-NOT_OURS = "the baud rate of a network port is set in its device server, so it cannot be followed from here"
 
 UnitsFound = Subprocedure[set[int]]
 
@@ -41,10 +41,10 @@ def change_baud(
 ) -> Procedure:
     """From ``old``, the present rate, to ``new``. ``own_rate``: the port's rate can be set from here."""
     if not own_rate:
-        return _result("invalid", f"{NOT_OURS}: nothing was sent")
+        return _result("invalid", Message("baud_of_device_server"))
     if new not in BAUDS or new == old:
-        rates = ", ".join(str(rate) for rate in BAUDS if rate != old)
-        return _result("invalid", f"the bus goes at {old}; it can be changed to {rates}: nothing was sent")
+        rates: list[int | str | Message] = [rate for rate in BAUDS if rate != old]
+        return _result("invalid", Message.of("baud_not_possible", baud=old, rates=rates))
     units = roster.configured
     change = _Change(roster, units, old, new, context)
     return (yield from change.run())
@@ -73,25 +73,24 @@ class _Change:
         if at_new == set(self._units):
             return (yield from self._at_once())
         lost = sorted(set(self._units) - at_old - at_new)
-        why = (
-            f"unit {_names(lost)} answers at neither rate"
-            if lost
-            else f"unit {_names(sorted(at_old))} stayed at {self._old} baud while the others changed"
-        )
-        return (yield from self._go_back("unverified", why))
+        if lost:
+            reason = Message.of("baud_no_response", units=_listed(lost))
+        else:
+            reason = Message.of("baud_not_followed", units=_listed(sorted(at_old)), baud=self._old)
+        return (yield from self._go_back("unverified", reason))
 
     # --- forth ---------------------------------------------------------------------------------
 
-    def _write_all(self) -> Subprocedure[tuple[Outcome, str] | None]:
+    def _write_all(self) -> Subprocedure[tuple[Outcome, Message] | None]:
         for done, unit in enumerate(self._likely_refusals_first()):
             yield ReportProgress("sent", unit, done, len(self._units))
             sent = yield from send(Send(WriteParameter(unit, BAUD_RATE, self._new // HUNDREDS)))
             if sent.refusal is not None:
-                return "refused", f"unit {unit} refused: {unit_error_name(sent.refusal)}"
+                return "refused", unit_refused(unit, sent.refusal)
             if sent.status is not SendStatus.RESPONDED and not (yield from self._took_it_unheard(unit, sent)):
-                return "unverified", f"unit {unit} did not acknowledge"
+                return "unverified", Message.of("unit_no_acknowledgement", unit=unit)
             if self._wish.cancelled:
-                return "not_sent", "given up"
+                return "not_sent", Message("canceled")
         return None
 
     def _took_it_unheard(self, unit: int, sent: SendResult) -> Subprocedure[bool]:
@@ -118,24 +117,18 @@ class _Change:
     def _at_once(self) -> Procedure:
         missing = yield from self._not_holding(self._units, self._new)
         if missing:
-            message = f"unit {_names(missing)} answers at {self._new} baud, but its #18 does not read so"
+            message = Message.of("baud_readback_differs", units=_listed(missing), baud=self._new)
             return _result("unverified", message, self._outcomes(missing))
         yield ExpectBaud(self._new)
-        message = (
-            f'the bus is at {self._new} baud, every unit proven; set "baud = {self._new}" for it in '
-            "lineside.toml before the next start"
-        )
-        return _result("verified", message, self._outcomes([]))
+        return _result("verified", Message.of("baud_changed", baud=self._new), self._outcomes([]))
 
     def _at_power_up(self) -> Procedure:
         missing = yield from self._not_holding(self._units, self._new)
         if missing:
-            return (yield from self._go_back("unverified", f"#18 of unit {_names(missing)} does not read so"))
+            reason = Message.of("baud_not_held", units=_listed(missing))
+            return (yield from self._go_back("unverified", reason))
         yield ExpectBaud(self._new)
-        message = (
-            f"every unit holds {self._new} baud and uses it from its next power-up; until then the bus stays "
-            f'at {self._old}. Switch all units off and on, and set "baud = {self._new}" in lineside.toml'
-        )
+        message = Message.of("baud_at_power_up", baud=self._new, present=self._old)
         return _result("verified", message, self._outcomes([]))
 
     def _not_holding(self, units: Sequence[int], baud: int) -> Subprocedure[list[int]]:
@@ -148,7 +141,7 @@ class _Change:
 
     # --- back ----------------------------------------------------------------------------------
 
-    def _go_back(self, outcome: Outcome, why: str) -> Procedure:
+    def _go_back(self, outcome: Outcome, reason: Message) -> Procedure:
         """Write every unit its old rate at whichever rate it answers; prove all at the old one."""
         yield Retune(self._new)
         yield from self._write_old(self._units)
@@ -159,12 +152,15 @@ class _Change:
         lost = sorted({*missing, *(set(self._units) - answering)})
         yield ExpectBaud(self._old)
         if not lost:
-            message = f"{why}: every unit is back at {self._old} baud, as before"
+            message = Message.of("baud_restored", reason=reason, baud=self._old)
         else:
             outcome = "unverified"
-            message = (
-                f"{why}; every other unit is back at {self._old} baud. At the panel of unit {_names(lost)}: "
-                f"set #18 to {self._old // HUNDREDS}, then switch it off and on"
+            message = Message.of(
+                "baud_not_restored",
+                reason=reason,
+                baud=self._old,
+                units=_listed(lost),
+                value=self._old // HUNDREDS,
             )
         return _result(outcome, message, self._outcomes(lost))
 
@@ -182,9 +178,9 @@ class _Change:
         ]
 
 
-def _result(outcome: Outcome, message: str, units: list[UnitOutcome] | None = None) -> Result:
+def _result(outcome: Outcome, message: Message, units: list[UnitOutcome] | None = None) -> Result:
     return Result(id="", at=0.0, outcome=outcome, message=message, units=units or [])
 
 
-def _names(units: Sequence[int]) -> str:
-    return ", ".join(map(str, units))
+def _listed(units: Sequence[int]) -> list[int | str | Message]:
+    return list(units)

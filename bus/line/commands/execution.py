@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import msgspec
 
@@ -20,7 +20,10 @@ from bus.line.commands.readback import Readback, verify_speed, verify_unchanged
 from bus.line.commands.writes import outcome_with_readback
 from bus.line.exchange.send import Send, SendResult
 from bus.line.roster import Roster
+from bus.messages import Message, joined
 from bus.wire.commands import ExecuteSpeed
+
+EXECUTED_SINGLY = Message("executed_singly")
 
 
 def verify_all(
@@ -46,16 +49,17 @@ def verify(member: Member, broadcast: SendResult, context: CommandContext) -> Su
     staging = member.sent
     member.outcome = msgspec.structs.replace(
         outcome,
-        message="" if readback.shown else _not_shown(member, readback),
+        message=None if readback.shown else _not_shown(member, readback),
         sent_at=staging.sent_at if staging is not None else broadcast.sent_at,
         acknowledged_at=staging.responded_at if staging is not None else None,
         attempts=staging.attempts if staging is not None else 1,
     )
 
 
-def _not_shown(member: Member, readback: Readback) -> str:
+def _not_shown(member: Member, readback: Readback) -> Message:
     """Whoever missed the broadcast has the value in its memory, and the next execute would find it there."""
-    return f"unit {member.unit}: {readback.why}; it may still hold {member.raw} staged"
+    assert readback.why is not None
+    return Message.of("unit_may_hold", unit=member.unit, reason=readback.why, raw=member.raw)
 
 
 def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[None]:
@@ -65,45 +69,44 @@ def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[Non
         return
     yield from verify(member, sent, context)
     if member.outcome is not None and member.outcome.outcome == "verified":
-        message = "missed the broadcast and was told singly"
-        member.outcome = msgspec.structs.replace(member.outcome, message=message)
+        member.outcome = msgspec.structs.replace(member.outcome, message=EXECUTED_SINGLY)
 
 
-def _strays(roster: Roster, members: list[Member]) -> Subprocedure[str]:
-    """In words, which units outside the change moved with it, staged by somebody else."""
+def _strays(roster: Roster, members: list[Member]) -> Subprocedure[list[Message]]:
+    """Which units outside the change moved with it, staged by somebody else."""
     inside = {member.unit for member in members}
-    moved: list[str] = []
+    moved: list[Message] = []
     for record in roster:
         if record.unit in inside or not roster.is_configured(record.unit):
             continue
         if record.link.link != "online" or record.reading is None:
             continue
         readback = yield from verify_unchanged(record, record.reading.commanded)
-        if not readback.shown and readback.read_back is not None:
-            moved.append(f"unit {record.unit}, which was not part of the change: {readback.why}")
-    return "; ".join(moved)
+        if readback.why is not None and readback.read_back is not None:
+            moved.append(Message.of("outsider_moved", unit=record.unit, reason=readback.why))
+    return moved
 
 
 def unchanged(member: Member, broadcast: SendResult, readback: Readback) -> UnitOutcome:
     """The fate of one that had nothing staged from here."""
-    if readback.shown:
-        message = "nothing was staged from here, and its commanded speed is unchanged"
+    if readback.why is None:
+        message = Message("unit_unchanged")
     else:
-        message = f"unit {member.unit}: {readback.why}"
+        message = Message.of("unit_remark", unit=member.unit, remark=readback.why)
     outcome = outcome_with_readback(member.unit, broadcast, readback)
     return msgspec.structs.replace(outcome, message=message, acknowledged_at=None)
 
 
-def executed(members: list[Member], broadcast: SendResult, remark: str) -> Result:
+def executed(members: list[Member], broadcast: SendResult, remarks: Sequence[Message]) -> Result:
     """The fate of all whose broadcast has left."""
     outcomes = [member.outcome for member in members if member.outcome is not None]
     bad = [outcome for outcome in outcomes if outcome.outcome != "verified"]
-    words = [outcome.message for outcome in bad] or [o.message for o in outcomes if "singly" in o.message]
+    about = bad or [outcome for outcome in outcomes if outcome.message == EXECUTED_SINGLY]
     return Result(
         id="",
         at=0.0,
         outcome="unverified" if bad else "verified",
-        message="; ".join([*words, *([remark] if remark else [])]),
+        message=joined([*(outcome.message for outcome in about), *remarks]),
         units=sorted(outcomes, key=lambda outcome: outcome.unit),
         skew_s=_skew(outcomes, broadcast),
     )

@@ -17,22 +17,24 @@ from bus.catalogue.status import StatusBits, output_is_on, status_bits
 from bus.line.commands.procedure import Subprocedure, Wait, send
 from bus.line.exchange.send import Send, SendResult
 from bus.line.roster import UnitRecord
+from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.commands import ParameterReply, ReadParameter, ReadStatus, StatusReply
 
 REREADS = 2
 """How often a read-back that differs is read again."""
 REREAD_AFTER_S = 0.1
+NO_READBACK = Message("readback_no_response")
 
 
 @dataclass(frozen=True, slots=True)
 class Readback:
-    """What the read-back showed. ``read_back`` None: there was none. ``why``: when not ``shown``."""
+    """What the read-back showed. ``read_back`` None: there was none. ``why``: where not ``shown``."""
 
     shown: bool
     read_back: int | None = None
     at: float | None = None
-    why: str = ""
+    why: Message | None = None
 
 
 Verification = Subprocedure[Readback]
@@ -68,7 +70,7 @@ def verify_speed(record: UnitRecord, raw: int, dialect: Dialect, *, before: int 
             yield Wait(REREAD_AFTER_S)
         status, sent = yield from read_status(record.unit)
         if status is None:
-            return Readback(False, readback.read_back, readback.at, "it did not answer the read-back")
+            return Readback(False, readback.read_back, readback.at, NO_READBACK)
         bits = status_bits(status.outputs, status.inputs, dialect.estop_healthy)
         if dialect.follower_speed == "speed" and (yield from follows(record, bits)):
             readback = yield from _verify_ratio(record, raw, status, sent, before)
@@ -82,16 +84,26 @@ def verify_speed(record: UnitRecord, raw: int, dialect: Dialect, *, before: int 
 def _compare_speed(raw: int, status: StatusReply, bits: StatusBits, sent: SendResult) -> Readback:
     if status.commanded == raw:
         return Readback(True, raw, sent.responded_at)
-    why = f"its commanded speed reads {status.commanded}{_override(bits)}"
-    return Readback(False, status.commanded, sent.responded_at, why)
+    return Readback(False, status.commanded, sent.responded_at, _speed_reads(status.commanded, bits))
 
 
-def _override(bits: StatusBits) -> str:
-    """What, at the unit's terminals, may stand above the commanded speed."""
+def _speed_reads(commanded: int, bits: StatusBits) -> Message:
+    """With what, at the unit's terminals, may stand above the commanded speed."""
     active = [name for name, on in (("preset", bits.preset), ("up", bits.up), ("down", bits.down)) if on]
+    inputs: list[int | str | Message] = [Message(f"status_{name}") for name in active]
     if not bits.remote:
-        active.append("LOCAL")
-    return f" while {' and '.join(active)} is active" if active else ""
+        inputs.append("LOCAL")
+    if not inputs:
+        return Message.of("speed_reads", value=commanded)
+    return Message.of("speed_reads_while", value=commanded, inputs=inputs)
+
+
+def _parameter_reads(number: int, shown: int | None) -> Message:
+    if shown is None:
+        return Message("parameter_unavailable")
+    return (
+        Message("secret_reads") if PARAMETERS[number].secret else Message.of("parameter_reads", value=shown)
+    )
 
 
 def _verify_ratio(
@@ -103,19 +115,18 @@ def _verify_ratio(
     if status.commanded == raw and before is not None and before != raw:
         return Readback(True, raw, sent.responded_at)
     if ratio is None:
-        why = "it is a follower, and its ratio (#37) could not be read back"
-        return Readback(False, status.commanded, sent.responded_at, why)
-    return Readback(False, ratio, ratio_answer.responded_at, f"its ratio (#37) reads {ratio}")
+        return Readback(False, status.commanded, sent.responded_at, Message("ratio_unread"))
+    return Readback(False, ratio, ratio_answer.responded_at, Message.of("ratio_reads", value=ratio))
 
 
 def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:
     """That a unit to which nothing was to happen still has the commanded speed it had."""
     status, sent = yield from read_status(record.unit)
     if status is None:
-        return Readback(False, None, None, "it did not answer the read-back")
+        return Readback(False, None, None, NO_READBACK)
     if before is None or status.commanded == before:
         return Readback(True, status.commanded, sent.responded_at)
-    why = f"its commanded speed went from {before} to {status.commanded} though nothing was staged from here"
+    why = Message.of("speed_moved", before=before, value=status.commanded)
     return Readback(False, status.commanded, sent.responded_at, why)
 
 
@@ -127,9 +138,8 @@ def verify_parameter(unit: int, number: int, raw: int) -> Verification:
             yield Wait(REREAD_AFTER_S)
         shown, sent = yield from read_parameter(unit, number)
         if sent.reply is None:
-            return Readback(False, readback.read_back, readback.at, "it did not answer the read-back")
-        reads = "another value" if PARAMETERS[number].secret else shown
-        readback = Readback(shown == raw, shown, sent.responded_at, f"it reads {reads}")
+            return Readback(False, readback.read_back, readback.at, NO_READBACK)
+        readback = Readback(shown == raw, shown, sent.responded_at, _parameter_reads(number, shown))
         if readback.shown:
             return readback
     return readback
@@ -143,10 +153,10 @@ def verify_output(unit: int, number: int, on: bool) -> Verification:
             yield Wait(REREAD_AFTER_S)
         status, sent = yield from read_status(unit)
         if status is None:
-            return Readback(False, readback.read_back, readback.at, "it did not answer the read-back")
+            return Readback(False, readback.read_back, readback.at, NO_READBACK)
         shown = output_is_on(status.outputs, number)
-        state = "on" if shown else "off"
-        readback = Readback(shown == on, int(shown), sent.responded_at, f"the output reads {state}")
+        why = Message("output_reads_on" if shown else "output_reads_off")
+        readback = Readback(shown == on, int(shown), sent.responded_at, why)
         if readback.shown:
             return readback
     return readback

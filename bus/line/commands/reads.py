@@ -7,10 +7,11 @@ from collections.abc import Sequence
 
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, Result
-from bus.errors import unit_error_name
+from bus.errors import unit_error
 from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, Wait, send
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import UnitRecord, parameter_value
+from bus.messages import Message, joined
 from bus.wire.commands import ReadParameter
 
 MOMENT_S = 0.5
@@ -26,18 +27,18 @@ def read_parameters(record: UnitRecord, numbers: Sequence[int], context: Command
     wanted = tuple(numbers) or tuple(PARAMETERS)
     waiting, missed = deque(wanted), False
     values: list[ParameterValue] = []
-    refused: list[str] = []
+    refused: list[Message] = []
     while waiting:
         if context.cancelled:
-            return _partly(record, values, wanted, "given up")
+            return _partly(record, values, wanted, Message("canceled"))
         number = waiting.popleft()
         yield ReportProgress("sent", record.unit, len(values), len(wanted))
         sent = yield from send(Send(ReadParameter(record.unit, number), fresh=True))
         if sent.status is SendStatus.PORT_CLOSED:
-            return _partly(record, values, wanted, "the link to the bus was lost", closed=True)
+            return _partly(record, values, wanted, Message("bus_link_lost"), closed=True)
         if sent.status is not SendStatus.RESPONDED:
             if missed or len(wanted) == 1:
-                return _partly(record, values, wanted, f"no answer to #{number}")
+                return _partly(record, values, wanted, Message.of("parameter_no_response", number=number))
             missed = True
             waiting.append(number)
             yield Wait(MOMENT_S)
@@ -47,20 +48,28 @@ def read_parameters(record: UnitRecord, numbers: Sequence[int], context: Command
         if value is not None:
             values.append(value)
         else:
-            refused.append(f"#{number}: {unit_error_name(sent.refusal or 0)}")
-    if refused:
-        return _partly(record, values, wanted, "; ".join(refused))
+            error = unit_error(sent.refusal or 0)
+            refused.append(Message.of("parameter_refused", number=number, error=error))
+    if (reason := joined(refused)) is not None:
+        return _partly(record, values, wanted, reason)
     return Result(id="", at=0.0, outcome="verified", values=values)
 
 
 def _partly(
-    record: UnitRecord, values: list[ParameterValue], wanted: Sequence[int], why: str, *, closed: bool = False
+    record: UnitRecord,
+    values: list[ParameterValue],
+    wanted: Sequence[int],
+    reason: Message,
+    *,
+    closed: bool = False,
 ) -> Result:
     nothing = closed and not values
     return Result(
         id="",
         at=0.0,
         outcome="bus_closed" if nothing else "unverified",
-        message=f"unit {record.unit}: {len(values)} of {len(wanted)} parameters were read, then: {why}",
+        message=Message.of(
+            "parameters_partly_read", unit=record.unit, count=len(values), all=len(wanted), reason=reason
+        ),
         values=values,
     )

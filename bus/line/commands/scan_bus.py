@@ -21,6 +21,7 @@ from bus.line.roster import Roster
 from bus.line.scan.examination import Probe, ProbeOutcome, examine
 from bus.line.scan.found import Found, conclude
 from bus.line.scan.passes import Passes, no_response_s
+from bus.messages import Message, joined
 from bus.settings import Dialect, wire_seconds
 
 SHARE = 1 / 3
@@ -61,12 +62,12 @@ def survey(roster: Roster, first: int, last: int, pace: ScanPace, context: Comma
     of = last - first + 1
     for unit in passes:
         if context.cancelled:
-            return _result(found, f"given up after {passes.done} of {of} addresses")
+            return _result(found, Message.of("scan_canceled", done=passes.done, all=of))
         yield ReportProgress("searching", unit, passes.done, of)
         try:
             one = yield from _examine(unit, pace)
         except _Lost:
-            return _result(found, f"the link to the bus was lost after {passes.done} of {of} addresses")
+            return _result(found, Message.of("scan_link_lost", done=passes.done, all=of))
         if one is None:
             passes.no_response()
         else:
@@ -74,7 +75,7 @@ def survey(roster: Roster, first: int, last: int, pace: ScanPace, context: Comma
             found.append(one)
     if _overdue(roster) - overdue >= OVERDUE:
         found = [_doubted(one) for one in found]
-    return _result(found, "")
+    return _result(found, None)
 
 
 def _overdue(roster: Roster) -> int:
@@ -88,13 +89,13 @@ def _doubted(one: Found) -> Found:
     return replace(one, kind="late", remarks=(), late=True)
 
 
-def _result(found: list[Found], failure: str) -> Result:
+def _result(found: list[Found], fault: Message | None) -> Result:
     found.sort(key=lambda one: one.unit)
     return Result(
         id="",
         at=0.0,
-        outcome="unverified" if failure else "verified",
-        message="; ".join(conclude(found) + ([failure] if failure else [])),
+        outcome="unverified" if fault else "verified",
+        message=joined([*conclude(found), fault]),
         found=[one.for_contract() for one in found],
     )
 

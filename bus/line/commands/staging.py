@@ -17,7 +17,7 @@ from collections.abc import Mapping
 
 from bus.catalogue.status import status_bits
 from bus.contract import Outcome, Result
-from bus.errors import unit_error_name
+from bus.errors import unit_refused
 from bus.line.commands.execution import executed, unchanged, verify, verify_all
 from bus.line.commands.member import Member, member_of
 from bus.line.commands.procedure import (
@@ -32,6 +32,7 @@ from bus.line.commands.withdrawal import SuspendedStages, stopped, withdraw_all
 from bus.line.commands.writes import not_sent, outcome_without_readback
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import Roster
+from bus.messages import Message
 from bus.wire.commands import ExecuteSpeed, StageSpeed
 
 ALL_UNITS = 0
@@ -75,7 +76,7 @@ def execute_all(roster: Roster, context: CommandContext) -> Procedure:
         else:
             readback = yield from verify_unchanged(member.record, member.before)
             member.outcome = unchanged(member, sent, readback)
-    return executed(members, sent, "no unit held a speed staged from here" if not knew else "")
+    return executed(members, sent, [] if knew else [Message("nothing_staged_here")])
 
 
 def _likely_refusals_first(
@@ -93,7 +94,9 @@ def _likely_refusals_first(
     return sorted(setpoints.items(), key=lambda item: well(item[0]))
 
 
-def _stage_all(members: list[Member], context: CommandContext) -> Subprocedure[tuple[Outcome, str] | None]:
+def _stage_all(
+    members: list[Member], context: CommandContext
+) -> Subprocedure[tuple[Outcome, Message] | None]:
     """None when every unit acknowledged, else how the change ended and why."""
     for done, member in enumerate(members):
         yield ReportProgress("sent", member.unit, done, len(members))
@@ -101,28 +104,30 @@ def _stage_all(members: list[Member], context: CommandContext) -> Subprocedure[t
         if not member.staged:
             return _why_stopped(member)
         if context.cancelled:
-            return "not_sent", "given up before it was executed"
+            return "not_sent", Message("canceled_before_execute")
     yield ReportProgress("acknowledged", None, len(members), len(members))
     return None
 
 
-def _why_stopped(member: Member) -> tuple[Outcome, str]:
+def _why_stopped(member: Member) -> tuple[Outcome, Message]:
     assert member.sent is not None
     sent = member.sent
     if sent.refusal is not None:
         member.outcome = outcome_without_readback(member.unit, sent)
-        return "refused", f"unit {member.unit} refused: {unit_error_name(sent.refusal)}"
+        return "refused", unit_refused(member.unit, sent.refusal)
     if sent.status is SendStatus.TIMED_OUT:
-        return "unverified", f"unit {member.unit} did not answer"
+        return "unverified", Message.of("unit_no_response", unit=member.unit)
     if sent.status is SendStatus.PORT_CLOSED:
-        return "bus_closed", "the link to the bus was lost"
-    return "not_sent", "its time was over before every unit had acknowledged"
+        return "bus_closed", Message("bus_link_lost")
+    return "not_sent", Message("deadline_passed_staging")
 
 
 def _no_time(members: list[Member], context: CommandContext) -> Result:
     seconds = context.exchange_s * len(members)
-    message = (
-        f"staging {len(members)} units takes {seconds:.1f} s on this bus and "
-        f"{max(context.time_left_s, 0):.1f} s were given: nothing was sent"
+    message = Message.of(
+        "change_too_long",
+        n=len(members),
+        seconds=round(seconds, 1),
+        allowed=round(max(context.time_left_s, 0), 1),
     )
     return Result(id="", at=0.0, outcome="not_sent", message=message)

@@ -14,6 +14,7 @@ from bus.line.commands.procedure import CommandContext, Subprocedure, Unstage, s
 from bus.line.commands.readback import present_setpoint
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import Roster, UnitRecord
+from bus.messages import Message
 from bus.wire.commands import StageSpeed
 
 
@@ -40,12 +41,9 @@ def withdraw_all(members: list[Member], context: CommandContext) -> Subprocedure
 def _withdrawn(member: Member, present: int | None) -> UnitOutcome:
     assert member.sent is not None
     if present is not None:
-        message = f"staged and put back to its present speed ({present}); not executed"
+        message = Message.of("staged_withdrawn", present=present)
     else:
-        message = (
-            f"may still hold {member.raw} staged, for it could not be put back: stage its present speed "
-            "before anything is executed on this line"
-        )
+        message = Message.of("staged_left", raw=member.raw)
     return UnitOutcome(
         unit=member.unit,
         outcome="not_sent" if present is not None else "unverified",
@@ -57,24 +55,25 @@ def _withdrawn(member: Member, present: int | None) -> UnitOutcome:
     )
 
 
-def stopped(members: list[Member], outcome: Outcome, why: str) -> Result:
+def stopped(members: list[Member], outcome: Outcome, reason: Message) -> Result:
     """The fate of a change that ended before its broadcast, and which units may hold what was staged."""
     units = [member.outcome or _untouched(member) for member in members]
-    left = [str(each.unit) for each in units if each.outcome == "unverified"]
-    warning = f"; may still be staged in unit {', '.join(left)}" if left else ""
+    left: list[int | str | Message] = [each.unit for each in units if each.outcome == "unverified"]
     refusals = [each.unit_error for each in units if each.unit_error is not None]
     return Result(
         id="",
         at=0.0,
         outcome=outcome,
-        message=f"{why}: no unit was changed{warning}",
+        message=Message.of("no_unit_changed_staged_left", reason=reason, units=left)
+        if left
+        else Message.of("no_unit_changed", reason=reason),
         unit_error=refusals[0] if refusals else None,
         units=sorted(units, key=lambda each: each.unit),
     )
 
 
 def _untouched(member: Member) -> UnitOutcome:
-    return UnitOutcome(unit=member.unit, outcome="not_sent", message="nothing was sent to it")
+    return UnitOutcome(unit=member.unit, outcome="not_sent", message=Message("unit_untouched"))
 
 
 class SuspendedStages:
@@ -86,15 +85,12 @@ class SuspendedStages:
         self._sheltered: dict[int, int] = {}
         self._wish = context
 
-    def suspend(self) -> Subprocedure[tuple[Outcome, str] | None]:
+    def suspend(self) -> Subprocedure[tuple[Outcome, Message] | None]:
         """None when no unit outside the change can move with it."""
         for unit, (record, staged) in self._waiting.items():
             present = yield from _stage_present(record, self._wish)
             if present is None:
-                return "not_sent", (
-                    f"unit {unit} is not part of the change but holds {staged} staged, would execute it too, "
-                    "and could not be put back to its present speed"
-                )
+                return "not_sent", Message.of("outsider_staged", unit=unit, staged=staged)
             self._sheltered[unit] = staged
         return None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from bus.contract import Outcome, Result, UnitOutcome
-from bus.errors import unit_error_name
+from bus.errors import unit_error, unit_refused
 from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, send
 from bus.line.commands.readback import (
     REREADS,
@@ -17,6 +17,7 @@ from bus.line.commands.readback import (
 )
 from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import UnitRecord
+from bus.messages import Message
 from bus.wire.commands import (
     ExecuteSpeed,
     Request,
@@ -26,8 +27,6 @@ from bus.wire.commands import (
     WriteOutput,
     WriteParameter,
 )
-
-NOTHING_TO_READ_BACK = "acknowledged; there is nothing to read back"
 
 
 def set_and_execute(record: UnitRecord, raw: int, context: CommandContext) -> Procedure:
@@ -101,28 +100,26 @@ def outcome_without_readback(unit: int, sent: SendResult) -> UnitOutcome:
     )
 
 
-def _outcome_without_readback(unit: int, sent: SendResult) -> tuple[Outcome, str]:
+def _outcome_without_readback(unit: int, sent: SendResult) -> tuple[Outcome, Message]:
     if sent.refusal is not None:
-        refused = f"unit {unit} refused: {unit_error_name(sent.refusal)}"
+        refusal = unit_refused(unit, sent.refusal)
         if sent.may_have_acted:
-            return "unverified", f"{refused}; but an earlier try was not answered, and may have been taken"
-        return "refused", refused
+            return "unverified", Message.of("unit_refused_retry", refusal=refusal)
+        return "refused", refusal
     if sent.status is SendStatus.RESPONDED:
-        return "acknowledged", NOTHING_TO_READ_BACK
+        return "acknowledged", Message("nothing_to_read_back")
     if sent.attempts == 0:
         return not_sent(unit, sent)
-    tries = "once" if sent.attempts == 1 else f"{sent.attempts} times"
-    return "unverified", f"unit {unit} did not acknowledge (sent {tries}): whether it acted is not known"
+    return "unverified", Message.of("write_unacknowledged", unit=unit, n=sent.attempts)
 
 
-def not_sent(unit: int, sent: SendResult) -> tuple[Outcome, str]:
+def not_sent(unit: int, sent: SendResult) -> tuple[Outcome, Message]:
     """Why nothing left for ``unit``."""
     if sent.status is SendStatus.PORT_CLOSED:
-        return "bus_closed", "there is no link to the bus: nothing was sent"
+        return "bus_closed", Message("bus_not_linked")
     if sent.status is SendStatus.TOO_LATE:
-        return "not_sent", "its time was over before it could be sent: nothing was sent"
-    message = f"unit {unit} does not answer, nor did it before: nothing was sent, its state is not known"
-    return "unverified", message
+        return "not_sent", Message("deadline_passed")
+    return "unverified", Message.of("unit_unresponsive", unit=unit)
 
 
 def outcome_with_readback(unit: int, sent: SendResult, readback: Readback) -> UnitOutcome:
@@ -142,18 +139,19 @@ def outcome_with_readback(unit: int, sent: SendResult, readback: Readback) -> Un
     )
 
 
-def _message_of(unit: int, sent: SendResult, readback: Readback) -> str:
+def _message_of(unit: int, sent: SendResult, readback: Readback) -> Message | None:
     acknowledged = sent.status is SendStatus.RESPONDED and sent.refusal is None
     if readback.shown:
-        return "" if acknowledged else "not acknowledged, but the read-back shows it"
-    said = "acknowledged" if acknowledged else "did not acknowledge"
+        return None if acknowledged else Message("verified_unacknowledged")
+    response = Message("response_acknowledged" if acknowledged else "response_missing")
     if sent.refusal is not None:
-        said = f"refused: {unit_error_name(sent.refusal)}"
-    looks = f" ({1 + REREADS} looks)" if readback.read_back is not None else ""
+        response = Message.of("response_refused", error=unit_error(sent.refusal))
+    assert readback.why is not None
     if readback.read_back is None:
-        joined = "and" if said == "did not acknowledge" else "but"
-        return f"unit {unit} {said}, {joined} {readback.why}: its state is not known"
-    return f"unit {unit} {said}, but {readback.why}{looks}: its state is not what was asked"
+        return Message.of("readback_missing", unit=unit, response=response, reason=readback.why)
+    return Message.of(
+        "readback_differs", unit=unit, response=response, reason=readback.why, reads=1 + REREADS
+    )
 
 
 def result_of_one(outcome: UnitOutcome) -> Result:

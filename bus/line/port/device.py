@@ -19,6 +19,7 @@ from bus.line.port.gated_serial import GatedSerial
 from bus.line.port.open_error import in_use, why_not
 from bus.line.port.port import OpenPort, PartlySent, PortUnavailable, Receiver
 from bus.line.port.port_protocol import PortProtocol
+from bus.messages import Message
 
 _TIOCGEXCL = 0x80045440
 """Linux, 3.8 and newer; the standard library does not name it."""
@@ -39,11 +40,12 @@ class DevicePort:
         try:
             written = os.write(self._descriptor, data)
         except BlockingIOError as error:
-            raise WireError(f"{self._name} takes no bytes: is its handshake line connected?") from error
+            raise WireError(Message.of("port_blocked", port=self._name)) from error
         except OSError as error:
-            raise WireError(f"{self._name} is gone ({os.strerror(error.errno or 0)})") from error
+            reason = os.strerror(error.errno or 0)
+            raise WireError(Message.of("port_gone_error", port=self._name, error=reason)) from error
         if written != len(data):
-            raise PartlySent(f"{self._name} took {written} of {len(data)} bytes")
+            raise PartlySent(Message.of("port_partly_sent", port=self._name, sent=written, all=len(data)))
 
     def listen(self, *, now: bool) -> None:
         self._serial.listen(now=now)
@@ -56,13 +58,14 @@ class DevicePort:
         try:
             self._serial.baudrate = baud
         except (serial.SerialException, termios.error, OSError, ValueError) as error:
-            raise WireError(f"{self._name} cannot go to {baud} baud ({error})") from error
+            message = Message.of("port_baud_refused", port=self._name, baud=baud, error=str(error))
+            raise WireError(message) from error
 
     def check(self) -> None:
         try:
             termios.tcgetattr(self._descriptor)
         except (termios.error, OSError) as error:
-            raise WireError(f"{self._name} is gone: was the adapter pulled out?") from error
+            raise WireError(Message.of("adapter_gone", port=self._name)) from error
         if _is_claimed(self._descriptor, self._name):
             raise WireError(in_use(self._name))
 
@@ -87,7 +90,7 @@ async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
         instance.close()
         raise PortUnavailable(in_use(path))
     _prefer_low_latency(instance)
-    protocol = PortProtocol(receiver, f"{path} is gone: was the adapter pulled out?")
+    protocol = PortProtocol(receiver, Message.of("adapter_gone", port=path))
     transport, _ = await serial_asyncio.connection_for_serial(loop, lambda: protocol, instance)
     try:
         await protocol.made

@@ -11,12 +11,12 @@ _PROC = Path("/proc")
 _PLAYED = Path("/dev/pts")
 
 
-def users_of(path: str) -> list[str]:
-    """``name (process 123)`` of the others that hold a lock on it, else of those that have it open."""
+def users_of(path: str) -> list[tuple[int, str]]:
+    """Process id and name of the others that hold a lock on it, else of those that have it open."""
     device = Path(path).resolve()
     own = {os.getpid(), *_played_by(device)}
     pids = _lockers(device) - own or _openers(device) - own
-    return [f"{_name(pid)} (process {pid})" for pid in sorted(pids)]
+    return [(pid, _name(pid)) for pid in sorted(pids)]
 
 
 def is_played(path: str) -> bool:

@@ -1,4 +1,4 @@
-"""Why a device cannot be opened, and what to do about it, in words."""
+"""Why a device cannot be opened, and what to do about it."""
 
 from __future__ import annotations
 
@@ -10,27 +10,32 @@ from contextlib import suppress
 from pathlib import Path
 
 from bus.line.port.device_users import users_of
+from bus.messages import Message
 
 
-def why_not(path: str, error: Exception) -> str:
+def why_not(path: str, error: Exception) -> Message:
     """``error`` is what opening ``path`` raised."""
     number = getattr(error, "errno", None) or _errno_in(error)
     if number == errno.ENOENT:
-        return f"{path} is not there: is the adapter plugged in?{_others()}"
+        return _missing(path)
     if number in (errno.EACCES, errno.EPERM):
-        return f"{path} may not be opened: {_permission_advice(path)}"
+        return _not_permitted(path)
     if number in (errno.EAGAIN, errno.EBUSY):
         return in_use(path)
     if number in (errno.ENOTTY, errno.EINVAL, errno.EISDIR):
-        return f"{path} is not a serial port"
-    if number is not None:
-        return f"{path} cannot be opened ({os.strerror(number)})"
-    return f"{path} cannot be opened ({error})"
+        return Message.of("port_not_serial", port=path)
+    why = os.strerror(number) if number is not None else str(error)
+    return Message.of("port_not_opened_error", port=path, error=why)
 
 
-def in_use(path: str) -> str:
+def in_use(path: str) -> Message:
     """Another program has it, and which."""
-    return f"{path} is in use by {', '.join(users_of(path)) or 'another program'}"
+    programs: list[int | str | Message] = [
+        Message.of("process", program=name, pid=pid) for pid, name in users_of(path)
+    ]
+    if not programs:
+        return Message.of("port_in_use", port=path)
+    return Message.of("port_in_use_by", port=path, programs=programs)
 
 
 def _errno_in(error: Exception) -> int | None:
@@ -41,18 +46,19 @@ def _errno_in(error: Exception) -> int | None:
     return None
 
 
-def _others() -> str:
+def _missing(path: str) -> Message:
+    ports: list[int | str | Message] = []
     with suppress(OSError):
-        names = sorted(str(entry) for entry in Path("/dev/serial/by-id").iterdir())
-        if names:
-            return f" There is: {', '.join(names)}"
-    return ""
+        ports += sorted(str(entry) for entry in Path("/dev/serial/by-id").iterdir())
+    if not ports:
+        return Message.of("port_missing", port=path)
+    return Message.of("port_missing_others", port=path, ports=ports)
 
 
-def _permission_advice(path: str) -> str:
+def _not_permitted(path: str) -> Message:
     try:
         group = grp.getgrgid(Path(path).stat().st_gid).gr_name
         user = pwd.getpwuid(os.geteuid()).pw_name
     except (OSError, KeyError):
-        return "the user that runs lineside needs the right to read and write it"
-    return f"add the user to its group, 'sudo usermod -aG {group} {user}', and log in again"
+        return Message.of("port_not_permitted", port=path)
+    return Message.of("port_not_permitted_group", port=path, group=group, user=user)

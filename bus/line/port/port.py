@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Protocol
 
 from bus.errors import WireError
+from bus.messages import Message
 
 
 class PortUnavailable(WireError):
-    """The port cannot be opened now; the text says why and what to do."""
+    """The port cannot be opened now; the message says why and what to do."""
 
 
 class EndedWhileOpening(PortUnavailable):
@@ -25,8 +26,8 @@ class Receiver(Protocol):
     def data_received(self, data: bytes) -> None:
         """Bytes came in."""
 
-    def connection_lost(self, cause: str) -> None:
-        """The port is gone, and why in words. Called once, never after ``close``."""
+    def connection_lost(self, cause: Message) -> None:
+        """The port is gone, and why. Called once, never after ``close``."""
 
 
 class OpenPort(Protocol):

@@ -6,12 +6,13 @@ import asyncio
 import os
 
 from bus.line.port.port import Receiver
+from bus.messages import Message
 
 
 class PortProtocol(asyncio.Protocol):
-    """Between an asyncio transport and a Receiver. ``gone``: what to say when the port is lost."""
+    """Between an asyncio transport and a Receiver. ``gone``: what is reported when the port is lost."""
 
-    def __init__(self, receiver: Receiver, gone: str) -> None:
+    def __init__(self, receiver: Receiver, gone: Message) -> None:
         self.made: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.closed = False
         self._gone = gone
@@ -25,9 +26,9 @@ class PortProtocol(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         if not self.closed:
             self.closed = True
-            self._receiver.connection_lost(f"{self._gone}{_reason(exc)}")
+            self._receiver.connection_lost(_with_reason(self._gone, exc))
 
 
-def _reason(exc: Exception | None) -> str:
-    number = getattr(exc, "errno", None)
-    return f" ({os.strerror(number)})" if number else ""
+def _with_reason(gone: Message, error: Exception | None) -> Message:
+    number = getattr(error, "errno", None)
+    return Message.of("port_lost_error", reason=gone, error=os.strerror(number)) if number else gone

@@ -11,6 +11,7 @@ from typing import Any
 from bus.line.port import tcp
 from bus.line.port.port import EndedWhileOpening, OpenPort, PortUnavailable, Receiver
 from bus.line.port.port_protocol import PortProtocol
+from bus.messages import Message
 
 
 async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
@@ -18,9 +19,9 @@ async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
     try:
         import serialx
     except ImportError as error:
-        raise PortUnavailable(f"{url} needs one more package: pip install 'lineside[rfc2217]'") from error
+        raise PortUnavailable(Message.of("rfc2217_not_installed", port=url)) from error
     tcp.address_of(url)
-    protocol = PortProtocol(receiver, f"{url} closed the connection")
+    protocol = PortProtocol(receiver, Message.of("connection_closed", port=url))
     accepted = asyncio.Event()
     kind = _rfc2217_transport(accepted)
     try:
@@ -30,14 +31,12 @@ async def open_rfc2217(url: str, baud: int, receiver: Receiver) -> OpenPort:
             )
             await protocol.made
     except TimeoutError as error:
-        raise PortUnavailable(
-            f"{url} does not answer: is the device server on, in RFC 2217 mode, and its address right?"
-        ) from error
+        raise PortUnavailable(Message.of("rfc2217_no_response", port=url)) from error
     except UnicodeError as error:
-        raise PortUnavailable(f"{url} names no host: check the part before the port number") from error
+        raise PortUnavailable(Message.of("port_no_host", port=url)) from error
     except (OSError, ValueError) as error:
         fault = EndedWhileOpening if accepted.is_set() else PortUnavailable
-        raise fault(f"{url} cannot be opened ({error})") from error
+        raise fault(Message.of("port_not_opened_error", port=url, error=str(error))) from error
     return tcp.TcpPort(transport, protocol, url)
 
 

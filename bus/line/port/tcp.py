@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 from bus.errors import WireError
 from bus.line.port.port import OpenPort, PortUnavailable, Receiver
 from bus.line.port.port_protocol import PortProtocol
+from bus.messages import Message
 
 CONNECT_TIMEOUT_S = 3.0
 TCP_LOST_AFTER_MS = 800
@@ -28,9 +29,9 @@ class TcpPort:
 
     def write(self, data: bytes) -> None:
         if self._transport.is_closing():
-            raise WireError(f"{self._name} is gone")
+            raise WireError(Message.of("port_gone", port=self._name))
         if self._transport.get_write_buffer_size() > 0:
-            raise WireError(f"{self._name} takes no bytes")
+            raise WireError(Message.of("port_full", port=self._name))
         self._transport.write(data)
 
     def listen(self, *, now: bool) -> None:
@@ -40,11 +41,11 @@ class TcpPort:
         """The kernel's buffer cannot be emptied; a server that takes nothing is lost by its timeout."""
 
     def retune(self, baud: int) -> None:
-        raise WireError(f"{self._name} has its own baud rate; {baud} is to be set in the device server")
+        raise WireError(Message.of("port_own_baud", port=self._name, baud=baud))
 
     def check(self) -> None:
         if self._transport.is_closing():
-            raise WireError(f"{self._name} is gone")
+            raise WireError(Message.of("port_gone", port=self._name))
 
     def close(self) -> None:
         if not self._protocol.closed:
@@ -56,21 +57,19 @@ async def open_socket(url: str, receiver: Receiver) -> OpenPort:
     """Open ``socket://host:port``. Raises PortUnavailable."""
     host, number = address_of(url)
     loop = asyncio.get_running_loop()
-    protocol = PortProtocol(receiver, f"{url} closed the connection")
+    protocol = PortProtocol(receiver, Message.of("connection_closed", port=url))
     try:
         async with asyncio.timeout(CONNECT_TIMEOUT_S):
             transport, _ = await loop.create_connection(lambda: protocol, host, number)
     except TimeoutError as error:
-        raise PortUnavailable(
-            f"{url} does not answer: is the device server on, and its address right?"
-        ) from error
+        raise PortUnavailable(Message.of("device_server_no_response", port=url)) from error
     except ConnectionRefusedError as error:
-        message = f"{url} refuses the connection: is its port number right, or is another host connected?"
-        raise PortUnavailable(message) from error
+        raise PortUnavailable(Message.of("connection_refused", port=url)) from error
     except UnicodeError as error:
-        raise PortUnavailable(f"{url} names no host: check the part before the port number") from error
+        raise PortUnavailable(Message.of("port_no_host", port=url)) from error
     except OSError as error:
-        raise PortUnavailable(f"{url} cannot be reached ({error.strerror or error})") from error
+        reason = error.strerror or str(error)
+        raise PortUnavailable(Message.of("port_unreachable", port=url, error=reason)) from error
     be_quick_to_notice(transport.get_extra_info("socket"))
     return TcpPort(transport, protocol, url)
 
@@ -96,5 +95,5 @@ def address_of(url: str) -> tuple[str, int]:
     except ValueError:
         number = None
     if not parts.hostname or number is None:
-        raise PortUnavailable(f"{url} needs a host and a port number, as in socket://192.168.1.20:4001")
+        raise PortUnavailable(Message.of("port_no_number", port=url, example="socket://192.168.1.20:4001"))
     return parts.hostname, number

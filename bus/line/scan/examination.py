@@ -17,6 +17,7 @@ from bus.catalogue.numbers import OWN_ADDRESS
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import status_bits
 from bus.line.scan.found import STRANGE, TWO_UNITS, TWO_UNITS_OR_ELSE, Checksum10h, Found, remarks_on
+from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.commands import (
     Nak,
@@ -213,8 +214,8 @@ class _Examination:
             return None
         refused = [outcome.reply.code for outcome in heard if isinstance(outcome.reply, Nak)]
         if refused:
-            words = f"refuses 81h with error {refused[0]:02X}h: no DIGIMAX IV, or another protocol (#27)"
-            return Found(self.unit, self.baud, "foreign", remarks=(words,))
+            refuses = Message.of("found_refuses", error=f"{refused[0]:02X}")
+            return Found(self.unit, self.baud, "foreign", remarks=(refuses,))
         if all(outcome.unexpected for outcome in heard):
             return Found(self.unit, self.baud, "foreign", remarks=(STRANGE,))
         return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS_OR_ELSE,))

@@ -8,16 +8,15 @@ from typing import Literal
 
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import FoundUnit
+from bus.messages import Message
 
 Checksum10h = Literal["once", "twice"]
 Setting = int | float | str | None
 
-TWO_UNITS = "its answers are garbled or come twice: two units at this address? Switch one off and scan again"
-TWO_UNITS_OR_ELSE = (
-    "every answer is garbled: two units at this address, another protocol, or another baud rate"
-)
-LATE = "units respond later than turnaround_ms allows: increase it for this bus and scan again"
-STRANGE = "answers in whole frames, but not as a DIGIMAX IV does"
+TWO_UNITS = Message("found_two_units")
+TWO_UNITS_OR_ELSE = Message("found_garbled")
+LATE = Message("found_late")
+STRANGE = Message("found_strange")
 _HIGHEST = max(PARAMETERS)
 
 
@@ -29,7 +28,7 @@ class Found:
     baud: int
     kind: Literal["digimax", "garbled", "foreign", "late"]
     parameters: tuple[int, ...] = ()
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Message, ...] = ()
     remote: bool | None = None
     own_address: int | None = None
     counts_in_bcd: bool = False
@@ -46,47 +45,44 @@ class Found:
         return FoundUnit(self.unit, self.baud, self.kind, list(self.parameters), list(self.remarks))
 
 
-def remarks_on(one: Found, *, garbled: int, questions: int, uncertain: bool) -> tuple[str, ...]:
+def remarks_on(one: Found, *, garbled: int, questions: int, uncertain: bool) -> tuple[Message, ...]:
     """What a person should know of a DIGIMAX IV. ``garbled`` of its ``questions`` were answered with noise;
     ``uncertain``: some of them not at all."""
     remarks = _on_its_address(one)
     last = len(one.parameters)
     if last < _HIGHEST:
-        remarks.append(f"has the parameters 1 to {last} only" if last else "has no parameter to read")
+        remarks.append(Message.of("found_parameters", last=last) if last else Message("found_no_parameter"))
     if uncertain:
-        remarks.append("did not answer every question, so its list may be longer")
+        remarks.append(Message("found_uncertain"))
     if garbled:
-        remarks.append(f"{garbled} of {questions} answers came with noise: look at the shielding")
+        remarks.append(Message.of("found_noise", n=garbled, all=questions))
     if one.checksum_10h == "twice":
-        remarks.append('a checksum of 10h comes twice: set checksum_10h = "twice" for this bus')
+        remarks.append(Message("found_checksum_twice"))
     if one.estop_healthy == 0:
-        remarks.append("turns at speed while its e-stop bit is 0: set estop_healthy = 0 for this bus")
+        remarks.append(Message("found_estop_low"))
     return tuple(remarks)
 
 
-def _on_its_address(one: Found) -> list[str]:
+def _on_its_address(one: Found) -> list[Message]:
     if one.counts_in_bcd:
-        return ['counts parameters in BCD: set parameter_numbers = "bcd" for this bus']
+        return [Message("found_bcd")]
     if one.own_address is None:
-        return ["does not say its own address (#17)"]
+        return [Message("found_no_address")]
     if one.own_address == one.unit:
         return []
-    said = f"#17 says {one.own_address}, not {one.unit}"
-    return [f"{said}: it counts parameters otherwise, or answers for another"]
+    return [Message.of("found_other_address", own=one.own_address, unit=one.unit)]
 
 
-def conclude(found: Sequence[Found]) -> list[str]:
+def conclude(found: Sequence[Found]) -> list[Message]:
     """What only all addresses together show."""
     remarks = [LATE] if any(one.late for one in found) else []
     owners = [one.own_address for one in found if one.own_address not in (None, one.unit)]
     for owner in sorted({owner for owner in owners if owner is not None}):
         if owners.count(owner) > 1:
-            remarks.append(
-                f"unit {owner} answers to addresses that are not its own ({owners.count(owner)} of them)"
-            )
-    differ = [name for name, values in _seen(found).items() if len(values) > 1]
+            remarks.append(Message.of("found_many_addresses", unit=owner, count=owners.count(owner)))
+    differ: list[int | str | Message] = [name for name, values in _seen(found).items() if len(values) > 1]
     if differ:
-        remarks.append(f"units of this bus differ in {', '.join(differ)}: one [[bus]] cannot serve them all")
+        remarks.append(Message.of("found_settings_differ", settings=differ))
     return remarks
 
 

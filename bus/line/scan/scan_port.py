@@ -16,6 +16,7 @@ from bus.line.clock import LineClock, RealClock
 from bus.line.exchange.window import MARGIN_S, Window
 from bus.line.port.open_port import OpenPort, open_port
 from bus.line.scan.examination import Probe
+from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
 from bus.wire.exchange import Answered, Echo, Exchange, ExchangeEvent
 from bus.wire.fence import PendingByUnit
@@ -77,7 +78,7 @@ class ScanPort:
         self._current: Collected | None = None
         self._over: asyncio.Future[None] | None = None
         self._unrequested_bytes = 0
-        self._lost = ""
+        self._lost: Message | None = None
 
     def attach(self, port: OpenPort) -> None:
         """Use ``port``."""
@@ -152,7 +153,7 @@ class ScanPort:
             current.response_ends = now
         self._window.shorten(now)
 
-    def connection_lost(self, cause: str) -> None:
+    def connection_lost(self, cause: Message) -> None:
         """The port is gone."""
         self._lost = cause
         self._on_window_over(self._clock.now())

@@ -11,6 +11,7 @@ from bus.line.scan.found import Found
 from bus.line.scan.passes import Passes
 from bus.line.scan.prober import Prober, SlowUnitError
 from bus.line.scan.scan_port import ScanPort, scan_port
+from bus.messages import Message
 
 LISTEN_S = 0.2
 """How long the line is listened to before anything is asked."""
@@ -51,10 +52,7 @@ async def scan_addresses(
     """As ``scan_baud``, over an open port."""
     began = asyncio.get_running_loop().time()
     if (unasked := await line.listen(LISTEN_S)) > MOST_UNASKED_BYTES:
-        raise WireError(
-            f"{unasked} bytes came in {LISTEN_S} s although nobody asked: is another host on this line, "
-            "or is the cable open? Silence it and scan again"
-        )
+        raise WireError(Message.of("bytes_unrequested", count=unasked, seconds=LISTEN_S))
     complete = False
     while not complete:
         passes = Passes(addresses)

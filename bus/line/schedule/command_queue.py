@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 from bus.contract import Result
 from bus.line.commands.command_run import CommandRun, Priority
+from bus.messages import Message
 from bus.wire.commands import Request
 from bus.wire.fence import PendingResponses
 
@@ -37,7 +38,7 @@ class CommandQueue:
             if run.id == command_id:
                 run.context.cancelled = True
                 if not run.begun:
-                    run.end(_never_begun("given up before it was sent: nothing was sent"))
+                    run.end(_never_begun(Message("canceled_before_sending")))
 
     def next_request(
         self, now: float, pending_of: Callable[[int], PendingResponses], *, slow: bool = False
@@ -93,11 +94,10 @@ class CommandQueue:
                 return True
             if earlier.result is None and earlier.conflicts_with(run):
                 if now > run.deadline:
-                    why = "another change of these units took all its time: nothing was sent"
-                    run.end(_never_begun(why))
+                    run.end(_never_begun(Message("units_busy")))
                 return False
         return True
 
 
-def _never_begun(message: str) -> Result:
+def _never_begun(message: Message) -> Result:
     return Result(id="", at=0.0, outcome="not_sent", message=message)

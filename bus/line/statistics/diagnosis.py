@@ -1,4 +1,4 @@
-"""The likely cause of trouble on a bus, in words, from the last seconds' counts. Pure rules.
+"""The likely cause of trouble on a bus, from the last seconds' counts. Pure rules.
 
 One unit: its drop or its address. All: adapter, main cable or termination. All from one place on: the
 cable there. Spoilt bytes at many: shielding. Spoilt bytes at one address only: two units may share it.
@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import msgspec
+
+from bus.messages import Message
 
 TROUBLED = 0.1
 """A unit is in trouble when it misses or spoils more than this part of its answers."""
@@ -59,103 +61,83 @@ class UnitSymptoms(msgspec.Struct, frozen=True):
         return self.slow and self.timeouts < FEW
 
 
-def diagnose(units: Sequence[UnitSymptoms], noise_bytes: int, echoes: int) -> str:
-    """One or two sentences; empty when all is well."""
+def diagnose(units: Sequence[UnitSymptoms], noise_bytes: int, echoes: int) -> list[Message]:
+    """One or two causes; empty when all is well."""
     found = [_in_another_name(units), _garbled(units), _collided(units, noise_bytes) or _silent(units)]
     found += [_duplicated(units)] if answers_for_all(units) else [_slow(units), _foreign(units)]
     if echoes:
-        found.append("The adapter hears itself: switch its echo (or two-wire mode) off.")
+        found.append(Message("diagnosis_echo"))
     if noise_bytes >= MUCH_NOISE_BYTES:
         found.append(_noise(units, named=any(found)))
-    return " ".join(sentence for sentence in found if sentence)
+    return [each for each in found if each is not None]
 
 
 def answers_for_all(units: Sequence[UnitSymptoms]) -> int:
-    """The unit that seems to answer to every address, as all others are heard twice; 0: none."""
+    """The unit that seems to answer to every address, as all others are received twice; 0: none."""
     heard = [each for each in units if not each.silent]
     alone = [each for each in heard if not each.twice]
     return alone[0].unit if len(alone) == 1 and len(heard) >= MANY and alone[0].answers else 0
 
 
-def _duplicated(units: Sequence[UnitSymptoms]) -> str:
-    unit = answers_for_all(units)
-    return f"The answers of every unit but unit {unit} come twice: does unit {unit} answer to every address?"
+def _duplicated(units: Sequence[UnitSymptoms]) -> Message:
+    return Message.of("diagnosis_all_twice", unit=answers_for_all(units))
 
 
-def _in_another_name(units: Sequence[UnitSymptoms]) -> str:
+def _in_another_name(units: Sequence[UnitSymptoms]) -> Message | None:
     others = [each for each in units if each.says not in (None, each.unit) and not each.silent]
-    if not others:
-        return ""
-    says = others[0].says
-    names = _names([each for each in others if each.says == says])
-    return (
-        f"What answers as unit {names} reads {says} as its own address (#17): does unit {says} answer in its "
-        "name, or does it count parameters otherwise?"
-    )
+    if not others or (own := others[0].says) is None:
+        return None
+    same = _addresses([each for each in others if each.says == own])
+    return Message.of("diagnosis_other_name", units=same, own=own)
 
 
-def _collided(units: Sequence[UnitSymptoms], noise_bytes: int) -> str:
+def _collided(units: Sequence[UnitSymptoms], noise_bytes: int) -> Message | None:
     alone = [each.unit for each in units if not each.silent]
     if len(alone) != 1 or len(units) < MANY or noise_bytes < COLLIDED_BYTES:
-        return ""
-    return (
-        f"Only unit {alone[0]} answers, and something comes when others are asked: does unit {alone[0]} "
-        "answer to every address?"
-    )
+        return None
+    return Message.of("diagnosis_collisions", unit=alone[0])
 
 
-def _silent(units: Sequence[UnitSymptoms]) -> str:
+def _silent(units: Sequence[UnitSymptoms]) -> Message | None:
     silent = [each for each in units if each.silent and not each.garbled]
     if not silent:
-        return ""
+        return None
     if len(silent) == len(units) and len(units) > 1:
-        return "No unit answers: look at the adapter, the main cable, its termination, and the baud rate."
+        return Message("diagnosis_no_response")
     if len(silent) == 1:
-        return f"Only unit {silent[0].unit} does not answer: look at its drop, its power, its address (#17)."
+        return Message.of("diagnosis_one_silent", unit=silent[0].unit)
     first = units.index(silent[0])
     if list(units[first:]) == silent and first > 0:
-        return (
-            f"No unit answers from unit {silent[0].unit} on: look at the cable between unit "
-            f"{units[first - 1].unit} and unit {silent[0].unit}."
-        )
-    return f"Units {_names(silent)} do not answer: look at what they share, and at the power of each."
+        return Message.of("diagnosis_silent_from", unit=silent[0].unit, before=units[first - 1].unit)
+    return Message.of("diagnosis_some_silent", units=_addresses(silent))
 
 
-def _garbled(units: Sequence[UnitSymptoms]) -> str:
+def _garbled(units: Sequence[UnitSymptoms]) -> Message | None:
     garbled = [each for each in units if each.garbled]
     if not garbled:
-        return ""
+        return None
     if len(garbled) == 1 and len(units) > 1:
-        return (
-            f"Only the answers of unit {garbled[0].unit} are spoilt: two units may have this address (#17), "
-            "or its drop is bad."
-        )
+        return Message.of("diagnosis_one_garbled", unit=garbled[0].unit)
     if len(garbled) == len(units):
-        return "Answers of every unit are spoilt: look at shielding, grounding and termination."
-    return f"Answers of units {_names(garbled)} are spoilt: look at the shielding of their stretch of cable."
+        return Message("diagnosis_all_garbled")
+    return Message.of("diagnosis_some_garbled", units=_addresses(garbled))
 
 
-def _noise(units: Sequence[UnitSymptoms], *, named: bool) -> str:
+def _noise(units: Sequence[UnitSymptoms], *, named: bool) -> Message | None:
     if any(each.silent and not each.garbled for each in units):
-        return "Bytes come in that are no answer: another protocol, or another baud rate?"
-    if named:
-        return ""
-    return "Stray bytes come in without being asked for: look at shielding and grounding."
+        return Message("diagnosis_other_protocol")
+    return None if named else Message("diagnosis_stray_bytes")
 
 
-def _slow(units: Sequence[UnitSymptoms]) -> str:
+def _slow(units: Sequence[UnitSymptoms]) -> Message | None:
     slow = [each for each in units if each.slow]
-    if not slow:
-        return ""
-    return f"Answers of unit {_names(slow)} come late or twice: a longer turnaround_ms may be needed."
+    return Message.of("diagnosis_late", units=_addresses(slow)) if slow else None
 
 
-def _foreign(units: Sequence[UnitSymptoms]) -> str:
+def _foreign(units: Sequence[UnitSymptoms]) -> Message | None:
     foreign = [each for each in units if each.foreign >= FEW]
-    if not foreign:
-        return ""
-    return f"Unit {_names(foreign)} answers with what is not its own address or length: is it a DIGIMAX IV?"
+    return Message.of("diagnosis_foreign", units=_addresses(foreign)) if foreign else None
 
 
-def _names(units: Sequence[UnitSymptoms]) -> str:
-    return ", ".join(str(each.unit) for each in units)
+def _addresses(units: Sequence[UnitSymptoms]) -> list[int | str | Message]:
+    return [each.unit for each in units]

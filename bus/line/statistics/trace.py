@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from msgspec.structs import replace
-
-from bus.contract import LONGEST_FRAME, MOST_CLAUSES, Clause, Direction, Frame
+from bus.contract import LONGEST_FRAME, MOST_MEANINGS, Direction, Frame
+from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.describe import Describer
 from bus.wire.framing import FrameDecoder
@@ -19,7 +18,7 @@ KEPT_S = 3600.0
 KEPT_BYTES = 16_000_000
 PIECE_BYTES = 65_536
 MOST_FRAMES_OF_A_COMMAND = 300
-HIDDEN = Clause("a frame with a secret value (#21), which is not kept")
+HIDDEN = Message("frame_secret")
 
 _HEAD = struct.Struct("<dBBH")
 _VALID, _HIDDEN = 1, 2
@@ -106,20 +105,15 @@ class Interpreter:
 
     def frame(self, passed: TracedFrame) -> Frame:
         """As the app shows it."""
-        clauses = [HIDDEN] if passed.hidden else self._clauses(passed.data)
         return Frame(
             at=passed.at,
             direction=passed.direction,
             data=b"" if passed.hidden else passed.data,
-            clauses=clauses,
+            meanings=[HIDDEN] if passed.hidden else self._meanings(passed.data),
             valid=passed.valid,
         )
 
-    def _clauses(self, data: bytes) -> list[Clause]:
+    def _meanings(self, data: bytes) -> list[Message]:
         decoder = FrameDecoder(self._dialect)
-        clauses: list[Clause] = []
-        for described in self._describer.describe([*decoder.feed(data), *decoder.flush()]):
-            if clauses:
-                clauses[-1] = replace(clauses[-1], then="; ")
-            clauses += described.clauses
-        return clauses[:MOST_CLAUSES]
+        described = self._describer.describe([*decoder.feed(data), *decoder.flush()])
+        return [each.meaning for each in described[:MOST_MEANINGS]]

@@ -9,13 +9,18 @@ from bus.messages.texts import (
     accounts,
     commands,
     events,
+    findings,
+    frames,
     history,
+    ports,
     recipes,
     requests,
+    results,
     sets,
     stores,
     swaps,
     units,
+    workers,
 )
 from bus.messages.texts.plural import EnglishText
 from bus.messages.texts.plural import Plural as Plural
@@ -24,12 +29,17 @@ GROUPS: tuple[dict[str, EnglishText], ...] = (
     accounts.TEXTS,
     commands.TEXTS,
     events.TEXTS,
+    findings.TEXTS,
+    frames.TEXTS,
     history.TEXTS,
+    ports.TEXTS,
     recipes.TEXTS,
     requests.TEXTS,
+    results.TEXTS,
     sets.TEXTS,
     stores.TEXTS,
     swaps.TEXTS,
     units.TEXTS,
+    workers.TEXTS,
 )
 TEXTS: dict[str, EnglishText] = {code: text for group in GROUPS for code, text in group.items()}

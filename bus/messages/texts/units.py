@@ -5,6 +5,7 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText
 
 TEXTS: dict[str, EnglishText] = {
+    "several": "{messages}",
     "unit_refused": "unit {unit} refused: {error}",
     "unit_not_remote": "unit is not in REMOTE mode",
     "illegal_speed": "illegal speed value",
