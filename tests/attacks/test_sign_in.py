@@ -133,7 +133,7 @@ async def test_a_refusal_is_answered_before_it_is_written_down(
     record = house.services.events.record
 
     async def recording(**said: Any) -> int:
-        order.append(said["what"])
+        order.append(said["what"].code)
         return await record(**said)
 
     monkeypatch.setattr(house.services.events.repeated, "_record", recording)
@@ -149,7 +149,7 @@ async def test_a_refusal_is_answered_before_it_is_written_down(
     transport = httpx.ASGITransport(watched, client=("192.0.2.7", 4711))
     async with httpx.AsyncClient(transport=transport, base_url="http://plant.example") as client:
         assert await sign_in(client, password="wrong") == 401
-    assert order == ["answered", "sign-in refused"]
+    assert order == ["answered", "event_sign_in_refused"]
 
 
 async def test_the_account_page_is_no_way_around(house: House) -> None:
