@@ -12,11 +12,11 @@ from app.live.change_recorder import ChangeRecorder
 from app.live.changes import Changes, LineEvent
 from app.live.state.bus_live import BusLive
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
-from bus.messages import Message
+from bus.messages import Message, number
 
 KEPT = (Reading, ParameterValue, UnitLink, BusLink)
 """What belongs to history; what is of the moment only does not wait in its queue."""
-IMPLAUSIBLE = "their time cannot be, or their unit is not configured; check the worker's clock and its units"
+IMPLAUSIBLE = Message("updates_implausible")
 
 
 class HistoryIntake(Protocol):
@@ -73,26 +73,27 @@ class Pipeline:
 
     def worker_connected(self, hello: Hello, at: float, *, again: bool) -> None:
         """A worker said hello: ``again`` the one that this app knew, else one that was started."""
-        what = f"bus worker {'is back' if again else 'started'}, port {hello.port}"
+        what = Message.of("event_worker_back" if again else "event_worker_started", port=hello.port)
         self._recorder.note(LineEvent("worker", None, at, what, "", "connected"))
 
-    def worker_refused(self, at: float, holder: str, refused: str, reason: str) -> None:
+    def worker_refused(self, at: float, holder: str, refused: str, reason: Message) -> None:
         """A worker's hello was refused. ``holder`` and ``refused``: the tokens and their addresses."""
         self._recorder.note(refusal_of_worker(at, holder, refused, reason))
 
     def updates_refused(self, at: float, count: int) -> None:
         """Updates of a worker were not taken in: their time cannot be, or their unit is not configured."""
-        what = "updates of the bus worker refused"
-        self._recorder.note(LineEvent("worker", None, at, what, "", str(count), IMPLAUSIBLE, series=what))
+        what = Message("event_updates_refused")
+        refused = LineEvent("worker", None, at, what, "", str(count), IMPLAUSIBLE, series=what.code)
+        self._recorder.note(refused)
 
     def worker_disconnected(self, at: float, cause: Message) -> None:
         """A worker's connection ended."""
         self._live.lose_worker(at, cause)
-        self._recorder.note(LineEvent("worker", None, at, str(cause), "connected", "gone"))
+        self._recorder.note(LineEvent("worker", None, at, cause, "connected", "gone"))
 
     def clock_stepped(self, step_s: float, at: float) -> None:
         """The worker's clock was set."""
-        self._recorder.note(_clock_step("the bus worker", step_s, at))
+        self._recorder.note(_clock_step("event_worker_clock_stepped", step_s, at))
 
     def _append(self, updates: Sequence[Update]) -> None:
         self._history.append(self._live.settings.name, updates)
@@ -100,15 +101,17 @@ class Pipeline:
 
 def record_history_faults(history: HistoryFaults, recorder: ChangeRecorder) -> None:
     """From now on record when the app's own clock was stepped, and what of the history cannot be read."""
-    history.on_clock_step(lambda step_s, at: recorder.note(_clock_step("the app", step_s, at)))
+    history.on_clock_step(
+        lambda step_s, at: recorder.note(_clock_step("event_app_clock_stepped", step_s, at))
+    )
     history.on_damage(lambda what, at: recorder.note(LineEvent("server", None, at, what, "", "")))
 
 
-def refusal_of_worker(at: float, holder: str, refused: str, reason: str) -> LineEvent:
+def refusal_of_worker(at: float, holder: str, refused: str, reason: Message) -> LineEvent:
     """The event of a worker whose hello was refused."""
-    what = "bus worker refused"
-    return LineEvent("worker", None, at, what, holder, refused, reason, series=what)
+    what = Message("event_worker_refused")
+    return LineEvent("worker", None, at, what, holder, refused, reason, series=what.code)
 
 
-def _clock_step(whose: str, step_s: float, at: float) -> LineEvent:
-    return LineEvent("clock", None, at, f"clock of {whose} stepped by {step_s:+.3f} s", "", "")
+def _clock_step(code: str, step_s: float, at: float) -> LineEvent:
+    return LineEvent("clock", None, at, Message.of(code, step=number(f"{step_s:+.3f}")), "", "")

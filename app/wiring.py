@@ -56,6 +56,7 @@ from app.swap.store import SwapStore
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from app.web.turns import Turns
+from bus.messages import Message
 
 log = structlog.get_logger()
 
@@ -222,16 +223,18 @@ async def _begin(services: Services) -> None:
     await services.events.close_open_intents()
     steps = ", ".join(f"{step.number:04d} {step.name}" for step in services.database.migrated)
     if steps:
-        await services.events.record(kind="server", what=f"the store was brought up to date: {steps}")
-    await services.events.record(kind="server", what="server started")
+        await services.events.record(kind="server", what=Message.of("event_store_updated", steps=steps))
+    await services.events.record(kind="server", what=Message("event_server_started"))
     key_file = services.events.keys.path
     if key_file is not None and key_file.is_relative_to(services.settings.server.data):
-        await services.events.record(kind="audit", what="the audit key lies in the data folder")
+        await services.events.record(kind="audit", what=Message("event_audit_key_in_data"))
     changed = await asyncio.to_thread(
         change_since_last, services.settings.server.data, services.settings.model_dump(mode="json")
     )
     if changed:
-        await services.events.record(kind="configuration", what="configuration changed", message=changed)
+        await services.events.record(
+            kind="configuration", what=Message("event_configuration_changed"), message=changed
+        )
     for bus in services.buses.values():
         await bus.load()
     await services.restores.load()
@@ -245,7 +248,7 @@ async def _end(services: Services) -> None:
         await bus.close()
     await services.restores.close()
     await services.events.repeated.tell_rest()
-    await services.events.record(kind="server", what="server ended")
+    await services.events.record(kind="server", what=Message("event_server_ended"))
     if services.anchoring is not None:
         with suppress(TimeoutError):
             async with asyncio.timeout(AT_END_S):

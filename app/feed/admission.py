@@ -6,19 +6,15 @@ from collections.abc import Collection
 
 from app.feed.holders import Credential
 from bus.contract import CONTRACT_VERSION, Hello
+from bus.messages import Message
 
 
-def refusal(hello: Hello, credential: Credential, buses: Collection[str]) -> str:
-    """Why no bus is for this worker, in words for its operator; empty where there is one. ``buses``: those of
-    the configuration."""
+def refusal(hello: Hello, credential: Credential, buses: Collection[str]) -> Message | None:
+    """Why no bus is for this worker; None where there is one. ``buses``: those of the configuration."""
     if hello.version != CONTRACT_VERSION:
-        return (
-            f"this dashboard speaks version {CONTRACT_VERSION} of the link and the worker {hello.version}: "
-            "install the same release of lineside on both"
-        )
+        return Message.of("worker_version_differs", version=CONTRACT_VERSION, of_worker=hello.version)
     if hello.bus != credential.bus:
-        return f"the token is for bus {credential.bus}; create one for the bus of this worker"
+        return Message.of("worker_token_of_other_bus", bus=credential.bus)
     if hello.bus not in buses:
-        known = ", ".join(buses) or "none"
-        return f"no [[bus]] is called {hello.bus} in this dashboard's lineside.toml (it has: {known})"
-    return ""
+        return Message.of("worker_bus_unknown", bus=hello.bus, known=", ".join(buses) or "-")
+    return None

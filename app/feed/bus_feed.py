@@ -20,7 +20,7 @@ from bus.messages import Message
 
 _log = structlog.get_logger()
 
-HELD = "another worker has this bus, or had it a moment ago"
+HELD = Message("worker_bus_held")
 SILENT = Message("worker_silent")
 MALFORMED = Message("worker_malformed")
 REPLACED = "another worker connected for this bus"
@@ -80,15 +80,19 @@ class BusFeed:
         watch.add_done_callback(self._watches.discard)
 
     async def serve(
-        self, hello: Hello, connection: WorkerConnection, credential: Credential, refused: str = ""
+        self,
+        hello: Hello,
+        connection: WorkerConnection,
+        credential: Credential,
+        refused: Message | None = None,
     ) -> None:
         """Serve a worker to its end, or send it away where it is ``refused`` or the bus is another's. Raises
         ConnectionError when it is gone before it was admitted."""
         holder = self._holder
-        if not refused and holder is not None:
+        if refused is None and holder is not None:
             is_free = holder.yields_to(hello.worker, credential, self._monotonic())
-            refused = "" if is_free else HELD
-        if refused:
+            refused = None if is_free else HELD
+        if refused is not None:
             held_by = "" if holder is None else str(holder.credential)
             self._pipeline.worker_refused(self._now(), held_by, str(credential), refused)
             await send_away(connection, refused, self._now())
@@ -167,7 +171,7 @@ class BusFeed:
             self._pipeline.worker_disconnected(self._now(), cause)
 
 
-async def send_away(connection: WorkerConnection, reason: str, now: float) -> None:
-    """Refuse a worker, in words for its operator."""
-    await connection.send(Welcome(CONTRACT_VERSION, 0, now, reason))
-    await connection.close(reason)
+async def send_away(connection: WorkerConnection, reason: Message, now: float) -> None:
+    """Refuse a worker in English words, which one of another version can read too."""
+    await connection.send(Welcome(CONTRACT_VERSION, 0, now, str(reason)))
+    await connection.close(str(reason))

@@ -14,6 +14,7 @@ from app.audit.budget import BURST, EventBudget, Summary
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.live.changes import LineEvent
+from bus.messages import Message
 
 RETRY_AFTER_S = 1.0
 FEW = 6
@@ -75,7 +76,7 @@ class ChangeRecorder:
                 what=change.what,
                 old=change.old,
                 new=change.new,
-                message=change.message,
+                message=change.message or "",
                 at=change.at,
             )
         except StoreError as error:
@@ -90,5 +91,5 @@ class ChangeRecorder:
 def _summed_up(summary: Summary[LineEvent]) -> LineEvent:
     if summary.count == 1:
         return summary.last
-    said = f"the last of {summary.count} events within {summary.seconds:.0f} s; the others are not recorded"
-    return replace(summary.last, message=said)
+    seconds = round(summary.seconds)
+    return replace(summary.last, message=Message.of("events_summed_up", n=summary.count, seconds=seconds))

@@ -19,18 +19,19 @@ class LineEvent:
     kind: EventKind
     unit: int | None
     at: float
-    what: str
+    what: Message | str
+    """Of the history, what is damaged is still said in words."""
     old: str
     new: str
-    message: str = ""
+    message: Message | None = None
     series: str = ""
     """Tells series of one unit and kind apart, where one must not crowd out the other."""
 
 
-_RECORDED: dict[Condition, tuple[EventKind, str, tuple[str, str]]] = {
-    "not_in_remote": ("mode", "mode", ("REMOTE", "LOCAL")),
-    "estop_active": ("estop", "emergency stop input", ("healthy", "active")),
-    "run_off": ("run", "run input", ("on", "off")),
+_RECORDED: dict[Condition, tuple[EventKind, Message, tuple[str, str]]] = {
+    "not_in_remote": ("mode", Message("event_mode"), ("REMOTE", "LOCAL")),
+    "estop_active": ("estop", Message("event_estop_input"), ("healthy", "active")),
+    "run_off": ("run", Message("event_run_input"), ("on", "off")),
 }
 """The conditions whose changes are events: kind, what, and the words for not holding and holding."""
 
@@ -86,16 +87,18 @@ class Changes:
         memory.link = update.link
         if before == "unknown":
             return []
-        what = "unit is back" if update.link == "online" else _with_cause("unit lost", update.cause)
+        is_back = update.link == "online"
+        what = Message("event_unit_back") if is_back else _because("event_unit_lost", update.cause)
         return [LineEvent("unit", update.unit, update.at, what, before, update.link)]
 
     def _see_port(self, update: BusLink) -> list[LineEvent]:
         before, self._port = self._port, update.link
         if before is None or before == update.link:
             return []
-        what = "port opened" if update.link == "open" else _with_cause("port closed", update.cause)
+        is_open = update.link == "open"
+        what = Message("event_port_opened") if is_open else _because("event_port_closed", update.cause)
         return [LineEvent("bus", None, update.at, what, before, update.link)]
 
 
-def _with_cause(what: str, cause: Message | None) -> str:
-    return f"{what}: {cause}" if cause else what
+def _because(code: str, cause: Message | None) -> Message:
+    return Message.of(f"{code}_because", cause=cause) if cause else Message(code)

@@ -5,6 +5,22 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {
+    "event_mode": "mode",
+    "event_estop_input": "emergency stop input",
+    "event_run_input": "run input",
+    "event_unit_back": "unit is back",
+    "event_unit_lost": "unit lost",
+    "event_unit_lost_because": "unit lost: {cause}",
+    "event_port_opened": "port opened",
+    "event_port_closed": "port closed",
+    "event_port_closed_because": "port closed: {cause}",
+    "event_app_clock_stepped": "clock of the app stepped by {step} s",
+    "event_server_started": "server started",
+    "event_server_ended": "server ended",
+    "event_store_updated": "the store was brought up to date: {steps}",
+    "event_audit_key_in_data": "the audit key lies in the data folder",
+    "event_configuration_changed": "configuration changed",
+    "events_summed_up": "the last of {n} events within {seconds} s; the others are not recorded",
     "event_set_speed": "set speed (84h)",
     "event_stage_speed": "stage speed (82h)",
     "event_execute_speed": "execute staged speed (83h)",

@@ -5,6 +5,21 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText
 
 TEXTS: dict[str, EnglishText] = {
+    "worker_version_differs": (
+        "this dashboard speaks version {version} of the link and the worker {of_worker}: "
+        "install the same release of lineside on both"
+    ),
+    "worker_token_of_other_bus": "the token is for bus {bus}; create one for the bus of this worker",
+    "worker_bus_unknown": "no [[bus]] is called {bus} in this dashboard's lineside.toml (it has: {known})",
+    "worker_bus_held": "another worker has this bus, or had it a moment ago",
+    "updates_implausible": (
+        "their time cannot be, or their unit is not configured; check the worker's clock and its units"
+    ),
+    "event_worker_started": "bus worker started, port {port}",
+    "event_worker_back": "bus worker is back, port {port}",
+    "event_worker_refused": "bus worker refused",
+    "event_updates_refused": "updates of the bus worker refused",
+    "event_worker_clock_stepped": "clock of the bus worker stepped by {step} s",
     "worker_not_connected": "the bus worker is not connected",
     "worker_silent": "the bus worker is connected and does not respond",
     "worker_malformed": "the bus worker was disconnected: it sent a malformed message",
