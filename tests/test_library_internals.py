@@ -21,7 +21,8 @@ HOW = "app/server overrides it: read what replaced it, then docs/decisions/0008-
 METHODS: dict[type, str] = {
     HttpToolsProtocol: (
         "connection_made connection_lost data_received resume_writing send_400_response on_message_begin "
-        "on_url on_header on_headers_complete on_body on_message_complete on_response_complete handle_websocket_upgrade"
+        "on_url on_header on_headers_complete on_body on_message_complete on_response_complete "
+        "handle_websocket_upgrade"
     ),
     RequestResponseCycle: "run_asgi send receive",
     WebSocketsSansIOProtocol: (
