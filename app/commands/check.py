@@ -5,6 +5,7 @@ from __future__ import annotations
 from app.commands.catalogue import kind_of_command
 from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.rules.setpoint import check_setpoint
+from app.web.access import account_shown
 from bus.contract import Action
 from bus.messages import Message, term
 
@@ -27,6 +28,6 @@ def _check_not_blocked(unit: int, now: RuleContext) -> None:
     if block is not None:
         raise ObjectionError(
             "blocked",
-            Message.of("unit_blocked", unit=unit, who=block.set_by, reason=block.reason),
+            Message.of("unit_blocked", unit=unit, who=account_shown(block.set_by), reason=block.reason),
             unit=unit,
         )

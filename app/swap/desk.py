@@ -15,7 +15,7 @@ from app.sets.restore_record import Restore
 from app.swap.record import Swap, SwapSource
 from app.swap.rules import Advice, SwapState
 from app.swap.store import SwapStore
-from app.web.access import Person
+from app.web.access import Person, account_shown
 from bus.messages import Message, term
 
 LOOK_WAIT_S = 2.0
@@ -68,7 +68,9 @@ class SwapService:
         """
         under_way = self.of(bus, unit)
         if under_way is not None and not under_way.proven:
-            raise Problem(409, "busy", Message.of("swap_under_way", who=under_way.who, unit=unit))
+            raise Problem(
+                409, "busy", Message.of("swap_under_way", who=account_shown(under_way.who), unit=unit)
+            )
         swap = Swap(bus, unit, person.name, source, self._clock())
         await self._store.save(swap)
         self._swaps[bus, unit] = swap

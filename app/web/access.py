@@ -93,6 +93,12 @@ def account_of(name: str, *, token: bool) -> str:
     return f"{name}{_TOKEN}" if token else name
 
 
+def account_shown(account: str) -> str | Message:
+    """The account as the value of a message: what it is for a program is said in the reader's language."""
+    name, is_token = name_of(account)
+    return Message.of("account_of_token", name=name) if is_token else account
+
+
 def name_of(account: str) -> tuple[str, bool]:
     """The name of an account, and whether it is a token."""
     return account.removesuffix(_TOKEN), account.endswith(_TOKEN)

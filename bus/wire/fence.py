@@ -202,7 +202,8 @@ class PendingResponses(msgspec.Struct, frozen=True):
 
     def _first_of_fences(self, request: Request) -> Request:
         """The first of the fewest fences after which ``request`` may follow, if each is answered."""
-        reached = {self._after(fence): fence for fence in reversed(self._fences())}
+        best_first = sorted(self._fences(), key=self._left_pending_by)
+        reached = {self._after(fence): fence for fence in best_first}
         for _ in range(MOST_FENCES_PLANNED):
             for pending, first in reached.items():
                 if not pending._may_mislead(request):

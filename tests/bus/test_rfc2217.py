@@ -65,7 +65,7 @@ async def test_a_server_that_hangs_up_is_told_once_and_found_again(server: Devic
     server.hang_up()
     await ear.until(lost=True)
     assert len(ear.lost) == 1
-    assert server.url in ear.lost[0]
+    assert server.url in str(ear.lost[0])
     with pytest.raises(WireError):
         port.check()
     port.close()

@@ -81,12 +81,12 @@ def cancel(site: Site, page: Page) -> None:
 
 
 def pull_the_cable(site: Site, page: Page) -> None:
-    expect(page.locator("#restore .fate")).to_be_visible()
+    expect(page.locator("#restore .outcome")).to_be_visible()
     site.line.remote.do("unplug")
 
 
 def cut_the_drop(site: Site, page: Page) -> None:
-    expect(page.locator("#restore .fate")).to_be_visible()
+    expect(page.locator("#restore .outcome")).to_be_visible()
     site.line.remote.do("fault", kind="dead", rate=1, unit=2)
 
 

@@ -192,7 +192,7 @@ def test_a_restore_is_reviewed_first_and_proven_afterwards(site: Site, browser_p
     assert len(writes(site, 0x86)) == before
     page.get_by_role("button", name=re.compile("Write 2 rows to unit 2")).click()
     said = "The unit is now what was asked, proven by a full read."
-    expect(page.locator("#restore .fate")).to_have_text(said, timeout=PROCEDURE_MS)
+    expect(page.locator("#restore .outcome")).to_have_text(said, timeout=PROCEDURE_MS)
     expect(page.locator("#verdict")).to_have_text(said)
     expect(page.get_by_role("heading", name=re.compile("^Proof"))).to_be_visible()
     assert len(writes(site, 0x86)) == before + 2

@@ -100,7 +100,7 @@ def test_a_stopped_worker_makes_everything_stale_and_sends_nothing_late(plant: D
         said = speed(plant, 1, 4321).json()
         plant.see(1, "stale", lambda shown: shown["link"] in ("stale", "offline"))
     assert said["outcome"] == "unverified"
-    assert "does not answer" in said["detail"]
+    assert "does not respond" in said["detail"]
     _hears_from(plant, 1)
     assert plant.cable.units[1].commanded == 1000
     assert plant.cable.units[1].writes == []
@@ -179,7 +179,7 @@ def _dead(pid: int) -> bool:
 def test_a_worker_that_stays_stuck_closes_the_bus(plant: Dashboard) -> None:
     with stopped(plant):
         bus = eventually(lambda: (shown := plant.line())["link"] == "closed" and shown, "closed")
-        assert "says nothing" in bus["link_cause"]
+        assert "does not respond" in bus["link_cause"]
         assert speed(plant, 1, 4321).json()["code"] == "bus_closed"
     plant.see(1, "online again", lambda shown: shown["link"] == "online")
     assert plant.cable.units[1].writes == []

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from app.web.access import account_shown
 from bus.errors import LinesideError
 from bus.messages import Message
 
@@ -47,7 +48,7 @@ class Control:
         """Take control that nobody else holds. Raises ControlledError."""
         holding = self.holding(now)
         if holding is not None and holding.holder != who:
-            raise ControlledError(Message.of("control_held_by", who=holding.holder))
+            raise ControlledError(Message.of("control_held_by", who=account_shown(holding.holder)))
         since = holding.since if holding is not None else now
         self._holding = Holding(who, since, now)
         return self._holding
@@ -95,4 +96,4 @@ class Control:
 def _who_holds(holding: Holding | None) -> Message:
     if holding is None:
         return Message("control_not_taken")
-    return Message.of("control_held", who=holding.holder)
+    return Message.of("control_held", who=account_shown(holding.holder))

@@ -28,7 +28,7 @@ from app.feed.channel import Channel, ProgressListener
 from app.live.command_ids import new_command_id
 from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive
-from app.web.access import Person
+from app.web.access import Person, account_shown
 from app.web.deadline import Deadline
 from bus.contract import Action, Command, Result
 from bus.messages import Message
@@ -260,7 +260,9 @@ class CommandService:
         for unit in kind_of_command(wish.action).units_written(wish.action, self._live):
             block = self._guards.blocks.of(unit)
             if block is not None:
-                return Message.of("unit_blocked", unit=unit, who=block.set_by, reason=block.reason)
+                return Message.of(
+                    "unit_blocked", unit=unit, who=account_shown(block.set_by), reason=block.reason
+                )
         return self._guards.control.objection(wish.person.account, self._now())
 
 

@@ -73,13 +73,18 @@ def survey(roster: Roster, first: int, last: int, pace: ScanPace, context: Comma
         else:
             passes.found()
             found.append(one)
-    if _overdue(roster) - overdue >= OVERDUE:
+    since = {unit: count - overdue.get(unit, 0) for unit, count in _overdue(roster).items()}
+    if sum(since.values()) >= OVERDUE:
         found = [_doubted(one) for one in found]
+        known = {one.unit for one in found}
+        late = [unit for unit in range(first, last + 1) if since.get(unit) and unit not in known]
+        found += [Found(unit, pace.baud, "late", late=True) for unit in late]
     return _result(found, None)
 
 
-def _overdue(roster: Roster) -> int:
-    return sum(record.statistics.overdue for record in roster)
+def _overdue(roster: Roster) -> dict[int, int]:
+    """How many responses of each unit came after their window."""
+    return {record.unit: record.statistics.overdue for record in roster}
 
 
 def _doubted(one: Found) -> Found:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText
 
 TEXTS: dict[str, EnglishText] = {
+    "account_of_token": "{name} (token)",
     "token_exists": "there is a token {name} already; revoke it or choose another name",
     "no_such_token": "there is no token {name}",
     "user_exists": "there is a user {name} already; choose another name",
