@@ -65,7 +65,7 @@ class Workers:
         feed = self._feeds.get(credential.bus)
         refused = refusal(hello, credential, self._feeds)
         if feed is None:
-            assert refused is not None, "the bus of the token is not configured"
+            assert refused is not None  # the bus of the token is not configured
             self._recorder.note(refusal_of_worker(self._now(), "", str(credential), refused))
             await send_away(socket, refused, self._now())
         else:
