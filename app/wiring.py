@@ -51,7 +51,7 @@ from app.sets.restore_store import RestoreStore
 from app.sets.store import SetStore
 from app.sets.taking import Takings
 from app.settings import Settings
-from app.swap.desk import SwapService
+from app.swap.service import SwapService
 from app.swap.store import SwapStore
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
@@ -178,11 +178,11 @@ def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
     return AnchorStatus() if anchoring is None else anchoring.status
 
 
-def _notices(history: History, anchoring: Anchoring | None, voice: Translator, now: float) -> str:
+def _notices(history: History, anchoring: Anchoring | None, translator: Translator, now: float) -> str:
     """What of the records is not well, in the reader's language; mostly nothing."""
     found = (
-        store_notice(history.status, voice.t, voice.formats, now),
-        anchor_notice(_anchor_status(anchoring), voice.t, voice.formats, now),
+        store_notice(history.status, translator.t, translator.formats, now),
+        anchor_notice(_anchor_status(anchoring), translator.t, translator.formats, now),
     )
     return " ".join(filter(None, found))
 

@@ -17,7 +17,7 @@ from tests.e2e.limits import PROCEDURE_S
 from tests.e2e.site import Site, eventually, site
 
 BAUD = 9600
-WISHES = 150
+COMMANDS = 150
 MANY = 32
 REPEATS = 5
 SET_AND_EXECUTE = "84"
@@ -32,7 +32,7 @@ def run() -> None:
         tempfile.TemporaryDirectory() as folder,
         site(Path(folder), 8, line_options=("--no-script",)) as served,
     ):
-        _show_wishes(served)
+        _show_commands(served)
     with (
         tempfile.TemporaryDirectory() as folder,
         site(Path(folder), MANY, line_options=("--no-script",)) as served,
@@ -40,18 +40,18 @@ def run() -> None:
         _show_many(served)
 
 
-def _show_wishes(served: Site) -> None:
+def _show_commands(served: Site) -> None:
     to_wire: list[float] = []
-    to_fate: list[float] = []
+    to_result: list[float] = []
     with served.api("operator") as client:
-        for number in range(WISHES):
+        for number in range(COMMANDS):
             raw = 1100 + number
             since = _last_number(served)
             begun = time.monotonic()
             answer = client.post(
                 f"/buses/line/units/{number % 8 + 1}/speed", json={"raw": raw, "execute": True}
             )
-            to_fate.append(time.monotonic() - begun)
+            to_result.append(time.monotonic() - begun)
             assert answer.json()["outcome"] == "verified", answer.text
             to_wire.append(_first_came(served, since, SET_AND_EXECUTE)["at"] - begun)
             time.sleep(PAUSE_S)
@@ -62,9 +62,9 @@ def _show_wishes(served: Site) -> None:
             milliseconds(_poll_s()),
         ],
         ["request → first byte of 84h on the wire", _middle(to_wire), _worst(to_wire)],
-        ["request → fate, read back", _middle(to_fate), _worst(to_fate)],
+        ["request → fate, read back", _middle(to_result), _worst(to_result)],
     ]
-    show(f"{WISHES} speeds set by HTTP while 8 units are polled", ["", "median", "p99"], rows)
+    show(f"{COMMANDS} speeds set by HTTP while 8 units are polled", ["", "median", "p99"], rows)
 
 
 def _show_many(served: Site) -> None:

@@ -221,7 +221,7 @@ def _show_queries(folder: Path) -> None:
         ("30 days", 30),
         ("a year", 365),
     ):
-        ours = [_seconds(partial(_ask, database, end, days)) for _ in range(ASKED)]
+        ours = [_seconds(partial(_query, database, end, days)) for _ in range(ASKED)]
         part = min(days, NAIVE_DAYS)
         theirs = [_seconds(partial(_ask_naive, naive, part)) for _ in range(3)]
         beside = milliseconds(median(theirs)) + ("" if part == days else f" for {NAIVE_DAYS} days")
@@ -242,7 +242,7 @@ def _line() -> BusSettings:
     return BusSettings(name="line", port="/dev/null", unit=units)
 
 
-def _ask(database: Database, end: int, days: float) -> None:
+def _query(database: Database, end: int, days: float) -> None:
     question = SeriesQuery(_line(), 1, VALUES["actual"], end - round(days * DAY), end, 1000)
     found = database.read_now(lambda connection: answer(connection, Tail(), question))
     assert len(found.series.at) > 200

@@ -143,7 +143,7 @@ def worker_calls_of_a_click(calls: Calls) -> None:
     async def scene(line: VirtualLine) -> None:
         await line.until(lambda: all(line.readings(unit) for unit in line.units))
         with calls.watched():
-            await line.ask(SetSpeed(UNIT, 1234))
+            await line.perform(SetSpeed(UNIT, 1234))
 
     run(scene, 2)
 

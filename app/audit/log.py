@@ -84,14 +84,14 @@ class EventLog:
         them; their numbers in order."""
         return await self._append_all([self._entry("command", **intent) for intent in intents], also)
 
-    async def conclude_together(self, fates: Mapping[int, tuple[Outcome, str | Message]]) -> None:
+    async def conclude_together(self, outcomes: Mapping[int, tuple[Outcome, str | Message]]) -> None:
         """By event number the outcome and message of each, in one transaction."""
         entries = [
             self._entry("fate", about=event, outcome=outcome, message=message)
-            for event, (outcome, message) in fates.items()
+            for event, (outcome, message) in outcomes.items()
         ]
         await self._write_all(entries)
-        for event in fates:
+        for event in outcomes:
             await self._tell(event)
 
     async def conclude(

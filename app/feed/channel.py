@@ -25,7 +25,7 @@ REASK_WITHIN_S = 10.0
 PATIENCE_S = 15.0
 """How long after its deadline, or its last sign of progress, a worker that lives is still waited for."""
 LOOK_S = 0.25
-SILENT_LOOKS = 8
+STUCK_AFTER_LOOKS = 8
 """After so many looks without a word from a connected worker it is stuck: two seconds, twice its figures'.
 Looks are counted, not seconds, so that a stall of the app itself makes nobody look silent."""
 AWAY_LOOKS = 20
@@ -45,7 +45,7 @@ class MessageSink(Protocol):
 class _OpenCommand:
     command: Command
     worker: str
-    fate: asyncio.Future[Result]
+    result: asyncio.Future[Result]
     due_at: float
     """Its deadline, on the monotonic clock like ``give_up_at``."""
     give_up_at: float
@@ -63,7 +63,7 @@ class Channel:
         self._connection: MessageSink | None = None
         self._worker = ""
         self._words = 0
-        self._asked: dict[str, _OpenCommand] = {}
+        self._open: dict[str, _OpenCommand] = {}
         self._watch = Watch(units=[])
 
     @property
@@ -75,78 +75,78 @@ class Channel:
         """A worker is ready: tell it what is watched, ask again what was under way."""
         self._connection, self._worker = connection, worker
         if self._watch.units or self._watch.trace:
-            await self._send(self._watch)
-        for asked in tuple(self._asked.values()):
-            if asked.worker != worker:
-                _end(asked, "unverified", Message("worker_restarted"))
+            await self._deliver(self._watch)
+        for open_command in tuple(self._open.values()):
+            if open_command.worker != worker:
+                _end(open_command, "unverified", Message("worker_restarted"))
             else:
-                asked.give_up_at = self._last_moment(asked.command)
-                await self._send_command(asked)
+                open_command.give_up_at = self._last_moment(open_command.command)
+                await self._send_command(open_command)
 
     def closed(self, connection: MessageSink) -> None:
         """The connection ended. What is under way waits a while for the worker's return."""
         if self._connection is not connection:
             return
         self._connection = None
-        for asked in self._asked.values():
-            asked.give_up_at = min(asked.give_up_at, time.monotonic() + self._reask_s)
+        for open_command in self._open.values():
+            open_command.give_up_at = min(open_command.give_up_at, time.monotonic() + self._reask_s)
 
     def on_message(self) -> None:
         """Any message shows that the worker lives."""
         self._words += 1
 
-    async def ask(self, command: Command, listener: ProgressListener | None = None) -> Result:
+    async def send(self, command: Command, listener: ProgressListener | None = None) -> Result:
         """Send ``command`` and wait for its fate. Never raises for what happens on the way."""
         if self._connection is None:
             return Result(id=command.id, at=time.time(), outcome="bus_closed", message=NO_WORKER)
-        fate: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
-        asked = _OpenCommand(
-            command, self._worker, fate, _due_at(command), self._last_moment(command), listener
+        result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
+        open_command = _OpenCommand(
+            command, self._worker, result, _due_at(command), self._last_moment(command), listener
         )
-        self._asked[command.id] = asked
+        self._open[command.id] = open_command
         try:
-            await self._send_command(asked)
-            return await self._fate_of(asked)
+            await self._send_command(open_command)
+            return await self._result_of(open_command)
         finally:
-            del self._asked[command.id]
+            del self._open[command.id]
 
     async def reserve(self) -> None:
         """Say that a write is about to be asked for: the wire waits a moment for it."""
-        await self._send(ReserveTurn())
+        await self._deliver(ReserveTurn())
 
     async def cancel(self, command_id: str) -> None:
         """Ask the worker to give a command up where nothing is half done; its fate still comes."""
-        if command_id in self._asked:
-            await self._send(Cancel(id=command_id))
+        if command_id in self._open:
+            await self._deliver(Cancel(id=command_id))
 
     async def watch(self, units: list[int], *, trace: bool = False) -> None:
         """Say which units are on an open page and whether someone follows the trace."""
         wanted = Watch(units=sorted(units), trace=trace)
         if wanted != self._watch:
             self._watch = wanted
-            await self._send(wanted)
+            await self._deliver(wanted)
 
     def on_update(self, update: Result | Progress, connection: MessageSink) -> None:
         """Take in the result or progress of a command. It counts only from the connection that the command
         went to; an unknown id belongs to a command that has ended."""
-        asked = self._asked.get(update.id)
-        if asked is None or asked.fate.done() or asked.sent_to is not connection:
+        open_command = self._open.get(update.id)
+        if open_command is None or open_command.result.done() or open_command.sent_to is not connection:
             return
         if isinstance(update, Result):
-            asked.fate.set_result(result_for(update, asked.command.action))
+            open_command.result.set_result(result_for(update, open_command.command.action))
             return
-        asked.give_up_at = max(asked.give_up_at, time.monotonic() + self._patience_s)
-        if asked.listener is not None:
-            asked.listener(update)
+        open_command.give_up_at = max(open_command.give_up_at, time.monotonic() + self._patience_s)
+        if open_command.listener is not None:
+            open_command.listener(update)
 
     def _last_moment(self, command: Command) -> float:
         return _due_at(command) + self._patience_s
 
-    async def _send_command(self, asked: _OpenCommand) -> None:
-        asked.sent_to = self._connection
-        await self._send(asked.command)
+    async def _send_command(self, open_command: _OpenCommand) -> None:
+        open_command.sent_to = self._connection
+        await self._deliver(open_command.command)
 
-    async def _send(self, message: AppMessage) -> None:
+    async def _deliver(self, message: AppMessage) -> None:
         connection = self._connection
         if connection is None:
             return
@@ -155,25 +155,27 @@ class Channel:
         except ConnectionError:
             self.closed(connection)
 
-    async def _fate_of(self, asked: _OpenCommand) -> Result:
-        words, silent_looks = self._words, 0
-        while (left := self._time_left(asked, silent_looks)) > 0 and not asked.fate.done():
-            await asyncio.wait({asked.fate}, timeout=min(left, LOOK_S))
-            silent_looks = silent_looks + 1 if self._words == words else 0
+    async def _result_of(self, open_command: _OpenCommand) -> Result:
+        words, missed_looks = self._words, 0
+        while (left := self._time_left(open_command, missed_looks)) > 0 and not open_command.result.done():
+            await asyncio.wait({open_command.result}, timeout=min(left, LOOK_S))
+            missed_looks = missed_looks + 1 if self._words == words else 0
             words = self._words
-        if not asked.fate.done():
-            _end(asked, "unverified", self._why_no_fate(silent_looks))
-        return asked.fate.result()
+        if not open_command.result.done():
+            _end(open_command, "unverified", self._why_no_result(missed_looks))
+        return open_command.result.result()
 
-    def _time_left(self, asked: _OpenCommand, silent_looks: int) -> float:
+    def _time_left(self, open_command: _OpenCommand, missed_looks: int) -> float:
         """Seconds for which its fate is still waited for, as things are now."""
-        stuck = silent_looks >= (SILENT_LOOKS if self.connected else AWAY_LOOKS)
-        return (min(asked.due_at, asked.give_up_at) if stuck else asked.give_up_at) - time.monotonic()
+        stuck = missed_looks >= (STUCK_AFTER_LOOKS if self.connected else AWAY_LOOKS)
+        return (
+            min(open_command.due_at, open_command.give_up_at) if stuck else open_command.give_up_at
+        ) - time.monotonic()
 
-    def _why_no_fate(self, silent_looks: int) -> Message:
+    def _why_no_result(self, missed_looks: int) -> Message:
         if not self.connected:
             return Message("worker_lost")
-        if silent_looks >= SILENT_LOOKS:
+        if missed_looks >= STUCK_AFTER_LOOKS:
             return Message("worker_no_response")
         return Message("worker_no_result")
 
@@ -182,6 +184,8 @@ def _due_at(command: Command) -> float:
     return time.monotonic() + max(0.0, command.deadline - time.time())
 
 
-def _end(asked: _OpenCommand, outcome: Outcome, message: Message) -> None:
-    if not asked.fate.done():
-        asked.fate.set_result(Result(id=asked.command.id, at=time.time(), outcome=outcome, message=message))
+def _end(open_command: _OpenCommand, outcome: Outcome, message: Message) -> None:
+    if not open_command.result.done():
+        open_command.result.set_result(
+            Result(id=open_command.command.id, at=time.time(), outcome=outcome, message=message)
+        )

@@ -85,7 +85,7 @@ class History:
         """Whether history is well, and if not, why."""
         return self._writer.status
 
-    async def ask(self, questions: Sequence[SeriesQuery]) -> list[QueryResult]:
+    async def query(self, questions: Sequence[SeriesQuery]) -> list[QueryResult]:
         """What each value was. Raises StoreError when the store cannot be read."""
         found = await self.read(lambda c, tail: [answer(c, tail, question) for question in questions])
         for each in found:

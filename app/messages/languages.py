@@ -31,10 +31,10 @@ class Languages:
         """The language, English for a tag there is no catalog for."""
         return self._all.get(tag) or self._all[DEFAULT]
 
-    def choose(self, wished: str, accept_language: str, otherwise: str) -> Language:
+    def choose(self, preferred: str, accept_language: str, otherwise: str) -> Language:
         """The person's own choice, else the browser's (RFC 9110, 12.5.4), else the site's."""
-        if wished in self._all:
-            return self._all[wished]
+        if preferred in self._all:
+            return self._all[preferred]
         for tag in _by_preference(accept_language):
             if tag in self._all:
                 return self._all[tag]

@@ -7,8 +7,8 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Request, Response
 from pydantic import Field
 
-from app.commands.api.commands import FATE
-from app.commands.api.responses import answer
+from app.commands.api.commands import RESULT_RESPONSES
+from app.commands.api.responses import command_response
 from app.commands.catalogue import SET_LINE
 from app.commands.service.writer import permitted_writer
 from app.errors import Problem
@@ -80,7 +80,7 @@ async def try_recipe(person: Viewer, book: Book, recipe_id: int) -> DryRunShown:
     return dry_run_json(book.try_out(person, await recipe_or_404(book, recipe_id)))
 
 
-@router.post("/recipes/{recipe_id}/load", responses=FATE)
+@router.post("/recipes/{recipe_id}/load", responses=RESULT_RESPONSES)
 async def load_recipe(
     request: Request,
     person: Annotated[Person, permitted_writer(SET_LINE)],
@@ -94,7 +94,7 @@ async def load_recipe(
     recipe = await recipe_or_404(book, recipe_id)
     sent_at = made_at(request)
     result = await book.load(person, recipe, sent_at, confirm=wanted.confirm, command_id=idempotency_key)
-    return answer(request, bus_or_404(live, recipe.bus), result, None, secret=False)
+    return command_response(request, bus_or_404(live, recipe.bus), result, None, secret=False)
 
 
 @router.get("/buses/{bus}/recipe")

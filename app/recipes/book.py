@@ -107,7 +107,7 @@ class RecipeBook:
             message = Message.of("recipe_not_loadable", name=recipe.name, why=why)
             raise Problem(409, "not_loadable", message)
         action = SetLine(setpoints={setpoint.unit: setpoint.raw for setpoint in recipe.setpoints})
-        result = await self._commands[recipe.bus].ask(
+        result = await self._commands[recipe.bus].send(
             person,
             action,
             deadline=Deadline(made_at, SET_LINE.timeout_s(action, self._bus(recipe))),

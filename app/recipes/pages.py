@@ -83,18 +83,18 @@ async def one_page(request: Request, person: Viewer, book: Book, recipe_id: int)
 
 @router.get("/recipes/{recipe_id}/review")
 async def review(
-    person: Annotated[Person, permitted(SET_LINE)], desk: Page, book: Book, recipe_id: int
+    person: Annotated[Person, permitted(SET_LINE)], page: Page, book: Book, recipe_id: int
 ) -> Response:
     """The second step before loading."""
     recipe = await recipe_or_404(book, recipe_id)
-    bus = desk.bus(recipe.bus)
+    bus = page.bus(recipe.bus)
     await know_ramps(
-        desk, person, recipe.bus, [one.unit for one in recipe.setpoints if one.unit in bus.units]
+        page, person, recipe.bus, [one.unit for one in recipe.setpoints if one.unit in bus.units]
     )
     run = book.try_out(person, recipe)
     was = {number: present_setpoint(bus, unit) for number, unit in bus.units.items()}
-    left_out, unchanged = keep_their_setpoint(desk, recipe.bus, [step.unit for step in run.steps])
-    return desk.review(
+    left_out, unchanged = keep_their_setpoint(page, recipe.bus, [step.unit for step in run.steps])
+    return page.review(
         "recipes/_review.html",
         recipe=recipe,
         run=run,
@@ -111,7 +111,7 @@ async def review(
 async def load(
     request: Request,
     person: Annotated[Person, permitted(SET_LINE)],
-    desk: Page,
+    page: Page,
     book: Book,
     recipe_id: int,
     id: Annotated[str, Form(min_length=8)],
@@ -119,16 +119,16 @@ async def load(
 ) -> Response:
     """Stage every unit, broadcast once, prove each."""
     recipe = await recipe_or_404(book, recipe_id)
-    bus, form = desk.bus(recipe.bus), await request.form()
+    bus, form = page.bus(recipe.bus), await request.form()
     try:
-        desk.refuse_lapsed(reviewed_at)
+        page.refuse_lapsed(reviewed_at)
         setpoints = reviewed(bus, form)
         if setpoints != {one.unit: one.raw for one in recipe.setpoints if one.unit in bus.units}:
             raise Problem(422, "invalid", Message("not_what_was_reviewed"))
-        result = await book.load(person, recipe, desk.made_at, confirm=True, command_id=id)
+        result = await book.load(person, recipe, page.made_at, confirm=True, command_id=id)
     except Problem as problem:
-        return desk.refused(problem, recipe.name)
-    return proven(desk, recipe.bus, recipe.name, setpoints, result, form)
+        return page.refused(problem, recipe.name)
+    return proven(page, recipe.bus, recipe.name, setpoints, result, form)
 
 
 @router.post("/recipes/retire")

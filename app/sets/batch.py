@@ -78,23 +78,23 @@ def refuse_moved(rows: Iterable[BatchRow], reviewed: Mapping[int, str]) -> None:
             raise Problem(409, "moved", Message.of("value_moved", name=row.name))
 
 
-async def learn(desk: CommandService, person: Person, bus: BusLive, number: int) -> None:
+async def learn(commands: CommandService, person: Person, bus: BusLive, number: int) -> None:
     """Ask the units that answer for a parameter that was never read from them; who stays silent stays
     unknown."""
 
-    async def ask(unit: int) -> None:
+    async def read(unit: int) -> None:
         action = ReadParameters(unit=unit, numbers=[number], urgent=True)
         with suppress(Problem):
-            await desk.ask(person, action, timeout_s=_LEARN_WITHIN_S)
+            await commands.send(person, action, timeout_s=_LEARN_WITHIN_S)
 
     unknown = [
         key for key, unit in bus.units.items() if number not in unit.parameters and unit.link.link == "online"
     ]
-    await asyncio.gather(*(ask(unit) for unit in unknown))
+    await asyncio.gather(*(read(unit) for unit in unknown))
 
 
 async def write_batch(
-    desk: CommandService, person: Person, number: int, rows: list[BatchRow], *, confirm: bool
+    commands: CommandService, person: Person, number: int, rows: list[BatchRow], *, confirm: bool
 ) -> list[BatchResult]:
     """Write the rows that change something, one after another. A refusal of one unit does not end the rest, a
     refusal of the person does."""
@@ -104,7 +104,7 @@ async def write_batch(
         if row.changes and stopped_by:
             results.append(BatchResult(row.unit, row.name, "not_sent", stopped_by))
         elif row.changes:
-            result = await _write(desk, person, number, row, confirm=confirm)
+            result = await _write(commands, person, number, row, confirm=confirm)
             results.append(result)
             stopped_by = result.message if result.outcome in _OF_THE_PERSON else ""
     return results
@@ -136,11 +136,11 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
 
 
 async def _write(
-    desk: CommandService, person: Person, number: int, row: BatchRow, *, confirm: bool
+    commands: CommandService, person: Person, number: int, row: BatchRow, *, confirm: bool
 ) -> BatchResult:
     action = WriteParameter(unit=row.unit, number=number, raw=row.wanted or 0)
     try:
-        result = await desk.ask(person, action, confirm=confirm, origin="batch edit")
+        result = await commands.send(person, action, confirm=confirm, origin="batch edit")
     except Problem as problem:
         return BatchResult(row.unit, row.name, problem.code, problem.detail)
     return BatchResult(row.unit, row.name, result.outcome, in_english(result.message))

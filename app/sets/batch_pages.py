@@ -22,11 +22,11 @@ router = APIRouter(include_in_schema=False)
 
 @router.get("/batch/{bus}")
 async def batch_page(
-    request: Request, person: Engineer, live: Live, desk: Commands, bus: str, number: int = 6
+    request: Request, person: Engineer, live: Live, commands: Commands, bus: str, number: int = 6
 ) -> Response:
     """The present values of one parameter over all units; one that was never read is asked for now."""
     parameter = _writable_or_404(number)
-    await learn(desk, person, bus_or_404(live, bus), number)
+    await learn(commands, person, bus_or_404(live, bus), number)
     rows = rows_of_batch(live.buses[bus], number, {})
     return render(
         request, "sets/batch.html", bus=bus, parameter=parameter, rows=rows, parameters=_choices(), results=[]
@@ -44,7 +44,9 @@ async def batch_review(request: Request, _: Engineer, live: Live, bus: str) -> R
 
 
 @router.post("/batch/{bus}/write")
-async def batch_write(request: Request, person: Engineer, live: Live, desk: Commands, bus: str) -> Response:
+async def batch_write(
+    request: Request, person: Engineer, live: Live, commands: Commands, bus: str
+) -> Response:
     """Write what the review showed."""
     number, typed = await _typed(request)
     parameter = _writable_or_404(number)
@@ -52,7 +54,7 @@ async def batch_write(request: Request, person: Engineer, live: Live, desk: Comm
     if any(row.fault for row in rows):
         raise Problem(422, "invalid", Message("value_not_writable"))
     refuse_moved(rows, _by_unit(await request.form(), "was-"))
-    results = await write_batch(desk, person, number, rows, confirm=bool(parameter.dangerous))
+    results = await write_batch(commands, person, number, rows, confirm=bool(parameter.dangerous))
     undone = {result.unit for result in results if result.outcome != "verified"}
     rows = rows_of_batch(live.buses[bus], number, {unit: typed[unit] for unit in undone})
     return render(request, "sets/_batch_done.html", parameter=parameter, results=results, rows=rows)

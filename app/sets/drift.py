@@ -94,13 +94,13 @@ class BusDrift:
         known = self._live.units[unit].parameters
         return sum(number not in known for number in PARAMETERS)
 
-    def summary(self, unit: int, voice: Translator, now: float) -> Drifted:
+    def summary(self, unit: int, translator: Translator, now: float) -> Drifted:
         """The same for the line, and what the list of them on the unit's page depends on."""
         if unit not in self._golden:
             return Drifted()
         found = self.of(unit)
         rows = ",".join(one.key for one in found)
-        return Drifted(_sentence(found, voice, now) if found else "", f"{self.unread(unit)}:{rows}")
+        return Drifted(_sentence(found, translator, now) if found else "", f"{self.unread(unit)}:{rows}")
 
     def _see(self, updates: Sequence[Update]) -> None:
         """Parameters were read: look now, so that nobody has to compare forty rows at every reading."""
@@ -113,13 +113,13 @@ class BusDrift:
 
     def _look(self, unit: int, numbers: Iterable[int]) -> None:
         """Compare anew; ``numbers`` were read, so who changed them is asked again."""
-        before, asked = self._found.get(unit, {}), frozenset(numbers)
+        before, named = self._found.get(unit, {}), frozenset(numbers)
         rows = drift(self._golden[unit], known_rows(self._live.units[unit]))
         found = {row.number: _known_before(DriftedParameter(row), before) for row in rows}
         self._found[unit] = found
-        ask = [one for one in found.values() if not one.traced or one.row.number in asked]
-        if ask:
-            self._background.begin(self._trace(unit, ask), f"who changed unit {unit} of {self._bus}")
+        untraced = [one for one in found.values() if not one.traced or one.row.number in named]
+        if untraced:
+            self._background.begin(self._trace(unit, untraced), f"who changed unit {unit} of {self._bus}")
 
     async def _trace(self, unit: int, departures: list[DriftedParameter]) -> None:
         before = self.of(unit)
@@ -141,22 +141,24 @@ def _known_before(departure: DriftedParameter, before: dict[int, DriftedParamete
     return DriftedParameter(departure.row, earlier.change, earlier.traced)
 
 
-def _sentence(found: list[DriftedParameter], voice: Translator, now: float) -> str:
+def _sentence(found: list[DriftedParameter], translator: Translator, now: float) -> str:
     head = {"number": found[0].row.number, "n": len(found)}
     text = "#{number} differs from golden" if len(found) == 1 else "{n} values differ from golden"
     if not all(one.traced for one in found):
-        return voice.t(text, **head)
+        return translator.t(text, **head)
     people = _latest_of_each(found)
     at_panel = sum(one.change is None for one in found)
     if not people:
-        return voice.t(f"{text}, at the panel", **head)
+        return translator.t(f"{text}, at the panel", **head)
     if len(people) == 1 and not at_panel:
         ((change, _),) = people
-        return voice.t(f"{text}: by {{who}} {{when}}", **head, **_by(change, voice, now))
-    parts = [voice.t("{m} by {who} {when}", m=rows, **_by(change, voice, now)) for change, rows in people]
+        return translator.t(f"{text}: by {{who}} {{when}}", **head, **_by(change, translator, now))
+    parts = [
+        translator.t("{m} by {who} {when}", m=rows, **_by(change, translator, now)) for change, rows in people
+    ]
     if at_panel:
-        parts.append(voice.t("{m} at the panel", m=at_panel))
-    return voice.t("{n} values differ from golden: {parts}", n=len(found), parts=", ".join(parts))
+        parts.append(translator.t("{m} at the panel", m=at_panel))
+    return translator.t("{n} values differ from golden: {parts}", n=len(found), parts=", ".join(parts))
 
 
 def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
@@ -171,5 +173,5 @@ def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
     return sorted(latest, key=lambda each: -float(each[0]["time"]))
 
 
-def _by(change: Event, voice: Translator, now: float) -> dict[str, str]:
-    return {"who": change["who"], "when": voice.formats.since(change["time"], now)}
+def _by(change: Event, translator: Translator, now: float) -> dict[str, str]:
+    return {"who": change["who"], "when": translator.formats.since(change["time"], now)}

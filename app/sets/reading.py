@@ -41,9 +41,9 @@ def status_of(bus: BusLive, unit: UnitLive) -> StatusBits | None:
 class ParameterReader:
     """Reads units of one bus now; an unread or partly read unit is an answer too, never a guess."""
 
-    def __init__(self, live: BusLive, desk: CommandService) -> None:
+    def __init__(self, live: BusLive, commands: CommandService) -> None:
         self._live = live
-        self._desk = desk
+        self._commands = commands
 
     def status(self, unit: int) -> StatusBits | None:
         """As :func:`status_of`, by the address of the unit."""
@@ -55,7 +55,7 @@ class ParameterReader:
         Raises Problem 503 or 504 when the bus is closed or the unit does not answer.
         """
         action = ReadParameters(unit=unit, numbers=list(PARAMETERS), urgent=urgent)
-        result = await self._desk.ask(person, action, timeout_s=READ_TIMEOUT_S)
+        result = await self._commands.send(person, action, timeout_s=READ_TIMEOUT_S)
         if len(result.values) < len(PARAMETERS):
             raise _unread(result, unit)
         settings = self._live.units[unit].settings

@@ -26,7 +26,7 @@ from app.sets.shown import ComparedShown
 from app.sets.sides import side
 from app.sets.store import SetStore
 from app.sets.view import compared_json
-from app.swap.desk import SwapService
+from app.swap.service import SwapService
 from app.web.access import Engineer
 from app.web.services import service_of
 from app.web.templating import render

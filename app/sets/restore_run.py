@@ -29,13 +29,13 @@ class RestoreRun:
     def __init__(
         self,
         reader: ParameterReader,
-        desk: CommandService,
+        commands: CommandService,
         store: RestoreStore,
         person: Person,
         restore: Restore,
     ) -> None:
         self._reader = reader
-        self._desk = desk
+        self._commands = commands
         self._store = store
         self._person = person
         self._restore = restore
@@ -85,7 +85,7 @@ class RestoreRun:
         restore, write = self._restore, row.write
         action = WriteParameter(unit=restore.unit, number=write.number, raw=write.wanted)
         try:
-            result = await self._desk.ask(self._person, action, confirm=True, origin="restore")
+            result = await self._commands.send(self._person, action, confirm=True, origin="restore")
         except Problem as problem:
             if problem.code not in _OF_ITS_ROW:
                 raise

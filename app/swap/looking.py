@@ -16,13 +16,13 @@ LOOKS = 4
 """How often an address is asked whose unit still answers the scan."""
 
 
-async def look(desk: CommandService, live: LiveState, person: Person, swap: Swap) -> SwapState:
+async def look(commands: CommandService, live: LiveState, person: Person, swap: Swap) -> SwapState:
     """What the wire shows now. Raises Problem 503 where nobody can tell: the bus is closed, or too busy."""
     bus, target = swap.bus, swap.unit
-    at_target = await _at_section(desk, live, person, bus, target)
+    at_target = await _at_section(commands, live, person, bus, target)
     at_factory: ProbeFinding = "silent"
     if at_target == "silent" and target != FACTORY_ADDRESS:
-        at_factory = await _answers(desk, person, FACTORY_ADDRESS)
+        at_factory = await _answers(commands, person, FACTORY_ADDRESS)
     return SwapState(
         target=target,
         at_target=at_target,
@@ -36,19 +36,19 @@ async def look(desk: CommandService, live: LiveState, person: Person, swap: Swap
 
 
 async def _at_section(
-    desk: CommandService, live: LiveState, person: Person, bus: str, unit: int
+    commands: CommandService, live: LiveState, person: Person, bus: str, unit: int
 ) -> ProbeFinding:
     """One lost answer is no silence: it would let the old unit, still on the cable, pass for the spare."""
     for _ in range(LOOKS):
-        kind = await _answers(desk, person, unit)
+        kind = await _answers(commands, person, unit)
         if kind != "silent" or live.buses[bus].units[unit].link.link != "online":
             return kind
     return "silent"
 
 
-async def _answers(desk: CommandService, person: Person, address: int) -> ProbeFinding:
+async def _answers(commands: CommandService, person: Person, address: int) -> ProbeFinding:
     action = ScanBus(first=address, last=address)
-    result = await desk.ask(person, action, timeout_s=LOOK_TIMEOUT_S, origin="unit swap")
+    result = await commands.send(person, action, timeout_s=LOOK_TIMEOUT_S, origin="unit swap")
     if result.outcome != "verified":
         raise Problem(503, "not_looked", result.message or "")
     return next((found.kind for found in result.found if found.unit == address), "silent")

@@ -21,10 +21,10 @@ from app.sets.offers import offers
 from app.sets.restore_api import Restores
 from app.sets.restore_shown import LeftOutShown
 from app.sets.restore_view import restore_json
-from app.swap.desk import SwapService, step_text
 from app.swap.looking import look
 from app.swap.record import Swap
 from app.swap.rules import FACTORY_ADDRESS, PROVEN, STEPS, Advice, advice, done_steps
+from app.swap.service import SwapService, step_text
 from app.swap.sources import source_of
 from app.web.access import Engineer, Person
 from app.web.services import bus_service_of, service
@@ -70,12 +70,12 @@ async def begin(
 
 @router.get("/swap/{bus}/{unit}/look")
 async def look_again(
-    request: Request, person: Engineer, live: Live, swaps: Swaps, desk: Commands, bus: str, unit: int
+    request: Request, person: Engineer, live: Live, swaps: Swaps, commands: Commands, bus: str, unit: int
 ) -> Response:
     """Read the wire, and say where the swap stands and what to do."""
     unit_or_404(live, bus, unit)
     swap = swaps.of_or_404(bus, unit)
-    now = PROVEN if swap.proven else await _advice(person, live, swaps, desk, swap)
+    now = PROVEN if swap.proven else await _advice(person, live, swaps, commands, swap)
     baud = live.buses[bus].baud
     return render(
         request,
@@ -93,9 +93,11 @@ async def look_again(
     )
 
 
-async def _advice(person: Person, live: Live, swaps: SwapService, desk: CommandService, swap: Swap) -> Advice:
+async def _advice(
+    person: Person, live: Live, swaps: SwapService, commands: CommandService, swap: Swap
+) -> Advice:
     try:
-        state = await swaps.look(swap, lambda: look(desk, live, person, swap))
+        state = await swaps.look(swap, lambda: look(commands, live, person, swap))
     except Problem as problem:
         return Advice("find", problem.detail, at_panel=False)
     return Advice("find", "reading the wire", at_panel=False) if state is None else advice(state)

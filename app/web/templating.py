@@ -86,9 +86,9 @@ class Templates:
     def language_of(self, connection: HTTPConnection) -> Language:
         """The language for whoever asks."""
         person = person_of(connection)
-        wished = person.language if person else ""
+        preferred = person.language if person else ""
         accepted = connection.headers.get("accept-language", "")
-        return self.languages.choose(wished, accepted, self._site.language)
+        return self.languages.choose(preferred, accepted, self._site.language)
 
 
 def templates_of(connection: HTTPConnection) -> Templates:

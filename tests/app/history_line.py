@@ -61,7 +61,7 @@ class Shelf:
         """Every minute into its block."""
         self.recorder.fold_everything()
 
-    def ask(
+    def query(
         self, value: str, start: float, end: float, most: int = 20_000, bus: BusSettings = BUS
     ) -> QueryResult:
         """What a value was."""

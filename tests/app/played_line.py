@@ -23,7 +23,7 @@ from bus.contract import (
     UnitLink,
     WriteParameter,
 )
-from tests.app.played_desk import HEALTHY, REMOTE, factory
+from tests.app.played_commands import HEALTHY, REMOTE, factory
 
 BUS = "dry-end"
 Before = Callable[[int], Awaitable[None]]

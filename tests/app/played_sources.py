@@ -31,7 +31,7 @@ class PlayedGuards:
 class NoGoldenSets:
     """No unit has a golden set."""
 
-    def summary(self, _unit: int, _voice: Translator, _now: float) -> Drifted:
+    def summary(self, _unit: int, _translator: Translator, _now: float) -> Drifted:
         """Nothing."""
         return Drifted()
 
@@ -56,4 +56,4 @@ def played_sources(
     controls = {} if controls is None else controls
     guards = {bus: PlayedGuards(bus, blocks or {}, controls) for bus in buses}
     drift = {bus: NoGoldenSets() for bus in guards}
-    return Sources(guards, drift, NoRecipes(), lambda _voice, _now: "", lambda: "")
+    return Sources(guards, drift, NoRecipes(), lambda _translator, _now: "", lambda: "")

@@ -15,7 +15,7 @@ AT_SPEED, REMOTE, RUN, HEALTHY = 0x80, 0x40, 0x01, 0x02
 PARAMETERS = {2: 2000, 3: 1, 6: 100, 7: 200, 8: 0, 12: 10, 22: 0, 23: 510}
 
 
-def voice(tag: str = "en") -> Translator:
+def translator(tag: str = "en") -> Translator:
     language = Languages()[tag]
     return Translator(language, Formats(language.locale))
 
@@ -53,6 +53,6 @@ def reading(
 
 def screen(live: LiveState, tag: str = "en", blocks: dict[int, str] | None = None) -> Screen:
     """What is shown, brought up to date at the time 100."""
-    made = Screen(live, voice(tag), played_sources(live.buses, blocks))
+    made = Screen(live, translator(tag), played_sources(live.buses, blocks))
     made.refresh(100.0)
     return made

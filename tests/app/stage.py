@@ -239,13 +239,13 @@ class Stage:
             rights=self.rights,
             sessions=self.rights,
         )
-        self.desk = self.commands_after_restart()
+        self.commands = self.commands_after_restart()
         self.app = FastAPI()
         sources = Sources(
             {settings.name: self.guards},
             {settings.name: NoGoldenSets()},
             NoRecipes(),
-            lambda _voice, _now: "",
+            lambda _translator, _now: "",
             lambda: self.history.status.message,
         )
         configuration = Settings(site=Site(name="Test line"), bus=(settings,))
@@ -254,7 +254,7 @@ class Stage:
                 *(configuration, _templates(), sources),
                 *(self.live, self.workers, self.events, Turns()),
             ),
-            {settings.name: (bus, self.desk, self.guards)},
+            {settings.name: (bus, self.commands, self.guards)},
         )
         for router in (
             *(live_router, commands_router, safeguards_router),
@@ -280,7 +280,7 @@ class Stage:
             )
         return self._people[key]
 
-    async def ask(
+    async def request(
         self, method: str, path: str, body: Any = None, role: str = "admin", **more: Any
     ) -> httpx.Response:
         """One call of the API on the bus of the test."""
@@ -367,7 +367,7 @@ async def until(condition: Callable[[], object], what: str) -> None:
         await asyncio.sleep(0.002)
 
 
-def fate(command: Command, outcome: str, **more: Any) -> Result:
+def result_of(command: Command, outcome: str, **more: Any) -> Result:
     """A command's end as the worker tells it."""
     return Result(id=command.id, at=time.time(), outcome=outcome, **more)  # type: ignore[arg-type]
 
@@ -376,6 +376,6 @@ def answering(outcome: str, **more: Any) -> Play:
     """To play every command to the same end."""
 
     async def play(command: Command) -> Sequence[Update]:
-        return [fate(command, outcome, **more)]
+        return [result_of(command, outcome, **more)]
 
     return play

@@ -11,7 +11,7 @@ from app.live.diagnosis.suspicion import suspicion
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
 from bus.messages import term
-from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, voice
+from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, translator
 
 NOW = 100.0
 
@@ -71,7 +71,7 @@ def test_a_unit_in_whose_name_another_may_answer_is_abnormal(
     live.buses["dry"].apply([reading(), said])
     cause = shown_cause(bus, bus.units[1], NOW, blocked="", drifted="")
     assert (cause and (cause.level, cause.params["why"])) == (found and ("high", found))
-    assert unit_json(bus, bus.units[1], NOW, lambda _unit: "", voice())["suspect"] == found
+    assert unit_json(bus, bus.units[1], NOW, lambda _unit: "", translator())["suspect"] == found
 
 
 def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:

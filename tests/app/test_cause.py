@@ -12,7 +12,7 @@ from app.live.state.live_state import LiveState
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink
 from bus.messages import term
-from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, reading, voice
+from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, reading, translator
 
 NOW = 8520.0
 """02:22 on the first day."""
@@ -38,7 +38,7 @@ def cause_of(live: LiveState, now: float) -> Cause | None:
 def said(live: LiveState, now: float = NOW + 10, tag: str = "en") -> tuple[str, str]:
     """Level and first line."""
     found = cause_of(live, now)
-    return (found.level, cause_line(found, voice(tag), now)) if found is not None else ("", "")
+    return (found.level, cause_line(found, translator(tag), now)) if found is not None else ("", "")
 
 
 def test_a_unit_at_speed_in_remote_has_none() -> None:
@@ -219,9 +219,9 @@ def test_what_was_there_at_the_start_is_first_seen_then() -> None:
 def test_what_is_shown_in_the_strip_has_no_time_in_it() -> None:
     found = cause_of(after(STOPPED | {"inputs": HEALTHY}), NOW + 10)
     assert found is not None
-    assert cause_text(found, voice()) == "Stopped: run input off"
-    assert check_text(found, voice()) == "Check the run contact at the drive"
-    assert check_text(None, voice()) == ""
+    assert cause_text(found, translator()) == "Stopped: run input off"
+    assert check_text(found, translator()) == "Check the run contact at the drive"
+    assert check_text(None, translator()) == ""
 
 
 def test_every_text_that_is_checked_has_a_cause() -> None:

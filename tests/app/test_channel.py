@@ -33,14 +33,14 @@ def verified() -> Result:
 
 
 async def test_without_a_worker_nothing_is_sent() -> None:
-    result = await Channel().ask(COMMAND)
+    result = await Channel().send(COMMAND)
     assert result.outcome == "bus_closed"
 
 
 async def test_a_worker_that_never_says_leaves_it_unverified() -> None:
     channel, connection = Channel(patience_s=0.0), Connection()
     await channel.opened(connection, "w")
-    result = await channel.ask(COMMAND)
+    result = await channel.send(COMMAND)
     assert (result.id, result.outcome) == ("a", "unverified")
     assert connection.sent == [COMMAND]
 
@@ -56,7 +56,7 @@ def quick_looks(monkeypatch: pytest.MonkeyPatch) -> float:
 async def test_a_silent_worker_is_not_waited_for_past_the_deadline() -> None:
     channel = Channel()
     await channel.opened(Connection(), "w")
-    result = await channel.ask(COMMAND)
+    result = await channel.send(COMMAND)
     assert result.outcome == "unverified"
     assert result.message == Message("worker_no_response")
 
@@ -64,7 +64,7 @@ async def test_a_silent_worker_is_not_waited_for_past_the_deadline() -> None:
 async def test_a_worker_that_speaks_of_other_things_is_waited_for(quick_looks: float) -> None:
     channel, connection = Channel(), Connection()
     await channel.opened(connection, "w")
-    asked = asyncio.create_task(channel.ask(COMMAND))
+    asked = asyncio.create_task(channel.send(COMMAND))
     for _ in range(3 * SILENT_LOOKS):
         channel.on_message()
         assert not (await asyncio.wait({asked}, timeout=quick_looks))[0]
@@ -75,16 +75,16 @@ async def test_a_worker_that_speaks_of_other_things_is_waited_for(quick_looks: f
 async def test_a_worker_that_does_not_come_back_leaves_it_unverified() -> None:
     channel, connection = Channel(reask_s=0.0), Connection(broken=True)
     await channel.opened(connection, "w")
-    result = await channel.ask(COMMAND)
+    result = await channel.send(COMMAND)
     assert result.outcome == "unverified"
     assert not channel.connected
-    assert (await channel.ask(COMMAND)).outcome == "bus_closed"
+    assert (await channel.send(COMMAND)).outcome == "bus_closed"
 
 
 async def test_a_broken_send_is_said_again_to_the_same_worker() -> None:
     channel, back = Channel(), Connection()
     await channel.opened(Connection(broken=True), "w")
-    asked = asyncio.create_task(channel.ask(COMMAND))
+    asked = asyncio.create_task(channel.send(COMMAND))
     await asyncio.sleep(0)
     await channel.opened(back, "w")
     channel.on_update(verified(), back)
@@ -95,7 +95,7 @@ async def test_a_broken_send_is_said_again_to_the_same_worker() -> None:
 async def test_the_first_fate_counts_and_old_news_is_passed_over() -> None:
     channel, connection = Channel(), Connection()
     await channel.opened(connection, "w")
-    asked = asyncio.create_task(channel.ask(COMMAND))
+    asked = asyncio.create_task(channel.send(COMMAND))
     await asyncio.sleep(0)
     channel.on_update(verified(), connection)
     channel.on_update(Result(id="a", at=2.0, outcome="refused"), connection)
@@ -108,7 +108,7 @@ async def test_the_first_fate_counts_and_old_news_is_passed_over() -> None:
 async def test_a_result_counts_only_from_the_connection_that_the_command_was_sent_to() -> None:
     channel, connection, other = Channel(patience_s=0.2), Connection(), Connection()
     await channel.opened(connection, "w")
-    asked = asyncio.create_task(channel.ask(COMMAND))
+    asked = asyncio.create_task(channel.send(COMMAND))
     await asyncio.sleep(0)
     channel.on_update(verified(), other)
     await channel.opened(other, "w")

@@ -23,7 +23,7 @@ def keys_in(folder: Path) -> list[Path]:
 
 def seen(data: Path) -> int:
     shelf = Shelf(data / "history.db")
-    count = len(shelf.ask("actual", NOON, NOON + 60).series.at)
+    count = len(shelf.query("actual", NOON, NOON + 60).series.at)
     shelf.close()
     return count
 

@@ -28,10 +28,10 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.messages import term
-from tests.app.stage import PlayedWorker, Stage, answering, bus_settings, fate
+from tests.app.stage import PlayedWorker, Stage, answering, bus_settings, result_of
 
 ANNA = Person("anna", Role.OPERATOR, "token")
-WISH = SetSpeed(unit=1, raw=5)
+COMMAND = SetSpeed(unit=1, raw=5)
 
 
 async def commands(stage: Stage) -> list[dict[str, Any]]:
@@ -45,10 +45,10 @@ async def test_the_intent_is_on_disk_before_anything_is_sent(stage: Stage, worke
 
     async def play(command: Command) -> Sequence[Update]:
         seen.extend((event["what"], event["outcome"]) for event in await commands(stage))
-        return [fate(command, "verified")]
+        return [result_of(command, "verified")]
 
     worker.play = play
-    await stage.desk.ask(ANNA, WISH)
+    await stage.commands.send(ANNA, COMMAND)
     assert seen == [("set speed (84h)", None)]
     assert (await commands(stage))[0]["outcome"] == "verified"
 
@@ -60,7 +60,7 @@ async def test_what_cannot_be_written_down_is_not_sent(
         raise StoreError("the disk is full")
 
     monkeypatch.setattr(stage.events, "intend_together", full)
-    answer = await stage.ask("POST", "/units/1/speed", {"raw": 5})
+    answer = await stage.request("POST", "/units/1/speed", {"raw": 5})
     assert (answer.status_code, answer.json()["code"]) == (503, "store")
     assert worker.commands == []
 
@@ -73,20 +73,20 @@ async def test_a_fate_that_cannot_be_written_down_is_told_all_the_same(
 
     worker.play = answering("verified")
     monkeypatch.setattr(stage.events, "conclude", full)
-    assert (await stage.desk.ask(ANNA, WISH)).outcome == "verified"
+    assert (await stage.commands.send(ANNA, COMMAND)).outcome == "verified"
 
 
 async def test_progress_is_told_and_a_change_can_be_given_up(stage: Stage, worker: PlayedWorker) -> None:
     heard: list[Progress] = []
-    asked = asyncio.create_task(stage.desk.ask(ANNA, WISH, id="mine", listener=heard.append))
+    asked = asyncio.create_task(stage.commands.send(ANNA, COMMAND, id="mine", listener=heard.append))
     command = await worker.hear(Command)
     assert isinstance(command, Command)
     await worker.update(
         Progress(id=command.id, at=1.0, stage="sent"), Progress(id="mine", at=1.0, stage="sent")
     )
-    await stage.desk.cancel(command.id)
+    await stage.commands.cancel(command.id)
     assert await worker.hear(Cancel) == Cancel(id=command.id)
-    await worker.update(fate(command, "not_sent", message=term("given up")))
+    await worker.update(result_of(command, "not_sent", message=term("given up")))
     assert (await asked).outcome == "not_sent"
     assert [progress.stage for progress in heard] == ["sent"]
 
@@ -94,21 +94,21 @@ async def test_progress_is_told_and_a_change_can_be_given_up(stage: Stage, worke
 async def test_whoever_asked_may_go_and_the_fate_is_still_written_down(
     stage: Stage, worker: PlayedWorker
 ) -> None:
-    asked = asyncio.create_task(stage.desk.ask(ANNA, WISH, id="mine"))
+    asked = asyncio.create_task(stage.commands.send(ANNA, COMMAND, id="mine"))
     command = await worker.hear(Command)
     assert isinstance(command, Command)
     asked.cancel()
-    await worker.update(fate(command, "verified"))
-    assert (await stage.desk.ask(ANNA, WISH, id="mine")).outcome == "verified"
+    await worker.update(result_of(command, "verified"))
+    assert (await stage.commands.send(ANNA, COMMAND, id="mine")).outcome == "verified"
     assert [event["outcome"] for event in await commands(stage)] == ["verified"]
     assert len(worker.commands) == 1
 
 
 async def test_whoever_has_lost_the_right_sends_nothing(stage: Stage, worker: PlayedWorker) -> None:
     stage.rights.withdrawn["anna"] = "rights withdrawn: the role was lowered; nothing more was sent"
-    for action in (WISH, ReadParameters(unit=1, numbers=[6])):
+    for action in (COMMAND, ReadParameters(unit=1, numbers=[6])):
         with pytest.raises(Problem, match="the role was lowered") as refused:
-            await stage.desk.ask(ANNA, action)
+            await stage.commands.send(ANNA, action)
         assert (refused.value.status, refused.value.code) == (403, "rights_withdrawn")
     assert worker.commands == []
     assert (await commands(stage))[-1]["outcome"] == "rights_withdrawn"
@@ -137,12 +137,12 @@ async def hand_over(stage: Stage) -> str:
 async def test_a_long_command_is_given_up_when_it_may_not_go_on(
     stage: Stage, worker: PlayedWorker, trouble: Callable[[Stage], Awaitable[str]], action: Action
 ) -> None:
-    asked = asyncio.create_task(stage.desk.ask(ANNA, action, timeout_s=30, confirm=True, id="mine"))
+    asked = asyncio.create_task(stage.commands.send(ANNA, action, timeout_s=30, confirm=True, id="mine"))
     command = await worker.hear(Command)
     assert isinstance(command, Command)
     reason = await trouble(stage)
     assert await worker.hear(Cancel) == Cancel(command.id)
-    await worker.update(fate(command, "not_sent", message=term("given up: every unit is back")))
+    await worker.update(result_of(command, "not_sent", message=term("given up: every unit is back")))
     assert str((await asked).message) == f"{reason}; given up: every unit is back"
     event = next(event for event in await commands(stage) if event["unit"] is None)
     assert (event["outcome"], event["message"]) == ("not_sent", f"{reason}; given up: every unit is back")
@@ -159,8 +159,8 @@ async def test_what_changes_after_the_check_is_seen_before_the_command_is_sent(
         reasons.append(await trouble(stage))
 
     worker.play = answering("verified")
-    stage.desk.on_write(keep)
-    result = await stage.desk.ask(ANNA, WriteParameter(unit=2, number=6, raw=50))
+    stage.commands.on_write(keep)
+    result = await stage.commands.send(ANNA, WriteParameter(unit=2, number=6, raw=50))
     assert (result.outcome, str(result.message)) == ("not_sent", reasons[0])
     assert worker.commands == []
     event = (await commands(stage))[-1]
@@ -168,9 +168,9 @@ async def test_what_changes_after_the_check_is_seen_before_the_command_is_sent(
 
 
 async def test_checking_alone_sends_and_writes_nothing(stage: Stage, worker: PlayedWorker) -> None:
-    stage.desk.check(ANNA, WISH)
+    stage.commands.check(ANNA, COMMAND)
     with pytest.raises(Problem) as refused:
-        stage.desk.check(ANNA, WriteParameter(unit=1, number=19, raw=0))
+        stage.commands.check(ANNA, WriteParameter(unit=1, number=19, raw=0))
     assert (refused.value.status, refused.value.code) == (409, "dangerous")
     assert worker.commands == []
     assert await commands(stage) == []
@@ -184,13 +184,13 @@ async def test_what_is_wanted_before_a_write_comes_first(stage: Stage, worker: P
 
     async def play(command: Command) -> Sequence[Update]:
         order.append("sent")
-        return [fate(command, "verified")]
+        return [result_of(command, "verified")]
 
     worker.play = play
-    stage.desk.on_write(keep)
-    await stage.desk.ask(ANNA, WriteParameter(unit=1, number=6, raw=50))
-    await stage.desk.ask(ANNA, WISH)
-    await stage.desk.ask(ANNA, ReadParameters(unit=1, numbers=[6]))
+    stage.commands.on_write(keep)
+    await stage.commands.send(ANNA, WriteParameter(unit=1, number=6, raw=50))
+    await stage.commands.send(ANNA, COMMAND)
+    await stage.commands.send(ANNA, ReadParameters(unit=1, numbers=[6]))
     kept = "kept anna [1]"
     assert order == [f"{kept} for parameters", "sent", kept, "sent", "sent"]
 

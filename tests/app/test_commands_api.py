@@ -29,7 +29,7 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.messages import term
-from tests.app.stage import PlayedWorker, Stage, answering, fate, reading, snapshot, unit_state
+from tests.app.stage import PlayedWorker, Stage, answering, reading, result_of, snapshot, unit_state
 
 
 @pytest.fixture
@@ -40,14 +40,14 @@ async def worker(worker: PlayedWorker) -> PlayedWorker:
 
 
 async def test_the_worker_is_told_of_a_write_before_it_comes(stage: Stage, worker: PlayedWorker) -> None:
-    await stage.ask("POST", "/units/1/speed", {"raw": 5})
+    await stage.request("POST", "/units/1/speed", {"raw": 5})
     told = [type(message) for message in worker.heard if isinstance(message, ReserveTurn | Command)]
     assert told == [ReserveTurn, Command]
 
 
 async def test_for_who_may_not_write_the_wire_waits_never(stage: Stage, worker: PlayedWorker) -> None:
-    assert (await stage.ask("POST", "/units/1/speed", {"raw": 5}, role="viewer")).status_code == 403
-    await stage.ask("GET", "/units/1/parameters?refresh=true")
+    assert (await stage.request("POST", "/units/1/speed", {"raw": 5}, role="viewer")).status_code == 403
+    await stage.request("GET", "/units/1/parameters?refresh=true")
     await worker.hear(Command)
     assert not any(isinstance(message, ReserveTurn) for message in worker.heard)
 
@@ -82,7 +82,7 @@ async def test_for_who_may_not_write_the_wire_waits_never(stage: Stage, worker: 
 async def test_what_is_asked_is_what_the_worker_gets(
     stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any, action: object
 ) -> None:
-    answer = await stage.ask(method, path, body)
+    answer = await stage.request(method, path, body)
     assert answer.status_code == 200, answer.text
     assert answer.json()["outcome"] == answer.json()["code"] == "verified"
     assert [command.action for command in worker.commands] == [action]
@@ -129,7 +129,7 @@ async def test_what_is_asked_is_what_the_worker_gets(
 async def test_bad_input_is_answered_in_words_and_nothing_is_sent(
     stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any
 ) -> None:
-    answer = await stage.ask(method, path, body)
+    answer = await stage.request(method, path, body)
     assert answer.status_code == 422, answer.text
     assert answer.headers["content-type"] == "application/problem+json"
     assert answer.json()["code"] == "invalid"
@@ -162,7 +162,7 @@ async def test_malformed_json_is_invalid(stage: Stage, worker: PlayedWorker) -> 
 async def test_what_there_is_not(
     stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any
 ) -> None:
-    answer = await stage.ask(method, path, body)
+    answer = await stage.request(method, path, body)
     assert answer.status_code == 404, answer.text
     assert worker.commands == []
 
@@ -189,7 +189,7 @@ async def test_each_fate_has_its_status(
     stage: Stage, worker: PlayedWorker, outcome: str, status: int
 ) -> None:
     worker.play = answering(outcome, message=term("as it was"))
-    answer = await stage.ask("POST", "/units/1/speed", {"raw": 5})
+    answer = await stage.request("POST", "/units/1/speed", {"raw": 5})
     assert answer.status_code == status
     said = answer.json()
     assert said["outcome"] == said["code"] == outcome
@@ -201,7 +201,7 @@ async def test_each_fate_has_its_status(
 
 async def test_a_refusal_names_the_units_error(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("refused", unit_error=128)
-    answer = await stage.ask("POST", "/units/1/speed", {"raw": 5})
+    answer = await stage.request("POST", "/units/1/speed", {"raw": 5})
     assert answer.status_code == 409
     said = answer.json()
     assert (said["outcome"], said["unit_error"]) == ("refused", 128)
@@ -221,7 +221,7 @@ async def test_a_line_action_answers_for_each_unit_with_frames(stage: Stage, wor
         meanings=[term("execute, all")],
     )
     worker.play = answering("unverified", units=units, skew_s=0.02, frames=[frame])
-    answer = await stage.ask("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
+    answer = await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
     said = answer.json()
     assert answer.status_code == 504
     assert said["units"]["1"]["outcome"] == "verified"
@@ -232,15 +232,15 @@ async def test_a_line_action_answers_for_each_unit_with_frames(stage: Stage, wor
 
 
 async def test_dangerous_needs_its_confirmation(stage: Stage, worker: PlayedWorker) -> None:
-    answer = await stage.ask("PUT", "/units/1/parameters/19", {"raw": 0})
+    answer = await stage.request("PUT", "/units/1/parameters/19", {"raw": 0})
     assert answer.status_code == 409
     assert answer.json()["code"] == answer.json()["outcome"] == "dangerous"
     assert worker.commands == []
 
 
 async def test_out_of_range_offers_the_nearest(stage: Stage, worker: PlayedWorker) -> None:
-    assert (await stage.ask("POST", "/units/1/speed", {"raw": 123456})).json()["nearest"] == 20000
-    assert (await stage.ask("PUT", "/units/1/analog-output", {"raw": 5})).json()["nearest"] == 100
+    assert (await stage.request("POST", "/units/1/speed", {"raw": 123456})).json()["nearest"] == 20000
+    assert (await stage.request("PUT", "/units/1/analog-output", {"raw": 5})).json()["nearest"] == 100
     assert worker.commands == []
 
 
@@ -251,20 +251,20 @@ async def test_the_time_is_passed_on(stage: Stage, worker: PlayedWorker) -> None
         ("/units/1/speed?timeout_s=20", {"raw": 5}, 20.0),
     ):
         before = time.time()
-        await stage.ask("POST", path, body)
+        await stage.request("POST", path, body)
         deadline = worker.commands[-1].deadline
         assert before + seconds - 1 < deadline <= time.time() + seconds
 
 
 async def test_the_same_key_is_sent_once_and_answers_the_same(stage: Stage, worker: PlayedWorker) -> None:
     key = {"Idempotency-Key": "mine-1"}
-    calls = (stage.ask("POST", "/units/1/speed", {"raw": 5}, headers=key) for _ in range(3))
+    calls = (stage.request("POST", "/units/1/speed", {"raw": 5}, headers=key) for _ in range(3))
     answers = await asyncio.gather(*calls)
-    again = await stage.ask("POST", "/units/1/speed", {"raw": 5}, headers=key)
+    again = await stage.request("POST", "/units/1/speed", {"raw": 5}, headers=key)
     assert {answer.text for answer in answers} == {again.text}
     assert again.json()["id"] == "mine-1"
     assert len(worker.commands) == 1
-    other = await stage.ask("POST", "/units/1/speed", {"raw": 6}, headers=key)
+    other = await stage.request("POST", "/units/1/speed", {"raw": 6}, headers=key)
     assert other.status_code == 422
 
 
@@ -278,11 +278,11 @@ async def test_a_value_reads_the_decimals_first_where_they_are_not_known(stage: 
             values = [
                 ParameterValue(1, number, time.time(), known[number]) for number in command.action.numbers
             ]
-            return [*values, fate(command, "verified", values=values)]
-        return [fate(command, "verified", read_back=1)]
+            return [*values, result_of(command, "verified", values=values)]
+        return [result_of(command, "verified", read_back=1)]
 
     worker.play = play
-    assert (await stage.ask("POST", "/units/1/speed", {"value": "12.34"})).status_code == 200
+    assert (await stage.request("POST", "/units/1/speed", {"value": "12.34"})).status_code == 200
     assert [command.action for command in worker.commands] == [
         ReadParameters(unit=1, numbers=[3, 8]),
         ReadParameters(unit=1, numbers=[2]),
@@ -293,14 +293,14 @@ async def test_a_value_reads_the_decimals_first_where_they_are_not_known(stage: 
 async def test_a_value_for_a_silent_unit_is_unverified_and_not_sent(stage: Stage) -> None:
     worker = await stage.worker(state=snapshot(units=[unit_state(1, {}), unit_state(2), unit_state(16)]))
     worker.play = answering("unverified", message=term("no answer"))
-    answer = await stage.ask("POST", "/units/1/speed", {"value": "12.3"})
+    answer = await stage.request("POST", "/units/1/speed", {"value": "12.3"})
     assert answer.status_code == 504
     assert "nothing was sent" in answer.json()["detail"]
     assert len(worker.commands) == 1
 
 
 async def test_parameters_as_last_read_and_read_anew(stage: Stage, worker: PlayedWorker) -> None:
-    rows = (await stage.ask("GET", "/units/1/parameters")).json()
+    rows = (await stage.request("GET", "/units/1/parameters")).json()
     assert [row["number"] for row in rows] == list(range(1, 41))
     assert rows[2]["raw"] == 1
     assert rows[4]["read_at"] is None
@@ -313,10 +313,10 @@ async def test_parameters_as_last_read_and_read_anew(stage: Stage, worker: Playe
             )
             for number in PARAMETERS
         ]
-        return [*values, fate(command, "verified", values=values)]
+        return [*values, result_of(command, "verified", values=values)]
 
     worker.play = play
-    rows = (await stage.ask("GET", "/units/1/parameters?refresh=true", role="viewer")).json()
+    rows = (await stage.request("GET", "/units/1/parameters?refresh=true", role="viewer")).json()
     assert rows[5]["raw"] == 7
     assert rows[5]["value"] == "0.7"
     assert rows[5]["unit"] == "s"
@@ -328,7 +328,7 @@ async def test_parameters_as_last_read_and_read_anew(stage: Stage, worker: Playe
 
 async def test_a_refresh_that_breaks_off_is_no_list(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("unverified", message=term("no answer"))
-    answer = await stage.ask("GET", "/units/1/parameters?refresh=true")
+    answer = await stage.request("GET", "/units/1/parameters?refresh=true")
     assert answer.status_code == 504
     assert answer.json()["code"] == "unverified"
 
@@ -341,7 +341,7 @@ async def test_the_password_is_in_no_answer_and_no_event(stage: Stage, worker: P
         meanings=[term("write #21 = 4242")],
     )
     worker.play = answering("verified", read_back=4242, frames=[frame])
-    answer = await stage.ask("PUT", "/units/1/parameters/21", {"raw": 4242})
+    answer = await stage.request("PUT", "/units/1/parameters/21", {"raw": 4242})
     assert answer.status_code == 200
     assert "4242" not in answer.text
     events = await stage.http().get("/api/v1/events?kind=command")
@@ -351,7 +351,7 @@ async def test_the_password_is_in_no_answer_and_no_event(stage: Stage, worker: P
 
 @pytest.mark.usefixtures("worker")
 async def test_every_command_is_an_event_with_old_new_and_fate(stage: Stage) -> None:
-    await stage.ask("POST", "/units/1/speed", {"raw": 1500}, role="operator", name="anna")
+    await stage.request("POST", "/units/1/speed", {"raw": 1500}, role="operator", name="anna")
     event = (await stage.http().get("/api/v1/events?kind=command")).json()["events"][0]
     expected = {"who": "anna", "bus": "dry-end", "unit": 1, "outcome": "verified", "kind": "command"}
     assert event.items() >= expected.items()
@@ -364,7 +364,7 @@ async def test_a_change_of_several_is_an_event_for_the_line_and_one_for_each_uni
 ) -> None:
     units = [UnitOutcome(unit=1, outcome="verified"), UnitOutcome(unit=2, outcome="unverified")]
     worker.play = answering("unverified", units=units, message=term("unit 2 did not answer"))
-    await stage.ask("POST", "/speeds", {"setpoints": {"1": {"raw": 1100}, "2": {"raw": 1200}}})
+    await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 1100}, "2": {"raw": 1200}}})
     events = (await stage.http().get("/api/v1/events?kind=command")).json()["events"]
     said = [(event["unit"], event["old"], event["new"], event["outcome"]) for event in reversed(events)]
     assert said == [
@@ -379,8 +379,8 @@ async def test_a_change_of_several_is_an_event_for_the_line_and_one_for_each_uni
 
 @pytest.mark.usefixtures("worker")
 async def test_a_refused_wish_is_an_event_too(stage: Stage) -> None:
-    await stage.ask("POST", "/units/1/speed", {"raw": 100000})
-    await stage.ask("PUT", "/units/1/parameters/18", {"raw": 48})
+    await stage.request("POST", "/units/1/speed", {"raw": 100000})
+    await stage.request("PUT", "/units/1/parameters/18", {"raw": 48})
     events = (await stage.http().get("/api/v1/events?kind=command")).json()["events"]
     assert [event["outcome"] for event in events] == ["dangerous", "invalid"]
 
@@ -405,8 +405,8 @@ async def test_a_refused_wish_is_an_event_too(stage: Stage) -> None:
 async def test_roles(
     stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any, role: str
 ) -> None:
-    assert (await stage.ask(method, path, body, role=role)).status_code == 403
-    assert (await stage.ask(method, path, body, role="")).status_code == 401
+    assert (await stage.request(method, path, body, role=role)).status_code == 403
+    assert (await stage.request(method, path, body, role="")).status_code == 401
     assert worker.commands == []
 
 
@@ -427,25 +427,25 @@ async def test_the_trace_is_read_in_pieces_and_its_file_can_be_read_back(
     async def play(command: Command) -> Sequence[Update]:
         assert isinstance(command.action, ReadTrace)
         wanted = [frame for frame in frames if frame.at >= command.action.since]
-        return [fate(command, "acknowledged", frames=wanted[: command.action.limit])]
+        return [result_of(command, "acknowledged", frames=wanted[: command.action.limit])]
 
     worker.play = play
-    text = (await stage.ask("GET", "/trace?seconds=60", role="engineer")).text
+    text = (await stage.request("GET", "/trace?seconds=60", role="engineer")).text
     lines = text.splitlines()
     assert len(lines) == 2500
     assert parse_trace_line(lines[7]).data == frames[7].data
-    shown = (await stage.ask("GET", "/trace?limit=3")).json()["frames"]
+    shown = (await stage.request("GET", "/trace?limit=3")).json()["frames"]
     assert [frame["time"] for frame in shown] == [frame.at for frame in frames[-3:]]
 
 
 async def test_the_shown_speed_changes_by_readings_alone(stage: Stage, worker: PlayedWorker) -> None:
-    await stage.ask("POST", "/units/1/speed", {"raw": 1500})
-    assert (await stage.ask("GET", "/units/1")).json()["commanded_raw"] == 1000
+    await stage.request("POST", "/units/1/speed", {"raw": 1500})
+    assert (await stage.request("GET", "/units/1")).json()["commanded_raw"] == 1000
 
     async def play(command: Command) -> Sequence[Update]:
-        return [reading(1, 1600), fate(command, "verified", read_back=1600)]
+        return [reading(1, 1600), result_of(command, "verified", read_back=1600)]
 
     worker.play = play
-    await stage.ask("POST", "/units/1/speed", {"raw": 1600})
-    unit = (await stage.ask("GET", "/units/1")).json()
+    await stage.request("POST", "/units/1/speed", {"raw": 1600})
+    unit = (await stage.request("GET", "/units/1")).json()
     assert (unit["commanded_raw"], unit["commanded"]) == (1600, "160.0")

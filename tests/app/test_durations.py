@@ -15,7 +15,7 @@ from app.web.deadline import Deadline
 from bus.contract import BusLink, Result, SetLine
 from bus.contract.durations import POLL_BYTES, change_s, longest_stage_s, stage_s
 from bus.settings import BAUDS
-from tests.app.played_desk import ANNA, a_bus, answering
+from tests.app.played_commands import ANNA, a_bus, answering
 from tests.app.whole_app import House, whole_app
 
 
@@ -45,12 +45,12 @@ async def test_pages_programs_and_recipes_give_a_change_the_same_time_at_any_bau
 ) -> None:
     given: list[float] = []
 
-    async def ask(_person: Any, action: Any, *, deadline: Deadline, **_: Any) -> Result:
+    async def send(_person: Any, action: Any, *, deadline: Deadline, **_: Any) -> Result:
         assert isinstance(action, SetLine)
         given.append(deadline.timeout_s)
         return Result("x", time.time(), "verified")
 
-    monkeypatch.setattr(house.services.buses["dry-end"].commands, "ask", ask)
+    monkeypatch.setattr(house.services.buses["dry-end"].commands, "ask", send)
     house.services.live.buses["dry-end"].apply([BusLink(at=1.0, link="open", baud=300)])
     operator = await house.signed_in(Role.OPERATOR)
     setpoints = {"raw-1": "700", "was-1": "1000", "raw-2": "800", "was-2": "1000"}

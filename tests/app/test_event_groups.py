@@ -43,10 +43,10 @@ async def change(house: House, units: int, *, failed: int | None = None, who: st
     log = house.services.events
     event, *numbers = await log.intend_together([whole, *parts], lambda c: link_parts(c, units))
     outcome = "verified" if failed is None else "unverified"
-    fates = dict.fromkeys(numbers, ("verified", ""))
+    results = dict.fromkeys(numbers, ("verified", ""))
     if failed is not None:
-        fates[numbers[failed - 1]] = ("unverified", f"unit {failed} did not answer")
-    await log.conclude_together(fates)  # type: ignore[arg-type]
+        results[numbers[failed - 1]] = ("unverified", f"unit {failed} did not answer")
+    await log.conclude_together(results)  # type: ignore[arg-type]
     await log.conclude(event, outcome)
     return event
 
@@ -114,8 +114,8 @@ async def test_a_command_to_several_units_is_written_as_one_change(
     stage: Stage, worker: PlayedWorker
 ) -> None:
     worker.play = answering("verified")
-    await stage.ask("POST", "/units/1/speed", {"raw": 90, "execute": True})
-    await stage.ask("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
+    await stage.request("POST", "/units/1/speed", {"raw": 90, "execute": True})
+    await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
     found, _ = await groups.page(stage.events, Filter(kind="command"), 10)
     assert [(row.event["unit"], [part["unit"] for part in row.parts]) for row in found] == [
         (None, [1, 2]),

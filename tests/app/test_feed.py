@@ -24,7 +24,7 @@ from bus.contract import (
     Welcome,
 )
 from bus.messages import Message, term
-from tests.app.stage import OWN_WORKER, Stage, fate, hello, reading, snapshot, staged, until
+from tests.app.stage import OWN_WORKER, Stage, hello, reading, result_of, snapshot, staged, until
 
 
 @pytest.mark.parametrize("role", ["", "viewer", "operator", "engineer", "admin"])
@@ -256,7 +256,7 @@ async def test_a_lost_worker_closes_the_bus_and_nothing_looks_fresh(stage: Stage
     assert line["link"] == "closed"
     assert line["link_cause"] == "the bus worker is not connected"
     assert {unit["link"] for unit in line["units"]} == {"stale"}
-    answer = await stage.ask("POST", "/units/1/speed", {"raw": 5})
+    answer = await stage.request("POST", "/units/1/speed", {"raw": 5})
     assert answer.status_code == 503
     assert answer.json()["code"] == "bus_closed"
 
@@ -290,7 +290,7 @@ async def test_times_of_a_worker_with_another_clock_are_shifted(stage: Stage) ->
 
 async def test_a_command_under_way_is_asked_again_of_the_same_worker(stage: Stage) -> None:
     worker = await stage.worker()
-    asked = asyncio.create_task(stage.ask("POST", "/units/1/speed", {"raw": 5}))
+    asked = asyncio.create_task(stage.request("POST", "/units/1/speed", {"raw": 5}))
     first = await worker.hear(Command)
     assert isinstance(first, Command)
     await worker.leave()
@@ -299,13 +299,13 @@ async def test_a_command_under_way_is_asked_again_of_the_same_worker(stage: Stag
     await back.say(snapshot())
     again = await back.hear(Command)
     assert again == first
-    await back.update(fate(first, "verified", read_back=5))
+    await back.update(result_of(first, "verified", read_back=5))
     assert (await asked).status_code == 200
 
 
 async def test_a_command_under_way_is_unverified_with_another_worker(stage: Stage) -> None:
     worker = await stage.worker()
-    asked = asyncio.create_task(stage.ask("POST", "/units/1/speed", {"raw": 5}))
+    asked = asyncio.create_task(stage.request("POST", "/units/1/speed", {"raw": 5}))
     await worker.hear(Command)
     await worker.leave(GOING_AWAY)
     stranger = await stage.worker(hello("w2"))

@@ -4,14 +4,14 @@ import pytest
 
 from app.live.screen.fields import bus_fields, health_fields, unit_fields
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitFigures
-from tests.app.screens import AT_SPEED, REMOTE, line, reading, voice
+from tests.app.screens import AT_SPEED, REMOTE, line, reading, translator
 
 
 def fields(tag: str = "en", **changes: int) -> dict[str, str]:
     live = line()
     bus = live.buses["dry"]
     live.buses["dry"].apply([reading(**changes)])
-    return unit_fields(bus, bus.units[1], "online", voice(tag))
+    return unit_fields(bus, bus.units[1], "online", translator(tag))
 
 
 def test_numbers_are_in_the_unit_s_own_decimals_and_the_language_s_sign() -> None:
@@ -45,7 +45,7 @@ def test_without_the_span_there_is_no_position() -> None:
     live = line()
     bus = live.buses["dry"]
     live.buses["dry"].apply([ParameterValue(unit=1, number=2, at=100.0, raw=None, available=False)])
-    shown = unit_fields(bus, bus.units[1], "online", voice())
+    shown = unit_fields(bus, bus.units[1], "online", translator())
     assert (shown["fill"], shown["mark"], shown["band"]) == ("", "", "")
 
 
@@ -53,7 +53,7 @@ def test_a_unit_never_heard_is_unknown_and_not_zero() -> None:
     live = line()
     bus = live.buses["dry"]
     bus.units[1].reading = None
-    shown = unit_fields(bus, bus.units[1], "unknown", voice())
+    shown = unit_fields(bus, bus.units[1], "unknown", translator())
     assert (shown["actual"], shown["at"], shown["state_text"]) == ("–", "", "not known")  # noqa: RUF001
 
 
@@ -69,7 +69,7 @@ def test_local_and_keylock_are_told_apart_by_parameter_19() -> None:
     live = line()
     bus = live.buses["dry"]
     live.buses["dry"].apply([reading(outputs=0), ParameterValue(unit=1, number=19, at=100.0, raw=2)])
-    assert unit_fields(bus, bus.units[1], "online", voice())["mode_text"] == "KEYLOCK"
+    assert unit_fields(bus, bus.units[1], "online", translator())["mode_text"] == "KEYLOCK"
 
 
 def test_analog_is_in_its_units() -> None:
@@ -77,7 +77,7 @@ def test_analog_is_in_its_units() -> None:
 
 
 def test_a_bus_without_figures_says_that_it_does_not_know() -> None:
-    shown = bus_fields(line().buses["dry"], voice(), 100.5)
+    shown = bus_fields(line().buses["dry"], translator(), 100.5)
     assert (shown["scan"], shown["wire"]) == ("–", "–")  # noqa: RUF001
     assert shown["stale_after"] == "2.00"
 
@@ -85,7 +85,7 @@ def test_a_bus_without_figures_says_that_it_does_not_know() -> None:
 def test_the_rate_of_a_bus_is_said_wherever_it_is_shown() -> None:
     live = line()
     live.buses["dry"].apply([BusLink(at=100.0, link="open", baud=4800)])
-    shown = bus_fields(live.buses["dry"], voice("de"), 100.5)
+    shown = bus_fields(live.buses["dry"], translator("de"), 100.5)
     assert (shown["baud"], shown["carries"]) == ("4800", "dessen, was 4800 Baud tragen")
 
 
@@ -94,7 +94,7 @@ def test_a_bus_s_figures_are_texts() -> None:
     live.buses["dry"].apply(
         [BusFigures(at=100.0, scan_hz=4.8, scan_s=1.5, wire_utilisation=0.976, scan_s_with_one_more=1.6)],
     )
-    shown = bus_fields(live.buses["dry"], voice("de"), 100.5)
+    shown = bus_fields(live.buses["dry"], translator("de"), 100.5)
     assert (shown["scan"], shown["wire"], shown["stale_after"]) == ("1,50 s", "98 %", "3.00")
 
 
@@ -102,6 +102,6 @@ def test_health_names_each_refusal() -> None:
     figures = UnitFigures(
         unit=1, polls=10, answers=8, naks={0x80: 2}, answer_s_median=0.003, answer_s_max=0.04
     )
-    shown = health_fields(figures, voice("de"))
+    shown = health_fields(figures, translator("de"))
     assert shown["naks"] == "2 x Regler ist nicht in REMOTE"
     assert shown["answer_time"] == "3,0 ms, höchstens 40,0 ms"

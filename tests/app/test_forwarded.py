@@ -205,13 +205,13 @@ async def test_behind_a_proxy_each_address_has_so_many_requests_under_way() -> N
 
     forwarded = Forwarded(app, PROXIES)
 
-    async def ask(client: str) -> None:
+    async def request(client: str) -> None:
         headers = [(b"x-forwarded-for", client.encode())]
         scope = {"type": "http", "headers": headers, "client": ("10.0.0.5", 1), "method": "GET", "path": "/"}
         await forwarded(scope, receive, send)
 
-    asked = [asyncio.create_task(ask("198.51.100.9")) for _ in range(MOST_UNDER_WAY + 1)]
-    asked.append(asyncio.create_task(ask("198.51.100.10")))
+    asked = [asyncio.create_task(request("198.51.100.9")) for _ in range(MOST_UNDER_WAY + 1)]
+    asked.append(asyncio.create_task(request("198.51.100.10")))
     while not statuses:  # noqa: ASYNC110
         await asyncio.sleep(0)
     assert statuses == [429]

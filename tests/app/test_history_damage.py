@@ -51,7 +51,7 @@ def test_a_damaged_block_costs_itself_and_the_rest_is_read(shelf: Shelf) -> None
     shelf.keep(polls(NOON, NOON + 180))
     shelf.fold()
     spoil(shelf.database.path, "raw", START + MINUTE)
-    found = shelf.ask("actual", NOON, NOON + 180)
+    found = shelf.query("actual", NOON, NOON + 180)
     assert [block.start for block in found.damaged] == [START + MINUTE]
     assert found.series.average.count(None) == 1
     kept = [t for t, v in zip(found.series.at, found.series.average, strict=True) if v is not None]
@@ -69,7 +69,7 @@ def test_folding_goes_on_past_it(shelf: Shelf, table: str, late: bool) -> None:
     shelf.keep(polls(NOON + 30.1, NOON + 90) if late else polls(NOON + 60, NOON + 90))
     shelf.fold()
     assert len(shelf.tail) == 0
-    found = shelf.ask("actual", NOON + 60, NOON + 90)
+    found = shelf.query("actual", NOON + 60, NOON + 90)
     assert len(found.series.at) == 150
     assert not found.damaged
 
@@ -111,7 +111,7 @@ def test_an_hour_with_a_damaged_minute_is_packed_without_it(shelf: Shelf) -> Non
         shelf.database.write_now(lambda c: compact(c, key, START))
     upkeep = Upkeep(shelf.database, Keep(), Repair(shelf.database, lambda _: None))
     upkeep.compact(START + 2 * HOUR, float("inf"))
-    found = shelf.ask("actual", NOON, NOON + 180)
+    found = shelf.query("actual", NOON, NOON + 180)
     assert (len(found.series.at), found.damaged) == (601, [])
 
 
@@ -158,7 +158,7 @@ async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: P
         history.append(BUS.name, polls(NOON + 1200, NOON + 1260))
         until(lambda: history.status.state == "ok" and history.status.waiting == 0)
         question = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON + 1200), micros(NOON + 1260), 1000)
-        assert len((await history.ask([question]))[0].series.at) == 300
+        assert len((await history.query([question]))[0].series.at) == 300
     finally:
         history.close()
     with closing(sqlite3.connect(tmp_path / FILE)) as connection:

@@ -25,7 +25,7 @@ def shelf(tmp_path: Path) -> Iterator[Shelf]:
 def test_readings_are_found_before_and_after_they_are_folded(shelf: Shelf) -> None:
     shelf.keep([parameter(3, 1), *polls(NOON, NOON + 60)])
     for _ in range(2):
-        found = shelf.ask("actual", NOON, NOON + 60)
+        found = shelf.query("actual", NOON, NOON + 60)
         assert (found.resolution, found.bucket, found.decimals) == ("readings", 0, 1)
         assert found.series.least == found.series.greatest == found.series.average
         assert found.series.average == [(1000 + i % 7) / 10 for i in range(300)]
@@ -38,7 +38,7 @@ def test_an_idle_line_costs_little_and_is_no_hole(shelf: Shelf) -> None:
     shelf.fold()
     rows = shelf.database.read_now(lambda c: c.execute("SELECT sum(points) FROM raw").fetchone()[0])
     assert rows <= 2 * 6
-    found = shelf.ask("actual", NOON + 30, NOON + 200)
+    found = shelf.query("actual", NOON + 30, NOON + 200)
     assert set(found.series.average) == {1000.0}
     assert (found.series.at[0], found.series.at[-1]) == (micros(NOON + 30), micros(NOON + 200))
 
@@ -48,11 +48,11 @@ def test_a_unit_that_fell_silent_leaves_a_hole(shelf: Shelf) -> None:
     shelf.keep([UnitLink(1, NOON + 11, "stale")])
     shelf.keep(polls(NOON + 13, NOON + 20, lambda _: 1000))
     for _ in range(2):
-        found = shelf.ask("actual", NOON, NOON + 20)
+        found = shelf.query("actual", NOON, NOON + 20)
         place = found.series.average.index(None)
         assert found.series.average == [1000.0, 1000.0, None, 1000.0, 1000.0]
         assert micros(NOON + 9) < found.series.at[place] < micros(NOON + 13)
-        assert shelf.ask("run", NOON, NOON + 20).series.average == [1.0, 1.0, None, 1.0, 1.0]
+        assert shelf.query("run", NOON, NOON + 20).series.average == [1.0, 1.0, None, 1.0, 1.0]
         shelf.fold()
 
 
@@ -60,13 +60,13 @@ def test_a_closed_port_leaves_a_hole_in_every_unit(shelf: Shelf) -> None:
     shelf.keep([BusLink(NOON - 1, "open"), *polls(NOON, NOON + 10)])
     shelf.keep([BusLink(NOON + 11, "closed", "unplugged")])
     shelf.keep(polls(NOON + 12, NOON + 20))
-    assert shelf.ask("actual", NOON, NOON + 20).series.average.count(None) == 1
+    assert shelf.query("actual", NOON, NOON + 20).series.average.count(None) == 1
 
 
 def test_another_rate_of_an_open_port_leaves_none(shelf: Shelf) -> None:
     shelf.keep([BusLink(NOON - 1, "open", baud=9600), *polls(NOON, NOON + 10)])
     shelf.keep([BusLink(NOON - 1, "open", baud=4800), *polls(NOON + 10, NOON + 20)])
-    assert shelf.ask("actual", NOON, NOON + 20).series.average.count(None) == 0
+    assert shelf.query("actual", NOON, NOON + 20).series.average.count(None) == 0
     said = shelf.database.read_now(lambda c: c.execute("SELECT count(*) FROM link").fetchone()[0])
     assert said == 1
 
@@ -74,7 +74,7 @@ def test_another_rate_of_an_open_port_leaves_none(shelf: Shelf) -> None:
 def test_a_unit_lost_and_back_within_one_commit_leaves_a_hole(shelf: Shelf) -> None:
     before, after = polls(NOON, NOON + 5, lambda _: 1000), polls(NOON + 6, NOON + 10, lambda _: 1000)
     shelf.keep([*before, UnitLink(1, NOON + 5.5, "stale"), UnitLink(1, NOON + 6, "online"), *after])
-    assert shelf.ask("actual", NOON, NOON + 10).series.average.count(None) == 1
+    assert shelf.query("actual", NOON, NOON + 10).series.average.count(None) == 1
 
 
 @pytest.mark.parametrize("value", ["actual", "run"])
@@ -85,7 +85,7 @@ def test_a_server_killed_and_started_again_at_once_leaves_a_hole(shelf: Shelf, v
         shelf.keep(polls(start, NOON + 10 * ((start - NOON) // 10 + 1), lambda _: 1000))
         shelf.start_again()
     for _ in range(2):
-        found = shelf.ask(value, NOON, NOON + 30).series
+        found = shelf.query(value, NOON, NOON + 30).series
         assert [i for i, v in enumerate(found.average) if v is None] == [2, 5]
         assert [found.at[i] // 1_000_000 - int(NOON) for i in (2, 5)] == [10, 20]
         shelf.fold()
@@ -96,7 +96,7 @@ def test_a_hole_that_was_said_outlives_a_crash(shelf: Shelf) -> None:
     shelf.keep([BusLink(NOON + 5.1, "closed", "unplugged"), BusLink(NOON + 5.8, "open")])
     shelf.keep(polls(NOON + 6, NOON + 10, lambda _: 1000))
     shelf.start_again()
-    assert shelf.ask("actual", NOON, NOON + 10).series.average.count(None) == 1
+    assert shelf.query("actual", NOON, NOON + 10).series.average.count(None) == 1
 
 
 def test_what_a_snapshot_says_does_not_hide_what_was_before_it(shelf: Shelf) -> None:
@@ -107,7 +107,7 @@ def test_what_a_snapshot_says_does_not_hide_what_was_before_it(shelf: Shelf) -> 
     shelf.keep([UnitLink(1, NOON + 6, "online"), *polls(NOON + 6, NOON + 8, lambda _: 1000)])
     shelf.keep([UnitLink(1, NOON + 8.5, "stale"), UnitLink(1, NOON + 9, "online")])
     shelf.keep(polls(NOON + 9, NOON + 12, lambda _: 1000))
-    assert shelf.ask("actual", NOON, NOON + 12).series.average.count(None) == 2
+    assert shelf.query("actual", NOON, NOON + 12).series.average.count(None) == 2
 
 
 def test_what_is_delivered_twice_hides_no_hole(shelf: Shelf) -> None:
@@ -116,7 +116,7 @@ def test_what_is_delivered_twice_hides_no_hole(shelf: Shelf) -> None:
     shelf.keep([UnitLink(1, NOON + 5.5, "stale"), UnitLink(1, NOON + 8, "online")])
     shelf.keep([*first[10:], *polls(NOON + 8, NOON + 10, lambda _: 1000)])
     for value in ("actual", "run"):
-        assert shelf.ask(value, NOON, NOON + 10).series.average.count(None) == 1
+        assert shelf.query(value, NOON, NOON + 10).series.average.count(None) == 1
 
 
 def test_late_minutes_are_worked_out_again(shelf: Shelf, tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_late_minutes_are_worked_out_again(shelf: Shelf, tmp_path: Path) -> None
         shelf.fold()
     for value in ("actual", "commanded", "analog", "run"):
         for most in (20_000, 50, 7):
-            late, early = (each.ask(value, NOON, NOON + 600, most) for each in (shelf, punctual))
+            late, early = (each.query(value, NOON, NOON + 600, most) for each in (shelf, punctual))
             assert late == early
     assert rows_of(shelf) == rows_of(punctual)
     punctual.close()
@@ -156,24 +156,24 @@ def test_an_hour_that_is_over_is_packed_and_still_takes_late_readings(shelf: She
     shelf.keep(polls(NOON, NOON + 180))
     shelf.keep(polls(NOON + 240, NOON + 300))
     shelf.fold()
-    before = shelf.ask("actual", NOON, NOON + 300)
+    before = shelf.query("actual", NOON, NOON + 300)
     shelf.database.write_now(lambda c: compact(c, 1, micros(NOON)))
     spans = shelf.database.read_now(lambda c: c.execute("SELECT span FROM raw").fetchall())
     assert [row[0] for row in spans] == [HOUR]
-    assert shelf.ask("actual", NOON, NOON + 300) == before
+    assert shelf.query("actual", NOON, NOON + 300) == before
     shelf.keep(polls(NOON + 180, NOON + 240))
     shelf.fold()
-    assert shelf.ask("actual", NOON, NOON + 300).series.average.count(None) == 0
+    assert shelf.query("actual", NOON, NOON + 300).series.average.count(None) == 0
 
 
 def test_what_was_on_disk_survives_a_crash(shelf: Shelf) -> None:
     shelf.keep([parameter(3, 0), *polls(NOON, NOON + 30)])
     shelf.keep(polls(NOON + 30, NOON + 90))
-    before = shelf.ask("actual", NOON, NOON + 90)
+    before = shelf.query("actual", NOON, NOON + 90)
     again = Shelf(shelf.database.path)
-    assert again.ask("actual", NOON, NOON + 90) == before
+    assert again.query("actual", NOON, NOON + 90) == before
     again.fold()
-    assert again.ask("actual", NOON, NOON + 90) == before
+    assert again.query("actual", NOON, NOON + 90) == before
     journal = again.database.read_now(lambda c: c.execute("SELECT count(*) FROM journal").fetchone()[0])
     assert journal == 0
     again.close()
@@ -183,10 +183,10 @@ def test_a_crash_between_folding_and_forgetting_counts_nothing_twice(shelf: Shel
     readings = polls(NOON, NOON + 120)
     shelf.keep(readings)
     shelf.fold()
-    once = shelf.ask("actual", NOON, NOON + 120, 2), rows_of(shelf)
+    once = shelf.query("actual", NOON, NOON + 120, 2), rows_of(shelf)
     shelf.keep(readings)
     shelf.fold()
-    assert (shelf.ask("actual", NOON, NOON + 120, 2), rows_of(shelf)) == once
+    assert (shelf.query("actual", NOON, NOON + 120, 2), rows_of(shelf)) == once
 
 
 def test_a_clock_set_back_an_hour_loses_nothing(shelf: Shelf) -> None:
@@ -195,7 +195,7 @@ def test_a_clock_set_back_an_hour_loses_nothing(shelf: Shelf) -> None:
     shelf.keep(first)
     shelf.keep(again)
     shelf.fold()
-    found = shelf.ask("actual", NOON, NOON + 121)
+    found = shelf.query("actual", NOON, NOON + 121)
     assert sorted(v for v in found.series.average if v is not None) == sorted(
         float(r.actual) for r in first + again if hasattr(r, "actual")
     )
@@ -206,21 +206,21 @@ def test_a_long_span_is_answered_by_minutes_and_hours(shelf: Shelf) -> None:
     readings = [reading(NOON + i * 20.0, 1000 + i % 3) for i in range(3 * 1440)]
     shelf.keep([parameter(3, 0), *readings])
     shelf.fold()
-    day = shelf.ask("actual", NOON, NOON + 86_400, 100)
+    day = shelf.query("actual", NOON, NOON + 86_400, 100)
     assert (day.resolution, len(day.series.at) <= 100) == ("minutes", True)
     assert (set(day.series.least), set(day.series.greatest)) == ({1000.0}, {1002.0})
     assert set(day.series.average) == {1001.0}
-    assert shelf.ask("actual", NOON, NOON + 86_400, 20).resolution == "hours"
-    assert shelf.ask("remote", NOON, NOON + 86_400, 20).series.average == [1.0, 1.0]
+    assert shelf.query("actual", NOON, NOON + 86_400, 20).resolution == "hours"
+    assert shelf.query("remote", NOON, NOON + 86_400, 20).series.average == [1.0, 1.0]
 
 
 def test_bits_are_kept_exactly_when_the_readings_are_given_up(shelf: Shelf) -> None:
     readings = [reading(NOON + i / 5, inputs=0b10 | (i // 100 % 2)) for i in range(1000)]
     shelf.keep(readings)
     shelf.fold()
-    exact = shelf.ask("run", NOON, NOON + 200)
+    exact = shelf.query("run", NOON, NOON + 200)
     assert len(exact.series.at) == 2 * 10
     shelf.database.write_now(lambda c: tables.write_raw_from(c, micros(NOON + 86_400)))
     shelf.database.write_now(lambda c: tables.drop_raw(c, micros(NOON + 86_400), 1000))
-    assert shelf.ask("run", NOON, NOON + 200) == exact
-    assert shelf.ask("actual", NOON, NOON + 200).resolution == "minutes"
+    assert shelf.query("run", NOON, NOON + 200) == exact
+    assert shelf.query("actual", NOON, NOON + 200).resolution == "minutes"

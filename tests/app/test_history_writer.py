@@ -28,7 +28,7 @@ def test_what_was_taken_in_is_there_after_the_end(tmp_path: Path) -> None:
     writer.close()
     shelf = Shelf(tmp_path / "history.db")
     assert len(shelf.tail) == 0
-    assert len(shelf.ask("actual", NOON, NOON + 90).series.at) == 450
+    assert len(shelf.query("actual", NOON, NOON + 90).series.at) == 450
     shelf.close()
 
 

@@ -18,10 +18,10 @@ from app.live.command_ids import key_of
 from app.web.access import Person, Role
 from bus.contract import Action, Command, Result, SetLine, SetSpeed, UnitOutcome, WriteParameter
 from bus.messages import Message, term
-from tests.app.stage import PlayedWorker, Stage, answering, fate
+from tests.app.stage import PlayedWorker, Stage, answering, result_of
 
 ANNA = Person("anna", Role.ENGINEER, "token")
-WISH = SetSpeed(unit=1, raw=5)
+COMMAND = SetSpeed(unit=1, raw=5)
 
 
 def restarted(stage: Stage) -> CommandService:
@@ -31,8 +31,8 @@ def restarted(stage: Stage) -> CommandService:
 
 async def test_a_known_fate_is_given_again_and_nothing_is_sent(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("refused", unit_error=129, message=term("value above max"))
-    first = await stage.desk.ask(ANNA, WISH, id="mine")
-    again = await restarted(stage).ask(ANNA, WISH, id="mine")
+    first = await stage.commands.send(ANNA, COMMAND, id="mine")
+    again = await restarted(stage).send(ANNA, COMMAND, id="mine")
     assert (again.outcome, again.unit_error, again.message) == ("refused", 129, term("value above max"))
     assert again.at == first.at
     assert len(worker.commands) == 1
@@ -41,12 +41,12 @@ async def test_a_known_fate_is_given_again_and_nothing_is_sent(stage: Stage, wor
 async def test_what_was_open_at_the_restart_is_unverified_and_not_sent_again(
     stage: Stage, worker: PlayedWorker
 ) -> None:
-    open_still = asyncio.create_task(stage.desk.ask(ANNA, WISH, id="mine"))
+    open_still = asyncio.create_task(stage.commands.send(ANNA, COMMAND, id="mine"))
     command = await worker.hear(Command)
     assert isinstance(command, Command)
-    again = await restarted(stage).ask(ANNA, WISH, id="mine")
+    again = await restarted(stage).send(ANNA, COMMAND, id="mine")
     assert (again.outcome, again.message) == ("unverified", Message("server_stopped"))
-    await worker.update(fate(command, "verified"))
+    await worker.update(result_of(command, "verified"))
     assert (await open_still).outcome == "verified"
     assert len(worker.commands) == 1
 
@@ -55,9 +55,9 @@ async def test_an_id_of_another_command_is_refused_after_a_restart_too(
     stage: Stage, worker: PlayedWorker
 ) -> None:
     worker.play = answering("verified")
-    await stage.desk.ask(ANNA, WISH, id="mine")
+    await stage.commands.send(ANNA, COMMAND, id="mine")
     with pytest.raises(Problem) as refused:
-        await restarted(stage).ask(ANNA, SetSpeed(unit=1, raw=6), id="mine")
+        await restarted(stage).send(ANNA, SetSpeed(unit=1, raw=6), id="mine")
     assert (refused.value.status, refused.value.code) == (422, "invalid")
     assert len(worker.commands) == 1
 
@@ -69,8 +69,8 @@ async def test_what_was_refused_before_it_was_sent_may_be_asked_again(
 
     worker.play = answering("verified")
     with pytest.raises(Problem):
-        await stage.desk.ask(ANNA, dangerous, id="mine")
-    confirmed = await restarted(stage).ask(ANNA, dangerous, confirm=True, id="mine")
+        await stage.commands.send(ANNA, dangerous, id="mine")
+    confirmed = await restarted(stage).send(ANNA, dangerous, confirm=True, id="mine")
     assert confirmed.outcome == "verified"
     assert len(worker.commands) == 1
 
@@ -88,12 +88,12 @@ SENDERS = [
 async def test_a_key_is_its_senders_own(stage: Stage, worker: PlayedWorker, other: Person) -> None:
     """Two who count their commands from 1 neither hinder each other nor see what became of the other's."""
     worker.play = answering("verified", read_back=5)
-    await stage.desk.ask(ANNA, WISH, id="1")
+    await stage.commands.send(ANNA, COMMAND, id="1")
     worker.play = answering("refused", unit_error=129)
-    for desk in (stage.desk, restarted(stage)):
-        first = await desk.ask(other, SetSpeed(unit=2, raw=7), id="1")
+    for commands in (stage.commands, restarted(stage)):
+        first = await commands.send(other, SetSpeed(unit=2, raw=7), id="1")
         assert (first.id, first.outcome, first.read_back) == ("1", "refused", None)
-        mine = await desk.ask(ANNA, WISH, id="1")
+        mine = await commands.send(ANNA, COMMAND, id="1")
         assert (mine.id, mine.outcome, mine.read_back) == ("1", "verified", 5)
     assert len(worker.commands) == 2
 
@@ -102,17 +102,17 @@ async def test_no_two_commands_have_the_same_id_at_the_worker(stage: Stage, work
     """It repeats the result of an id that it knows: of somebody else's, or of last week's."""
     worker.play = answering("verified")
     for person in (ANNA, *SENDERS):
-        await stage.desk.ask(person, WISH, id="1")
+        await stage.commands.send(person, COMMAND, id="1")
     await stage.database.write(lambda connection: connection.execute("DELETE FROM idempotency"))
-    await restarted(stage).ask(ANNA, WISH, id="1")
+    await restarted(stage).send(ANNA, COMMAND, id="1")
     assert len({command.id for command in worker.commands}) == len(SENDERS) + 2
     assert {key_of(command.id) for command in worker.commands} == {"1"}
 
 
 async def test_two_requests_with_one_key_at_once_are_one_command(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("verified", read_back=5)
-    asked = [stage.desk.ask(ANNA, WISH, id="mine") for _ in range(5)]
-    other = stage.desk.ask(ANNA, SetSpeed(unit=1, raw=6), id="mine")
+    asked = [stage.commands.send(ANNA, COMMAND, id="mine") for _ in range(5)]
+    other = stage.commands.send(ANNA, SetSpeed(unit=1, raw=6), id="mine")
     *same, refused = await asyncio.gather(*asked, other, return_exceptions=True)
     assert {result.read_back for result in same if isinstance(result, Result)} == {5}
     assert len(same) == 5
@@ -130,9 +130,9 @@ async def test_what_could_not_be_written_down_may_be_asked_again(
     worker.play = answering("verified")
     monkeypatch.setattr(stage.events, "intend_together", full)
     with pytest.raises(StoreError):
-        await stage.desk.ask(ANNA, WISH, id="mine")
+        await stage.commands.send(ANNA, COMMAND, id="mine")
     monkeypatch.undo()
-    assert (await stage.desk.ask(ANNA, WISH, id="mine")).outcome == "verified"
+    assert (await stage.commands.send(ANNA, COMMAND, id="mine")).outcome == "verified"
     assert len(worker.commands) == 1
 
 
@@ -140,12 +140,12 @@ async def test_the_order_of_the_setpoints_is_not_part_of_the_command(
     stage: Stage, worker: PlayedWorker
 ) -> None:
     worker.play = answering("verified")
-    await stage.desk.ask(ANNA, SetLine(setpoints={1: 5, 2: 6}), id="mine")
-    await restarted(stage).ask(ANNA, SetLine(setpoints={2: 6, 1: 5}), id="mine")
+    await stage.commands.send(ANNA, SetLine(setpoints={1: 5, 2: 6}), id="mine")
+    await restarted(stage).send(ANNA, SetLine(setpoints={2: 6, 1: 5}), id="mine")
     assert len(worker.commands) == 1
 
 
-def wish(key: str | None, action: Action = WISH) -> CommandRequest:
+def request(key: str | None, action: Action = COMMAND) -> CommandRequest:
     return CommandRequest("id", ANNA, "dry-end", action, deadline=0.0, origin="api", key=key)
 
 
@@ -156,13 +156,13 @@ class Table:
         self._database = stage.database
         self._ring = stage.events.keys.ring
 
-    async def begin(self, wish: CommandRequest, now: float, *, ends: bool = True) -> None:
+    async def begin(self, request: CommandRequest, now: float, *, ends: bool = True) -> None:
         result = Result("id", now, "verified", read_back=17, units=[UnitOutcome(1, "verified", read_back=17)])
 
         def work(connection: sqlite3.Connection) -> None:
-            idempotency.begin(connection, wish, self._ring, now)
+            idempotency.begin(connection, request, self._ring, now)
             if ends:
-                idempotency.end(connection, wish, without_secret(wish.action, result))
+                idempotency.end(connection, request, without_secret(request.action, result))
 
         await self._database.write(work)
 
@@ -178,8 +178,8 @@ class Table:
 
 async def test_keys_are_forgotten_in_the_end(stage: Stage) -> None:
     table = Table(stage)
-    await table.begin(wish("old"), 0.0)
-    await table.begin(wish("new"), idempotency.KEPT_S + 1)
+    await table.begin(request("old"), 0.0)
+    await table.begin(request("new"), idempotency.KEPT_S + 1)
     assert not await table.knows("old")
     assert await table.knows("new")
 
@@ -189,11 +189,11 @@ async def test_a_sender_with_many_keys_forgets_its_own_oldest(
 ) -> None:
     monkeypatch.setattr(idempotency, "MOST_OF_A_SENDER", 10)
     table = Table(stage)
-    others = CommandRequest("id", BEN, "dry-end", WISH, deadline=0.0, origin="api", key="first")
+    others = CommandRequest("id", BEN, "dry-end", COMMAND, deadline=0.0, origin="api", key="first")
     await table.begin(others, 0.0)
-    await table.begin(wish("open"), 0.5, ends=False)
+    await table.begin(request("open"), 0.5, ends=False)
     for number in range(20):
-        await table.begin(wish(str(number)), 1.0 + number)
+        await table.begin(request(str(number)), 1.0 + number)
     assert [await table.knows(str(number)) for number in (8, 9, 10, 19)] == [False, False, True, True]
     assert await table.knows("open"), "it may be under way"
     assert len(await table.rows()) == 12
@@ -203,14 +203,14 @@ async def test_a_command_without_a_key_is_not_kept(stage: Stage, worker: PlayedW
     worker.play = answering("verified")
     for key in (None, ""):
         for _ in range(2):
-            await stage.desk.ask(ANNA, WISH, id=key)
+            await stage.commands.send(ANNA, COMMAND, id=key)
     assert len(worker.commands) == 4
     assert await Table(stage).rows() == []
 
 
 async def test_nothing_of_a_secret_is_stored(stage: Stage) -> None:
     table = Table(stage)
-    await table.begin(wish("mine", WriteParameter(unit=1, number=21, raw=17)), 1.0)
+    await table.begin(request("mine", WriteParameter(unit=1, number=21, raw=17)), 1.0)
     [(_, _, _, command, result)] = await table.rows()
     assert isinstance(result, bytes)
     assert b"17" not in result
@@ -221,16 +221,16 @@ async def test_nothing_of_a_secret_is_stored(stage: Stage) -> None:
 
 async def test_a_result_that_cannot_be_read_is_unverified(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("verified")
-    await stage.desk.ask(ANNA, WISH, id="mine")
+    await stage.commands.send(ANNA, COMMAND, id="mine")
     await stage.database.write(lambda c: c.execute("UPDATE idempotency SET result = x'7b'"))
-    again = await restarted(stage).ask(ANNA, WISH, id="mine")
+    again = await restarted(stage).send(ANNA, COMMAND, id="mine")
     assert (again.outcome, again.message) == ("unverified", idempotency.UNREADABLE)
     assert len(worker.commands) == 1
 
 
 async def test_a_newer_key_of_the_log_forgets_no_command(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("verified")
-    await stage.desk.ask(ANNA, WISH, id="mine")
+    await stage.commands.send(ANNA, COMMAND, id="mine")
     stage.events.keys.rotate()
-    assert (await restarted(stage).ask(ANNA, WISH, id="mine")).outcome == "verified"
+    assert (await restarted(stage).send(ANNA, COMMAND, id="mine")).outcome == "verified"
     assert len(worker.commands) == 1

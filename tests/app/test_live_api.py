@@ -12,17 +12,17 @@ async def test_the_line_a_bus_a_unit(stage: Stage) -> None:
     assert line["site"] == "Test line"
     bus = (await stage.http("viewer").get("/api/v1/buses/dry-end")).json()
     assert [unit["id"] for unit in bus["units"]] == [1, 2, 16]
-    unit = (await stage.ask("GET", "/units/16", role="viewer")).json()
+    unit = (await stage.request("GET", "/units/16", role="viewer")).json()
     assert (unit["name"], unit["link"], unit["commanded"]) == ("Unit 16", "online", "100.0")
 
 
 async def test_figures_before_and_after_they_are_measured(stage: Stage) -> None:
     worker = await stage.worker()
-    assert (await stage.ask("GET", "/figures", role="viewer")).json()["measured"] is False
+    assert (await stage.request("GET", "/figures", role="viewer")).json()["measured"] is False
     units = [UnitFigures(unit=1, polls=9, naks={128: 2})]
     await worker.update(BusFigures(1.0, 12.0, 0.08, 0.98, 0.1, units=units))
     await until(lambda: stage.live.buses["dry-end"].figures is not None, "figures")
-    figures = (await stage.ask("GET", "/figures", role="viewer")).json()
+    figures = (await stage.request("GET", "/figures", role="viewer")).json()
     assert figures["scan_hz"] == 12.0
     assert figures["units"][0]["polls"] == 9
     assert figures["units"][0]["naks"] == [
@@ -32,4 +32,4 @@ async def test_figures_before_and_after_they_are_measured(stage: Stage) -> None:
 
 async def test_nobody_sees_anything(stage: Stage) -> None:
     for path in ("", "/units/1", "/figures"):
-        assert (await stage.ask("GET", path, role="")).status_code == 401
+        assert (await stage.request("GET", path, role="")).status_code == 401

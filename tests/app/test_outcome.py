@@ -7,7 +7,7 @@ from app.errors import Problem
 from app.web.deadline import Deadline, Instant, instant_now
 from bus.contract import Result, UnitOutcome
 from bus.messages import Message, term
-from tests.app.screens import voice
+from tests.app.screens import translator
 
 
 @pytest.mark.parametrize(
@@ -33,19 +33,19 @@ from tests.app.screens import voice
     ],
 )
 def test_every_outcome_has_its_words(result: Result, tone: str, text: str) -> None:
-    outcome = outcome_text(result, str, voice())
+    outcome = outcome_text(result, str, translator())
     assert (outcome.tone, outcome.text) == (tone, text)
 
 
 def test_a_part_of_a_change_that_was_taken_back_says_so_in_the_reader_s_language() -> None:
     taken_back = Message.of("staged_withdrawn", present=1200)
     part = UnitOutcome(unit=3, outcome="not_sent", message=taken_back)
-    assert outcome_text(part, str, voice()).text == str(taken_back)
-    assert "zurückgenommen; nicht ausgeführt" in outcome_text(part, str, voice("de")).text
+    assert outcome_text(part, str, translator()).text == str(taken_back)
+    assert "zurückgenommen; nicht ausgeführt" in outcome_text(part, str, translator("de")).text
 
 
 def test_a_refusal_before_sending_is_said_in_the_reader_s_language() -> None:
     with pytest.raises(Problem) as late:
         Deadline(Instant(instant_now() - 4), 2.0).refuse_passed()
-    text = problem_text(late.value, voice("de")).text
+    text = problem_text(late.value, translator("de")).text
     assert text.startswith("zu spät: der Befehl ist 4,0 s alt, erlaubt waren 2 s")

@@ -11,7 +11,7 @@ import pytest
 
 from app.web.access import Role
 from bus.contract import ParameterValue
-from tests.app.played_desk import ANNA
+from tests.app.played_commands import ANNA
 from tests.app.whole_app import House, whole_app
 
 

@@ -14,17 +14,17 @@ from app.recipes.rules import LoadStep, Recipe, RecipeSetpoint, dry_run, setpoin
 from app.recipes.store import RecipeStore
 from app.web.deadline import instant_now
 from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
-from tests.app.played_desk import ANNA, HEALTHY, REMOTE, Noted, PlayedDesk, a_bus, answering, fresh
+from tests.app.played_commands import ANNA, HEALTHY, REMOTE, Noted, PlayedCommands, a_bus, answering, fresh
 
 
 class Scene:
     def __init__(self, folder: Path) -> None:
         self.live = a_bus()
-        self.desk = PlayedDesk(self.live, {})
+        self.commands = PlayedCommands(self.live, {})
         self.events = Noted()
         self.database = Database(folder / "store.db")
         store = RecipeStore(self.database)
-        self.book = RecipeBook(self.live, {"dry-end": self.desk}, store, self.events)  # type: ignore[arg-type]
+        self.book = RecipeBook(self.live, {"dry-end": self.commands}, store, self.events)  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ async def test_the_dry_run_says_old_new_and_the_time_of_the_ramp(scene: Scene) -
         ("100.0", "0.0", 0.25),
     ]
     assert run.ramp_s == 5.0
-    assert scene.desk.asked == []
+    assert scene.commands.sent == []
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ async def test_what_stands_in_the_way_is_said_and_nothing_is_sent(
     scene.live.buses["dry-end"].apply([ParameterValue(unit=2, number=8, at=2.0, raw=mode)])
     with pytest.raises(Problem, match=says):
         await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id=None)
-    assert scene.desk.asked == []
+    assert scene.commands.sent == []
 
 
 async def test_a_silent_line_cannot_be_loaded(scene: Scene) -> None:
@@ -110,7 +110,7 @@ async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None
     answering(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
     await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id="one")
-    assert scene.desk.asked == [SetLine(setpoints={1: 1200, 2: 1210})]
+    assert scene.commands.sent == [SetLine(setpoints={1: 1200, 2: 1210})]
     loaded = scene.book.loaded("dry-end")
     assert loaded is not None
     assert loaded.recipe.id == recipe.id
@@ -126,7 +126,7 @@ async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_de
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
     await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id="one")
     live = a_bus()
-    again = RecipeBook(live, {"dry-end": scene.desk}, scene.book.store, scene.events)  # type: ignore[arg-type]
+    again = RecipeBook(live, {"dry-end": scene.commands}, scene.book.store, scene.events)  # type: ignore[arg-type]
     await again.load_marks()
     assert again.loaded_words("dry-end") == ("Kraft 80", [])
     answering(live, commanded=1200)

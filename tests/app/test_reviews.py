@@ -14,7 +14,7 @@ import pytest
 from app.commands.safeguards.limits import Limits
 from app.web.access import Role
 from bus.contract import ParameterValue, Reading
-from tests.app.played_desk import ANNA, HEALTHY, REMOTE, RUN, answering, fresh
+from tests.app.played_commands import ANNA, HEALTHY, REMOTE, RUN, answering, fresh
 from tests.app.whole_app import House, whole_app
 
 NOTICE = re.compile(r'data-remark="(\w+)">.*?<p><b>([^<]*)</b>([^<]*)</p>', re.S)

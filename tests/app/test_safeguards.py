@@ -13,7 +13,7 @@ from app.commands.safeguards.blocks import BlockStore, CommandBlock
 from app.commands.safeguards.limits import NO_LIMITS, Limits, LimitsStore
 from app.database import Database
 from bus.contract import Command, Update
-from tests.app.stage import PlayedWorker, Stage, answering, fate, reading, staged
+from tests.app.stage import PlayedWorker, Stage, answering, reading, result_of, staged
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ async def obeying(stage: Stage) -> PlayedWorker:
 
     async def play(command: Command) -> Sequence[Update]:
         raw = getattr(command.action, "raw", 1000)
-        return [reading(1, raw), fate(command, "verified", read_back=raw)]
+        return [reading(1, raw), result_of(command, "verified", read_back=raw)]
 
     played.play = play
     return played
@@ -37,20 +37,20 @@ async def obeying(stage: Stage) -> PlayedWorker:
 async def speed(stage: Stage, raw: int, **more: object) -> tuple[int, str]:
     """Status and code of setting unit 1."""
     name = str(more.pop("name", ""))
-    answer = await stage.ask("POST", "/units/1/speed", {"raw": raw, **more}, role="operator", name=name)
+    answer = await stage.request("POST", "/units/1/speed", {"raw": raw, **more}, role="operator", name=name)
     return answer.status_code, answer.json()["code"]
 
 
 async def test_limits_are_enforced_from_the_moment_they_are_set(stage: Stage) -> None:
     worker = await obeying(stage)
     nothing = dict.fromkeys(("lowest", "highest", "largest_step", "per_minute"))
-    assert (await stage.ask("GET", "/units/1/limits")).json() == nothing
-    put = await stage.ask("PUT", "/units/1/limits", {"lowest": 900, "highest": 1200}, role="engineer")
+    assert (await stage.request("GET", "/units/1/limits")).json() == nothing
+    put = await stage.request("PUT", "/units/1/limits", {"lowest": 900, "highest": 1200}, role="engineer")
     assert put.status_code == 200
-    assert (await stage.ask("GET", "/units/1/limits", role="viewer")).json()["highest"] == 1200
+    assert (await stage.request("GET", "/units/1/limits", role="viewer")).json()["highest"] == 1200
     assert await speed(stage, 1201) == (422, "invalid")
     assert await speed(stage, 899) == (422, "invalid")
-    line = await stage.ask("POST", "/speeds", {"setpoints": {"1": {"raw": 1201}, "2": {"raw": 1}}})
+    line = await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 1201}, "2": {"raw": 1}}})
     assert line.status_code == 422
     assert worker.commands == []
     assert await speed(stage, 1200) == (200, "verified")
@@ -59,7 +59,7 @@ async def test_limits_are_enforced_from_the_moment_they_are_set(stage: Stage) ->
 
 async def test_a_large_step_asks_for_confirmation(stage: Stage) -> None:
     await obeying(stage)
-    await stage.ask("PUT", "/units/1/limits", {"largest_step": 50})
+    await stage.request("PUT", "/units/1/limits", {"largest_step": 50})
     assert await speed(stage, 1051) == (409, "confirm_needed")
     assert await speed(stage, 1051, confirm=True) == (200, "verified")
     assert await speed(stage, 1101) == (200, "verified")
@@ -67,7 +67,7 @@ async def test_a_large_step_asks_for_confirmation(stage: Stage) -> None:
 
 async def test_movement_within_a_minute_adds_up(stage: Stage) -> None:
     await obeying(stage)
-    await stage.ask("PUT", "/units/1/limits", {"per_minute": 100})
+    await stage.request("PUT", "/units/1/limits", {"per_minute": 100})
     assert await speed(stage, 1060) == (200, "verified")
     assert await speed(stage, 1101) == (422, "invalid")
     assert await speed(stage, 1100) == (200, "verified")
@@ -76,7 +76,7 @@ async def test_movement_within_a_minute_adds_up(stage: Stage) -> None:
 
 async def test_two_moves_at_once_do_not_both_pass(stage: Stage) -> None:
     await obeying(stage)
-    await stage.ask("PUT", "/units/1/limits", {"per_minute": 100})
+    await stage.request("PUT", "/units/1/limits", {"per_minute": 100})
     outcomes = await asyncio.gather(speed(stage, 1060), speed(stage, 1080))
     assert sorted(outcomes) == [(200, "verified"), (422, "invalid")]
 
@@ -84,7 +84,7 @@ async def test_two_moves_at_once_do_not_both_pass(stage: Stage) -> None:
 async def test_what_did_not_move_does_not_count(stage: Stage) -> None:
     worker = await stage.worker()
     worker.play = answering("refused", unit_error=128)
-    await stage.ask("PUT", "/units/1/limits", {"per_minute": 100})
+    await stage.request("PUT", "/units/1/limits", {"per_minute": 100})
     assert await speed(stage, 1100) == (409, "refused")
     assert await speed(stage, 1100) == (409, "refused")
 
@@ -94,7 +94,7 @@ async def test_what_did_not_move_does_not_count(stage: Stage) -> None:
     [{"lowest": 5, "highest": 4}, {"lowest": -1}, {"highest": 100000}, {"fastest": 1}, {"lowest": True}],
 )
 async def test_limits_that_make_no_sense_are_refused(stage: Stage, body: dict[str, object]) -> None:
-    assert (await stage.ask("PUT", "/units/1/limits", body)).status_code == 422
+    assert (await stage.request("PUT", "/units/1/limits", body)).status_code == 422
     assert stage.guards.limits.of(1) == NO_LIMITS
 
 
@@ -103,16 +103,16 @@ async def test_a_block_is_refused_shown_recorded_and_lifted(stage: Stage) -> Non
     told: list[int] = []
     stage.guards.on_block(told.append)
     body = {"reason": " belt off since 14:20, do not run "}
-    blocked = await stage.ask("POST", "/units/1/block", body, role="operator", name="anna")
+    blocked = await stage.request("POST", "/units/1/block", body, role="operator", name="anna")
     assert blocked.json()["by"] == "anna"
-    refused = await stage.ask("POST", "/units/1/speed", {"raw": 5})
+    refused = await stage.request("POST", "/units/1/speed", {"raw": 5})
     assert refused.status_code == 423
     assert refused.json()["code"] == "blocked"
     assert "belt off since 14:20" in refused.json()["detail"]
-    assert (await stage.ask("GET", "/units/1/block", role="viewer")).json()["blocked"] is True
-    assert "belt off" in (await stage.ask("GET", "/units/1")).json()["blocked"]
+    assert (await stage.request("GET", "/units/1/block", role="viewer")).json()["blocked"] is True
+    assert "belt off" in (await stage.request("GET", "/units/1")).json()["blocked"]
     assert worker.commands == []
-    assert (await stage.ask("DELETE", "/units/1/block", role="operator")).json()["blocked"] is False
+    assert (await stage.request("DELETE", "/units/1/block", role="operator")).json()["blocked"] is False
     assert await speed(stage, 5) == (200, "verified")
     assert told == [1, 1]
     events = (await stage.http().get("/api/v1/events?kind=block")).json()["events"]
@@ -121,11 +121,11 @@ async def test_a_block_is_refused_shown_recorded_and_lifted(stage: Stage) -> Non
 
 async def test_a_block_needs_a_reason(stage: Stage) -> None:
     for body in ({}, {"reason": ""}, {"reason": "  "}, {"reason": "x" * 201}):
-        assert (await stage.ask("POST", "/units/1/block", body)).status_code == 422
+        assert (await stage.request("POST", "/units/1/block", body)).status_code == 422
 
 
 async def test_lifting_nothing_is_no_event(stage: Stage) -> None:
-    assert (await stage.ask("DELETE", "/units/1/block")).status_code == 200
+    assert (await stage.request("DELETE", "/units/1/block")).status_code == 200
     assert (await stage.http().get("/api/v1/events?kind=block")).json()["events"] == []
 
 
@@ -151,39 +151,43 @@ async def test_limits_and_blocks_survive_a_restart(tmp_path: Path) -> None:
 async def test_without_the_sites_wish_nobody_needs_control(stage: Stage) -> None:
     await obeying(stage)
     assert await speed(stage, 5) == (200, "verified")
-    assert (await stage.ask("GET", "/control")).json()["required"] is False
+    assert (await stage.request("GET", "/control")).json()["required"] is False
 
 
 async def test_one_holds_control_and_everybody_sees_by_whom(controlled: Stage) -> None:
     worker = await obeying(controlled)
     assert await speed(controlled, 5, name="anna") == (409, "controlled")
-    taken = await controlled.ask("POST", "/control", role="operator", name="anna")
+    taken = await controlled.request("POST", "/control", role="operator", name="anna")
     assert taken.json()["holder"] == "anna"
     assert await speed(controlled, 5, name="anna") == (200, "verified")
     assert await speed(controlled, 6, name="ben") == (409, "controlled")
-    assert (await controlled.ask("POST", "/control", role="operator", name="ben")).status_code == 409
-    assert (await controlled.ask("GET", "/control", role="viewer")).json()["holder"] == "anna"
+    assert (await controlled.request("POST", "/control", role="operator", name="ben")).status_code == 409
+    assert (await controlled.request("GET", "/control", role="viewer")).json()["holder"] == "anna"
     assert len(worker.commands) == 1
 
 
 async def test_control_is_handed_over_released_and_taken_by_an_admin(controlled: Stage) -> None:
     await obeying(controlled)
-    await controlled.ask("POST", "/control", role="operator", name="anna")
-    by_ben = await controlled.ask("POST", "/control/hand-over", {"to": "ben"}, role="operator", name="ben")
+    await controlled.request("POST", "/control", role="operator", name="anna")
+    by_ben = await controlled.request(
+        "POST", "/control/hand-over", {"to": "ben"}, role="operator", name="ben"
+    )
     assert by_ben.status_code == 409
-    await controlled.ask("POST", "/control/hand-over", {"to": "ben"}, role="operator", name="anna")
+    await controlled.request("POST", "/control/hand-over", {"to": "ben"}, role="operator", name="anna")
     assert await speed(controlled, 5, name="ben") == (200, "verified")
     for nobody, word in (("nobody", "there is no user nobody"), ("vera", "vera is viewer")):
-        refused = await controlled.ask(
+        refused = await controlled.request(
             "POST", "/control/hand-over", {"to": nobody}, role="operator", name="ben"
         )
         assert (refused.status_code, refused.json()["code"]) == (422, "invalid")
         assert word in refused.json()["detail"]
     assert await speed(controlled, 5, name="ben") == (200, "verified")
-    forced = await controlled.ask("POST", "/control/hand-over", {"to": "chef"}, role="admin", name="chef")
+    forced = await controlled.request("POST", "/control/hand-over", {"to": "chef"}, role="admin", name="chef")
     assert forced.json()["holder"] == "chef"
-    assert (await controlled.ask("DELETE", "/control", role="operator", name="ben")).status_code == 409
-    assert (await controlled.ask("DELETE", "/control", role="admin", name="chef")).json()["holder"] is None
+    assert (await controlled.request("DELETE", "/control", role="operator", name="ben")).status_code == 409
+    assert (await controlled.request("DELETE", "/control", role="admin", name="chef")).json()[
+        "holder"
+    ] is None
     events = (await controlled.http().get("/api/v1/events?kind=control")).json()["events"]
     assert [event["what"] for event in events] == [
         *("control given back", "control handed over", "control handed over", "control taken"),
@@ -192,12 +196,12 @@ async def test_control_is_handed_over_released_and_taken_by_an_admin(controlled:
 
 async def test_reading_needs_no_control(controlled: Stage) -> None:
     worker = await obeying(controlled)
-    await controlled.ask("GET", "/units/1/parameters?refresh=true", role="viewer")
+    await controlled.request("GET", "/units/1/parameters?refresh=true", role="viewer")
     assert len(worker.commands) == 1
 
 
 async def test_whoever_is_gone_gives_control_back_and_the_events_say_so(controlled: Stage) -> None:
-    assert (await controlled.ask("POST", "/control", role="operator")).status_code == 200
+    assert (await controlled.request("POST", "/control", role="operator")).status_code == 200
     await controlled.guards.revoke_control("operator")
     assert controlled.guards.holder() == ""
     newest = (await controlled.events.page(Filter(kind="control"), 1))[0][0]

@@ -19,8 +19,8 @@ from app.commands.safeguards.limits import NO_LIMITS, Limits
 from app.live.state.bus_live import UnitLive
 from app.web.access import Role
 from bus.contract import Command, ParameterValue, ReadParameters, SetLine, SetSpeed, Update
-from tests.app.played_desk import ANNA, a_bus, answering
-from tests.app.stage import PlayedWorker, Stage, fate, snapshot, unit_state
+from tests.app.played_commands import ANNA, a_bus, answering
+from tests.app.stage import PlayedWorker, Stage, result_of, snapshot, unit_state
 from tests.app.whole_app import House, whole_app
 
 TO = "\N{EN DASH}"
@@ -198,7 +198,7 @@ def unit_that_tells(values: dict[int, int | None]) -> Any:
 
     async def play(command: Command) -> Sequence[Update]:
         if not isinstance(command.action, ReadParameters):
-            return [fate(command, "verified")]
+            return [result_of(command, "verified")]
         told = [
             ParameterValue(
                 command.action.unit, number, time.time(), values[number], available=values[number] is not None
@@ -207,7 +207,7 @@ def unit_that_tells(values: dict[int, int | None]) -> Any:
             if number in values
         ]
         outcome = "verified" if len(told) == len(command.action.numbers) else "unverified"
-        return [*told, fate(command, outcome, values=told)]
+        return [*told, result_of(command, outcome, values=told)]
 
     return play
 
@@ -238,7 +238,7 @@ async def test_it_is_read_within_the_time_of_the_command(
 ) -> None:
     worker = await unread(stage, values)
     path, body = ("/speeds", {"setpoints": {"1": {"raw": raw}}}) if many else ("/units/1/speed", {"raw": raw})
-    answer = await stage.ask("POST", path, body)
+    answer = await stage.request("POST", path, body)
     assert answer.status_code == (200 if nearest is None else 422), answer.text
     assert answer.json().get("nearest") == nearest
     written = [
@@ -256,7 +256,7 @@ async def test_what_cannot_be_read_is_not_taken_for_unlimited(stage: Stage) -> N
         ("/speeds", {"setpoints": {"1": {"raw": 5}, "2": {"raw": 5}}}),
         ("/units/1/parameters/20", {"raw": 5}),
     ):
-        answer = await stage.ask("PUT" if "parameters" in path else "POST", path, body)
+        answer = await stage.request("PUT" if "parameters" in path else "POST", path, body)
         said = answer.json()
         assert (answer.status_code, said["code"], said["outcome"]) == (504, "unverified", "unverified")
         assert "unit 1 did not give #" in said["detail"]
@@ -267,7 +267,7 @@ async def test_what_cannot_be_read_is_not_taken_for_unlimited(stage: Stage) -> N
 
 async def test_zero_waits_for_nothing_to_be_read(stage: Stage) -> None:
     worker = await unread(stage, {})
-    assert (await stage.ask("POST", "/units/1/speed", {"raw": 0})).status_code == 200
+    assert (await stage.request("POST", "/units/1/speed", {"raw": 0})).status_code == 200
     assert [command.action for command in worker.commands] == [SetSpeed(unit=1, raw=0)]
 
 
@@ -276,6 +276,6 @@ async def test_each_that_was_never_read_is_read_once(stage: Stage) -> None:
     worker = await stage.worker(state=snapshot(units=states))
     worker.play = unit_that_tells({8: 0, 2: 20000})
     body = {"setpoints": {number: {"raw": 100} for number in ("1", "2", "16")}}
-    assert (await stage.ask("POST", "/speeds", body)).status_code == 200
+    assert (await stage.request("POST", "/speeds", body)).status_code == 200
     assert worker.commands[-1].action == SetLine({1: 100, 2: 100, 16: 100})
     assert len(worker.commands) == 4

@@ -9,7 +9,7 @@ from app.live.state.live_state import LiveState
 from app.sets.batch import BatchRow, refuse_moved, rows_of_batch, write_batch
 from app.sets.effects import NO_RAMP
 from bus.contract import ParameterValue
-from tests.app.played_desk import ANNA, PlayedDesk, a_bus, answering, factory
+from tests.app.played_commands import ANNA, PlayedCommands, a_bus, answering, factory
 
 
 def line(*, run: bool) -> LiveState:
@@ -68,9 +68,11 @@ async def test_a_refusal_of_the_person_ends_it_and_one_of_a_unit_does_not(
     code: str, outcomes: list[str]
 ) -> None:
     live = line(run=False)
-    desk = PlayedDesk(live, {1: factory(), 2: factory()}, objects={6: Problem(403, code, "no longer")})
+    commands = PlayedCommands(
+        live, {1: factory(), 2: factory()}, objects={6: Problem(403, code, "no longer")}
+    )
     rows = typed(live, 6, "20", "30")
-    results = await write_batch(desk, ANNA, 6, rows, confirm=False)  # type: ignore[arg-type]
+    results = await write_batch(commands, ANNA, 6, rows, confirm=False)  # type: ignore[arg-type]
     assert [result.outcome for result in results] == outcomes
     assert {result.message for result in results} == {"no longer"}
-    assert len(desk.asked) == outcomes.count(code)
+    assert len(commands.sent) == outcomes.count(code)

@@ -15,8 +15,8 @@ from app.sets.model import ParameterRow, ParameterSet, UnitRows
 from app.sets.store import SetStore
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue
-from tests.app.played_desk import a_bus
-from tests.app.screens import voice
+from tests.app.played_commands import a_bus
+from tests.app.screens import translator
 
 GOLDEN_READ, NOW = 1000.0, 51_600.0
 """1970-01-01 14:20 UTC is ``NOW``."""
@@ -43,17 +43,17 @@ class Scene:
     def reads(self, number: int, raw: int) -> None:
         self.live.buses["dry-end"].apply([ParameterValue(unit=1, number=number, at=self.now, raw=raw)])
 
-    async def asked(self, who: str, number: int, raw: int | None, outcome: str | None = "verified") -> None:
+    async def sent(self, who: str, number: int, raw: int | None, outcome: str | None = "verified") -> None:
         said: dict[str, Any] = {"who": who, "origin": "api", "bus": "dry-end", "unit": 1, "new_raw": raw}
         what = f"write #{number} {PARAMETERS[number].name} (86h)"
         await self.events.record(kind="command", what=what, outcome=outcome, **said)
 
     def key(self) -> str:
-        return self.drift.summary(1, voice(), NOW).key
+        return self.drift.summary(1, translator(), NOW).key
 
     async def says(self, tag: str = "en") -> str:
         await self.drift.traced(1)
-        return self.drift.summary(1, voice(tag), NOW).words
+        return self.drift.summary(1, translator(tag), NOW).words
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ async def scene(tmp_path: Path) -> Scene:
 
 async def test_a_command_is_named_with_its_hour_and_a_hand_at_the_panel_too(scene: Scene) -> None:
     assert await scene.says() == ""
-    await scene.asked("anna", 12, 21)
+    await scene.sent("anna", 12, 21)
     scene.reads(12, 21)
     assert await scene.says() == "#12 differs from golden: by anna 14:20"
     assert await scene.says("de") == "#12 weicht vom goldenen Satz ab: von anna 14:20"
@@ -78,19 +78,19 @@ async def test_a_command_is_named_with_its_hour_and_a_hand_at_the_panel_too(scen
 
 
 async def test_the_hand_that_came_after_the_command_is_the_one(scene: Scene) -> None:
-    await scene.asked("anna", 12, 21)
+    await scene.sent("anna", 12, 21)
     scene.reads(12, 21)
     scene.reads(12, 22)
     assert await scene.says() == "#12 differs from golden, at the panel"
-    await scene.asked("berta", 12, 22)
+    await scene.sent("berta", 12, 22)
     scene.reads(12, 22)
     assert await scene.says() == "#12 differs from golden: by berta 14:20"
 
 
 @pytest.mark.parametrize("outcome", ["refused", "invalid", "not_sent"])
 async def test_a_wish_that_came_to_nothing_changed_nothing(scene: Scene, outcome: str) -> None:
-    await scene.asked("anna", 12, 21)
-    await scene.asked("berta", 12, 99, outcome)
+    await scene.sent("anna", 12, 21)
+    await scene.sent("berta", 12, 99, outcome)
     scene.reads(12, 21)
     assert "by anna" in await scene.says()
     scene.reads(12, 99)
@@ -98,9 +98,9 @@ async def test_a_wish_that_came_to_nothing_changed_nothing(scene: Scene, outcome
 
 
 async def test_number_1_is_not_number_12_and_a_command_older_than_the_set_is_none(scene: Scene) -> None:
-    await scene.asked("anna", 12, 21)
+    await scene.sent("anna", 12, 21)
     scene.now = GOLDEN_READ - 1
-    await scene.asked("anna", 1, 21)
+    await scene.sent("anna", 1, 21)
     scene.reads(1, 21)
     assert await scene.says() == "#1 differs from golden, at the panel"
 
@@ -119,7 +119,7 @@ async def test_the_last_write_of_the_operator_password_is_named_unseen(
 
 
 async def test_after_a_restart_the_events_still_tell(scene: Scene) -> None:
-    await scene.asked("anna", 12, 21)
+    await scene.sent("anna", 12, 21)
     live = a_bus()
     again = BusDrift(live.buses["dry-end"], scene.store, scene.events)
     await again.load()
@@ -137,11 +137,11 @@ async def test_the_list_on_the_units_page_has_another_key_when_it_says_something
     for number, raw in ((7, 0), (7, 61), (7, 62), (12, 5)):
         scene.reads(number, raw)
         keys.append(scene.key())
-    await scene.asked("erik", 12, 5)
+    await scene.sent("erik", 12, 5)
     await scene.says()
     keys.append(scene.key())
     assert len(set(keys)) == len(keys)
     scene.reads(12, 5)
     await scene.says()
     assert scene.key() == keys[-1]
-    assert scene.drift.summary(2, voice(), NOW) == Drifted()
+    assert scene.drift.summary(2, translator(), NOW) == Drifted()

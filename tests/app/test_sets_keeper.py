@@ -9,15 +9,15 @@ from pathlib import Path
 import pytest
 
 from app.errors import Problem
-from tests.app.played_desk import ANNA, SetScene
-from tests.app.screens import voice
+from tests.app.played_commands import ANNA, SetScene
+from tests.app.screens import translator
 
 NOON = datetime(2026, 11, 20, 12, 0, tzinfo=UTC)
 
 
 class Scene(SetScene):
     def line_says(self, unit: int) -> str:
-        return self.drift.summary(unit, voice(), NOON.timestamp()).words
+        return self.drift.summary(unit, translator(), NOON.timestamp()).words
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ async def test_the_list_goes_on_before_the_oldest_that_was_shown(scene: Scene) -
 
 
 async def test_nothing_is_kept_when_a_unit_does_not_answer(scene: Scene) -> None:
-    scene.desk.silent_after = 0
+    scene.commands.silent_after = 0
     with pytest.raises(Problem):
         await scene.keeper.take(ANNA, [1], "", "")
     assert await scene.store.summaries() == []

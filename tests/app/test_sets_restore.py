@@ -18,7 +18,7 @@ from app.sets.restore_record import Restore
 from app.sets.restore_store import RestoreStore
 from app.sets.selection import Selection
 from bus.contract import WriteParameter
-from tests.app.played_desk import ANNA, Noted, PlayedDesk, a_bus, answering, factory
+from tests.app.played_commands import ANNA, Noted, PlayedCommands, a_bus, answering, factory
 
 WANTED = {6: 50, 7: 60, 12: 7, 9: 1234}
 
@@ -28,18 +28,18 @@ def rows(values: dict[int, int]) -> UnitRows:
 
 
 class Scene:
-    def __init__(self, database: Database, **desk: object) -> None:
+    def __init__(self, database: Database, **commands: object) -> None:
         self.live = live = a_bus()
         answering(live)
-        self.desk = PlayedDesk(live, {1: factory(), 2: factory()}, **desk)  # type: ignore[arg-type]
+        self.commands = PlayedCommands(live, {1: factory(), 2: factory()}, **commands)  # type: ignore[arg-type]
         self.events = Noted()
-        reader = ParameterReader(live.buses["dry-end"], self.desk)  # type: ignore[arg-type]
+        reader = ParameterReader(live.buses["dry-end"], self.commands)  # type: ignore[arg-type]
         self.reader, self.store = reader, RestoreStore(database)
         self.restores = self.server()
 
     def server(self) -> RestoreService:
         """The desk of a server that has just been started."""
-        return RestoreService({"dry-end": self.reader}, {"dry-end": self.desk}, self.events, self.store)  # type: ignore[arg-type]
+        return RestoreService({"dry-end": self.reader}, {"dry-end": self.commands}, self.events, self.store)  # type: ignore[arg-type]
 
     async def plan(self, wanted: dict[int, int] = WANTED, **chosen: frozenset[int]) -> Restore:
         return await self.restores.plan(ANNA, "dry-end", 2, rows(wanted), Selection(**chosen))
@@ -68,16 +68,16 @@ def a_scene(tmp_path: Path) -> Iterator[SetsScene]:
 async def test_nothing_is_written_before_the_start(a_scene: SetsScene) -> None:
     scene = a_scene()
     restore = await scene.plan()
-    assert scene.desk.written == []
+    assert scene.commands.written == []
     assert (restore.state, restore.done) == ("planned", 0)
     assert [row.write.number for row in restore.rows] == [6, 7, 12, 9]
 
 
 async def test_only_what_differs_is_written_and_a_full_read_proves_it(a_scene: SetsScene) -> None:
     scene = a_scene()
-    scene.desk.memory[2][6] = 50
+    scene.commands.memory[2][6] = 50
     restore = await scene.run()
-    assert scene.desk.written == [(2, 7, 60), (2, 12, 7), (2, 9, 1234)]
+    assert scene.commands.written == [(2, 7, 60), (2, 12, 7), (2, 9, 1234)]
     assert restore.state == "equal"
     assert restore.remaining == []
     assert {row.outcome for row in restore.rows} == {"verified"}
@@ -87,8 +87,8 @@ async def test_only_what_differs_is_written_and_a_full_read_proves_it(a_scene: S
 async def test_one_refused_row_does_not_cost_the_others(a_scene: SetsScene) -> None:
     scene = a_scene(refuses={7: 0x83})
     restore = await scene.run()
-    fates = {row.write.number: row.outcome for row in restore.rows}
-    assert fates == {6: "verified", 7: "refused", 9: "verified", 12: "verified"}
+    results = {row.write.number: row.outcome for row in restore.rows}
+    assert results == {6: "verified", 7: "refused", 9: "verified", 12: "verified"}
     assert "illegal parameter value" in restore.rows[1].message
     assert restore.state == "different"
     assert restore.remaining is not None
@@ -101,7 +101,7 @@ async def test_silence_stops_it_and_running_it_again_finishes_the_rest(a_scene: 
     assert restore.state == "stopped"
     assert "no response" in restore.cause
     assert [row.outcome for row in restore.rows] == ["verified", "verified", "unverified", "not_sent"]
-    scene.desk.silent_after = None
+    scene.commands.silent_after = None
     again = await scene.run()
     assert [row.write.number for row in again.rows] == [12, 9]
     assert again.state == "equal"
@@ -114,7 +114,7 @@ async def test_left_off_it_says_which_rows_are_done(a_scene: SetsScene) -> None:
     await scene.finish(restore)
     assert (restore.state, restore.cause) == ("stopped", "left off by ben after 0 of 4 rows")
     assert {row.outcome for row in restore.rows} == {"not_sent"}
-    assert scene.desk.written == []
+    assert scene.commands.written == []
 
 
 async def test_it_starts_once_and_one_at_a_time_for_a_unit(a_scene: SetsScene) -> None:
@@ -143,14 +143,14 @@ async def test_a_unit_that_does_not_answer_has_no_plan(a_scene: SetsScene) -> No
     with pytest.raises(Problem) as refused:
         await scene.plan()
     assert refused.value.status == 504
-    assert scene.desk.written == []
+    assert scene.commands.written == []
 
 
 async def test_a_killed_server_left_the_exact_list_of_what_was_done(a_scene: SetsScene) -> None:
     scene = a_scene(hangs_after=2)
     killed = await scene.plan()
     scene.restores.start(ANNA, killed)
-    await asyncio.wait_for(scene.desk.hanging.wait(), 10)
+    await asyncio.wait_for(scene.commands.hanging.wait(), 10)
 
     after = scene.server()
     await after.load()
@@ -162,7 +162,7 @@ async def test_a_killed_server_left_the_exact_list_of_what_was_done(a_scene: Set
     assert scene.events.events[-1]["message"].endswith("done: #6, #7; in doubt: #12; not written: #9")
     await scene.restores.close()
 
-    scene.desk.hangs_after, scene.restores = None, after
+    scene.commands.hangs_after, scene.restores = None, after
     again = await scene.run()
     assert [row.write.number for row in again.rows] == [12, 9]
     assert [one.id for one in await after.of_unit("dry-end", 2)] == [again.id, killed.id]
@@ -181,32 +181,32 @@ async def test_what_a_restore_found_is_the_same_after_the_next_start(a_scene: Se
 
 async def test_a_unit_in_local_is_said_beforehand_and_is_not_called_equal(a_scene: SetsScene) -> None:
     scene = a_scene()
-    scene.desk.memory[2][19] = 0
+    scene.commands.memory[2][19] = 0
     answering(scene.live, remote=False)
     restore = await scene.run()
-    assert scene.desk.written == []
+    assert scene.commands.written == []
     assert {left.number for left in restore.left_out if left.later} == set(WANTED)
     assert restore.state == "different"
 
 
 async def test_a_running_unit_keeps_its_setpoint_unless_it_was_chosen(a_scene: SetsScene) -> None:
     scene = a_scene()
-    scene.desk.memory[2] |= {20: 1216, 37: 9000}
+    scene.commands.memory[2] |= {20: 1216, 37: 9000}
     restore = await scene.run(WANTED | {20: 1134, 37: 10000})
-    assert {number for _, number, _ in scene.desk.written} == set(WANTED)
+    assert {number for _, number, _ in scene.commands.written} == set(WANTED)
     assert restore.state == "equal"
     assert {20: "operating_value", 37: "operating_value"}.items() <= {
         left.number: left.reason for left in restore.left_out
     }.items()
     chosen = await scene.run({20: 1134, 37: 10000}, include=frozenset({20}))
-    assert scene.desk.written[-1] == (2, 20, 1134)
-    assert (chosen.state, scene.desk.memory[2][37]) == ("equal", 9000)
+    assert scene.commands.written[-1] == (2, 20, 1134)
+    assert (chosen.state, scene.commands.memory[2][37]) == ("equal", 9000)
 
 
 async def test_a_deselected_row_is_not_written_and_not_missed(a_scene: SetsScene) -> None:
     scene = a_scene()
     restore = await scene.run(exclude=frozenset({7, 9}))
-    assert scene.desk.written == [(2, 6, 50), (2, 12, 7)]
+    assert scene.commands.written == [(2, 6, 50), (2, 12, 7)]
     assert restore.state == "equal"
     assert [left.number for left in restore.left_out if left.reason == "deselected"] == [7, 9]
 
@@ -216,7 +216,7 @@ async def test_a_plan_takes_another_choice_until_it_begins(a_scene: SetsScene) -
     restore = await scene.plan(WANTED | {20: 5})
     scene.restores.select(restore, Selection(include=frozenset({20}), exclude=frozenset({6})))
     await scene.finish(restore)
-    assert {number for _, number, _ in scene.desk.written} == {7, 9, 12, 20}
+    assert {number for _, number, _ in scene.commands.written} == {7, 9, 12, 20}
     with pytest.raises(Problem) as refused:
         scene.restores.select(restore, Selection())
     assert refused.value.code == "already_started"
@@ -227,11 +227,11 @@ async def test_a_value_that_moved_since_the_review_stops_it(
     a_scene: SetsScene, number: int, raw: int
 ) -> None:
     scene = a_scene()
-    wanted = WANTED | {15: scene.desk.memory[2][15]}
+    wanted = WANTED | {15: scene.commands.memory[2][15]}
     restore = await scene.plan(wanted)
-    scene.desk.memory[2][number] = raw
+    scene.commands.memory[2][number] = raw
     await scene.finish(restore)
-    assert (restore.state, restore.cause_code, scene.desk.written) == ("stopped", "moved", [])
+    assert (restore.state, restore.cause_code, scene.commands.written) == ("stopped", "moved", [])
     assert {row.outcome for row in restore.rows} == {"not_sent"}
     kept = await scene.server().find(restore.id)
     assert kept is not None
@@ -241,9 +241,9 @@ async def test_a_value_that_moved_since_the_review_stops_it(
 async def test_a_setpoint_that_moves_stops_no_restore_that_leaves_it_alone(a_scene: SetsScene) -> None:
     scene = a_scene()
     restore = await scene.plan(WANTED | {20: 1134})
-    scene.desk.memory[2][20] = 1300
+    scene.commands.memory[2][20] = 1300
     await scene.finish(restore)
-    assert (restore.state, scene.desk.memory[2][20]) == ("equal", 1300)
+    assert (restore.state, scene.commands.memory[2][20]) == ("equal", 1300)
 
 
 async def test_a_unit_that_is_started_meanwhile_is_not_changed_unreviewed(a_scene: SetsScene) -> None:
@@ -253,7 +253,7 @@ async def test_a_unit_that_is_started_meanwhile_is_not_changed_unreviewed(a_scen
         if action.number == 6:
             answering(scene.live, run=True)
 
-    scene.desk.before_write = press_run
+    scene.commands.before_write = press_run
     restore = await scene.run({2: 1, 6: 50, 7: 60, 12: 7})
     assert (restore.state, restore.cause_code) == ("stopped", "moved")
     assert [(row.write.number, row.outcome) for row in restore.rows] == [

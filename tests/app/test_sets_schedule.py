@@ -15,7 +15,7 @@ from app.sets.schedule import SAID_AFTER, SetSchedule, due_between
 from app.web.access import Person, Role
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import UnitLink, UnitLinkState
-from tests.app.played_desk import ANNA, SetScene
+from tests.app.played_commands import ANNA, SetScene
 
 NOON = datetime.now(UTC).replace(hour=12, minute=0, second=0, microsecond=0)
 """Of today: sets are stored with the time of the machine."""
@@ -27,7 +27,7 @@ class Scene(SetScene):
         super().__init__(folder)
         self.now = NOON
         self.schedule = SetSchedule(self.live.buses["dry-end"], self.keeper, self.events, lambda: self.now)  # type: ignore[arg-type]
-        self.first = FirstWrites(self.live.buses["dry-end"], self.desk, self.keeper, lambda: self.now)
+        self.first = FirstWrites(self.live.buses["dry-end"], self.commands, self.keeper, lambda: self.now)
 
     def link(self, unit: int, state: UnitLinkState) -> None:
         self.live.buses["dry-end"].apply([UnitLink(unit=unit, at=1.0, link=state)])
@@ -65,7 +65,7 @@ async def test_before_the_first_parameter_write_what_is_known_is_stored_once_and
     assert await scene.kept(1) == []
     scene.tells(1, 6)
     await scene.first.before(ANNA, [1], parameters=True)
-    assert scene.desk.asked == []
+    assert scene.commands.sent == []
     summary = (await scene.store.summaries("dry-end", 1))[-1]
     assert summary.origin == BEFORE
     assert summary.comment == "unit 1: 1 of 40 parameters were known"
@@ -81,7 +81,7 @@ async def test_a_setpoint_waits_for_nothing_and_keeps_every_unit_that_is_known_w
     scene.tells(1, 6)
     await scene.first.settled()
     assert (await scene.kept(1), await scene.kept(2)) == ([BEFORE], [])
-    assert scene.desk.asked == []
+    assert scene.commands.sent == []
     await scene.first.before(ANNA, [1, 2], parameters=False)
     await scene.first.settled()
     assert await scene.kept(1) == [BEFORE]
@@ -132,10 +132,10 @@ async def test_a_unit_silent_at_its_minute_is_said_once_and_taken_when_it_answer
 async def test_a_unit_that_falls_silent_while_it_is_read_stays_owed(scene: Scene) -> None:
     await scene.schedule.set(ANNA, 0)
     scene.link(1, "online")
-    scene.desk.silent_after = 0
+    scene.commands.silent_after = 0
     await scene.schedule.look(ANNA, MIDNIGHT - timedelta(minutes=1), NOON)
     assert scene.schedule.overdue()[1].why == "no answer"
-    scene.desk.silent_after = None
+    scene.commands.silent_after = None
     await scene.schedule.look(ANNA, NOON, NOON)
     assert await scene.kept(1) == ["on schedule"]
 

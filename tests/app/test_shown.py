@@ -6,7 +6,7 @@ import time
 
 from pydantic import ConfigDict, TypeAdapter, with_config
 
-from app.commands.api.responses import fate_json
+from app.commands.api.responses import result_json
 from app.commands.api.schemas import CommandResultShown
 from app.live.api.schemas import BusShown, CauseShown, ParameterShown, UnitShown
 from app.live.api.view import bus_json, parameter_json
@@ -14,8 +14,8 @@ from app.live.state.live_state import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Command, Frame, Result, UnitOutcome, Update
 from bus.messages import term
-from tests.app.screens import voice
-from tests.app.stage import Stage, bus_settings, fate, snapshot
+from tests.app.screens import translator
+from tests.app.stage import Stage, bus_settings, result_of, snapshot
 
 EXACT = with_config(ConfigDict(extra="forbid", strict=True))
 
@@ -23,7 +23,7 @@ EXACT = with_config(ConfigDict(extra="forbid", strict=True))
 def test_units_and_buses_read_and_unread() -> None:
     live = LiveState([bus_settings()], time.time())
     for _ in range(2):
-        bus = bus_json(live.buses["dry-end"], time.time(), lambda unit: f"dry-end {unit}", voice())
+        bus = bus_json(live.buses["dry-end"], time.time(), lambda unit: f"dry-end {unit}", translator())
         TypeAdapter(EXACT(BusShown)).validate_python(bus)
         for unit in bus["units"]:
             TypeAdapter(EXACT(UnitShown)).validate_python(unit)
@@ -41,17 +41,17 @@ def test_fates() -> None:
     parts = [UnitOutcome(unit=1, outcome="verified", sent_at=1.0, proven_at=2.0, attempts=1)]
     result = Result(id="a", at=1.0, outcome="verified", units=parts, frames=[frame])
     for unit in (None, 1):
-        fate = fate_json(live.buses["dry-end"], result, unit)
-        TypeAdapter(EXACT(CommandResultShown)).validate_python(fate)
+        result_of = result_json(live.buses["dry-end"], result, unit)
+        TypeAdapter(EXACT(CommandResultShown)).validate_python(result_of)
 
 
 async def test_the_api_gives_them(stage: Stage) -> None:
     worker = await stage.worker()
 
     async def silent(command: Command) -> list[Update]:
-        return [fate(command, "unverified", message=term("no answer"))]
+        return [result_of(command, "unverified", message=term("no answer"))]
 
     worker.play = silent
     for path in ("/units/1", "", "/units/1/parameters"):
-        assert (await stage.ask("GET", path)).status_code == 200
+        assert (await stage.request("GET", path)).status_code == 200
     assert (await stage.http().get("/api/v1/line")).status_code == 200

@@ -20,16 +20,16 @@ from app.sets.plan import LeftOut, RestorePlan
 from app.sets.restore import EndSubscriber
 from app.sets.restore_record import Restore, RestoreState, RowResult
 from app.sets.store import SetStore, SetSummary
-from app.swap.desk import SwapService, step_text
 from app.swap.looking import LOOKS, look
 from app.swap.record import Swap, SwapSource
 from app.swap.rules import STEPS, ProbeFinding, SwapState, advice, done_steps
+from app.swap.service import SwapService, step_text
 from app.swap.store import SwapStore
 from app.web.access import Person
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
 from bus.messages import term
 from bus.settings import BusSettings
-from tests.app.played_desk import ANNA, Noted
+from tests.app.played_commands import ANNA, Noted
 from tests.app.screens import line
 
 
@@ -80,7 +80,7 @@ class Scene:
         self.database = Database(folder / "store.db")
         self.store = SwapStore(self.database)
         self.restores: dict[str, Restore] = {}
-        self.desk = self.another()
+        self.swaps = self.another()
 
     def another(self) -> SwapService:
         """The desk of a server that was started again."""
@@ -97,7 +97,7 @@ class Scene:
         kept = await SetStore(self.database).save(
             ParameterSet("dry-end", 1.0, "anna", "by hand", (UnitRows(2, "Nip", {}),))
         )
-        return await self.desk.begin(ANNA, "dry-end", unit, SwapSource(kept.id, 2))
+        return await self.swaps.begin(ANNA, "dry-end", unit, SwapSource(kept.id, 2))
 
 
 @pytest.fixture
@@ -118,12 +118,12 @@ async def test_a_swap_ends_with_one_event_that_tells_all_of_it(scene: Scene) -> 
         swap.saw(seen)
     assert swap.is_new
     restore = a_restore(state="different")
-    await scene.desk.ended(restore)
+    await scene.swaps.ended(restore)
     assert swap.equal is False
     assert len(events.events) == 1
     restore.state = "equal"
-    await scene.desk.ended(restore)
-    await scene.desk.ended(restore)
+    await scene.swaps.ended(restore)
+    await scene.swaps.ended(restore)
     assert swap.proven
     [_, end] = events.events
     assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and proven", "verified", 2)
@@ -139,15 +139,15 @@ async def test_a_swap_ends_with_one_event_that_tells_all_of_it(scene: Scene) -> 
 
 async def test_a_restore_from_before_the_swap_proves_nothing_about_it(scene: Scene) -> None:
     swap = await scene.begin()
-    await scene.desk.ended(a_restore(state="equal", planned_at=99.0))
+    await scene.swaps.ended(a_restore(state="equal", planned_at=99.0))
     assert (swap.restore, swap.proven) == (None, False)
 
 
 async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     swap, restore = await scene.begin(), a_restore(state="different")
-    await scene.desk.look(swap, lambda: shown(state("silent")))
-    await scene.desk.look(swap, lambda: shown(state("digimax", remote=True)))
-    await scene.desk.ended(restore)
+    await scene.swaps.look(swap, lambda: shown(state("silent")))
+    await scene.swaps.look(swap, lambda: shown(state("digimax", remote=True)))
+    await scene.swaps.ended(restore)
 
     scene.restores[restore.id] = restore
     again = scene.another()
@@ -164,11 +164,11 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
 
 
 async def test_without_a_set_the_sheet_is_entered_and_the_unit_kept(scene: Scene) -> None:
-    swap = await scene.desk.begin(ANNA, "dry-end", 2, None)
+    swap = await scene.swaps.begin(ANNA, "dry-end", 2, None)
     assert scene.events.events[-1]["what"] == "unit swap begun, from the sheet"
     ready = advice(state("digimax", remote=True))
     assert "from the sheet" in step_text(ready, swap)
-    await scene.desk.entered(ANNA, swap, ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9))
+    await scene.swaps.entered(ANNA, swap, ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9))
     assert swap.equal
     assert "compare that with the sheet" in step_text(advice(state("digimax", remote=True, equal=True)), swap)
     assert "kept as set 9" in scene.events.events[-1]["message"]
@@ -209,7 +209,7 @@ class Wire:
     seen: list[ProbeFinding]
     outcome: Outcome = "verified"
 
-    async def ask(self, _who: Person, action: Action, **_: Any) -> Result:
+    async def send(self, _who: Person, action: Action, **_: Any) -> Result:
         assert isinstance(action, ScanBus)
         kind = self.seen.pop(0)
         found = [] if kind == "silent" else [FoundUnit(action.first, 9600, kind)]
@@ -259,7 +259,7 @@ def test_all_steps_lie_behind_only_when_it_is_proven() -> None:
 async def test_a_page_that_asks_again_does_not_pile_up_looks(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.swap.desk.LOOK_WAIT_S", 0.01)
+    monkeypatch.setattr("app.swap.service.LOOK_WAIT_S", 0.01)
     swap = await scene.begin(5)
     begun, seen = [], asyncio.Event()
 
@@ -268,8 +268,8 @@ async def test_a_page_that_asks_again_does_not_pile_up_looks(
         await seen.wait()
         return state("silent")
 
-    assert [await scene.desk.look(swap, look) for _ in range(3)] == [None] * 3
+    assert [await scene.swaps.look(swap, look) for _ in range(3)] == [None] * 3
     assert len(begun) == 1
     seen.set()
-    assert (await scene.desk.look(swap, look)) == state("silent", equal=None)
+    assert (await scene.swaps.look(swap, look)) == state("silent", equal=None)
     assert swap.is_new

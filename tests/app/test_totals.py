@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from app.live.screen.totals import holders
-from tests.app.screens import voice
+from tests.app.screens import translator
 
 
 @pytest.mark.parametrize(
@@ -24,5 +24,5 @@ from tests.app.screens import voice
     ],
 )
 def test_who_holds_control_is_said_with_the_bus(held_by: dict[str, str], said: str, german: str) -> None:
-    texts = [holders(held_by, voice(tag)).replace("\u00a0", " ") for tag in ("en", "de")]
+    texts = [holders(held_by, translator(tag)).replace("\u00a0", " ") for tag in ("en", "de")]
     assert texts == [said, german]

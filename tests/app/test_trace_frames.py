@@ -11,13 +11,13 @@ from bus.settings import Dialect
 from bus.wire.bodies import encode_request
 from bus.wire.commands import WriteParameter
 from bus.wire.describe import describe_bytes
-from tests.app.screens import voice
+from tests.app.screens import translator
 
 
 def test_a_frame_in_german() -> None:
     (described,) = describe_bytes(encode_request(WriteParameter(3, 6, 50), Dialect()))
     frame = Frame(at=100.1234, direction="out", data=described.wire, meanings=[described.meaning])
-    assert frame_fields(frame, voice("de")) == {
+    assert frame_fields(frame, translator("de")) == {
         "at": 100.1234,
         "direction": "out",
         "hex": "10 02 03 86 06 00 00 00 32 10 03 3F",
@@ -30,7 +30,7 @@ def test_a_frame_in_german() -> None:
 def test_each_statement_of_a_frame_is_shown() -> None:
     noise = Message.of("noise", count=2, reason=Message("noise_outside"))
     frame = Frame(at=1.0, direction="in", data=b"", meanings=[noise, Message("ack")])
-    assert frame_fields(frame, voice("de"))["meaning"] == (
+    assert frame_fields(frame, translator("de"))["meaning"] == (
         "2 Byte, die kein Telegramm sind: außerhalb eines Telegramms; ACK, ein Schreiben wurde angenommen"
     )
 
@@ -50,4 +50,4 @@ def test_each_statement_of_a_frame_is_shown() -> None:
 )
 def test_a_message_of_a_worker_is_no_format(tag: str, message: Message, meaning: str) -> None:
     frame = Frame(at=1.0, direction="in", data=b"", meanings=[message])
-    assert frame_fields(frame, voice(tag))["meaning"] == frame.meaning == meaning
+    assert frame_fields(frame, translator(tag))["meaning"] == frame.meaning == meaning

@@ -45,7 +45,7 @@ class Target:
         writer.write(begun)
         return reader, writer
 
-    async def ask(self, request: bytes) -> None:
+    async def send(self, request: bytes) -> None:
         """One request on a connection of its own; the response is read to its end."""
         reader, writer = await self.open(request)
         try:
@@ -119,13 +119,13 @@ async def responses_nobody_reads(target: Target) -> None:
 
 @attack
 async def requests_by_the_thousand_at_once(target: Target) -> None:
-    await many(target, 8, lambda _: target.ask((target.head("GET /login") + b"\r\n") * 3000))
+    await many(target, 8, lambda _: target.send((target.head("GET /login") + b"\r\n") * 3000))
 
 
 @attack
 async def addresses_with_patterns(target: Target) -> None:
     line = "GET /static/x/" + "%3A%20" * 150
-    await many(target, 12, lambda _: target.ask(target.head(line, more=GERMAN) + b"\r\n"))
+    await many(target, 12, lambda _: target.send(target.head(line, more=GERMAN) + b"\r\n"))
 
 
 GERMAN = "Accept-Language: de\r\nAccept: text/html\r\nConnection: close\r\n"
@@ -134,13 +134,13 @@ GERMAN = "Accept-Language: de\r\nAccept: text/html\r\nConnection: close\r\n"
 @attack
 async def queries_with_patterns(target: Target) -> None:
     line = "GET /login?next=/&" + "%3B%20a%3A%20=" * 1200
-    await many(target, 12, lambda _: target.ask(target.head(line, more=GERMAN) + b"\r\n"))
+    await many(target, 12, lambda _: target.send(target.head(line, more=GERMAN) + b"\r\n"))
 
 
 @attack
 async def cookies_to_unquote(target: Target) -> None:
     cookie = 'Cookie: lineside_session="' + "\\\\" * 14_000 + '"\r\nConnection: close\r\n'
-    await many(target, 12, lambda _: target.ask(target.head("GET /login", more=cookie) + b"\r\n"))
+    await many(target, 12, lambda _: target.send(target.head("GET /login", more=cookie) + b"\r\n"))
 
 
 def post(target: Target, path: str, body: bytes, kind: str, role: str = "") -> bytes:
@@ -152,7 +152,7 @@ def post(target: Target, path: str, body: bytes, kind: str, role: str = "") -> b
 async def forms_in_punycode(target: Target) -> None:
     part = b'--b\r\nContent-Disposition: form-data; name="name"\r\n\r\n' + b"9" * 60_000 + b"\r\n--b--\r\n"
     request = post(target, "/login", part, "multipart/form-data; charset=punycode; boundary=b")
-    await many(target, 12, lambda _: target.ask(request))
+    await many(target, 12, lambda _: target.send(request))
 
 
 @attack
@@ -160,7 +160,7 @@ async def keys_by_the_thousand(target: Target) -> None:
     body = ("{" + ",".join(f'"{n}":0' for n in range(24_000)) + ',"0":0}').encode()
     path = "/api/v1/buses/line/units/1/speed"
     requests = [post(target, path, body, "application/json", role) for role in ("viewer", "engineer")]
-    await many(target, 12, lambda number: target.ask(requests[number % 2]))
+    await many(target, 12, lambda number: target.send(requests[number % 2]))
 
 
 @attack
@@ -168,44 +168,44 @@ async def documents_of_a_megabyte(target: Target) -> None:
     document = "".join(f"k{n} = 1\n" for n in range(110_000))
     body = json.dumps({"document": document}).encode()
     request = post(target, "/api/v1/buses/line/units/1/restores", body, "application/json", "engineer")
-    await many(target, 6, lambda _: target.ask(request))
+    await many(target, 6, lambda _: target.send(request))
 
 
 @attack
 async def keys_with_dots(target: Target) -> None:
     body = json.dumps({"document": "a." * 500_000 + "a = 1"}).encode()
     request = post(target, "/api/v1/buses/line/units/1/restores", body, "application/json", "engineer")
-    await many(target, 6, lambda _: target.ask(request))
+    await many(target, 6, lambda _: target.send(request))
 
 
 @attack
 async def searches(target: Target) -> None:
     head = "GET /api/v1/events?limit=1000&search=no-such-word"
     request = target.head(head, "viewer", "Connection: close\r\n") + b"\r\n"
-    await many(target, 12, lambda _: target.ask(request))
+    await many(target, 12, lambda _: target.send(request))
 
 
 @attack
 async def pages_of_a_thousand_events(target: Target) -> None:
     request = target.head("GET /api/v1/events?limit=1000", "viewer", "Connection: close\r\n") + b"\r\n"
-    await many(target, 12, lambda _: target.ask(request))
+    await many(target, 12, lambda _: target.send(request))
 
 
 @attack
 async def downloads_of_events(target: Target) -> None:
     request = target.head("GET /api/v1/events.csv", "viewer", "Connection: close\r\n") + b"\r\n"
-    await many(target, 12, lambda _: target.ask(request))
+    await many(target, 12, lambda _: target.send(request))
 
 
 @attack
 async def tokens_to_guess(target: Target) -> None:
     more = "Authorization: Bearer guess\r\nConnection: close\r\n"
-    await many(target, 12, lambda _: target.ask(target.head("GET /api/v1/line", more=more) + b"\r\n"))
+    await many(target, 12, lambda _: target.send(target.head("GET /api/v1/line", more=more) + b"\r\n"))
 
 
 @attack
 async def pages_without_a_sign_in(target: Target) -> None:
-    await many(target, 12, lambda _: target.ask(target.head("GET /login", more=GERMAN) + b"\r\n"))
+    await many(target, 12, lambda _: target.send(target.head("GET /login", more=GERMAN) + b"\r\n"))
 
 
 def frame(opcode: int, payload: bytes = b"", size: int | None = None) -> bytes:

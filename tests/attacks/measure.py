@@ -97,14 +97,14 @@ def measure(target: Site, attack: str, seconds: float) -> Measured:
     assert target.server is not None
     health, command = Waits(), Waits()
     with target.api("operator") as client:
-        asks = ((asks_health(target), health), (commands(client), command))
+        calls = ((asks_health(target), health), (commands(client), command))
         # What a server loads when it is first asked is no growth.
-        for ask, _ in asks:
-            probe(ask, Waits(), after_s(WARM_S))
+        for call, _ in calls:
+            probe(call, Waits(), after_s(WARM_S))
         before, lost = memory_mib(target.server.pid), links_lost(target)
         most = [before]
         with attacking(target, attack, seconds) as is_over:
-            threads = [threading.Thread(target=probe, args=(ask, waits, is_over)) for ask, waits in asks]
+            threads = [threading.Thread(target=probe, args=(call, waits, is_over)) for call, waits in calls]
             for thread in threads:
                 thread.start()
             while not is_over():
@@ -141,12 +141,12 @@ def attacking(target: Site, attack: str, seconds: float) -> Iterator[Callable[[]
         process.wait()
 
 
-def probe(ask: Callable[[], None], waits: Waits, is_over: Callable[[], bool]) -> None:
+def probe(call: Callable[[], None], waits: Waits, is_over: Callable[[], bool]) -> None:
     """Ask again and again until it is over."""
     while not is_over():
         begun = time.monotonic()
         try:
-            ask()
+            call()
         except (httpx.HTTPError, HTTPException, OSError, AssertionError) as error:
             waits.failed.append(f"{type(error).__name__} {error}".strip())
         waits.taken.append(time.monotonic() - begun)
@@ -156,7 +156,7 @@ def probe(ask: Callable[[], None], waits: Waits, is_over: Callable[[], bool]) ->
 def asks_health(target: Site) -> Callable[[], None]:
     """A client that is not signed in, on a connection of its own each time."""
 
-    def ask() -> None:
+    def call() -> None:
         # What takes no time of its own: httpx would load all certificates first.
         asked = HTTPConnection(target.url.rpartition("/")[2], timeout=30)
         try:
@@ -166,19 +166,19 @@ def asks_health(target: Site) -> Callable[[], None]:
             asked.close()
         assert json.loads(answer) == {"status": "ok"}, answer
 
-    return ask
+    return call
 
 
 def commands(client: httpx.Client) -> Callable[[], None]:
     """An operator who switches an output, each time to the other state."""
     states = [True, False]
 
-    def ask() -> None:
+    def call() -> None:
         states.reverse()
         answer = client.put("/buses/line/units/1/outputs/1", json={"on": states[0]})
         assert answer.json().get("outcome") == "verified", answer.text[:200]
 
-    return ask
+    return call
 
 
 def memory_mib(process: int) -> float:

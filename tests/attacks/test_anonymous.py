@@ -54,7 +54,7 @@ class Client:
         if message["type"] == "http.response.start":
             self.status = message["status"]
 
-    def ask(self, app: AnonymousInTurn) -> asyncio.Task[None]:
+    def request(self, app: AnonymousInTurn) -> asyncio.Task[None]:
         return asyncio.create_task(app(self.scope, self.messages.get, self.send))
 
 
@@ -65,7 +65,7 @@ async def settled() -> None:
 
 async def test_nothing_is_begun_before_the_body_is_whole() -> None:
     slow, client = Slow(), Client()
-    task = client.ask(AnonymousInTurn(slow))
+    task = client.request(AnonymousInTurn(slow))
     client.part(b"name=a", more=True)
     await settled()
     assert slow.bodies == []
@@ -79,7 +79,7 @@ async def test_nothing_is_begun_before_the_body_is_whole() -> None:
 
 async def test_a_client_that_leaves_amid_its_body_takes_no_turn() -> None:
     slow, client = Slow(), Client()
-    task = client.ask(AnonymousInTurn(slow))
+    task = client.request(AnonymousInTurn(slow))
     client.part(b"x", more=True)
     client.messages.put_nowait({"type": "http.disconnect"})
     await task
@@ -90,7 +90,7 @@ async def test_an_address_has_few_at_a_time_and_another_has_its_own() -> None:
     slow = Slow()
     app = AnonymousInTurn(slow)
     clients = [Client() for _ in range(5)] + [Client("192.0.2.2")]
-    tasks = [client.ask(app) for client in clients]
+    tasks = [client.request(app) for client in clients]
     for number, client in enumerate(clients):
         client.part(str(number).encode())
     await settled()
@@ -110,7 +110,7 @@ async def test_health_and_people_do_not_wait() -> None:
         Client(path="/healthz"),
         Client(person=Person("ann", Role.VIEWER, "session")),
     ]
-    tasks = [client.ask(app) for client in clients]
+    tasks = [client.request(app) for client in clients]
     for number, client in enumerate(clients):
         client.part(str(number).encode())
     await settled()
@@ -123,7 +123,7 @@ async def test_beyond_those_that_wait_an_address_is_refused() -> None:
     slow = Slow()
     app = AnonymousInTurn(slow)
     clients = [Client() for _ in range(AT_ONCE_OF_ADDRESS + MOST_WAITING_OF_ADDRESS + 1)]
-    tasks = [client.ask(app) for client in clients]
+    tasks = [client.request(app) for client in clients]
     for client in clients:
         client.part(b"")
     await settled()
@@ -134,7 +134,7 @@ async def test_beyond_those_that_wait_an_address_is_refused() -> None:
 
 async def test_a_body_beyond_any_form_is_refused_while_it_arrives() -> None:
     slow, client = Slow(), Client()
-    task = client.ask(AnonymousInTurn(slow))
+    task = client.request(AnonymousInTurn(slow))
     for _ in range(MOST_PLAIN_BODY_BYTES // 16384 + 1):
         client.part(b"x" * 16384, more=True)
     await task

@@ -237,7 +237,7 @@ def test_only_the_parts_of_a_result_that_belong_to_its_command_count(
         serving = asyncio.create_task(scene.serve(socket))
         async with asyncio.timeout(20):
             await opened.wait()
-            result = await channel.ask(Command(COMMAND_ID, time.time() + 5, SetSpeed(1, 5)))
+            result = await channel.send(Command(COMMAND_ID, time.time() + 5, SetSpeed(1, 5)))
             await serving
         assert (result.outcome, result.values, len(result.frames)) == ("verified", [], 300)
         assert abs(result.at - time.time()) < 60

@@ -27,7 +27,7 @@ from bus.worker.service import MOST_COMMANDS, MOST_TRACES, RESULTS_KEPT
 from bus.worker.uplink import MESSAGES_AT_ONCE, MESSAGES_PER_S, Uplink
 from tests.attacks.hostile import GARBAGE, broken, encoded, of_type
 from tests.bus.fake_app import TOKEN
-from tests.bus.test_uplink import Desk
+from tests.bus.test_uplink import FakeReceiver
 from tests.bus.virtual_line import EPOCH, VirtualLine, run, run_virtually
 
 MESSAGES = of_type(msgspec.inspect.type_info(AppMessage))
@@ -55,9 +55,9 @@ def test_more_commands_than_anybody_asks_for_are_not_taken() -> None:
     async def scene(line: VirtualLine) -> None:
         await line.until(lambda: line.readings(1))
         asked = [line.command(SetSpeed(1, 640), timeout_s=3600.0) for _ in range(MOST_COMMANDS + 50)]
-        ended = [fate for each in asked if (fate := line.fate_of(each)) is not None]
+        ended = [result for each in asked if (result := line.result_of(each)) is not None]
         assert len(ended) == 50
-        assert {(fate.outcome, "too many commands" in str(fate.message)) for fate in ended} == {
+        assert {(result.outcome, "too many commands" in str(result.message)) for result in ended} == {
             ("not_sent", True)
         }
 
@@ -71,7 +71,7 @@ def test_what_is_remembered_of_commands_is_bounded() -> None:
             line.worker.command(Command(f"late-{number}", EPOCH, SetSpeed(1, 640)))
         assert len(line.worker._results) == RESULTS_KEPT
         line.command(SetSpeed(1, 640), command_id="kept")
-        await line.until(lambda: line.fate_of("kept"))
+        await line.until(lambda: line.result_of("kept"))
         kept = line.worker._results["kept"]
         assert kept is not None
         assert kept.frames == []
@@ -83,9 +83,9 @@ def test_the_trace_is_read_by_few_at_once_and_remembered_by_none() -> None:
     async def scene(line: VirtualLine) -> None:
         await line.until(lambda: len(line.readings()) > 20)
         asked = [line.command(ReadTrace(0.0, limit=100)) for _ in range(MOST_TRACES + 5)]
-        refused = [fate for each in asked if (fate := line.fate_of(each)) is not None]
-        assert [fate.outcome for fate in refused] == ["not_sent"] * 5
-        await line.until(lambda: all(line.fate_of(each) for each in asked))
+        refused = [result for each in asked if (result := line.result_of(each)) is not None]
+        assert [result.outcome for result in refused] == ["not_sent"] * 5
+        await line.until(lambda: all(line.result_of(each) for each in asked))
         assert not set(asked) & line.worker._results.keys()
 
     run(scene, 2)
@@ -112,7 +112,7 @@ def test_a_flood_is_read_no_faster_than_it_is_meant_to_be(message: AppMessage) -
     """The rest waits in the socket, and the loop is free meanwhile."""
 
     async def scene() -> float:
-        uplink = Uplink("http://app", TOKEN, Outbox(), Desk(), ClockOffset(), lambda: 0.0)
+        uplink = Uplink("http://app", TOKEN, Outbox(), FakeReceiver(), ClockOffset(), lambda: 0.0)
         flood = Flood(message, int(MESSAGES_AT_ONCE + 10 * MESSAGES_PER_S))
         await uplink._receive(flood)  # type: ignore[arg-type]
         return asyncio.get_running_loop().time()

@@ -25,18 +25,18 @@ async def test_another_password_with_the_same_key_is_not_verified(tmp_path: Path
     async with staged(tmp_path) as stage:
         worker = await stage.worker()
         worker.play = answering("verified", read_back=1234)
-        assert (await _ask(stage.desk, 1234)).outcome == "verified"
-        desk = _restarted(stage) if restarts else stage.desk
+        assert (await _send(stage.commands, 1234)).outcome == "verified"
+        commands = _restarted(stage) if restarts else stage.commands
         with pytest.raises(Problem) as refused:
-            await _ask(desk, 4321)
+            await _send(commands, 4321)
         assert (refused.value.status, refused.value.code) == (422, "invalid")
-        again = await _ask(desk, 1234)
+        again = await _send(commands, 1234)
         assert (again.outcome, again.read_back) == ("verified", None)
         assert [command.action for command in worker.commands] == [password(1234)]
 
 
-async def _ask(desk: CommandService, raw: int) -> Result:
-    return await desk.ask(ANNA, password(raw), id="mine")
+async def _send(commands: CommandService, raw: int) -> Result:
+    return await commands.send(ANNA, password(raw), id="mine")
 
 
 def _restarted(stage: Stage) -> CommandService:

@@ -12,8 +12,8 @@ import pytest
 from app.web import arrival
 from app.web.access import Role
 from app.web.arrival import SAFE_METHODS
-from tests.app.played_desk import ANNA
-from tests.app.played_desk import answering as answering_units
+from tests.app.played_commands import ANNA
+from tests.app.played_commands import answering as answering_units
 from tests.app.stage import PlayedWorker, Stage, answering, staged
 from tests.app.whole_app import House, whole_app
 
@@ -54,7 +54,7 @@ async def worker(stage: Stage) -> PlayedWorker:
 async def test_a_write_that_says_it_is_old_is_not_sent(
     stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any
 ) -> None:
-    answer = await stage.ask(method, path, body, headers=sent(LATE_S))
+    answer = await stage.request(method, path, body, headers=sent(LATE_S))
     assert (answer.status_code, answer.json()["code"], answer.json()["outcome"]) == (
         503,
         "not_sent",
@@ -62,7 +62,7 @@ async def test_a_write_that_says_it_is_old_is_not_sent(
     )
     assert "too late" in answer.json()["detail"]
     assert worker.commands == []
-    assert (await stage.ask(method, path, body, headers=sent(0))).status_code == 200
+    assert (await stage.request(method, path, body, headers=sent(0))).status_code == 200
     assert len(worker.commands) == 1
 
 
@@ -77,13 +77,13 @@ async def test_a_write_that_says_it_is_old_is_not_sent(
 )
 @pytest.mark.usefixtures("worker")
 async def test_its_own_time_decides(stage: Stage, path: str, body: Any, status: int) -> None:
-    assert (await stage.ask("POST", path, body, headers=sent(LATE_S))).status_code == status
+    assert (await stage.request("POST", path, body, headers=sent(LATE_S))).status_code == status
 
 
 async def test_the_time_that_is_left_counts_from_when_it_was_made(stage: Stage, worker: PlayedWorker) -> None:
     made = datetime.now(UTC) - timedelta(seconds=LATE_S)
     headers = {"Lineside-Sent-At": made.isoformat()}
-    await stage.ask("POST", "/units/1/speed", {"raw": 5, "timeout_s": 20}, headers=headers)
+    await stage.request("POST", "/units/1/speed", {"raw": 5, "timeout_s": 20}, headers=headers)
     assert worker.commands[0].deadline == pytest.approx(made.timestamp() + 20, abs=0.01)
 
 
@@ -115,7 +115,7 @@ async def test_what_is_no_time_with_zone_is_refused(stage: Stage, worker: Played
 async def test_a_clock_may_be_ahead_by_five_seconds(
     stage: Stage, worker: PlayedWorker, zone: timezone, ahead_s: float, status: int
 ) -> None:
-    answer = await stage.ask("POST", "/units/1/speed", {"raw": 5}, headers=sent(-ahead_s, zone))
+    answer = await stage.request("POST", "/units/1/speed", {"raw": 5}, headers=sent(-ahead_s, zone))
     assert answer.status_code == status
     assert len(worker.commands) == (status == 200)
     if status == 422:
@@ -134,8 +134,8 @@ async def test_a_finished_command_gives_its_result_however_late_it_is_repeated(
 ) -> None:
     key = {"Idempotency-Key": "mine"}
     body = {"raw": 5}
-    first = await stage.ask("POST", "/units/1/speed", body, headers=key | sent(0))
-    again = await stage.ask("POST", "/units/1/speed", body, headers=key | sent(60))
+    first = await stage.request("POST", "/units/1/speed", body, headers=key | sent(0))
+    again = await stage.request("POST", "/units/1/speed", body, headers=key | sent(60))
     assert (again.status_code, again.text) == (200, first.text)
     assert len(worker.commands) == 1
 
@@ -143,15 +143,15 @@ async def test_a_finished_command_gives_its_result_however_late_it_is_repeated(
 @pytest.mark.usefixtures("worker")
 async def test_a_late_one_leaves_its_key_free(stage: Stage) -> None:
     key = {"Idempotency-Key": "mine"}
-    assert (await stage.ask("POST", "/execute", headers=key | sent(60))).status_code == 503
-    assert (await stage.ask("POST", "/execute", headers=key | sent(0))).status_code == 200
+    assert (await stage.request("POST", "/execute", headers=key | sent(60))).status_code == 503
+    assert (await stage.request("POST", "/execute", headers=key | sent(0))).status_code == 200
 
 
 @pytest.mark.usefixtures("worker")
 async def test_reading_is_never_late(stage: Stage) -> None:
     for headers in (sent(60), {"Lineside-Sent-At": "whenever"}):
-        assert (await stage.ask("GET", "/units/1", headers=headers)).status_code == 200
-        assert (await stage.ask("GET", "/units/1/parameters", headers=headers)).status_code == 200
+        assert (await stage.request("GET", "/units/1", headers=headers)).status_code == 200
+        assert (await stage.request("GET", "/units/1/parameters", headers=headers)).status_code == 200
 
 
 @pytest.mark.usefixtures("worker")
@@ -160,9 +160,9 @@ async def test_other_writes_are_late_too(stage: Stage) -> None:
         ("POST", "/units/1/block", {"reason": "belt off"}),
         ("POST", "/control", None),
     ):
-        answer = await stage.ask(method, path, body, headers=sent(LATE_S))
+        answer = await stage.request(method, path, body, headers=sent(LATE_S))
         assert (answer.status_code, answer.json()["code"]) == (503, "not_sent")
-    assert (await stage.ask("GET", "/units/1/block")).json()["blocked"] is False
+    assert (await stage.request("GET", "/units/1/block")).json()["blocked"] is False
 
 
 @pytest.fixture

@@ -112,16 +112,16 @@ class FakeApp:
                 self._news.clear()
                 await self._news.wait()
 
-    async def ask(self, action: Action, timeout_s: float = 2.0, command_id: str = "") -> Result:
+    async def perform(self, action: Action, timeout_s: float = 2.0, command_id: str = "") -> Result:
         """Command the worker and wait for the fate."""
         self._count += 1
         command_id = command_id or f"ask-{self._count}"
         await self.say(ClockSync(app_time=time.time()))
         await self.say(Command(command_id, time.time() + timeout_s, action))
-        await self.until(lambda: self.fates(command_id))
-        return self.fates(command_id)[0]
+        await self.until(lambda: self.results(command_id))
+        return self.results(command_id)[0]
 
-    def fates(self, command_id: str) -> list[Result]:
+    def results(self, command_id: str) -> list[Result]:
         return [each for each in self.updates() if isinstance(each, Result) and each.id == command_id]
 
     def updates(self) -> list[Update]:

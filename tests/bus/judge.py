@@ -122,7 +122,7 @@ def _body(unit: int, command: int, raw: int) -> bytes:
     return bytes((unit, command)) + raw.to_bytes(4, "big")
 
 
-def untrue_fate(case: Case, record: WireRecord, unit_at: Callable[[int], Unit]) -> list[str]:
+def untrue_result(case: Case, record: WireRecord, unit_at: Callable[[int], Unit]) -> list[str]:
     """What was told to have come of ``case``, against what its units did; asked before the next case."""
     acted = [entry.data for entry in _acted(case, record)]
     outcome, complaints = case.result.outcome, list[str]()

@@ -72,15 +72,15 @@ async def test_one_that_accepts_and_drops_is_left_in_peace_and_found_when_it_ser
             for _ in range(4):
                 await accepted.acquire()
             assert asyncio.get_running_loop().time() - began > 1.0, "it is not hammered"
-            fate = await app.ask(SetSpeed(1, 777))
-        assert fate.outcome in ("bus_closed", "unverified", "not_sent")
+            result = await app.perform(SetSpeed(1, 777))
+        assert result.outcome in ("bus_closed", "unverified", "not_sent")
         assert any(f"{line.port.name} closed the connection" in cause for cause in causes(app))
         seen = len(app.readings(1))
         line.plug()
         await app.until(lambda: len(app.readings(1)) > seen + 5)
         acted = line.call(lambda simulated: list(simulated.record.since(0, Happened.ACTED)))
         assert acted == [], "nothing is sent late"
-        assert (await app.ask(SetSpeed(1, 778))).outcome == "verified"
+        assert (await app.perform(SetSpeed(1, 778))).outcome == "verified"
 
 
 async def test_one_that_goes_away_is_told_and_so_is_what_it_says_then(line: LineServer) -> None:

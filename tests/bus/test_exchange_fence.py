@@ -175,7 +175,7 @@ class LateUnit:
     queue: list[tuple[Sent, bytes]] = field(default_factory=list)
     copy: tuple[Sent, bytes] | None = None
 
-    def ask(self, sent: Sent) -> None:
+    def send(self, sent: Sent) -> None:
         if self.draw.draw(st.integers(0, 5)) > 0:
             self.queue.append((sent, encode_reply(self._answer(sent.request), PLAIN)))
 
@@ -217,7 +217,7 @@ def test_no_late_or_doubled_answer_is_ever_taken_for_another(
             sent = Sent(request, writes)
             writes += is_write(request)
             exchange = Exchange(request, PLAIN, pending=pending.about(1))
-            unit.ask(sent)
+            unit.send(sent)
             for origin, frame in unit.deliver():
                 for event in exchange.receive(frame, 0.0):
                     if isinstance(event, Answered):

@@ -40,7 +40,7 @@ from bus.simulator.unit import Unit
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
-from tests.bus.judge import Case, half_done, made_up, rash_broadcasts, too_late, unasked, untrue_fate
+from tests.bus.judge import Case, half_done, made_up, rash_broadcasts, too_late, unasked, untrue_result
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
 
 UNITS = 4
@@ -92,14 +92,14 @@ class Trial:
 
     def __init__(
         self,
-        ask: Callable[[Action, float], Awaitable[Result]],
+        perform: Callable[[Action, float], Awaitable[Result]],
         now: Callable[[], float],
         record: WireRecord,
         units: list[Unit],
     ) -> None:
         self.cases: list[Case] = []
         self.complaints: list[str] = []
-        self._ask, self._now, self._record, self._units = ask, now, record, units
+        self._perform, self._now, self._record, self._units = perform, now, record, units
 
     async def play(self, seed: int, count: int) -> None:
         """One wish after the other, each judged as soon as its fate is known."""
@@ -113,10 +113,10 @@ class Trial:
     async def _judge(self, action: Action, timeout_s: float) -> None:
         asked_at = self._now()
         before = {unit.address: (unit.setpoint, unit.entered) for unit in self._units}
-        result = await self._ask(action, timeout_s)
+        result = await self._perform(action, timeout_s)
         case = Case(action, asked_at, asked_at + timeout_s, result, self._now())
         self.cases.append(case)
-        self.complaints += untrue_fate(case, self._record, self._unit_at)
+        self.complaints += untrue_result(case, self._record, self._unit_at)
         self.complaints += half_done(case, before, self._record, self._unit_at)
 
     def _unit_at(self, address: int) -> Unit:
@@ -151,11 +151,11 @@ def virtual_trial(
     """Play wishes on a virtual clock on a line with these faults, while ``meddle`` does what it does."""
 
     async def scene(line: VirtualLine) -> Trial:
-        def ask(action: Action, timeout_s: float) -> Awaitable[Result]:
-            return line.ask(action, timeout_s=timeout_s, within_s=300.0)
+        def perform(action: Action, timeout_s: float) -> Awaitable[Result]:
+            return line.perform(action, timeout_s=timeout_s, within_s=300.0)
 
         record = line.line.record
-        trial = Trial(ask, line.loop.time, record, line.plant.units)
+        trial = Trial(perform, line.loop.time, record, line.plant.units)
         await asyncio.sleep(2.0)
         suffer(line.faults, rates)
         meddling = asyncio.ensure_future(meddle(line)) if meddle is not None else None
@@ -243,10 +243,10 @@ def test_a_refusal_speaks_for_its_own_try_only() -> None:
         await asyncio.sleep(1.0)
         line.faults.set(FaultKind.LOST, 1.0)
         take_to_local()
-        return await line.ask(SetSpeed(1, 321))
+        return await line.perform(SetSpeed(1, 321))
 
-    fate = run(scene, UNITS)
-    assert (fate.outcome, fate.read_back) == ("verified", 321)
+    result = run(scene, UNITS)
+    assert (result.outcome, result.read_back) == ("verified", 321)
 
 
 async def test_all_faults_together_over_a_real_pseudo_terminal() -> None:
@@ -259,7 +259,7 @@ async def test_all_faults_together_over_a_real_pseudo_terminal() -> None:
             leave = asyncio.Event()
             worker = asyncio.create_task(run_worker(bus, app.url, TOKEN, leave=leave))
             await app.until(lambda: all(app.readings(unit) for unit in range(1, UNITS + 1)))
-            trial = Trial(app.ask, time.monotonic, simulated.record, simulated.plant.units)
+            trial = Trial(app.perform, time.monotonic, simulated.record, simulated.plant.units)
             server.call(lambda line: suffer(line.faults, ALL_AT_ONCE))
             await trial.play(seed=5, count=60)
             leave.set()

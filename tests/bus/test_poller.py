@@ -160,7 +160,7 @@ def test_what_an_operator_asks_is_the_very_next_frame(action: Action) -> None:
             await asyncio.sleep(0.0137)
             number, began = len(line.written), line.loop.time()
             command = line.command(action)
-            await line.until(lambda command=command: line.fate_of(command))
+            await line.until(lambda command=command: line.result_of(command))
             at, data = line.written[number]
             assert at - began <= POLL_S + 1e-6
             assert data[2] in (0, 3)
@@ -173,7 +173,7 @@ def test_a_read_back_follows_its_write_at_once() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         number = len(line.written)
-        await line.ask(SetSpeed(3, 640))
+        await line.perform(SetSpeed(3, 640))
         sent = [(data[2], data[3]) for _, data in line.written[number:]]
         place = sent.index((3, 0x84))
         assert sent[place : place + 2] == [(3, 0x84), (3, 0x81)]
@@ -243,9 +243,9 @@ def test_a_pulled_cable_is_seen_within_a_second_and_found_within_three() -> None
         line.unplug()
         await line.until(lambda: bus_links(line)[-1] == "closed", within_s=1.0)
         assert [unit_links(line, unit)[-1] for unit in line.units] == ["stale"] * 4
-        fate = await line.ask(SetSpeed(1, 640))
-        assert fate.outcome == "bus_closed"
-        assert "adapter" in str(fate.message) or "gone" in str(fate.message)
+        result = await line.perform(SetSpeed(1, 640))
+        assert result.outcome == "bus_closed"
+        assert "adapter" in str(result.message) or "gone" in str(result.message)
         await asyncio.sleep(5)
         assert [unit_links(line, unit)[-1] for unit in line.units] == ["offline"] * 4
         line.plug()
@@ -310,8 +310,8 @@ def test_a_flood_that_never_frames_holds_nothing_up() -> None:
         line.faults.set(FaultKind.FLOOD, 1.0)
         await asyncio.sleep(1)
         began, number = line.loop.time(), len(line.written)
-        fate = await line.ask(SetSpeed(1, 640))
-        assert fate.outcome == "unverified"
+        result = await line.perform(SetSpeed(1, 640))
+        assert result.outcome == "unverified"
         assert line.loop.time() - began < 3.0
         await asyncio.sleep(20)
         assert len(line.written) > number + 10, "it goes on asking"
@@ -346,7 +346,7 @@ def test_late_answers_are_never_taken_for_others() -> None:
     async def scene(line: VirtualLine) -> None:
         line.faults.set(FaultKind.LATE, 0.3)
         for _ in range(10):
-            await line.ask(ReadParameters(1, list(range(1, 41))), within_s=120)
+            await line.perform(ReadParameters(1, list(range(1, 41))), within_s=120)
         assert not made_up(line.updates, line.line.record, EPOCH)
         for value in line.parameters():
             assert value.raw == line.plant.unit(value.unit).memory[value.number]
@@ -359,7 +359,7 @@ def test_a_full_read_of_a_bus_nobody_watches_costs_hardly_more_than_its_frames()
         await asyncio.sleep(20)
         began = line.loop.time()
         ids = [line.command(ReadParameters(unit, urgent=False)) for unit in line.units]
-        await line.until(lambda: all(line.fate_of(each) for each in ids), within_s=200)
+        await line.until(lambda: all(line.result_of(each) for each in ids), within_s=200)
         took = line.loop.time() - began
         frames = [frame for each in ids for frame in _result_of(line, each).frames]
         assert took <= 1.1 * sum(len(frame.data) * 10 / 9600 for frame in frames)
@@ -386,9 +386,9 @@ def test_reading_what_a_short_list_does_not_have() -> None:
     async def scene(line: VirtualLine) -> None:
         line.plant.unit(1).memory.last = 20
         await settled(line)
-        fate = await line.ask(ReadParameters(1, [19, 20, 21, 22]))
-        assert fate.outcome == "verified"
-        assert [(value.number, value.available) for value in fate.values] == [
+        result = await line.perform(ReadParameters(1, [19, 20, 21, 22]))
+        assert result.outcome == "verified"
+        assert [(value.number, value.available) for value in result.values] == [
             (19, True),
             (20, True),
             (21, False),
@@ -406,11 +406,11 @@ def test_a_moment_of_silence_does_not_cost_a_whole_list() -> None:
         line.faults.set(FaultKind.DEAD, 1, 1)
         await asyncio.sleep(0.35)
         line.faults.clear()
-        await line.until(lambda: line.fate_of(command), within_s=60)
-        fate = _result_of(line, command)
-        assert fate.outcome == "verified"
-        assert sorted(value.number for value in fate.values) == list(range(1, 41))
-        assert fate.values[-1].number != 40, "one was asked again at the end"
+        await line.until(lambda: line.result_of(command), within_s=60)
+        result = _result_of(line, command)
+        assert result.outcome == "verified"
+        assert sorted(value.number for value in result.values) == list(range(1, 41))
+        assert result.values[-1].number != 40, "one was asked again at the end"
 
     run(scene, 2)
 
@@ -419,9 +419,9 @@ def test_a_unit_that_stays_silent_ends_its_reading() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         line.faults.set(FaultKind.DEAD, 1, 1)
-        fate = await line.ask(ReadParameters(1), within_s=30)
-        assert fate.outcome == "unverified"
-        assert str(fate.message) == "unit 1: 0 of 40 parameters were read, then: no response to #2"
+        result = await line.perform(ReadParameters(1), within_s=30)
+        assert result.outcome == "unverified"
+        assert str(result.message) == "unit 1: 0 of 40 parameters were read, then: no response to #2"
 
     run(scene, 2)
 
@@ -430,11 +430,11 @@ def test_a_secret_is_read_but_its_frames_are_not_kept() -> None:
     async def scene(line: VirtualLine) -> None:
         line.plant.unit(1).memory[21] = 9876
         await settled(line)
-        fate = await line.ask(ReadParameters(1, [21]))
-        assert fate.values[0].raw == 9876
-        assert fate.values[0].frame == b""
-        assert all(frame.data == b"" for frame in fate.frames if "secret" in frame.meaning)
-        assert any("secret" in frame.meaning for frame in fate.frames)
+        result = await line.perform(ReadParameters(1, [21]))
+        assert result.values[0].raw == 9876
+        assert result.values[0].frame == b""
+        assert all(frame.data == b"" for frame in result.frames if "secret" in frame.meaning)
+        assert any("secret" in frame.meaning for frame in result.frames)
         kept = b"".join(passed.data for passed in line.worker.poller.trace.since(0.0))
         assert (9876).to_bytes(4, "big") not in kept, "a value without a 10h, which is doubled on the wire"
 
@@ -447,9 +447,9 @@ def test_a_secret_is_read_but_its_frames_are_not_kept() -> None:
 def test_a_scan_between_the_polls_finds_whoever_is_there() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        fate = await line.ask(ScanBus(1, 8), within_s=300)
-        assert fate.outcome == "verified"
-        assert [(found.unit, found.kind) for found in fate.found] == [(u, "digimax") for u in range(1, 6)]
+        result = await line.perform(ScanBus(1, 8), within_s=300)
+        assert result.outcome == "verified"
+        assert [(found.unit, found.kind) for found in result.found] == [(u, "digimax") for u in range(1, 6)]
         assert all(len(line.readings(unit)) > 5 for unit in (1, 2, 3)), "the round went on"
 
     run(scene, 5, configured=3)
@@ -460,9 +460,9 @@ def test_the_whole_line_goes_to_another_baud_rate(at_once: bool) -> None:
     async def scene(line: VirtualLine) -> None:
         _decide(line, [at_once] * 4)
         await settled(line)
-        fate = await line.ask(ChangeBaud(4800), timeout_s=10)
-        assert fate.outcome == "verified"
-        assert "baud = 4800" in str(fate.message)
+        result = await line.perform(ChangeBaud(4800), timeout_s=10)
+        assert result.outcome == "verified"
+        assert "baud = 4800" in str(result.message)
         for unit in line.plant.units:
             unit.power_up()
         await asyncio.sleep(4 * LOOK_ELSEWHERE_S)
@@ -476,7 +476,7 @@ def test_the_new_rate_is_told_before_any_reading_at_it() -> None:
     async def scene(line: VirtualLine) -> None:
         _decide(line, [True] * 3)
         await settled(line)
-        assert (await line.ask(ChangeBaud(4800), timeout_s=10)).outcome == "verified"
+        assert (await line.perform(ChangeBaud(4800), timeout_s=10)).outcome == "verified"
         await asyncio.sleep(1)
         told = [update for update in line.updates if isinstance(update, BusLink)]
         assert [(each.link, each.baud) for each in told] == [("open", 9600), ("open", 4800)]
@@ -495,7 +495,7 @@ def test_a_line_that_has_come_to_its_new_rate_is_asked_there_only() -> None:
     async def scene(line: VirtualLine) -> None:
         _decide(line, [False] * 3)
         await settled(line)
-        assert (await line.ask(ChangeBaud(4800), timeout_s=10)).outcome == "verified"
+        assert (await line.perform(ChangeBaud(4800), timeout_s=10)).outcome == "verified"
         for unit in line.plant.units:
             unit.power_up()
         await line.until(lambda: bus_rates(line)[-1] == 4800 and unit_links(line, 1)[-1] == "online")
@@ -517,7 +517,7 @@ def test_a_slow_line_with_its_first_unit_off_is_found_at_its_new_rate() -> None:
     async def scene(line: VirtualLine) -> None:
         _decide(line, [False] * 3)
         await settled(line)
-        assert (await line.ask(ChangeBaud(4800), timeout_s=20)).outcome == "verified"
+        assert (await line.perform(ChangeBaud(4800), timeout_s=20)).outcome == "verified"
         line.faults.set(FaultKind.DEAD, 1.0, 1)
         for unit in line.plant.units:
             unit.power_up()
@@ -542,13 +542,13 @@ def test_a_unit_that_does_not_come_along_brings_all_the_others_back(odd: str) ->
         if odd == "dies":
             await line.until(lambda: line.plant.unit(3).baud == 4800)
             line.faults.set(FaultKind.DEAD, 1.0, 3)
-        await line.until(lambda: line.fate_of(command))
-        fate = _result_of(line, command)
-        assert fate.outcome == ("refused" if odd == "refuses" else "unverified")
-        assert "back at 9600" in str(fate.message)
+        await line.until(lambda: line.result_of(command))
+        result = _result_of(line, command)
+        assert result.outcome == ("refused" if odd == "refuses" else "unverified")
+        assert "back at 9600" in str(result.message)
         assert [line.plant.unit(unit).baud for unit in (1, 2, 4)] == [9600] * 3
         if odd in ("dead", "dies"):
-            assert "panel of unit 3" in str(fate.message)
+            assert "panel of unit 3" in str(result.message)
         await asyncio.sleep(3)
         assert line.worker.poller.baud == 9600
         assert unit_links(line, 1)[-1] == "online"
@@ -562,12 +562,12 @@ def test_a_nak_on_the_retry_does_not_speak_for_the_try_before() -> None:
 
     async def scene(line: VirtualLine) -> None:
         command = await _its_ack_lost_and_then_local(line, 2)
-        await line.until(lambda: line.fate_of(command))
-        fate = _result_of(line, command)
-        assert fate.outcome == "unverified"
-        assert "unit 2 refused" in str(fate.message)
-        assert "At the panel of unit 2: set #18 to 96" in str(fate.message)
-        assert {each.unit: each.outcome for each in fate.units} == {
+        await line.until(lambda: line.result_of(command))
+        result = _result_of(line, command)
+        assert result.outcome == "unverified"
+        assert "unit 2 refused" in str(result.message)
+        assert "At the panel of unit 2: set #18 to 96" in str(result.message)
+        assert {each.unit: each.outcome for each in result.units} == {
             1: "verified",
             2: "unverified",
             3: "verified",
@@ -582,10 +582,10 @@ def test_a_nak_on_the_retry_of_a_unit_that_is_soon_back_leaves_nothing_behind() 
         command = await _its_ack_lost_and_then_local(line, 2)
         await line.until(lambda: line.worker.poller.baud == 4800)
         line.plant.unit(2).memory[numbers.CONTROL_MODE] = 1
-        await line.until(lambda: line.fate_of(command))
-        fate = _result_of(line, command)
-        assert fate.outcome == "refused"
-        assert "every unit is back at 9600 baud" in str(fate.message)
+        await line.until(lambda: line.result_of(command))
+        result = _result_of(line, command)
+        assert result.outcome == "refused"
+        assert "every unit is back at 9600 baud" in str(result.message)
         assert [unit.memory[numbers.BAUD_RATE] for unit in line.plant.units] == [96] * 3
 
     run(scene, 3)
@@ -594,8 +594,8 @@ def test_a_nak_on_the_retry_of_a_unit_that_is_soon_back_leaves_nothing_behind() 
 def test_an_impossible_baud_rate_is_not_tried() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        assert (await line.ask(ChangeBaud(9600))).outcome == "invalid"
-        assert (await line.ask(ChangeBaud(1234))).outcome == "invalid"
+        assert (await line.perform(ChangeBaud(9600))).outcome == "invalid"
+        assert (await line.perform(ChangeBaud(1234))).outcome == "invalid"
         assert line.acted() == []
 
     run(scene, 2)
@@ -619,6 +619,6 @@ async def _its_ack_lost_and_then_local(line: VirtualLine, unit: int) -> str:
 
 
 def _result_of(line: VirtualLine, command: str) -> Result:
-    fate = line.fate_of(command)
-    assert fate is not None
-    return fate
+    result = line.result_of(command)
+    assert result is not None
+    return result

@@ -36,7 +36,7 @@ def test_writes_leave_before_their_deadline_or_not_at_all() -> None:
             unit, raw = draw.randint(1, UNITS), draw.randint(0, 1500)
             given = draw.choice((0.0, 0.02, 0.1, 0.4))
             began, number = line.loop.time(), len(line.written)
-            await line.ask(SetSpeed(unit, raw), timeout_s=given)
+            await line.perform(SetSpeed(unit, raw), timeout_s=given)
             late = [at for at, data in line.written[number:] if writes(data) and at > began + given + 1e-9]
             assert not late
 
@@ -49,7 +49,7 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
         await asyncio.sleep(1.0)
         draw = random.Random(4)
         for _ in range(20):
-            await line.ask(SetSpeed(draw.randint(1, UNITS), draw.randint(0, 1500)))
+            await line.perform(SetSpeed(draw.randint(1, UNITS), draw.randint(0, 1500)))
         return line.written
 
     first = run(scene, UNITS, seed=9)

@@ -24,7 +24,7 @@ from bus.reconnect_delay import (
 )
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import REFUSED_PAUSE_S, Refused, Uplink
-from tests.bus.test_uplink import Desk
+from tests.bus.test_uplink import FakeReceiver
 from tests.bus.virtual_line import run_virtually
 
 DAY_S = 86_400.0
@@ -188,7 +188,7 @@ class Flapping(Uplink):
     """An app that accepts and then does as it is told."""
 
     def __init__(self, end: Callable[[], Exception], lasts_s: float) -> None:
-        super().__init__("http://app", "t", Outbox(), Desk(), ClockOffset(), lambda: 0.0)
+        super().__init__("http://app", "t", Outbox(), FakeReceiver(), ClockOffset(), lambda: 0.0)
         self.accepted: list[float] = []
         self._end, self._lasts_s = end, lasts_s
 

@@ -90,8 +90,8 @@ async def test_a_worker_reads_and_writes_through_it(server: DeviceServer) -> Non
     async with FakeApp() as app:
         working = asyncio.create_task(run_worker(bus, app.url, TOKEN, leave=leave))
         await app.until(lambda: app.readings(1) and app.readings(2))
-        fate = await app.ask(SetSpeed(2, 255))
-        assert (fate.outcome, fate.read_back) == ("verified", 255)
+        result = await app.perform(SetSpeed(2, 255))
+        assert (result.outcome, result.read_back) == ("verified", 255)
         server.hang_up()
         seen = len([update for update in app.updates() if isinstance(update, Reading)])
         await app.until(

@@ -21,7 +21,7 @@ def kinds(result: Result) -> dict[int, str]:
 
 async def scan(line: VirtualLine, last: int = 8) -> Result:
     await asyncio.sleep(2.0)
-    return await line.ask(ScanBus(1, last), within_s=600.0)
+    return await line.perform(ScanBus(1, last), within_s=600.0)
 
 
 def test_it_finds_units_that_nobody_configured() -> None:
@@ -70,7 +70,7 @@ def test_a_unit_whose_first_answer_was_lost_is_found() -> None:
     async def scene(line: VirtualLine) -> Result:
         await asyncio.sleep(2.0)
         line.faults.set(FaultKind.DEAD, 1.0, unit=4)
-        scanning = asyncio.create_task(line.ask(ScanBus(1, 8), within_s=600.0))
+        scanning = asyncio.create_task(line.perform(ScanBus(1, 8), within_s=600.0))
         await line.until(lambda: any(each.unit == 5 for each in told(line)))
         line.faults.clear()
         return await scanning
@@ -82,7 +82,7 @@ def test_a_scan_leaves_the_units_two_thirds_of_their_rate() -> None:
     async def scene(line: VirtualLine) -> tuple[float, float]:
         await asyncio.sleep(5.0)
         before = await readings_in(line, asyncio.sleep(2.0))
-        meanwhile = await readings_in(line, line.ask(ScanBus(101, 120), within_s=600.0))
+        meanwhile = await readings_in(line, line.perform(ScanBus(101, 120), within_s=600.0))
         return before, meanwhile
 
     before, meanwhile = run(scene, 8)
@@ -122,7 +122,7 @@ def test_two_units_at_one_address_are_recognised_every_time() -> None:
     async def scene(line: VirtualLine) -> list[str]:
         line.plant.sections.append(Section(Unit(Memory({17: 3}))))
         await asyncio.sleep(2.0)
-        looks = [await line.ask(ScanBus(3, 3), within_s=600.0) for _ in range(20)]
+        looks = [await line.perform(ScanBus(3, 3), within_s=600.0) for _ in range(20)]
         return [kinds(look).get(3, "silent") for look in looks]
 
     assert run(scene, 3, configured=3) == ["garbled"] * 20
@@ -133,7 +133,7 @@ def test_a_scan_without_a_port_says_so() -> None:
         await asyncio.sleep(2.0)
         line.unplug()
         await asyncio.sleep(2.0)
-        return await line.ask(ScanBus(1, 8))
+        return await line.perform(ScanBus(1, 8))
 
     assert run(scene, PRESENT, configured=CONFIGURED).outcome == "bus_closed"
 
@@ -145,9 +145,9 @@ def test_a_port_lost_meanwhile_ends_it() -> None:
         await asyncio.sleep(5.0)
         line.unplug()
         await asyncio.sleep(2.0)
-        fate = line.fate_of(command)
-        assert fate is not None
-        return fate
+        result = line.result_of(command)
+        assert result is not None
+        return result
 
     result = run(scene, PRESENT, configured=CONFIGURED)
     assert result.outcome == "unverified"

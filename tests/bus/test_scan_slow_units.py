@@ -102,7 +102,7 @@ def bus_scan(turnaround_s: float) -> Result:
         for unit in line.plant.units:
             unit.traits = Traits(turnaround_s=turnaround_s)
         await asyncio.sleep(5.0)
-        return await line.ask(ScanBus(1, UNITS + 1), within_s=600.0)
+        return await line.perform(ScanBus(1, UNITS + 1), within_s=600.0)
 
     return run(scene, UNITS)
 

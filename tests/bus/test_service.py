@@ -48,7 +48,7 @@ def test_hello_says_who_speaks() -> None:
 def test_a_snapshot_has_everything_that_is_known() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        await line.ask(SetSpeed(2, 333, execute=False))
+        await line.perform(SetSpeed(2, 333, execute=False))
         await asyncio.sleep(1.0)
         snapshot = line.worker.snapshot(17)
         assert (snapshot.seq, snapshot.bus.link) == (17, "open")
@@ -70,10 +70,10 @@ def test_an_id_is_carried_out_once_and_its_fate_repeated() -> None:
         assert len(line.acted()) == 1
         line.command(SetSpeed(1, 999), command_id="same")
         await asyncio.sleep(1.0)
-        fates = [update for update in line.updates if isinstance(update, Result)]
-        assert len(fates) == 2
-        assert fates[0].frames
-        assert fates[1] == replace(fates[0], frames=[]), "what carried it is told once"
+        results = [update for update in line.updates if isinstance(update, Result)]
+        assert len(results) == 2
+        assert results[0].frames
+        assert results[1] == replace(results[0], frames=[]), "what carried it is told once"
         assert line.plant.unit(1).setpoint == 640
 
     run(scene, 2)
@@ -82,11 +82,11 @@ def test_an_id_is_carried_out_once_and_its_fate_repeated() -> None:
 def test_a_command_that_comes_too_late_is_never_sent_but_a_read_is() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        fate = await line.ask(SetSpeed(1, 640), timeout_s=-0.2)
-        assert fate.outcome == "not_sent"
-        assert "0.2 s after" in str(fate.message)
+        result = await line.perform(SetSpeed(1, 640), timeout_s=-0.2)
+        assert result.outcome == "not_sent"
+        assert "0.2 s after" in str(result.message)
         assert line.acted() == []
-        assert (await line.ask(ReadParameters(1, [6]), timeout_s=-0.2)).outcome == "verified"
+        assert (await line.perform(ReadParameters(1, [6]), timeout_s=-0.2)).outcome == "verified"
 
     run(scene, 2)
 
@@ -95,8 +95,8 @@ def test_the_apps_clock_decides_what_is_late() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         line.worker.app_clock.observe(EPOCH - 3600.0, EPOCH)
-        fate = await line.ask(SetSpeed(1, 640), timeout_s=-3599.0)
-        assert fate.outcome == "verified", "the app's clock is an hour slow: one second is left"
+        result = await line.perform(SetSpeed(1, 640), timeout_s=-3599.0)
+        assert result.outcome == "verified", "the app's clock is an hour slow: one second is left"
 
     run(scene, 2)
 
@@ -105,7 +105,7 @@ def test_a_value_no_frame_can_carry_is_invalid() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         for action in (SetSpeed(1, 100_000), SetSpeed(0, 5), SetSpeed(256, 5), ReadParameters(1, [0])):
-            assert (await line.ask(action)).outcome == "invalid"
+            assert (await line.perform(action)).outcome == "invalid"
         assert line.acted() == []
         seen = len(line.readings())
         await asyncio.sleep(0.5)
@@ -117,7 +117,7 @@ def test_a_value_no_frame_can_carry_is_invalid() -> None:
 def test_progress_runs_from_waiting_to_proving() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        await line.ask(SetSpeed(1, 640))
+        await line.perform(SetSpeed(1, 640))
         stages = [update.stage for update in line.updates if isinstance(update, Progress)]
         assert stages == ["waiting", "sent", "acknowledged", "proving"]
 
@@ -171,12 +171,12 @@ def test_the_trace_is_read_piece_by_piece_without_a_gap() -> None:
         await asyncio.sleep(5.0)
         frames, since = [], 0.0
         while True:
-            fate = await line.ask(ReadTrace(since=since, limit=100))
-            new = [frame for frame in fate.frames if frame not in frames]
+            result = await line.perform(ReadTrace(since=since, limit=100))
+            new = [frame for frame in result.frames if frame not in frames]
             frames += new
-            if len(fate.frames) < 100:
+            if len(result.frames) < 100:
                 break
-            since = fate.frames[-1].at
+            since = result.frames[-1].at
         sent = [frame.data for frame in frames if frame.direction == "out"]
         assert sent == [data for _, data in line.written][: len(sent)]
         assert len(sent) > 100
@@ -191,10 +191,10 @@ def test_told_to_leave_it_takes_nothing_new_and_gives_up_what_waits() -> None:
         began = line.loop.time()
         await line.worker.finish()
         assert line.loop.time() - began < 2.0
-        assert line.fate_of(slow) is not None
-        fate = await line.ask(SetSpeed(1, 640))
-        assert fate.outcome == "not_sent"
-        assert "stopping" in str(fate.message)
+        assert line.result_of(slow) is not None
+        result = await line.perform(SetSpeed(1, 640))
+        assert result.outcome == "not_sent"
+        assert "stopping" in str(result.message)
 
     run(scene, 2)
 

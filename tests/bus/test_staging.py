@@ -33,8 +33,8 @@ def entered(line: VirtualLine) -> list[int]:
     return [unit.entered for unit in line.plant.units]
 
 
-def by_unit(fate: Result) -> dict[int, str]:
-    return {unit.unit: unit.outcome for unit in fate.units}
+def by_unit(result: Result) -> dict[int, str]:
+    return {unit.unit: unit.outcome for unit in result.units}
 
 
 async def settled(line: VirtualLine) -> None:
@@ -46,21 +46,21 @@ def test_stage_all_one_broadcast_prove_all() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         began = line.line.record.count
-        fate = await line.ask(SetLine(ALL))
-        assert fate.outcome == "verified"
+        result = await line.perform(SetLine(ALL))
+        assert result.outcome == "verified"
         assert setpoints(line) == [501, 502, 503, 504]
         requests = [e.data for e in line.line.record.since(began, Happened.HEARD)]
         first = next(place for place, body in enumerate(requests) if body[1] == 0x82)
         commands = [body[1] for body in requests[first : first + 12]]
         assert commands == [0x82] * 4 + [0x83] * 4 + [0x81] * 4, "nothing between, and one 83h that all heard"
         assert len(heard(line, 0x83, began)) == 1
-        for unit in fate.units:
+        for unit in result.units:
             assert unit.sent_at is not None
             assert unit.acknowledged_at is not None
             assert unit.proven_at is not None
             assert unit.sent_at < unit.acknowledged_at < unit.proven_at
-        assert fate.skew_s is not None
-        assert 0.026 < fate.skew_s < 0.2
+        assert result.skew_s is not None
+        assert 0.026 < result.skew_s < 0.2
 
     run(scene, 4)
 
@@ -77,15 +77,15 @@ def test_one_that_cannot_stops_it_before_the_broadcast(fault: str) -> None:
             line.faults.set(FaultKind.DEAD, 1.0, 3)
         else:
             change[3] = line.plant.unit(3).highest + 1
-        fate = await line.ask(SetLine(change))
-        assert fate.outcome == ("unverified" if fault == "dead" else "refused")
-        assert "unit 3" in str(fate.message)
-        assert "no unit was changed" in str(fate.message)
+        result = await line.perform(SetLine(change))
+        assert result.outcome == ("unverified" if fault == "dead" else "refused")
+        assert "unit 3" in str(result.message)
+        assert "no unit was changed" in str(result.message)
         assert not heard(line, 0x83)
         assert setpoints(line) == before
         line.faults.clear()
         line.plant.unit(3).memory[numbers.CONTROL_MODE] = Mode.REMOTE
-        fate = await line.ask(ExecuteAll())
+        result = await line.perform(ExecuteAll())
         assert setpoints(line) == before, "a stray execute surprises nobody"
         assert line.worker.poller.roster[1].staged is None
 
@@ -96,9 +96,9 @@ def test_staged_values_are_put_back_and_told() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         change = {**ALL, 4: line.plant.unit(4).highest + 1}
-        fate = await line.ask(SetLine(change))
-        assert by_unit(fate) == {1: "not_sent", 2: "not_sent", 3: "not_sent", 4: "refused"}
-        assert "put back" in str(fate.units[0].message)
+        result = await line.perform(SetLine(change))
+        assert by_unit(result) == {1: "not_sent", 2: "not_sent", 3: "not_sent", 4: "refused"}
+        assert "put back" in str(result.units[0].message)
         assert entered(line) == setpoints(line)
         told = [update.raw for update in line.updates if isinstance(update, Staged) and update.unit == 1]
         assert (told[0], told[-1]) == (501, None)
@@ -110,8 +110,8 @@ def test_a_unit_known_to_be_local_is_asked_first_so_that_nothing_is_staged_in_va
     async def scene(line: VirtualLine) -> None:
         line.plant.unit(4).memory[numbers.CONTROL_MODE] = Mode.LOCAL
         await settled(line)
-        fate = await line.ask(SetLine(ALL))
-        assert fate.outcome == "refused"
+        result = await line.perform(SetLine(ALL))
+        assert result.outcome == "refused"
         assert [body[0] for body in heard(line, 0x82)] == [4]
 
     run(scene, 4)
@@ -121,9 +121,9 @@ def test_a_silent_unit_that_may_hold_its_stage_is_named() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         line.faults.set(FaultKind.LOST, 1.0, 2)
-        fate = await line.ask(SetLine(ALL))
-        assert fate.outcome == "unverified"
-        assert "may still be staged in unit 2" in str(fate.message)
+        result = await line.perform(SetLine(ALL))
+        assert result.outcome == "unverified"
+        assert "may still be staged in unit 2" in str(result.message)
         assert not heard(line, 0x83)
 
     run(scene, 4)
@@ -133,14 +133,14 @@ def test_a_unit_outside_the_change_keeps_its_staged_speed_and_does_not_move() ->
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         old = line.plant.unit(4).setpoint
-        assert (await line.ask(SetSpeed(4, 777, execute=False))).outcome == "acknowledged"
-        fate = await line.ask(SetLine({1: 501, 2: 502}))
-        assert fate.outcome == "verified"
+        assert (await line.perform(SetSpeed(4, 777, execute=False))).outcome == "acknowledged"
+        result = await line.perform(SetLine({1: 501, 2: 502}))
+        assert result.outcome == "verified"
         assert line.plant.unit(4).setpoint == old
         assert line.plant.unit(4).entered == 777
         assert line.worker.poller.roster[4].staged == 777
-        fate = await line.ask(ExecuteAll())
-        assert fate.outcome == "verified"
+        result = await line.perform(ExecuteAll())
+        assert result.outcome == "verified"
         assert line.plant.unit(4).setpoint == 777
 
     run(scene, 4)
@@ -150,10 +150,10 @@ def test_a_stray_that_somebody_else_staged_is_told() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         line.plant.unit(4).entered = 321
-        fate = await line.ask(SetLine({1: 501}))
-        assert fate.outcome == "verified"
-        assert "unit 4" in str(fate.message)
-        assert "321" in str(fate.message)
+        result = await line.perform(SetLine({1: 501}))
+        assert result.outcome == "verified"
+        assert "unit 4" in str(result.message)
+        assert "321" in str(result.message)
 
     run(scene, 4)
 
@@ -164,8 +164,8 @@ def test_two_changes_at_once_are_never_mixed() -> None:
         ids = [line.command(SetLine(dict.fromkeys(range(1, 5), raw))) for raw in (300, 400)]
         single = line.command(SetSpeed(2, 450))
         await asyncio.sleep(2.0)
-        fates = [line.fate_of(each) for each in (*ids, single)]
-        assert [fate and fate.outcome for fate in fates] == ["verified"] * 3
+        results = [line.result_of(each) for each in (*ids, single)]
+        assert [result and result.outcome for result in results] == ["verified"] * 3
         staged = [int.from_bytes(body[2:], "big") for body in heard(line, 0x82)]
         assert staged == [300] * 4 + [400] * 4
         assert setpoints(line) == [400, 450, 400, 400]
@@ -179,9 +179,9 @@ def test_the_second_of_two_changes_is_refused_in_words_when_its_time_is_over() -
         line.command(SetLine(dict.fromkeys(range(1, 5), 300)), timeout_s=2.0)
         second = line.command(SetLine(dict.fromkeys(range(1, 5), 400)), timeout_s=0.1)
         await asyncio.sleep(2.0)
-        fate = line.fate_of(second)
-        assert fate is not None
-        assert fate.outcome == "not_sent"
+        result = line.result_of(second)
+        assert result is not None
+        assert result.outcome == "not_sent"
         assert setpoints(line) == [300] * 4
 
     run(scene, 4)
@@ -190,9 +190,9 @@ def test_the_second_of_two_changes_is_refused_in_words_when_its_time_is_over() -
 def test_no_time_for_the_stages_is_said_before_anything_is_sent() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        fate = await line.ask(SetLine(ALL), timeout_s=0.05)
-        assert fate.outcome == "not_sent"
-        assert "takes" in str(fate.message)
+        result = await line.perform(SetLine(ALL), timeout_s=0.05)
+        assert result.outcome == "not_sent"
+        assert "takes" in str(result.message)
         assert not heard(line, 0x82)
 
     run(scene, 4)
@@ -203,11 +203,11 @@ def test_a_change_whose_time_runs_out_is_withdrawn() -> None:
         await settled(line)
         before = setpoints(line)
         line.faults.set(FaultKind.LOST, 1.0, 3)
-        fate = await line.ask(SetLine(ALL), timeout_s=0.12)
-        assert fate.outcome in ("not_sent", "unverified")
+        result = await line.perform(SetLine(ALL), timeout_s=0.12)
+        assert result.outcome in ("not_sent", "unverified")
         assert not heard(line, 0x83)
         line.faults.clear()
-        await line.ask(ExecuteAll())
+        await line.perform(ExecuteAll())
         assert [setpoints(line)[place] for place in (0, 1, 3)] == [before[place] for place in (0, 1, 3)]
 
     run(scene, 4)
@@ -222,17 +222,17 @@ async def unit_2_misses_the_broadcast(line: VirtualLine, *, back: bool) -> Resul
     await line.until(lambda: setpoints(line)[0] == 501)
     if back:
         line.faults.clear()
-    await line.until(lambda: line.fate_of(command))
-    fate = line.fate_of(command)
-    assert fate is not None
-    return fate
+    await line.until(lambda: line.result_of(command))
+    result = line.result_of(command)
+    assert result is not None
+    return result
 
 
 def test_one_that_missed_the_broadcast_is_told_singly() -> None:
     async def scene(line: VirtualLine) -> None:
-        fate = await unit_2_misses_the_broadcast(line, back=True)
-        assert fate.outcome == "verified"
-        assert "singly" in str(fate.message)
+        result = await unit_2_misses_the_broadcast(line, back=True)
+        assert result.outcome == "verified"
+        assert "singly" in str(result.message)
         assert setpoints(line)[1] == 502
 
     run(scene, 4)
@@ -240,11 +240,11 @@ def test_one_that_missed_the_broadcast_is_told_singly() -> None:
 
 def test_one_that_missed_the_broadcast_and_stays_silent_may_still_hold_it_and_that_is_said() -> None:
     async def scene(line: VirtualLine) -> None:
-        fate = await unit_2_misses_the_broadcast(line, back=False)
-        assert fate.outcome == "unverified"
+        result = await unit_2_misses_the_broadcast(line, back=False)
+        assert result.outcome == "unverified"
         assert entered(line)[1] == 502
         assert "unit 2: it did not respond to the read-back; it may still hold 502 staged" in str(
-            fate.message
+            result.message
         )
 
     run(scene, 4)
@@ -258,9 +258,9 @@ def test_given_up_before_the_broadcast_it_is_withdrawn() -> None:
         await line.until(lambda: entered(line)[1] == 502)
         line.worker.cancel(command)
         await asyncio.sleep(1.0)
-        fate = line.fate_of(command)
-        assert fate is not None
-        assert fate.outcome == "not_sent"
+        result = line.result_of(command)
+        assert result is not None
+        assert result.outcome == "not_sent"
         assert setpoints(line) == before
         assert entered(line) == before
 
@@ -276,7 +276,7 @@ def test_a_worker_told_to_leave_finishes_or_withdraws_the_change() -> None:
         began = line.loop.time()
         await line.worker.finish()
         assert line.loop.time() - began < 2.0
-        assert line.fate_of(command) is not None
+        assert line.result_of(command) is not None
         assert setpoints(line) in (before, list(ALL.values()))
         assert entered(line) == setpoints(line)
 
@@ -291,10 +291,10 @@ def test_a_pulled_cable_in_the_middle_leaves_what_may_be_staged_in_words() -> No
         await line.until(lambda: entered(line)[1] == 502)
         line.unplug()
         await asyncio.sleep(2.0)
-        fate = line.fate_of(command)
-        assert fate is not None
-        assert fate.outcome == "bus_closed"
-        assert "may still be staged in unit 1" in str(fate.message)
+        result = line.result_of(command)
+        assert result is not None
+        assert result.outcome == "bus_closed"
+        assert "may still be staged in unit 1" in str(result.message)
         line.plug()
         await asyncio.sleep(3.0)
         assert setpoints(line) == before, "nothing is sent late"
@@ -306,7 +306,7 @@ def test_a_pulled_cable_in_the_middle_leaves_what_may_be_staged_in_words() -> No
 def test_progress_counts_the_units() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        await line.ask(SetLine(ALL))
+        await line.perform(SetLine(ALL))
         told = [update for update in line.updates if isinstance(update, Progress)]
         assert [update.stage for update in told] == [
             "waiting",
@@ -323,8 +323,8 @@ def test_thirty_two_units_cost_hardly_more_than_their_frames() -> None:
     async def scene(line: VirtualLine) -> None:
         await asyncio.sleep(15.0)
         began, number = line.loop.time(), line.line.record.count
-        fate = await line.ask(SetLine({unit: 500 + unit for unit in range(1, 33)}))
-        assert fate.outcome == "verified"
+        result = await line.perform(SetLine({unit: 500 + unit for unit in range(1, 33)}))
+        assert result.outcome == "verified"
         took = line.loop.time() - began
         entries = line.line.record.since(number, Happened.CAME, Happened.SENT)
         wire = sum(len(entry.data) * 10 / 9600 for entry in entries)
@@ -347,12 +347,12 @@ def test_thirty_two_units_cost_hardly_more_than_their_frames() -> None:
 def test_execute_all_proves_what_was_staged_and_says_what_was_not() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        await line.ask(SetSpeed(1, 601, execute=False))
-        await line.ask(SetSpeed(2, 602, execute=False))
-        fate = await line.ask(ExecuteAll())
-        assert fate.outcome == "verified"
-        assert [unit.read_back for unit in fate.units][:2] == [601, 602]
-        assert "nothing was staged from here" in str(fate.units[2].message)
+        await line.perform(SetSpeed(1, 601, execute=False))
+        await line.perform(SetSpeed(2, 602, execute=False))
+        result = await line.perform(ExecuteAll())
+        assert result.outcome == "verified"
+        assert [unit.read_back for unit in result.units][:2] == [601, 602]
+        assert "nothing was staged from here" in str(result.units[2].message)
         assert line.worker.poller.roster[1].staged is None
 
     run(scene, 4)
@@ -361,11 +361,11 @@ def test_execute_all_proves_what_was_staged_and_says_what_was_not() -> None:
 def test_execute_all_with_a_silent_unit_is_unverified() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
-        await line.ask(SetSpeed(1, 601, execute=False))
+        await line.perform(SetSpeed(1, 601, execute=False))
         line.faults.set(FaultKind.DEAD, 1.0, 3)
-        fate = await line.ask(ExecuteAll())
-        assert fate.outcome == "unverified"
-        assert by_unit(fate) == {1: "verified", 2: "verified", 3: "unverified", 4: "verified"}
+        result = await line.perform(ExecuteAll())
+        assert result.outcome == "unverified"
+        assert by_unit(result) == {1: "verified", 2: "verified", 3: "unverified", 4: "verified"}
 
     run(scene, 4)
 
@@ -374,8 +374,8 @@ def test_execute_all_tells_what_somebody_else_had_staged() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         line.plant.unit(4).entered = 321
-        fate = await line.ask(ExecuteAll())
-        assert by_unit(fate)[4] == "unverified"
-        assert "321" in str(fate.message)
+        result = await line.perform(ExecuteAll())
+        assert by_unit(result)[4] == "unverified"
+        assert "321" in str(result.message)
 
     run(scene, 4)

@@ -32,7 +32,7 @@ from bus.worker.uplink import GOING_AWAY, Uplink, _about_status, feed_url
 from tests.bus.fake_app import TOKEN, FakeApp
 
 
-class Desk:
+class FakeReceiver:
     """What the app asked for."""
 
     def __init__(self) -> None:
@@ -69,12 +69,12 @@ class Desk:
 
 
 @asynccontextmanager
-async def linked(app: FakeApp, token: str = TOKEN) -> AsyncIterator[tuple[Outbox, Desk]]:
-    outbox, desk = Outbox(), Desk()
-    uplink = Uplink(app.url, token, outbox, desk, ClockOffset(), time.time)
+async def linked(app: FakeApp, token: str = TOKEN) -> AsyncIterator[tuple[Outbox, FakeReceiver]]:
+    outbox, receiver = Outbox(), FakeReceiver()
+    uplink = Uplink(app.url, token, outbox, receiver, ClockOffset(), time.time)
     running = asyncio.create_task(uplink.run())
     try:
-        yield outbox, desk
+        yield outbox, receiver
     finally:
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
@@ -109,24 +109,28 @@ async def test_hello_snapshot_then_batches_that_are_forgotten_once_delivered() -
 
 
 async def test_what_the_app_wants_reaches_the_desk() -> None:
-    async with FakeApp() as app, linked(app) as (_, desk):
+    async with FakeApp() as app, linked(app) as (_, receiver):
         await app.until(app.snapshots)
         command = Command("c", time.time() + 2, SetSpeed(1, 5))
         for message in (Watch(units=[1]), ClockSync(app_time=time.time()), command, Cancel("c")):
             await app.say(message)
-        await desk.until("c")
-        assert [each for each in desk.asked if each != Watch(units=[])] == [Watch(units=[1]), command, "c"]
+        await receiver.until("c")
+        assert [each for each in receiver.asked if each != Watch(units=[])] == [
+            Watch(units=[1]),
+            command,
+            "c",
+        ]
         await app.say(WantSnapshot())
         await app.until(lambda: len(app.snapshots()) == 2)
 
 
 async def test_it_comes_back_for_ever_and_nobody_watches_meanwhile() -> None:
-    async with FakeApp() as app, linked(app) as (outbox, desk):
+    async with FakeApp() as app, linked(app) as (outbox, receiver):
         await app.until(app.snapshots)
         await app.say(Watch(units=[1]))
-        await desk.until(Watch(units=[1]))
+        await receiver.until(Watch(units=[1]))
         await app.stop()
-        await desk.until(Watch(units=[]))
+        await receiver.until(Watch(units=[]))
         outbox.put([Reading(1, time.time(), 2, 3, 4, 5, 6)])
         await app.start()
         await app.until(app.readings)
@@ -193,12 +197,12 @@ async def _said(logs: list[MutableMapping[str, Any]]) -> None:
 
 
 async def test_an_address_that_names_no_host_is_said_and_does_not_end_the_worker() -> None:
-    desk = Desk()
-    uplink = Uplink("http://a..b:8000", TOKEN, Outbox(), desk, ClockOffset(), time.time)
+    receiver = FakeReceiver()
+    uplink = Uplink("http://a..b:8000", TOKEN, Outbox(), receiver, ClockOffset(), time.time)
     with capture_logs() as logs:
         linking = asyncio.create_task(uplink.run())
         async with asyncio.timeout(20):
-            await desk.news.wait()
+            await receiver.news.wait()
         assert not linking.done()
         linking.cancel()
     assert "no dashboard at ws://a..b:8000/feed" in logs[0]["why"]

@@ -105,22 +105,22 @@ async def test_it_says_hello_then_everything_then_what_is_new(line: LineServer, 
 async def test_every_action_of_the_contract_has_its_fate(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
         await app.until(lambda: {1, 2, 3} <= app.read(8))
-        fate = await app.ask(SetSpeed(1, 700))
-        assert (fate.outcome, fate.read_back) == ("verified", 700)
-        assert [frame.direction for frame in fate.frames] == ["out", "in", "out", "in"]
-        assert (await app.ask(SetSpeed(2, 800, execute=False))).outcome == "acknowledged"
-        assert (await app.ask(ExecuteSpeed(2))).outcome == "verified"
-        assert (await app.ask(WriteOutput(1, 3, True))).outcome == "verified"
-        assert (await app.ask(WriteAnalogOutput(1, 100))).outcome == "acknowledged"
-        fate = await app.ask(WriteParameter(1, 6, 123))
-        assert (fate.outcome, fate.read_back) == ("verified", 123)
-        fate = await app.ask(ReadParameters(1))
-        assert [value.number for value in fate.values] == list(range(1, 41))
-        fate = await app.ask(SetLine({1: 401, 2: 402, 3: 403}))
-        assert fate.outcome == "verified"
-        assert [unit.read_back for unit in fate.units] == [401, 402, 403]
-        assert fate.skew_s is not None
-        assert (await app.ask(ExecuteAll())).outcome == "verified"
+        result = await app.perform(SetSpeed(1, 700))
+        assert (result.outcome, result.read_back) == ("verified", 700)
+        assert [frame.direction for frame in result.frames] == ["out", "in", "out", "in"]
+        assert (await app.perform(SetSpeed(2, 800, execute=False))).outcome == "acknowledged"
+        assert (await app.perform(ExecuteSpeed(2))).outcome == "verified"
+        assert (await app.perform(WriteOutput(1, 3, True))).outcome == "verified"
+        assert (await app.perform(WriteAnalogOutput(1, 100))).outcome == "acknowledged"
+        result = await app.perform(WriteParameter(1, 6, 123))
+        assert (result.outcome, result.read_back) == ("verified", 123)
+        result = await app.perform(ReadParameters(1))
+        assert [value.number for value in result.values] == list(range(1, 41))
+        result = await app.perform(SetLine({1: 401, 2: 402, 3: 403}))
+        assert result.outcome == "verified"
+        assert [unit.read_back for unit in result.units] == [401, 402, 403]
+        assert result.skew_s is not None
+        assert (await app.perform(ExecuteAll())).outcome == "verified"
         assert [line.call(lambda simulated, u=u: simulated.plant.unit(u).setpoint) for u in (1, 2, 3)] == [
             401,
             402,
@@ -131,26 +131,26 @@ async def test_every_action_of_the_contract_has_its_fate(line: LineServer, tmp_p
 async def test_a_refusal_is_the_units_word_and_is_asked_once(line: LineServer, tmp_path: Path) -> None:
     line.line.plant.unit(2).memory[numbers.CONTROL_MODE] = Mode.LOCAL
     async with running(line, tmp_path) as app:
-        fate = await app.ask(SetSpeed(2, 100))
-        assert (fate.outcome, fate.unit_error, fate.units[0].attempts) == ("refused", 0x80, 1)
-        assert "REMOTE" in str(fate.message)
+        result = await app.perform(SetSpeed(2, 100))
+        assert (result.outcome, result.unit_error, result.units[0].attempts) == ("refused", 0x80, 1)
+        assert "REMOTE" in str(result.message)
 
 
 async def test_the_same_id_is_carried_out_once(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
-        await app.ask(SetSpeed(1, 640), command_id="twice")
-        await app.ask(SetSpeed(1, 640), command_id="twice")
-        await app.until(lambda: len(app.fates("twice")) == 2)
+        await app.perform(SetSpeed(1, 640), command_id="twice")
+        await app.perform(SetSpeed(1, 640), command_id="twice")
+        await app.until(lambda: len(app.results("twice")) == 2)
         acted = line.call(lambda simulated: list(simulated.record.since(0, Happened.ACTED)))
         assert len(acted) == 1
-        first, again = app.fates("twice")
+        first, again = app.results("twice")
         assert again == replace(first, frames=[])
 
 
 async def test_a_command_that_was_held_up_is_never_sent(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
-        fate = await app.ask(SetSpeed(1, 640), timeout_s=-0.5)
-        assert fate.outcome == "not_sent"
+        result = await app.perform(SetSpeed(1, 640), timeout_s=-0.5)
+        assert result.outcome == "not_sent"
         assert not line.call(lambda simulated: list(simulated.record.since(0, Happened.ACTED)))
 
 
@@ -158,8 +158,8 @@ async def test_a_dead_unit_is_told_and_found_again(line: LineServer, tmp_path: P
     async with running(line, tmp_path) as app:
         line.call(lambda simulated: simulated.faults.set(FaultKind.DEAD, 1.0, 2))
         await app.until(lambda: app.links(2)[-1:] == ["offline"])
-        fate = await app.ask(SetSpeed(2, 640))
-        assert fate.outcome == "unverified"
+        result = await app.perform(SetSpeed(2, 640))
+        assert result.outcome == "unverified"
         before = len(app.updates())
         line.call(lambda simulated: simulated.faults.clear())
         await app.until(lambda: app.links(2)[-1:] == ["online"])
@@ -181,8 +181,8 @@ async def test_a_pulled_cable_is_seen_and_the_line_found_under_its_new_name(
     async with running(line, tmp_path) as app:
         line.unplug()
         await app.until(lambda: _bus_links(app)[-1:] == ["closed"])
-        fate = await app.ask(SetSpeed(1, 640))
-        assert fate.outcome == "bus_closed"
+        result = await app.perform(SetSpeed(1, 640))
+        assert result.outcome == "bus_closed"
         line.plug()
         await app.until(lambda: _bus_links(app)[-1:] == ["open"])
         seen = len(app.readings(1))
@@ -217,12 +217,12 @@ async def test_readings_are_kept_while_the_app_is_away(line: LineServer, tmp_pat
 
 async def test_a_killed_app_leaves_the_whole_new_line(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
-        command = asyncio.create_task(app.ask(SetLine({1: 301, 2: 302, 3: 303}), command_id="whole"))
+        command = asyncio.create_task(app.perform(SetLine({1: 301, 2: 302, 3: 303}), command_id="whole"))
         await app.until(lambda: any(getattr(update, "id", "") == "whole" for update in app.updates()))
         await app.stop()
         await app.start()
         await asyncio.wait_for(command, 10)
-        assert app.fates("whole")[0].outcome == "verified"
+        assert app.results("whole")[0].outcome == "verified"
         setpoints = line.call(lambda simulated: [unit.setpoint for unit in simulated.plant.units])
         assert setpoints == [301, 302, 303]
 
@@ -232,11 +232,11 @@ async def test_the_trace_is_sent_while_followed_and_read_on_request(line: LineSe
         assert not [update for update in app.updates() if isinstance(update, Frames)]
         await app.say(Watch(units=[1], trace=True))
         await app.until(lambda: sum(isinstance(update, Frames) for update in app.updates()) > 60)
-        fate = await app.ask(ReadTrace(since=0.0, limit=50))
-        assert len(fate.frames) == 50
-        assert "read speed and status" in fate.frames[0].meaning
-        later = await app.ask(ReadTrace(since=fate.frames[-1].at, limit=10))
-        assert later.frames[0].at >= fate.frames[-1].at
+        result = await app.perform(ReadTrace(since=0.0, limit=50))
+        assert len(result.frames) == 50
+        assert "read speed and status" in result.frames[0].meaning
+        later = await app.perform(ReadTrace(since=result.frames[-1].at, limit=10))
+        assert later.frames[0].at >= result.frames[-1].at
 
 
 async def test_a_snapshot_is_said_again_when_asked_for(line: LineServer, tmp_path: Path) -> None:
@@ -252,11 +252,11 @@ async def test_a_snapshot_is_said_again_when_asked_for(line: LineServer, tmp_pat
 async def test_a_waiting_command_can_be_given_up(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
         line.call(lambda simulated: simulated.faults.set(FaultKind.DEAD, 1.0, 2))
-        command = asyncio.create_task(app.ask(ReadParameters(1, urgent=False), command_id="slow"))
+        command = asyncio.create_task(app.perform(ReadParameters(1, urgent=False), command_id="slow"))
         await app.until(lambda: any(getattr(update, "id", "") == "slow" for update in app.updates()))
         await app.say(Cancel("slow"))
-        fate = await command
-        assert fate.outcome in ("unverified", "not_sent")
+        result = await command
+        assert result.outcome in ("unverified", "not_sent")
 
 
 async def test_it_leaves_with_its_parent(line: LineServer, tmp_path: Path) -> None:

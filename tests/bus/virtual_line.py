@@ -224,19 +224,21 @@ class VirtualLine:
         self.worker.command(Command(command_id, EPOCH + self.loop.time() + timeout_s, action))
         return command_id
 
-    def fate_of(self, command_id: str) -> Result | None:
+    def result_of(self, command_id: str) -> Result | None:
         """The result told for ``command_id``, if any."""
-        fates = [update for update in self.updates if isinstance(update, Result) and update.id == command_id]
-        assert len(fates) <= 1, "one command, one fate"
-        return fates[0] if fates else None
+        results = [
+            update for update in self.updates if isinstance(update, Result) and update.id == command_id
+        ]
+        assert len(results) <= 1, "one command, one fate"
+        return results[0] if results else None
 
-    async def ask(self, action: Action, *, timeout_s: float = 2.0, within_s: float = 60.0) -> Result:
+    async def perform(self, action: Action, *, timeout_s: float = 2.0, within_s: float = 60.0) -> Result:
         """Ask the worker and wait for the fate."""
         command_id = self.command(action, timeout_s=timeout_s)
         for _ in range(int(within_s / 0.005)):
-            fate = self.fate_of(command_id)
-            if fate is not None:
-                return fate
+            result = self.result_of(command_id)
+            if result is not None:
+                return result
             await asyncio.sleep(0.005)
         raise AssertionError(f"no fate for {action} within {within_s} s")
 

@@ -66,13 +66,13 @@ def review(page: Page) -> None:
     page.get_by_role("button", name="Read the unit and show the difference").click()
 
 
-def fates(page: Page) -> dict[int, str]:
+def outcomes(page: Page) -> dict[int, str]:
     """Number → what the table of rows says of it."""
     rows = page.get_by_role("table", name="Rows to write").locator("tbody tr")
     said = rows.evaluate_all(
         "rows => rows.map(row => [row.cells[0].innerText, row.cells[row.cells.length - 1].innerText])"
     )
-    return {int(number): fate.strip() for number, fate in said}
+    return {int(number): outcome.strip() for number, outcome in said}
 
 
 def cancel(site: Site, page: Page) -> None:
@@ -112,11 +112,11 @@ def test_stopped_half_way_it_says_what_is_done_and_again_finishes_the_rest(
     trouble(site, page)
     early = page.get_by_role("status").filter(has_text="It ended early")
     expect(early).to_contain_text(re.compile(cause), timeout=PROCEDURE_MS)
-    told = fates(page)
+    told = outcomes(page)
     hands.do("clear")
     assert set(told) == set(wanted)
-    done = {number for number, fate in told.items() if fate == "verified"}
-    untouched = {number for number, fate in told.items() if fate.startswith("not sent")}
+    done = {number for number, outcome in told.items() if outcome == "verified"}
+    untouched = {number for number, outcome in told.items() if outcome.startswith("not sent")}
     assert 1 <= len(done) < len(wanted)
     assert len(done | untouched) >= len(wanted) - 1, told
     assert {number for number in wanted if parameter(site, number) == wanted[number]} - done <= set(
@@ -127,7 +127,7 @@ def test_stopped_half_way_it_says_what_is_done_and_again_finishes_the_rest(
         hands.do("plug")
     left = page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 2"))
     eventually(lambda: asked_again(page, left), "the unit answers again", within=PROCEDURE_S)
-    assert set(fates(page)) == {number for number in wanted if parameter(site, number) != wanted[number]}
+    assert set(outcomes(page)) == {number for number in wanted if parameter(site, number) != wanted[number]}
     left.click()
     expect_proof(page)
     assert {number: parameter(site, number) for number in wanted} == wanted

@@ -54,7 +54,7 @@ def problem(answer: Any, status: int, code: str) -> dict[str, Any]:
     return said
 
 
-def fate(answer: Any, outcome: str, status: int = 200) -> dict[str, Any]:
+def result_of(answer: Any, outcome: str, status: int = 200) -> dict[str, Any]:
     """The answer is this fate."""
     assert answer.status_code == status, answer.text
     said: dict[str, Any] = answer.json()
@@ -106,7 +106,9 @@ def test_a_unit_that_never_answered_is_unknown_and_all_null(plant: Dashboard) ->
 
 
 def test_set_speed_is_verified_and_shown(plant: Dashboard, units: dict[int, Unit]) -> None:
-    said = fate(plant.bus("POST", "/units/1/speed", {"raw": 4099, "execute": True}, "operator"), "verified")
+    said = result_of(
+        plant.bus("POST", "/units/1/speed", {"raw": 4099, "execute": True}, "operator"), "verified"
+    )
     assert said["read_back"] == 4099
     assert said["frames"]
     assert units[MASTER].commanded == 4099
@@ -115,15 +117,15 @@ def test_set_speed_is_verified_and_shown(plant: Dashboard, units: dict[int, Unit
 
 
 def test_set_speed_by_value_in_the_units_decimals(plant: Dashboard, units: dict[int, Unit]) -> None:
-    fate(plant.bus("POST", "/units/16/speed", {"value": "1234.5", "execute": True}), "verified")
+    result_of(plant.bus("POST", "/units/16/speed", {"value": "1234.5", "execute": True}), "verified")
     assert units[SIXTEEN].commanded == 12345
 
 
 def test_stage_and_execute(plant: Dashboard, units: dict[int, Unit]) -> None:
     before = units[MASTER].commanded
-    fate(plant.bus("POST", "/units/1/speed", {"raw": 777, "execute": False}, "operator"), "acknowledged")
+    result_of(plant.bus("POST", "/units/1/speed", {"raw": 777, "execute": False}, "operator"), "acknowledged")
     assert (units[MASTER].staged, units[MASTER].commanded) == (777, before)
-    fate(plant.bus("POST", "/units/1/execute", role="operator"), "verified")
+    result_of(plant.bus("POST", "/units/1/execute", role="operator"), "verified")
     assert units[MASTER].commanded == 777
     assert [command for command, _, _ in units[MASTER].writes] == [0x82, 0x83]
 
@@ -207,30 +209,30 @@ def test_a_speed_that_is_not_taken_is_unverified_with_what_was_read(
 
 def test_a_lost_acknowledgement_is_settled_by_the_read_back(plant: Dashboard, units: dict[int, Unit]) -> None:
     units[ODD].mute_on = {0x84}
-    fate(plant.bus("POST", "/units/6/speed", {"raw": 3333, "execute": True}), "verified")
+    result_of(plant.bus("POST", "/units/6/speed", {"raw": 3333, "execute": True}), "verified")
     assert units[ODD].commanded == 3333
 
 
 def test_outputs(plant: Dashboard, units: dict[int, Unit]) -> None:
     for number in range(1, 7):
-        fate(plant.bus("PUT", f"/units/1/outputs/{number}", {"on": True}, "operator"), "verified")
+        result_of(plant.bus("PUT", f"/units/1/outputs/{number}", {"on": True}, "operator"), "verified")
         assert plant.unit(MASTER)["outputs"] == [True] * number + [False] * (6 - number)
-    fate(plant.bus("PUT", "/units/1/outputs/2", {"on": False}, "operator"), "verified")
+    result_of(plant.bus("PUT", "/units/1/outputs/2", {"on": False}, "operator"), "verified")
     assert units[MASTER].outputs == 0b111101
     units[ODD].deaf_to = {0x87}
     problem(plant.bus("PUT", "/units/6/outputs/2", {"on": True}), 504, "unverified")
 
 
 def test_analog_output_is_acknowledged_never_verified(plant: Dashboard, units: dict[int, Unit]) -> None:
-    fate(plant.bus("PUT", "/units/1/analog-output", {"raw": 350}, "engineer"), "acknowledged")
+    result_of(plant.bus("PUT", "/units/1/analog-output", {"raw": 350}, "engineer"), "acknowledged")
     assert units[MASTER].analog_out == 350
 
 
 def test_analog_output_that_is_not_set_for_the_link(plant: Dashboard) -> None:
-    fate(plant.bus("PUT", "/units/6/parameters/28", {"raw": 1}), "verified")
+    result_of(plant.bus("PUT", "/units/6/parameters/28", {"raw": 1}), "verified")
     said = problem(plant.bus("PUT", "/units/6/analog-output", {"raw": 350}), 409, "refused")
     assert said["unit_error"] == 135
-    fate(plant.bus("PUT", "/units/6/parameters/28", {"raw": 2}), "verified")
+    result_of(plant.bus("PUT", "/units/6/parameters/28", {"raw": 2}), "verified")
 
 
 def test_parameters(plant: Dashboard) -> None:
@@ -257,22 +259,22 @@ def test_a_unit_with_fewer_parameters(plant: Dashboard) -> None:
 
 
 def test_a_written_parameter_is_shown_as_read_back(plant: Dashboard, units: dict[int, Unit]) -> None:
-    said = fate(plant.bus("PUT", "/units/1/parameters/16", {"raw": 0}, "engineer"), "verified")
+    said = result_of(plant.bus("PUT", "/units/1/parameters/16", {"raw": 0}, "engineer"), "verified")
     assert said["read_back"] == 0
     assert units[MASTER].writes[-1][2] == bytes([16, 0, 0, 0, 0])
     rows = plant.bus("GET", "/units/1/parameters").json()
     assert rows[15]["raw"] == 0
-    fate(plant.bus("PUT", "/units/1/parameters/16", {"raw": 1}), "verified")
+    result_of(plant.bus("PUT", "/units/1/parameters/16", {"raw": 1}), "verified")
     units[ODD].deaf_to = {0x86}
     said = problem(plant.bus("PUT", "/units/6/parameters/6", {"raw": 77}), 504, "unverified")
     assert said["read_back"] == FACTORY[6]
 
 
 def test_decimals_that_change_change_what_is_shown(plant: Dashboard) -> None:
-    fate(plant.bus("PUT", "/units/16/parameters/3", {"raw": 2}), "verified")
+    result_of(plant.bus("PUT", "/units/16/parameters/3", {"raw": 2}), "verified")
     unit = plant.see(SIXTEEN, "with two decimals", lambda shown: shown["decimals"] == 2)
     assert unit["commanded"] == f"{unit['commanded_raw'] / 100:.2f}"
-    fate(plant.bus("PUT", "/units/16/parameters/3", {"raw": 1}), "verified")
+    result_of(plant.bus("PUT", "/units/16/parameters/3", {"raw": 1}), "verified")
 
 
 def test_dangerous_parameters_need_a_confirmation(plant: Dashboard, units: dict[int, Unit]) -> None:
@@ -280,13 +282,13 @@ def test_dangerous_parameters_need_a_confirmation(plant: Dashboard, units: dict[
         said = problem(plant.bus("PUT", f"/units/6/parameters/{number}", {"raw": raw}), 409, "dangerous")
         assert said["outcome"] == "dangerous"
     assert units[ODD].writes == []
-    fate(plant.bus("PUT", "/units/6/parameters/27", {"raw": 1, "confirm": True}), "verified")
-    fate(plant.bus("PUT", "/units/6/parameters/27", {"raw": 0, "confirm": True}), "verified")
+    result_of(plant.bus("PUT", "/units/6/parameters/27", {"raw": 1, "confirm": True}), "verified")
+    result_of(plant.bus("PUT", "/units/6/parameters/27", {"raw": 0, "confirm": True}), "verified")
 
 
 def test_setpoints_of_several_as_one(plant: Dashboard, units: dict[int, Unit]) -> None:
     setpoints = {"1": {"raw": 1500}, "16": {"raw": 1600}, "6": {"value": "170.0"}}
-    said = fate(plant.bus("POST", "/speeds", {"setpoints": setpoints}, "operator"), "verified")
+    said = result_of(plant.bus("POST", "/speeds", {"setpoints": setpoints}, "operator"), "verified")
     assert {key: unit["outcome"] for key, unit in said["units"].items()} == dict.fromkeys(
         ("1", "16", "6"), "verified"
     )
@@ -315,8 +317,8 @@ def test_execute_all(plant: Dashboard, units: dict[int, Unit]) -> None:
     units[LOCAL].remote, units[DEAD].silent = True, False
     plant.see(DEAD, "heard", lambda shown: shown["link"] == "online")
     for number, raw in ((MASTER, 2100), (ODD, 2200)):
-        fate(plant.bus("POST", f"/units/{number}/speed", {"raw": raw, "execute": False}), "acknowledged")
-    said = fate(plant.bus("POST", "/execute", role="operator"), "verified")
+        result_of(plant.bus("POST", f"/units/{number}/speed", {"raw": raw, "execute": False}), "acknowledged")
+    said = result_of(plant.bus("POST", "/execute", role="operator"), "verified")
     assert (units[MASTER].commanded, units[ODD].commanded) == (2100, 2200)
     assert said["units"]["1"]["read_back"] == 2100
     units[LOCAL].remote, units[DEAD].silent = False, True
@@ -360,7 +362,7 @@ def test_what_there_is_not(plant: Dashboard) -> None:
 
 def test_every_command_is_an_event(plant: Dashboard) -> None:
     now = plant.unit(MASTER)
-    fate(plant.bus("POST", "/units/1/speed", {"raw": 2500, "execute": True}, "operator"), "verified")
+    result_of(plant.bus("POST", "/units/1/speed", {"raw": 2500, "execute": True}, "operator"), "verified")
     problem(plant.bus("POST", "/units/3/speed", {"raw": 2500, "execute": True}, "operator"), 409, "refused")
     events = plant.call("GET", "/events?limit=2&kind=command", role="viewer").json()["events"]
     assert [(event["unit"], event["outcome"]) for event in events] == [(3, "refused"), (1, "verified")]
@@ -379,7 +381,7 @@ def test_one_key_is_carried_out_once(plant: Dashboard, units: dict[int, Unit]) -
 
 
 def test_the_trace_shows_what_was_sent(plant: Dashboard) -> None:
-    fate(plant.bus("POST", "/units/1/speed", {"raw": 2700, "execute": True}), "verified")
+    result_of(plant.bus("POST", "/units/1/speed", {"raw": 2700, "execute": True}), "verified")
     frames = plant.bus("GET", "/trace?limit=500").json()["frames"]
     assert "10 02 01 84 00 00 0A 8C 10 03 E5" in [frame["hex"] for frame in frames]
     text = plant.bus("GET", "/trace?seconds=60").text

@@ -46,13 +46,13 @@ def test_a_killed_app_leaves_a_whole_line(tmp_path: Path, command: int, whole: l
     with dashboard(tmp_path, units) as plant, ThreadPoolExecutor(1) as other:
         worker, server = _worker_and_server(plant)
         killer.victim.append(server)
-        other.submit(_ask, plant)
+        other.submit(_send, plant)
         eventually(lambda: _ended(worker), "the worker gone with its app", within=START_S)
         assert [unit.commanded for unit in units] in whole
         assert all(unit.staged in (None, unit.commanded) for unit in units), "and nothing waits to surprise"
 
 
-def _ask(plant: Dashboard) -> None:
+def _send(plant: Dashboard) -> None:
     with suppress(httpx.HTTPError):
         plant.bus("POST", "/speeds", {"setpoints": {str(n): {"raw": raw} for n, raw in enumerate(NEW, 1)}})
 

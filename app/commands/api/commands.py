@@ -21,7 +21,7 @@ from app.commands.api.bodies import (
     SpeedBody,
 )
 from app.commands.api.quantity import QuantityConverter
-from app.commands.api.responses import answer
+from app.commands.api.responses import command_response
 from app.commands.api.schemas import CommandResultShown
 from app.commands.catalogue import (
     CHANGE_BAUD,
@@ -68,7 +68,7 @@ from bus.messages import Message
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"], route_class=ApiRoute)
 FIRST_READ_WITHIN_S = 5.0
 """What a plain look at the parameters waits for those that were never read; the reading itself goes on."""
-FATE: dict[int | str, dict[str, Any]] = {
+RESULT_RESPONSES: dict[int | str, dict[str, Any]] = {
     200: {"model": CommandResultShown, "description": "verified or acknowledged"},
     **problems(404, 409, 423, 504),
 }
@@ -80,7 +80,7 @@ class CommandCall:
 
     request: Request
     live: LiveState
-    desk: CommandService
+    commands: CommandService
     bus: str
     key: str | None
     made_at: Instant
@@ -94,9 +94,9 @@ class CommandCall:
 
     def typed(self, person: Person, unit: int, deadline: Deadline) -> QuantityConverter:
         """Conversion of typed values for a unit. Raises Problem 404."""
-        return QuantityConverter(self.desk, person, unit_or_404(self.live, self.bus, unit), deadline)
+        return QuantityConverter(self.commands, person, unit_or_404(self.live, self.bus, unit), deadline)
 
-    async def ask(
+    async def send(
         self,
         person: Person,
         action: Action,
@@ -106,103 +106,108 @@ class CommandCall:
     ) -> Response:
         """The fate of ``action`` as an answer."""
         deadline = deadline or self.deadline(body)
-        result = await self.desk.ask(person, action, deadline=deadline, confirm=body.confirm, id=self.key)
+        result = await self.commands.send(
+            person, action, deadline=deadline, confirm=body.confirm, id=self.key
+        )
         secret = kind_of_command(action).is_secret(action)
-        return answer(self.request, bus_or_404(self.live, self.bus), result, unit, secret=secret)
+        return command_response(self.request, bus_or_404(self.live, self.bus), result, unit, secret=secret)
 
 
-async def asking(
+async def command_call(
     request: Request,
     live: Live,
-    desk: Commands,
+    commands: Commands,
     bus: str,
     timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
     key: Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)] = None,
 ) -> CommandCall:
     """This request's."""
-    return CommandCall(request, live, desk, bus, key, made_at(request), timeout_s)
+    return CommandCall(request, live, commands, bus, key, made_at(request), timeout_s)
 
 
-Call = Annotated[CommandCall, Depends(asking)]
+Call = Annotated[CommandCall, Depends(command_call)]
 
 
-@router.post("/units/{unit:int}/speed", responses=FATE)
+@router.post("/units/{unit:int}/speed", responses=RESULT_RESPONSES)
 async def set_speed(
-    person: Annotated[Person, permitted_writer(SET_SPEED)], ask: Call, unit: int, body: SpeedBody
+    person: Annotated[Person, permitted_writer(SET_SPEED)], call: Call, unit: int, body: SpeedBody
 ) -> Response:
     """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
-    deadline = ask.deadline(body)
-    raw = await ask.typed(person, unit, deadline).setpoint(body)
-    return await ask.ask(person, SetSpeed(unit=unit, raw=raw, execute=body.execute), body, unit, deadline)
+    deadline = call.deadline(body)
+    raw = await call.typed(person, unit, deadline).setpoint(body)
+    return await call.send(person, SetSpeed(unit=unit, raw=raw, execute=body.execute), body, unit, deadline)
 
 
-@router.post("/units/{unit:int}/execute", responses=FATE)
+@router.post("/units/{unit:int}/execute", responses=RESULT_RESPONSES)
 async def execute(
-    person: Annotated[Person, permitted_writer(EXECUTE_SPEED)], ask: Call, unit: int, body: Body | None = None
+    person: Annotated[Person, permitted_writer(EXECUTE_SPEED)],
+    call: Call,
+    unit: int,
+    body: Body | None = None,
 ) -> Response:
     """83h to one unit: its staged speed becomes its commanded speed."""
-    return await ask.ask(person, ExecuteSpeed(unit=unit), body or Body(), unit)
+    return await call.send(person, ExecuteSpeed(unit=unit), body or Body(), unit)
 
 
-@router.post("/execute", responses=FATE)
+@router.post("/execute", responses=RESULT_RESPONSES)
 async def execute_all(
-    person: Annotated[Person, permitted_writer(EXECUTE_ALL)], ask: Call, body: Body | None = None
+    person: Annotated[Person, permitted_writer(EXECUTE_ALL)], call: Call, body: Body | None = None
 ) -> Response:
     """83h to all, then the proof from every unit."""
-    return await ask.ask(person, ExecuteAll(), body or Body())
+    return await call.send(person, ExecuteAll(), body or Body())
 
 
-@router.post("/speeds", responses=FATE)
+@router.post("/speeds", responses=RESULT_RESPONSES)
 async def set_speeds(
-    person: Annotated[Person, permitted_writer(SET_LINE)], ask: Call, body: SetpointsBody
+    person: Annotated[Person, permitted_writer(SET_LINE)], call: Call, body: SetpointsBody
 ) -> Response:
     """Stage all, require every acknowledgement, broadcast, prove: all of them or none."""
-    deadline = ask.deadline(body, len(body.setpoints))
+    deadline = call.deadline(body, len(body.setpoints))
     setpoints = {
-        int(key): await ask.typed(person, int(key), deadline).setpoint(quantity)
+        int(key): await call.typed(person, int(key), deadline).setpoint(quantity)
         for key, quantity in body.setpoints.items()
     }
-    return await ask.ask(person, SetLine(setpoints=setpoints), body, deadline=deadline)
+    return await call.send(person, SetLine(setpoints=setpoints), body, deadline=deadline)
 
 
-@router.put("/units/{unit:int}/outputs/{number:int}", responses=FATE)
+@router.put("/units/{unit:int}/outputs/{number:int}", responses=RESULT_RESPONSES)
 async def write_output(
     person: Annotated[Person, permitted_writer(WRITE_OUTPUT)],
-    ask: Call,
+    call: Call,
     unit: int,
     number: int,
     body: OutputBody,
 ) -> Response:
     """87h, proven by the bit in ST2."""
-    unit_or_404(ask.live, ask.bus, unit)
+    unit_or_404(call.live, call.bus, unit)
     if number not in OUTPUT_NUMBERS:
         raise Problem(404, "unknown_output", Message("no_such_output"), unit=unit)
-    return await ask.ask(person, WriteOutput(unit=unit, number=number, on=body.on), body, unit)
+    return await call.send(person, WriteOutput(unit=unit, number=number, on=body.on), body, unit)
 
 
-@router.put("/units/{unit:int}/analog-output", responses=FATE)
+@router.put("/units/{unit:int}/analog-output", responses=RESULT_RESPONSES)
 async def write_analog_output(
     person: Annotated[Person, permitted_writer(WRITE_ANALOG_OUTPUT)],
-    ask: Call,
+    call: Call,
     unit: int,
     body: AnalogOutputBody,
 ) -> Response:
     """88h: acknowledged at best, for there is nothing to read back."""
-    return await ask.ask(person, WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
+    return await call.send(person, WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
 
 
-@router.post("/baud", responses=FATE)
+@router.post("/baud", responses=RESULT_RESPONSES)
 async def change_baud(
-    person: Annotated[Person, permitted_writer(CHANGE_BAUD)], ask: Call, body: BaudBody
+    person: Annotated[Person, permitted_writer(CHANGE_BAUD)], call: Call, body: BaudBody
 ) -> Response:
     """#18 of every unit, the host after them, every unit proven; taken back by itself where one is lost."""
-    return await ask.ask(person, ChangeBaud(baud=body.baud), body)
+    return await call.send(person, ChangeBaud(baud=body.baud), body)
 
 
 @router.get("/units/{unit:int}/parameters", response_model=list[ParameterShown], responses=problems(504))
 async def get_parameters(
     person: Annotated[Person, permitted(READ_PARAMETERS)],
-    ask: Call,
+    call: Call,
     unit: int,
     refresh: bool = False,
     gaps: bool = False,
@@ -212,20 +217,20 @@ async def get_parameters(
     With ``gaps`` the reading takes only the gaps of the scan: slow while the line is watched, and the
     watching costs nothing. What was never read is read now where the unit answers.
     """
-    found = unit_or_404(ask.live, ask.bus, unit)
+    found = unit_or_404(call.live, call.bus, unit)
     if refresh:
-        await _read(person, ask, unit, list(PARAMETERS), gaps=gaps)
+        await _read(person, call, unit, list(PARAMETERS), gaps=gaps)
     elif never_read := [number for number in PARAMETERS if number not in found.parameters]:
         with suppress(Problem, TimeoutError):
             async with asyncio.timeout(FIRST_READ_WITHIN_S):
-                await _read(person, ask, unit, never_read, gaps=gaps)
+                await _read(person, call, unit, never_read, gaps=gaps)
     return [parameter_json(found, number) for number in PARAMETERS]
 
 
-async def _read(person: Person, ask: CommandCall, unit: int, numbers: list[int], *, gaps: bool) -> None:
+async def _read(person: Person, call: CommandCall, unit: int, numbers: list[int], *, gaps: bool) -> None:
     """Read them from the unit. Raises Problem 503 or 504 when not all of them come."""
     action = ReadParameters(unit=unit, numbers=numbers, urgent=not gaps)
-    result = await ask.desk.ask(person, action)
+    result = await call.commands.send(person, action)
     if len(result.values) == len(numbers):
         return
     status = 503 if result.outcome in ("bus_closed", "not_sent") else 504
@@ -234,18 +239,18 @@ async def _read(person: Person, ask: CommandCall, unit: int, numbers: list[int],
     raise Problem(status, code, detail, outcome=code, unit=unit)
 
 
-@router.put("/units/{unit:int}/parameters/{number:int}", responses=FATE)
+@router.put("/units/{unit:int}/parameters/{number:int}", responses=RESULT_RESPONSES)
 async def write_parameter(
     person: Annotated[Person, permitted_writer(WRITE_PARAMETER)],
-    ask: Call,
+    call: Call,
     unit: int,
     number: int,
     body: ParameterBody,
 ) -> Response:
     """86h, read back by 85h. What can cut the link off needs ``confirm``."""
-    deadline = ask.deadline(body)
-    typed = ask.typed(person, unit, deadline)
+    deadline = call.deadline(body)
+    typed = call.typed(person, unit, deadline)
     if number not in PARAMETERS:
         raise Problem(404, "unknown_parameter", Message("no_such_parameter"), unit=unit)
     raw = await typed.parameter(number, body)
-    return await ask.ask(person, WriteParameter(unit=unit, number=number, raw=raw), body, unit, deadline)
+    return await call.send(person, WriteParameter(unit=unit, number=number, raw=raw), body, unit, deadline)

@@ -24,8 +24,8 @@ _NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, FOLLOWER_MO
 class QuantityConverter:
     """Converts for one unit within the time of the command. Raises CallerError for what is no number."""
 
-    def __init__(self, desk: CommandService, person: Person, unit: UnitLive, deadline: Deadline) -> None:
-        self._desk = desk
+    def __init__(self, commands: CommandService, person: Person, unit: UnitLive, deadline: Deadline) -> None:
+        self._commands = commands
         self._person = person
         self._unit = unit
         self._deadline = deadline
@@ -57,7 +57,7 @@ class QuantityConverter:
 
     async def _read(self, numbers: list[int]) -> dict[int, int | None]:
         unit = self._unit.settings.id
-        return await read_first(self._desk.ask, self._person, unit, numbers, self._deadline)
+        return await read_first(self._commands.send, self._person, unit, numbers, self._deadline)
 
     def _decimals(self, known: dict[int, int | None]) -> int:
         decimals = known[DECIMALS]

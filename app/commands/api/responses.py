@@ -37,11 +37,11 @@ _WORDS = {
 }
 
 
-def answer(
+def command_response(
     request: Request, bus: BusLive, result: Result, unit: int | None = None, *, secret: bool = False
 ) -> Response:
     """200 with the fate, or the problem that it is; the members are the same in both."""
-    body = fate_json(bus, result, unit, secret=secret)
+    body = result_json(bus, result, unit, secret=secret)
     status = STATUS[result.outcome]
     if status == 200:
         return JSONResponse(body)
@@ -49,21 +49,21 @@ def answer(
     return respond(request, Problem(status, result.outcome, detail, **_members(body)))
 
 
-def fate_json(
+def result_json(
     bus: BusLive, result: Result, unit: int | None = None, *, secret: bool = False
 ) -> dict[str, Any]:
     """``units`` holds the fate at each unit, by its number as text. A secret's value is left out."""
-    fates = {str(fate.unit): _unit_json(fate, secret) for fate in result.units}
-    alone = fates.get(str(unit), {}) if unit is not None else {}
+    by_unit = {str(part.unit): _unit_json(part, secret) for part in result.units}
+    alone = by_unit.get(str(unit), {}) if unit is not None else {}
     return {
         **alone,
         "id": result.id,
         "at": iso(result.at),
         "bus": bus.settings.name,
         "unit": unit,
-        **_told(result, in_words(result), secret),
+        **_outcome_members(result, in_words(result), secret),
         "skew_s": result.skew_s,
-        "units": fates,
+        "units": by_unit,
         "frames": [] if secret else [frame_json(frame) for frame in result.frames],
     }
 
@@ -88,26 +88,26 @@ def frame_json(frame: Frame) -> FrameShown:
     }
 
 
-def _unit_json(fate: UnitOutcome, secret: bool) -> dict[str, Any]:
+def _unit_json(result: UnitOutcome, secret: bool) -> dict[str, Any]:
     return {
-        "unit": fate.unit,
-        **_told(fate, in_english(fate.message) or _WORDS[fate.outcome], secret),
-        "sent_at": _moment(fate.sent_at),
-        "acknowledged_at": _moment(fate.acknowledged_at),
-        "proven_at": _moment(fate.proven_at),
-        "attempts": fate.attempts,
+        "unit": result.unit,
+        **_outcome_members(result, in_english(result.message) or _WORDS[result.outcome], secret),
+        "sent_at": _moment(result.sent_at),
+        "acknowledged_at": _moment(result.acknowledged_at),
+        "proven_at": _moment(result.proven_at),
+        "attempts": result.attempts,
     }
 
 
-def _told(fate: Result | UnitOutcome, message: str, secret: bool) -> OutcomeMembers:
+def _outcome_members(result: Result | UnitOutcome, message: str, secret: bool) -> OutcomeMembers:
     return {
-        "outcome": fate.outcome,
-        "code": fate.outcome,
+        "outcome": result.outcome,
+        "code": result.outcome,
         "message": message,
-        "reason": to_builtins(fate.message),
-        "read_back": None if secret else fate.read_back,
-        "unit_error": fate.unit_error,
-        "unit_error_name": _error_name(fate.unit_error),
+        "reason": to_builtins(result.message),
+        "read_back": None if secret else result.read_back,
+        "unit_error": result.unit_error,
+        "unit_error_name": _error_name(result.unit_error),
     }
 
 

@@ -41,7 +41,7 @@ TRACE: dict[int | str, dict[str, Any]] = {
 @router.get("/trace", responses=TRACE)
 async def get_trace(
     person: Annotated[Person, permitted(READ_TRACE)],
-    desk: Commands,
+    commands: Commands,
     bus: str,
     seconds: Annotated[float | None, Query(gt=0, le=HOUR_S)] = None,
     limit: Annotated[int, Query(ge=1, le=PIECE)] = 200,
@@ -51,19 +51,19 @@ async def get_trace(
     now = time.time()
     if seconds is None:
         frames: deque[Frame] = deque(maxlen=limit)
-        async for piece in _pieces(desk, person, now - RECENT_S):
+        async for piece in _pieces(commands, person, now - RECENT_S):
             frames.extend(piece)
         return JSONResponse({"bus": bus, "frames": [frame_json(frame) for frame in frames]})
-    pieces = _pieces(desk, person, now - seconds)
+    pieces = _pieces(commands, person, now - seconds)
     first: list[Frame] = await anext(pieces, [])
     name = f"{bus}-{datetime.fromtimestamp(now, UTC):%Y%m%dT%H%M%SZ}.trace.txt"
     headers = {"Content-Disposition": f'attachment; filename="{name}"'}
     return StreamingResponse(_lines(first, pieces), headers=headers, media_type="text/plain; charset=utf-8")
 
 
-async def _pieces(desk: CommandService, person: Person, since: float) -> AsyncIterator[list[Frame]]:
+async def _pieces(commands: CommandService, person: Person, since: float) -> AsyncIterator[list[Frame]]:
     for _ in range(MOST_PIECES):
-        result = await desk.ask(person, ReadTrace(since=since, limit=PIECE))
+        result = await commands.send(person, ReadTrace(since=since, limit=PIECE))
         if result.outcome not in ("verified", "acknowledged"):
             raise Problem(503, result.outcome, result.message or "", outcome=result.outcome)
         frames = [frame for frame in result.frames if frame.at > since]

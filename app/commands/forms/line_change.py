@@ -43,19 +43,19 @@ def followers_of(live: BusLive) -> set[int]:
 
 
 def proven(
-    desk: PageContext, bus: str, title: str, setpoints: Mapping[int, int], result: Result, form: FormData
+    page: PageContext, bus: str, title: str, setpoints: Mapping[int, int], result: Result, form: FormData
 ) -> Response:
     """The end of the review: what became of each unit, and the way back where all of them are proven."""
-    live = desk.bus(bus)
-    proofs = _proofs(desk, live, setpoints, result)
-    return desk.render(
+    live = page.bus(bus)
+    proofs = _proofs(page, live, setpoints, result)
+    return page.render(
         "setpoints/_done.html",
         title=title,
         bus=bus,
-        outcome=_outcome_of_all(desk, result, proofs),
+        outcome=_outcome_of_all(page, result, proofs),
         proofs=proofs,
         former=_former(live, setpoints, form) if result.outcome == "verified" else {},
-        skew=None if result.skew_s is None else desk.voice.formats.number(result.skew_s * 1000),
+        skew=None if result.skew_s is None else page.translator.formats.number(result.skew_s * 1000),
     )
 
 
@@ -67,22 +67,24 @@ def _former(live: BusLive, setpoints: Mapping[int, int], form: FormData) -> dict
     return {number: shown_setpoint(int(text), live.units[number]) for number, text in was.items()}
 
 
-def _outcome_of_all(desk: PageContext, result: Result, proofs: list[ResultRow]) -> OutcomeText:
+def _outcome_of_all(page: PageContext, result: Result, proofs: list[ResultRow]) -> OutcomeText:
     """The whole change in one sentence: how many of its units are proven."""
-    outcome = desk.outcome(result)
+    outcome = page.outcome(result)
     if result.outcome == "verified":
-        return OutcomeText("good", desk.voice.tn("verified", "verified at each of {n} units", len(proofs)))
+        return OutcomeText(
+            "good", page.translator.tn("verified", "verified at each of {n} units", len(proofs))
+        )
     if result.outcome != "unverified":
         return outcome
     proven = sum(unit.outcome == "verified" for unit in result.units)
-    counted = desk.voice.tn(
+    counted = page.translator.tn(
         "{good} of {n} unit verified", "{good} of {n} units verified", len(proofs), good=proven
     )
     return OutcomeText(outcome.tone, f"{counted}; {outcome.text}")
 
 
 def _proofs(
-    desk: PageContext, live: BusLive, setpoints: Mapping[int, int], result: Result
+    page: PageContext, live: BusLive, setpoints: Mapping[int, int], result: Result
 ) -> list[ResultRow]:
     """(name, asked, fate) of each unit, in floor order."""
     said = {outcome.unit: outcome for outcome in result.units}
@@ -90,7 +92,7 @@ def _proofs(
         (
             live.units[number].settings.name,
             shown_setpoint(raw, live.units[number]),
-            desk.outcome(said.get(number, result), live.units[number]),
+            page.outcome(said.get(number, result), live.units[number]),
         )
         for number, raw in setpoints.items()
     ]

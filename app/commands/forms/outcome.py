@@ -33,40 +33,40 @@ ResultRow = tuple[str, str, OutcomeText]
 """A unit's name, the requested value and the result."""
 
 
-def outcome_text(result: Result | UnitOutcome, shown: ValueFormat, voice: Translator) -> OutcomeText:
+def outcome_text(result: Result | UnitOutcome, shown: ValueFormat, translator: Translator) -> OutcomeText:
     """The fate of a command, or of one unit's part in it."""
     read = "" if result.read_back is None else shown(result.read_back)
     if isinstance(result, UnitOutcome) and result.message and not read and result.outcome in _OF_A_PART:
-        return OutcomeText(_OF_A_PART[result.outcome], voice.t(result.message))
+        return OutcomeText(_OF_A_PART[result.outcome], translator.t(result.message))
     match result.outcome:
         case "verified":
-            said = voice.t("verified: reads {value}", value=read) if read else voice.t("verified")
+            said = translator.t("verified: reads {value}", value=read) if read else translator.t("verified")
             return OutcomeText("good", said)
         case "acknowledged":
-            return OutcomeText("good", voice.t("acknowledged by the unit"))
+            return OutcomeText("good", translator.t("acknowledged by the unit"))
         case "refused":
-            return OutcomeText("bad", voice.t("refused: {reason}", reason=_reason(result, voice)))
+            return OutcomeText("bad", translator.t("refused: {reason}", reason=_reason(result, translator)))
         case "unverified":
             if read:
-                return OutcomeText("unknown", voice.t("reads {value} instead", value=read))
-            return OutcomeText("unknown", voice.t("no answer: whether it was done is not known"))
-    return OutcomeText("bad", _not_sent(result.outcome, result.message, voice))
+                return OutcomeText("unknown", translator.t("reads {value} instead", value=read))
+            return OutcomeText("unknown", translator.t("no answer: whether it was done is not known"))
+    return OutcomeText("bad", _not_sent(result.outcome, result.message, translator))
 
 
-def problem_text(problem: Problem, voice: Translator) -> OutcomeText:
+def problem_text(problem: Problem, translator: Translator) -> OutcomeText:
     """What was refused before anything was sent."""
-    return OutcomeText("bad", voice.formats.sentence(problem.text(voice.t)))
+    return OutcomeText("bad", translator.formats.sentence(problem.text(translator.t)))
 
 
-def _reason(result: Result | UnitOutcome, voice: Translator) -> str:
+def _reason(result: Result | UnitOutcome, translator: Translator) -> str:
     if result.unit_error is not None:
-        return voice.t(unit_error(result.unit_error))
-    return voice.t(result.message or "")
+        return translator.t(unit_error(result.unit_error))
+    return translator.t(result.message or "")
 
 
-def _not_sent(outcome: Outcome, message: Message | None, voice: Translator) -> str:
+def _not_sent(outcome: Outcome, message: Message | None, translator: Translator) -> str:
     if outcome == "not_sent":
-        return voice.t("not sent: the wire was not free in time")
+        return translator.t("not sent: the wire was not free in time")
     if outcome == "bus_closed":
-        return voice.t("not sent: there is no link to the bus")
-    return voice.t(message or "")
+        return translator.t("not sent: there is no link to the bus")
+    return translator.t(message or "")

@@ -43,7 +43,7 @@ class PageContext:
         self.request = request
         templates = templates_of(request)
         language = templates.language_of(request)
-        self.voice = Translator(language, templates.formats(language.tag))
+        self.translator = Translator(language, templates.formats(language.tag))
         self.live = service_of(request, LiveState)
         self.made_at = made_at(request)
 
@@ -69,7 +69,7 @@ class PageContext:
 
     def fields(self) -> dict[str, str]:
         """All texts of the screen as they are now."""
-        return service_of(self.request, Hub).screen(self.voice.language.tag).flat()
+        return service_of(self.request, Hub).screen(self.translator.language.tag).flat()
 
     def people(self) -> dict[str, str]:
         """Whoever has a page open now, by name, with the role."""
@@ -92,7 +92,7 @@ class PageContext:
 
     def remark(self, remark: Remark) -> str:
         """What a review says of a unit, in the reader's language."""
-        return self.voice.t(remark.text, **dict(remark.params))
+        return self.translator.t(remark.text, **dict(remark.params))
 
     def refuse_lapsed(self, reviewed_at: float) -> None:
         """Raises Problem 409 for a review that is over. Nothing is sent."""
@@ -103,7 +103,7 @@ class PageContext:
         """Of the command that this request asks for. ``staged_units``: how many a change is of."""
         return Deadline(self.made_at, timeout_s_for(bus, staged_units))
 
-    async def ask(
+    async def send(
         self, person: Person, bus: str, action: Action, id: str, deadline: Deadline | None = None
     ) -> Result:
         """The reviewed command, once; ``deadline`` where it is not that of its kind.
@@ -113,19 +113,19 @@ class PageContext:
         timeout_s = kind_of_command(action).timeout_s(action, self.bus(bus))
         deadline = deadline or Deadline(self.made_at, timeout_s)
         commands = self.commands(bus)
-        return await commands.ask(person, action, deadline=deadline, confirm=True, id=id, origin="page")
+        return await commands.send(person, action, deadline=deadline, confirm=True, id=id, origin="page")
 
     def outcome(self, result: Result | UnitOutcome, unit: UnitLive | None = None) -> OutcomeText:
         """What became of it; what was read back is a setpoint in the decimals of ``unit``, else as it is."""
         if unit is None:
-            return outcome_text(result, str, self.voice)
+            return outcome_text(result, str, self.translator)
         return outcome_text(
-            result, lambda raw: self.voice.formats.point(shown_setpoint(raw, unit)), self.voice
+            result, lambda raw: self.translator.formats.point(shown_setpoint(raw, unit)), self.translator
         )
 
     def refused(self, problem: Problem, title: str) -> Response:
         """The end of a review that sent nothing, in the dialog."""
-        return self.done(title, problem_text(problem, self.voice), status=problem.status)
+        return self.done(title, problem_text(problem, self.translator), status=problem.status)
 
     def done(self, title: str, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
         """The end of a review, in the dialog. ``setpoint``: what was asked, what field reads it, its undo."""
@@ -138,10 +138,10 @@ def new_id() -> str:
     return uuid.uuid4().hex
 
 
-async def desktop_of(request: Request) -> PageContext:
+async def page_context_of(request: Request) -> PageContext:
     """This request's. Raises Problem 503 for a press that was held up on its way."""
     refuse_late(request)
     return PageContext(request)
 
 
-Page = Annotated[PageContext, Depends(desktop_of)]
+Page = Annotated[PageContext, Depends(page_context_of)]

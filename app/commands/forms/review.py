@@ -19,50 +19,50 @@ from bus.contract import Action
 
 
 async def judge(
-    desk: PageContext, person: Person, bus: str, action: Action, deadline: Deadline | None = None
+    page: PageContext, person: Person, bus: str, action: Action, deadline: Deadline | None = None
 ) -> None:
     """All checks of a command; what they need to know of the units is read first, within its time.
 
     Raises Problem for what would not be sent.
     """
-    deadline = deadline or desk.deadline(desk.bus(bus))
-    await desk.commands(bus).read_ranges(person, action, deadline)
-    desk.commands(bus).check(person, action, confirm=True)
+    deadline = deadline or page.deadline(page.bus(bus))
+    await page.commands(bus).read_ranges(person, action, deadline)
+    page.commands(bus).check(person, action, confirm=True)
 
 
-async def know_ramps(desk: PageContext, person: Person, bus: str, units: Iterable[int]) -> None:
+async def know_ramps(page: PageContext, person: Person, bus: str, units: Iterable[int]) -> None:
     """Read what a ramp takes where that was never read; of a unit that does not tell it stays unknown."""
-    deadline = desk.deadline(desk.bus(bus))
+    deadline = page.deadline(page.bus(bus))
 
     async def read(unit: int, numbers: list[int]) -> None:
         with suppress(Problem):
-            await read_first(desk.commands(bus).ask, person, unit, numbers, deadline)
+            await read_first(page.commands(bus).send, person, unit, numbers, deadline)
 
-    missing = {unit: ramp_parameters_missing(desk.unit(bus, unit)) for unit in units}
+    missing = {unit: ramp_parameters_missing(page.unit(bus, unit)) for unit in units}
     await asyncio.gather(*(read(unit, numbers) for unit, numbers in missing.items() if numbers))
 
 
-def change(desk: PageContext, bus: str, unit: int, raw: int) -> SetpointChange:
+def change(page: PageContext, bus: str, unit: int, raw: int) -> SetpointChange:
     """What a new setpoint means for a unit."""
-    limits, block = desk.guards(bus).limits.of(unit), desk.guards(bus).block_reason(unit)
-    return change_of(desk.bus(bus), desk.unit(bus, unit), raw, limits, time.time(), block=block)
+    limits, block = page.guards(bus).limits.of(unit), page.guards(bus).block_reason(unit)
+    return change_of(page.bus(bus), page.unit(bus, unit), raw, limits, time.time(), block=block)
 
 
-def facts(desk: PageContext, bus: str, unit: int) -> RiskInputs:
+def facts(page: PageContext, bus: str, unit: int) -> RiskInputs:
     """What is known of a unit now, no ramp in view."""
-    block = desk.guards(bus).block_reason(unit)
-    return facts_of(desk.bus(bus), desk.unit(bus, unit), time.time(), block=block)
+    block = page.guards(bus).block_reason(unit)
+    return facts_of(page.bus(bus), page.unit(bus, unit), time.time(), block=block)
 
 
 def keep_their_setpoint(
-    desk: PageContext, bus: str, taking_part: Iterable[int]
+    page: PageContext, bus: str, taking_part: Iterable[int]
 ) -> tuple[list[tuple[str, Remark]], list[str]]:
     """The units of a bus that are not part of a change: those that could take no setpoint now, each with the
     reason, and the names of the rest."""
     left_out, unchanged = [], []
     taking = set(taking_part)
-    for unit in (number for number in desk.bus(bus).units if number not in taking):
-        name, obstacle = desk.unit(bus, unit).settings.name, obstacle_of(facts(desk, bus, unit))
+    for unit in (number for number in page.bus(bus).units if number not in taking):
+        name, obstacle = page.unit(bus, unit).settings.name, obstacle_of(facts(page, bus, unit))
         if obstacle is None:
             unchanged.append(name)
         else:

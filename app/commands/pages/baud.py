@@ -23,27 +23,27 @@ CHANGE_S = 30.0
 
 
 @router.get("")
-async def review(_: Annotated[Person, permitted(CHANGE_BAUD)], desk: Page, bus: str, baud: int) -> Response:
+async def review(_: Annotated[Person, permitted(CHANGE_BAUD)], page: Page, bus: str, baud: int) -> Response:
     """The second step; nothing has been sent."""
-    live = desk.bus(bus)
+    live = page.bus(bus)
     if baud not in BAUDS:
         raise Problem(422, "invalid", Message.of("baud_unknown", rates=", ".join(map(str, BAUDS))))
     if baud == live.baud:
         raise Problem(422, "invalid", Message.of("baud_unchanged", baud=baud))
-    return desk.review("bus/_review_baud.html", bus=live, baud=baud)
+    return page.review("bus/_review_baud.html", bus=live, baud=baud)
 
 
 @router.post("")
 async def change(
     person: Annotated[Person, permitted(CHANGE_BAUD)],
-    desk: Page,
+    page: Page,
     bus: str,
     baud: Annotated[int, Form()],
     id: Annotated[str, Form(min_length=8, max_length=200)],
 ) -> Response:
     """Change it at every unit; the fate of each."""
-    live = desk.bus(bus)
-    result = await desk.ask(person, bus, ChangeBaud(baud=baud), id, Deadline(desk.made_at, CHANGE_S))
-    return desk.render(
-        "bus/_baud_done.html", bus=live, baud=baud, outcome=desk.outcome(result), result=result
+    live = page.bus(bus)
+    result = await page.send(person, bus, ChangeBaud(baud=baud), id, Deadline(page.made_at, CHANGE_S))
+    return page.render(
+        "bus/_baud_done.html", bus=live, baud=baud, outcome=page.outcome(result), result=result
     )

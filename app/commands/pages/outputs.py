@@ -35,31 +35,31 @@ def output_name(live: UnitLive, number: int) -> str:
 
 @router.get("/outputs/{number:int}")
 async def review_output(
-    person: Annotated[Person, permitted(WRITE_OUTPUT)], desk: Page, bus: str, unit: int, number: OutputPath
+    person: Annotated[Person, permitted(WRITE_OUTPUT)], page: Page, bus: str, unit: int, number: OutputPath
 ) -> Response:
     """The other state of an output, to be confirmed."""
-    live = desk.unit(bus, unit)
+    live = page.unit(bus, unit)
     try:
         if live.reading is None:
             raise Problem(409, "unknown", Message("output_unknown"))
         on = not output_is_on(live.reading.outputs, number)
-        desk.commands(bus).check(person, WriteOutput(unit=unit, number=number, on=on), confirm=True)
+        page.commands(bus).check(person, WriteOutput(unit=unit, number=number, on=on), confirm=True)
     except Problem as problem:
-        return desk.refused(problem, live.settings.name)
-    return desk.review(
+        return page.refused(problem, live.settings.name)
+    return page.review(
         "unit/_review_output.html",
-        unit=desk.shown(bus, unit),
+        unit=page.shown(bus, unit),
         number=number,
         name=output_name(live, number),
         on=on,
-        obstacle=obstacle_of(facts(desk, bus, unit)),
+        obstacle=obstacle_of(facts(page, bus, unit)),
     )
 
 
 @router.post("/outputs/{number:int}")
 async def set_output(
     person: Annotated[Person, permitted_writer(WRITE_OUTPUT)],
-    desk: Page,
+    page: Page,
     bus: str,
     unit: int,
     number: OutputPath,
@@ -68,47 +68,49 @@ async def set_output(
     reviewed_at: Annotated[float, Form()],
 ) -> Response:
     """87h, proven by the bit in ST2."""
-    live = desk.unit(bus, unit)
+    live = page.unit(bus, unit)
     try:
-        desk.refuse_lapsed(reviewed_at)
-        result = await desk.ask(person, bus, WriteOutput(unit=unit, number=number, on=on), id)
+        page.refuse_lapsed(reviewed_at)
+        result = await page.send(person, bus, WriteOutput(unit=unit, number=number, on=on), id)
     except Problem as problem:
-        return desk.refused(problem, live.settings.name)
-    outcome = desk.outcome(result)
+        return page.refused(problem, live.settings.name)
+    outcome = page.outcome(result)
     if result.outcome == "verified":
-        state = desk.voice.t(ON if on else OFF)
-        outcome = OutcomeText("good", desk.voice.t("verified: output {n} is {state}", n=number, state=state))
-    return desk.done(live.settings.name, outcome)
+        state = page.translator.t(ON if on else OFF)
+        outcome = OutcomeText(
+            "good", page.translator.t("verified: output {n} is {state}", n=number, state=state)
+        )
+    return page.done(live.settings.name, outcome)
 
 
 @router.post("/analog-output/review")
 async def review_analog(
     person: Annotated[Person, permitted(WRITE_ANALOG_OUTPUT)],
-    desk: Page,
+    page: Page,
     bus: str,
     unit: int,
     value: Annotated[str, Form(max_length=10)] = "",
 ) -> Response:
     """A value of the analog output, in volts too, to be confirmed."""
-    live = desk.unit(bus, unit)
+    live = page.unit(bus, unit)
     try:
         raw = _whole_number(value)
-        desk.commands(bus).check(person, WriteAnalogOutput(unit=unit, raw=raw), confirm=True)
+        page.commands(bus).check(person, WriteAnalogOutput(unit=unit, raw=raw), confirm=True)
     except (CallerError, Problem) as error:
-        return desk.not_so(error.text(desk.voice.t), "#analog-error")
-    return desk.review(
+        return page.not_so(error.text(page.translator.t), "#analog-error")
+    return page.review(
         "unit/_review_analog.html",
-        unit=desk.shown(bus, unit),
+        unit=page.shown(bus, unit),
         raw=raw,
-        volts=_volts(desk, live, raw),
-        obstacle=obstacle_of(facts(desk, bus, unit)),
+        volts=_volts(page, live, raw),
+        obstacle=obstacle_of(facts(page, bus, unit)),
     )
 
 
 @router.post("/analog-output")
 async def set_analog(
     person: Annotated[Person, permitted_writer(WRITE_ANALOG_OUTPUT)],
-    desk: Page,
+    page: Page,
     bus: str,
     unit: int,
     raw: Annotated[int, Form(ge=0)],
@@ -116,13 +118,13 @@ async def set_analog(
     reviewed_at: Annotated[float, Form()],
 ) -> Response:
     """88h: acknowledged at best, for there is nothing to read back."""
-    live = desk.unit(bus, unit)
+    live = page.unit(bus, unit)
     try:
-        desk.refuse_lapsed(reviewed_at)
-        result = await desk.ask(person, bus, WriteAnalogOutput(unit=unit, raw=raw), id)
+        page.refuse_lapsed(reviewed_at)
+        result = await page.send(person, bus, WriteAnalogOutput(unit=unit, raw=raw), id)
     except Problem as problem:
-        return desk.refused(problem, live.settings.name)
-    return desk.done(live.settings.name, desk.outcome(result))
+        return page.refused(problem, live.settings.name)
+    return page.done(live.settings.name, page.outcome(result))
 
 
 def _whole_number(text: str) -> int:
@@ -131,8 +133,8 @@ def _whole_number(text: str) -> int:
     return int(text)
 
 
-def _volts(desk: PageContext, live: UnitLive, raw: int) -> str:
+def _volts(page: PageContext, live: UnitLive, raw: int) -> str:
     low, high = live.parameter_raw(ANALOG_OUT_LOW), live.parameter_raw(ANALOG_OUT_HIGH)
     if low is None or high is None or low == high:
         return ""
-    return desk.voice.formats.number(analog_output_volts(raw, low, high), 3)
+    return page.translator.formats.number(analog_output_volts(raw, low, high), 3)

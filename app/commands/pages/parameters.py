@@ -35,28 +35,28 @@ CONFIRMING_WORD = "WRITE"
 
 
 @router.get("")
-async def parameters(_: Viewer, desk: Page, bus: str, unit: int) -> Response:
+async def parameters(_: Viewer, page: Page, bus: str, unit: int) -> Response:
     """All 40 as last read."""
-    return desk.render("unit/parameters.html", **_table(desk, bus, unit))
+    return page.render("unit/parameters.html", **_table(page, bus, unit))
 
 
 @router.post("/read")
 async def read_all(
-    person: Annotated[Person, permitted(READ_PARAMETERS)], desk: Page, bus: str, unit: int
+    person: Annotated[Person, permitted(READ_PARAMETERS)], page: Page, bus: str, unit: int
 ) -> Response:
     """All 40 as the unit gives them now."""
-    desk.unit(bus, unit)
+    page.unit(bus, unit)
     action = ReadParameters(unit=unit, numbers=list(PARAMETERS))
-    result = await desk.commands(bus).ask(person, action, origin="page")
+    result = await page.commands(bus).send(person, action, origin="page")
     missing = len(PARAMETERS) - len(result.values)
-    return desk.render("unit/_parameters.html", missing=missing, **_table(desk, bus, unit))
+    return page.render("unit/_parameters.html", missing=missing, **_table(page, bus, unit))
 
 
-def _table(desk: PageContext, bus: str, unit: int) -> dict[str, Any]:
-    live = desk.unit(bus, unit)
-    rows = [_row(desk, bus, live, number) for number in sorted(PARAMETERS, key=_by_group)]
+def _table(page: PageContext, bus: str, unit: int) -> dict[str, Any]:
+    live = page.unit(bus, unit)
+    rows = [_row(page, bus, live, number) for number in sorted(PARAMETERS, key=_by_group)]
     groups = [(name, list(members)) for name, members in groupby(rows, key=lambda row: row["group"])]
-    return {"fields": desk.fields(), "bus": bus, "unit": desk.shown(bus, unit), "groups": groups}
+    return {"fields": page.fields(), "bus": bus, "unit": page.shown(bus, unit), "groups": groups}
 
 
 _GROUPS = list(dict.fromkeys(parameter.group for parameter in PARAMETERS.values()))
@@ -66,9 +66,9 @@ def _by_group(number: int) -> tuple[int, int]:
     return _GROUPS.index(PARAMETERS[number].group), number
 
 
-def _row(desk: PageContext, bus: str, live: UnitLive, number: int) -> dict[str, Any]:
+def _row(page: PageContext, bus: str, live: UnitLive, number: int) -> dict[str, Any]:
     known = live.parameters.get(number)
-    lowest, highest = parameter_bounds(live, number, desk.guards(bus).limits.of(live.settings.id))
+    lowest, highest = parameter_bounds(live, number, page.guards(bus).limits.of(live.settings.id))
     shown = {"at": None if known is None else known.at, "min": lowest, "max": highest}
     return parameter_json(live, number) | shown
 
@@ -76,32 +76,32 @@ def _row(desk: PageContext, bus: str, live: UnitLive, number: int) -> dict[str, 
 @router.post("/{number:int}/review")
 async def review_parameter(
     person: Annotated[Person, permitted(WRITE_PARAMETER)],
-    desk: Page,
+    page: Page,
     bus: str,
     unit: int,
     number: ParameterPath,
     value: Annotated[str, Form(max_length=40)] = "",
 ) -> Response:
     """What was typed, judged and shown again: old → new, range, danger."""
-    live, parameter = desk.unit(bus, unit), PARAMETERS[number]
+    live, parameter = page.unit(bus, unit), PARAMETERS[number]
     try:
-        typed = QuantityConverter(desk.commands(bus), person, live, desk.deadline(desk.bus(bus)))
+        typed = QuantityConverter(page.commands(bus), person, live, page.deadline(page.bus(bus)))
         raw = await typed.parameter(number, Quantity(value=value))
-        await judge(desk, person, bus, WriteParameter(unit=unit, number=number, raw=raw))
+        await judge(page, person, bus, WriteParameter(unit=unit, number=number, raw=raw))
     except (CallerError, Problem) as error:
-        return _not_so(desk, live, parameter, error)
-    lowest, highest = parameter_bounds(live, number, desk.guards(bus).limits.of(unit))
-    return desk.review(
+        return _not_so(page, live, parameter, error)
+    lowest, highest = parameter_bounds(live, number, page.guards(bus).limits.of(unit))
+    return page.review(
         "unit/_review_parameter.html",
         lowest=lowest,
         highest=highest,
-        unit=desk.shown(bus, unit),
+        unit=page.shown(bus, unit),
         parameter=parameter,
         raw=raw,
         old=known_parameter_text(parameter, live),
         new=text_of(parameter, raw, live),
         measure=measure_of_value(live, parameter, raw),
-        obstacle=obstacle_of(facts(desk, bus, unit)),
+        obstacle=obstacle_of(facts(page, bus, unit)),
         risks=risks_of_writing(number, raw),
         danger=danger_of_writing(parameter, raw),
         typed=CONFIRMING_WORD,
@@ -111,7 +111,7 @@ async def review_parameter(
 @router.post("/{number:int}")
 async def write_parameter(
     person: Annotated[Person, permitted_writer(WRITE_PARAMETER)],
-    desk: Page,
+    page: Page,
     bus: str,
     unit: int,
     number: ParameterPath,
@@ -121,50 +121,50 @@ async def write_parameter(
     typed: Annotated[str, Form(max_length=20)] = "",
 ) -> Response:
     """86h, read back by 85h; a dangerous one only with the word typed."""
-    live, parameter = desk.unit(bus, unit), PARAMETERS[number]
+    live, parameter = page.unit(bus, unit), PARAMETERS[number]
     title = f"#{number} {parameter.name}"
     try:
-        desk.refuse_lapsed(reviewed_at)
+        page.refuse_lapsed(reviewed_at)
         if danger_of_writing(parameter, raw) and typed.strip() != CONFIRMING_WORD:
             raise Problem(409, "dangerous", Message("word_not_typed"))
-        return await _write(person, desk, bus, live, parameter, raw, id)
+        return await _write(person, page, bus, live, parameter, raw, id)
     except Problem as problem:
-        return desk.refused(problem, title)
+        return page.refused(problem, title)
 
 
 async def _write(
-    person: Person, desk: PageContext, bus: str, live: UnitLive, parameter: Parameter, raw: int, id: str
+    person: Person, page: PageContext, bus: str, live: UnitLive, parameter: Parameter, raw: int, id: str
 ) -> Response:
     unit, number = live.settings.id, parameter.number
-    result = await desk.ask(person, bus, WriteParameter(unit=unit, number=number, raw=raw), id)
-    outcome = desk.outcome(result, live)
+    result = await page.send(person, bus, WriteParameter(unit=unit, number=number, raw=raw), id)
+    outcome = page.outcome(result, live)
     if parameter.secret and result.outcome == "unverified":
         # Why, in words: the value that was read back is not here.
-        outcome = OutcomeText(outcome.tone, desk.voice.t(result.message or ""))
+        outcome = OutcomeText(outcome.tone, page.translator.t(result.message or ""))
     elif result.read_back is not None:
-        reads = desk.voice.formats.point(text_of(parameter, result.read_back, live))
+        reads = page.translator.formats.point(text_of(parameter, result.read_back, live))
         said = "verified: reads {value}" if result.outcome == "verified" else "reads {value} instead"
-        outcome = OutcomeText(outcome.tone, desk.voice.t(said, value=reads))
-    return desk.render(
+        outcome = OutcomeText(outcome.tone, page.translator.t(said, value=reads))
+    return page.render(
         "unit/_parameter_done.html",
         title=f"#{number} {parameter.name}",
         outcome=outcome,
         bus=bus,
-        unit=desk.shown(bus, unit),
-        row=_row(desk, bus, live, number),
+        unit=page.shown(bus, unit),
+        row=_row(page, bus, live, number),
     )
 
 
 def _not_so(
-    desk: PageContext, live: UnitLive, parameter: Parameter, error: CallerError | Problem
+    page: PageContext, live: UnitLive, parameter: Parameter, error: CallerError | Problem
 ) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     text = "" if nearest is None or parameter.secret else text_of(parameter, nearest, live)
-    shown = desk.voice.formats.point(text)
-    reason = error.text(desk.voice.t)
+    shown = page.translator.formats.point(text)
+    reason = error.text(page.translator.t)
     if text:
         # The rule speaks of raw values; what was typed here is what the unit shows.
-        reason = desk.voice.t(
+        reason = page.translator.t(
             "out of range: the nearest that it takes is {value}; nothing was sent", value=shown
         )
-    return desk.not_so(reason, f"#parameter-{parameter.number}-error", nearest=shown)
+    return page.not_so(reason, f"#parameter-{parameter.number}-error", nearest=shown)

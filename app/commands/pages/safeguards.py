@@ -26,7 +26,7 @@ SEE_OTHER = 303
 @router.post("/units/{bus}/{unit:int}/limits")
 async def set_limits(
     person: Engineer,
-    desk: Page,
+    page: Page,
     bus: str,
     unit: int,
     lowest: TypedLimit = "",
@@ -35,15 +35,15 @@ async def set_limits(
     per_minute: TypedLimit = "",
 ) -> Response:
     """All four at once; an empty field is no limit."""
-    live = desk.unit(bus, unit)
+    live = page.unit(bus, unit)
     try:
         limits = Limits(*(_raw(live, text) for text in (lowest, highest, largest_step, per_minute)))
         if limits.lowest is not None and limits.highest is not None and limits.lowest > limits.highest:
             raise CallerError(Message("limits_reversed"))
     except (CallerError, Problem) as error:
-        return desk.not_so(error.text(desk.voice.t), "#limits-said")
-    await desk.guards(bus).set_limits(person, unit, limits)
-    return desk.render("unit/_limits_set.html")
+        return page.not_so(error.text(page.translator.t), "#limits-said")
+    await page.guards(bus).set_limits(person, unit, limits)
+    return page.render("unit/_limits_set.html")
 
 
 def _raw(live: UnitLive, text: str) -> int | None:
@@ -64,22 +64,22 @@ def _raw(live: UnitLive, text: str) -> int | None:
 @router.post("/units/{bus}/{unit:int}/block")
 async def block(
     person: Operator,
-    desk: Page,
+    page: Page,
     bus: str,
     unit: int,
     reason: Annotated[OneLine, Form(max_length=200)] = "",
 ) -> Response:
     """Refuse every write to this unit, with the reason shown on every page."""
-    desk.unit(bus, unit)
+    page.unit(bus, unit)
     if not reason.strip():
         raise Problem(422, "invalid", Message("block_needs_reason"))
-    await desk.guards(bus).block(person, unit, reason.strip())
+    await page.guards(bus).block(person, unit, reason.strip())
     return RedirectResponse(f"/units/{bus}/{unit}", SEE_OTHER)
 
 
 @router.post("/units/{bus}/{unit:int}/unblock")
-async def unblock(person: Operator, desk: Page, bus: str, unit: int) -> Response:
+async def unblock(person: Operator, page: Page, bus: str, unit: int) -> Response:
     """Free this unit; the events keep who did."""
-    desk.unit(bus, unit)
-    await desk.guards(bus).lift(person, unit)
+    page.unit(bus, unit)
+    await page.guards(bus).lift(person, unit)
     return RedirectResponse(f"/units/{bus}/{unit}", SEE_OTHER)

@@ -37,25 +37,25 @@ router = APIRouter(include_in_schema=False)
 
 
 @router.get("/setpoints")
-async def setpoints(_: Viewer, desk: Page) -> Response:
+async def setpoints(_: Viewer, page: Page) -> Response:
     """Every unit with its present setpoint and room for a new one."""
     buses = [
-        (name, [_line_of(desk, name, bus, number) for number in bus.units])
-        for name, bus in desk.live.buses.items()
+        (name, [_line_of(page, name, bus, number) for number in bus.units])
+        for name, bus in page.live.buses.items()
     ]
-    return desk.render("setpoints/page.html", fields=desk.fields(), buses=buses)
+    return page.render("setpoints/page.html", fields=page.fields(), buses=buses)
 
 
-def _line_of(desk: PageContext, name: str, bus: BusLive, number: int) -> dict[str, object]:
+def _line_of(page: PageContext, name: str, bus: BusLive, number: int) -> dict[str, object]:
     live = bus.units[number]
     present = present_setpoint(bus, live)
     decimals = 4 if follower(live) else live.parameter_raw(DECIMALS)
-    allowed = setpoint_range(live, desk.guards(name).limits.of(number))
+    allowed = setpoint_range(live, page.guards(name).limits.of(number))
     limits = {"low": shown_setpoint(allowed.lowest, live), "high": shown_setpoint(allowed.highest, live)}
     return {
-        "unit": desk.shown(name, number),
+        "unit": page.shown(name, number),
         "measure": measure_of_setpoint(live),
-        "limits": {end: desk.voice.formats.point(text) for end, text in limits.items()},
+        "limits": {end: page.translator.formats.point(text) for end, text in limits.items()},
         "present_raw": "" if present is None else present,
         "decimals": "" if decimals is None else decimals,
         "follower": bool(follower(live)),
@@ -64,22 +64,22 @@ def _line_of(desk: PageContext, name: str, bus: BusLive, number: int) -> dict[st
 
 @router.post("/setpoints/review")
 async def review_setpoints(
-    request: Request, person: Annotated[Person, permitted(SET_LINE)], desk: Page
+    request: Request, person: Annotated[Person, permitted(SET_LINE)], page: Page
 ) -> Response:
     """Each new setpoint that was typed, judged: old → new, limits, ramps, in one table."""
     form = await request.form()
     bus = str(form.get("bus", ""))
-    live = desk.bus(bus)
+    live = page.bus(bus)
     try:
-        setpoints = await _typed_setpoints(person, desk, live, form)
-        deadline = desk.deadline(live, len(setpoints))
-        await judge(desk, person, bus, SetLine(setpoints=setpoints), deadline)
+        setpoints = await _typed_setpoints(person, page, live, form)
+        deadline = page.deadline(live, len(setpoints))
+        await judge(page, person, bus, SetLine(setpoints=setpoints), deadline)
     except (CallerError, Problem) as error:
-        return desk.not_so(error.text(desk.voice.t), f"#setpoints-error-{bus}")
-    await know_ramps(desk, person, bus, setpoints)
-    changes = [change(desk, bus, unit, raw) for unit, raw in setpoints.items()]
-    left_out, unchanged = keep_their_setpoint(desk, bus, setpoints)
-    return desk.review(
+        return page.not_so(error.text(page.translator.t), f"#setpoints-error-{bus}")
+    await know_ramps(page, person, bus, setpoints)
+    changes = [change(page, bus, unit, raw) for unit, raw in setpoints.items()]
+    left_out, unchanged = keep_their_setpoint(page, bus, setpoints)
+    return page.review(
         "setpoints/_review.html",
         bus=bus,
         changes=changes,
@@ -93,18 +93,18 @@ async def review_setpoints(
 
 
 async def _typed_setpoints(
-    person: Person, desk: PageContext, live: BusLive, form: FormData
+    person: Person, page: PageContext, live: BusLive, form: FormData
 ) -> dict[int, int]:
     """Raw, by unit. Raises CallerError and Problem for what is no setpoint of its unit."""
     fields = {unit: str(form.get(f"new-{unit}", "")).strip() for unit in live.units}
     typed = {unit: text for unit, text in fields.items() if text}
     if not typed:
         raise CallerError(Message("no_new_setpoint"))
-    deadline, bus = desk.deadline(live, len(typed)), live.settings.name
+    deadline, bus = page.deadline(live, len(typed)), live.settings.name
     setpoints = {}
     for unit, text in typed.items():
         try:
-            found = QuantityConverter(desk.commands(bus), person, live.units[unit], deadline)
+            found = QuantityConverter(page.commands(bus), person, live.units[unit], deadline)
             setpoints[unit] = await found.setpoint(Quantity(value=text))
         except CallerError as error:
             raise CallerError(
@@ -117,19 +117,19 @@ async def _typed_setpoints(
 async def set_setpoints(
     request: Request,
     person: Annotated[Person, permitted(SET_LINE)],
-    desk: Page,
+    page: Page,
     bus: Annotated[str, Form()],
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[float, Form()],
 ) -> Response:
     """Stage all, require every acknowledgement, one broadcast, prove each: all of them or none."""
-    live = desk.bus(bus)
+    live = page.bus(bus)
     form = await request.form()
-    title = desk.voice.t("Setpoints")
+    title = page.translator.t("Setpoints")
     try:
-        desk.refuse_lapsed(reviewed_at)
+        page.refuse_lapsed(reviewed_at)
         setpoints = reviewed(live, form)
-        result = await desk.ask(person, bus, SetLine(setpoints=setpoints), id)
+        result = await page.send(person, bus, SetLine(setpoints=setpoints), id)
     except Problem as problem:
-        return desk.refused(problem, title)
-    return proven(desk, bus, title, setpoints, result, form)
+        return page.refused(problem, title)
+    return proven(page, bus, title, setpoints, result, form)

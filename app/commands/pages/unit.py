@@ -20,31 +20,31 @@ router = APIRouter(include_in_schema=False)
 
 
 @router.get("/units/{bus}/{unit:int}")
-async def unit_page(_: Viewer, desk: Page, bus: str, unit: int) -> Response:
+async def unit_page(_: Viewer, page: Page, bus: str, unit: int) -> Response:
     """The faceplate of one unit."""
-    live = desk.unit(bus, unit)
-    return desk.render("unit/page.html", **_faceplate(desk, bus, live))
+    live = page.unit(bus, unit)
+    return page.render("unit/page.html", **_faceplate(page, bus, live))
 
 
-def _faceplate(desk: PageContext, bus: str, live: UnitLive) -> dict[str, Any]:
-    unit, limits = live.settings.id, desk.guards(bus).limits.of(live.settings.id)
+def _faceplate(page: PageContext, bus: str, live: UnitLive) -> dict[str, Any]:
+    unit, limits = live.settings.id, page.guards(bus).limits.of(live.settings.id)
     allowed = setpoint_range(live, limits)
-    present = present_setpoint(desk.bus(bus), live)
+    present = present_setpoint(page.bus(bus), live)
     fine, coarse = nudges(live)
     return {
-        "fields": desk.fields(),
+        "fields": page.fields(),
         "bus": bus,
-        "unit": desk.shown(bus, unit),
-        "present": "" if present is None else desk.voice.formats.point(shown_setpoint(present, live)),
+        "unit": page.shown(bus, unit),
+        "present": "" if present is None else page.translator.formats.point(shown_setpoint(present, live)),
         "present_raw": "" if present is None else present,
-        "lowest": desk.voice.formats.point(shown_setpoint(allowed.lowest, live)),
-        "highest": desk.voice.formats.point(shown_setpoint(allowed.highest, live)),
+        "lowest": page.translator.formats.point(shown_setpoint(allowed.lowest, live)),
+        "highest": page.translator.formats.point(shown_setpoint(allowed.highest, live)),
         "bounds_unit": measure_of_setpoint(live),
         "follower": bool(follower(live)),
         "nudges": [(sign * step, shown_setpoint(step, live), sign) for sign, step in _signed(fine, coarse)],
         "limits": limits,
         "limit_texts": {name: shown_setpoint(getattr(limits, name), live) for name in _LIMIT_NAMES},
-        "block": desk.guards(bus).blocks.of(unit),
+        "block": page.guards(bus).blocks.of(unit),
         "analog_low": live.parameter_raw(ANALOG_OUT_LOW),
         "analog_high": live.parameter_raw(ANALOG_OUT_HIGH),
         "analog_by_link": live.parameter_raw(ANALOG_OUT_SOURCE) == 2,

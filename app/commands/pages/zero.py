@@ -27,26 +27,26 @@ router = APIRouter(prefix="/line/zero", include_in_schema=False)
 
 
 @router.get("")
-async def review_zero(person: Viewer, desk: Page) -> Response:
+async def review_zero(person: Viewer, page: Page) -> Response:
     """What setting the line to zero will do, and to whom; a bus in other hands is named as a whole. Who may
     only look is told so: the button stands in the same place of every page for everybody."""
     if not person.role.includes(SET_LINE.role):
-        return desk.render("line/_zero_not_yours.html")
+        return page.render("line/_zero_not_yours.html")
     now = time.time()
-    objections = {bus: desk.guards(bus).control.objection(person.account, now) for bus in desk.live.buses}
-    plans = [plan for plan in _plans(desk) if not objections[plan.bus]]
-    return desk.review(
+    objections = {bus: page.guards(bus).control.objection(person.account, now) for bus in page.live.buses}
+    plans = [plan for plan in _plans(page) if not objections[plan.bus]]
+    return page.review(
         "line/_review_zero.html",
         plans=plans,
         risks=by_remark(
-            (_on_site(desk, plan.bus, name), risk) for plan in plans for name, risk in plan.risks
+            (_on_site(page, plan.bus, name), risk) for plan in plans for name, risk in plan.risks
         ),
         left_out=by_remark(
-            (_on_site(desk, plan.bus, name), reason) for plan in plans for name, reason in plan.left_out
+            (_on_site(page, plan.bus, name), reason) for plan in plans for name, reason in plan.left_out
         ),
         held={bus: objection for bus, objection in objections.items() if objection},
-        many=len(desk.live.buses) > 1,
-        longest_s=max((_longest_s(desk.bus(plan.bus), len(plan.units)) for plan in plans), default=0.0),
+        many=len(page.live.buses) > 1,
+        longest_s=max((_longest_s(page.bus(plan.bus), len(plan.units)) for plan in plans), default=0.0),
     )
 
 
@@ -55,15 +55,15 @@ def _longest_s(bus: BusLive, units: int) -> float:
     return longest_change_s(bus, units) + units * timeout_s_for(bus)
 
 
-def _plans(desk: PageContext) -> list[ZeroPlan]:
+def _plans(page: PageContext) -> list[ZeroPlan]:
     now = time.time()
-    return [plan_zero(bus, desk.guards(name).block_reason, now) for name, bus in desk.live.buses.items()]
+    return [plan_zero(bus, page.guards(name).block_reason, now) for name, bus in page.live.buses.items()]
 
 
 @router.post("")
 async def set_zero(
     person: Annotated[Person, permitted(SET_LINE)],
-    desk: Page,
+    page: Page,
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[float, Form()],
 ) -> Response:
@@ -71,39 +71,39 @@ async def set_zero(
 
     What one bus or one unit refuses keeps no other from it.
     """
-    title = desk.voice.t("Set line to zero")
+    title = page.translator.t("Set line to zero")
     try:
-        desk.refuse_lapsed(reviewed_at)
+        page.refuse_lapsed(reviewed_at)
     except Problem as problem:
-        return desk.refused(problem, title)
-    by_bus = await asyncio.gather(*(_zero_bus(person, desk, plan, id) for plan in _plans(desk)))
+        return page.refused(problem, title)
+    by_bus = await asyncio.gather(*(_zero_bus(person, page, plan, id) for plan in _plans(page)))
     proofs = [proof for bus in by_bus for proof in bus]
-    return desk.render("line/_zero_done.html", title=title, proofs=proofs, outcome=_in_all(desk, proofs))
+    return page.render("line/_zero_done.html", title=title, proofs=proofs, outcome=_in_all(page, proofs))
 
 
-async def _zero_bus(person: Person, desk: PageContext, plan: ZeroPlan, id: str) -> list[ResultRow]:
+async def _zero_bus(person: Person, page: PageContext, plan: ZeroPlan, id: str) -> list[ResultRow]:
     """What is left out comes first, with the reason."""
     left_out = [
         (
-            _on_site(desk, plan.bus, name),
+            _on_site(page, plan.bus, name),
             "",
-            OutcomeText("bad", f"{desk.voice.t('left out')}: {desk.remark(reason)}"),
+            OutcomeText("bad", f"{page.translator.t('left out')}: {page.remark(reason)}"),
         )
         for name, reason in plan.left_out
     ]
-    return left_out + (await _zero_units(person, desk, plan, id) if plan.units else [])
+    return left_out + (await _zero_units(person, page, plan, id) if plan.units else [])
 
 
-async def _zero_units(person: Person, desk: PageContext, plan: ZeroPlan, id: str) -> list[ResultRow]:
+async def _zero_units(person: Person, page: PageContext, plan: ZeroPlan, id: str) -> list[ResultRow]:
     """All at once; then each alone that is not proven, unless the press itself came too late."""
     action, bus_commands = (
         SetLine(setpoints=dict.fromkeys(plan.units, 0)),
-        _BusCommands(person, desk, plan.bus, id),
+        _BusCommands(person, page, plan.bus, id),
     )
-    live, units = desk.bus(plan.bus), len(plan.units)
-    together = await bus_commands(action, "", desk.deadline(live, units))
+    live, units = page.bus(plan.bus), len(plan.units)
+    together = await bus_commands(action, "", page.deadline(live, units))
     came_late = isinstance(together, Problem) and together.code == "not_sent"
-    at_the_end = Deadline(desk.made_at, _longest_s(live, units))
+    at_the_end = Deadline(page.made_at, _longest_s(live, units))
     by_unit = {result.unit: result for result in together.units} if isinstance(together, Result) else {}
     proofs = []
     for number, name in plan.units.items():
@@ -112,40 +112,42 @@ async def _zero_units(person: Person, desk: PageContext, plan: ZeroPlan, id: str
         if not settled and not came_late and at_the_end.left_s > 0:
             deadline = Deadline.within(timeout_s_for(live))
             result = await bus_commands(SetSpeed(unit=number, raw=0), f"-{number}", deadline)
-        unit = desk.unit(plan.bus, number)
+        unit = page.unit(plan.bus, number)
         shown = (
-            problem_text(result, desk.voice) if isinstance(result, Problem) else desk.outcome(result, unit)
+            problem_text(result, page.translator)
+            if isinstance(result, Problem)
+            else page.outcome(result, unit)
         )
-        proofs.append((_on_site(desk, plan.bus, name), shown_setpoint(0, unit), shown))
+        proofs.append((_on_site(page, plan.bus, name), shown_setpoint(0, unit), shown))
     return proofs
 
 
 class _BusCommands:
     """Asks one bus on behalf of one press; what is refused before the wire is a fate as well."""
 
-    def __init__(self, person: Person, desk: PageContext, bus: str, id: str) -> None:
-        self._person, self._desk, self._bus, self._id = person, desk, bus, f"{id}-{bus}"
+    def __init__(self, person: Person, page: PageContext, bus: str, id: str) -> None:
+        self._person, self._page, self._bus, self._id = person, page, bus, f"{id}-{bus}"
 
     async def __call__(self, action: SetLine | SetSpeed, part: str, deadline: Deadline) -> Result | Problem:
         try:
-            return await self._desk.ask(self._person, self._bus, action, self._id + part, deadline)
+            return await self._page.send(self._person, self._bus, action, self._id + part, deadline)
         except Problem as problem:
             return problem
 
 
-def _on_site(desk: PageContext, bus: str, name: str) -> str:
+def _on_site(page: PageContext, bus: str, name: str) -> str:
     """Two buses may each have a unit of that name."""
-    return f"{bus} · {name}" if len(desk.live.buses) > 1 else name
+    return f"{bus} · {name}" if len(page.live.buses) > 1 else name
 
 
-def _in_all(desk: PageContext, proofs: list[ResultRow]) -> OutcomeText:
+def _in_all(page: PageContext, proofs: list[ResultRow]) -> OutcomeText:
     at_zero = sum(outcome.tone == "good" for _, _, outcome in proofs)
     if proofs and at_zero == len(proofs):
-        good = desk.voice.tn(
+        good = page.translator.tn(
             "{n} unit took speed 0 and ramps down", "{n} units took speed 0 and ramp down", at_zero
         )
         return OutcomeText("good", good)
-    bad = desk.voice.tn(
+    bad = page.translator.tn(
         "the unit did not take speed 0: look at it",
         "{good} of {n} units took speed 0: look at the others",
         len(proofs),

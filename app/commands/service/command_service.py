@@ -73,7 +73,7 @@ class CommandService:
         """Call and await ``subscriber`` before each write; where it raises, nothing is sent."""
         self._write_subscribers.append(subscriber)
 
-    async def ask(
+    async def send(
         self,
         person: Person,
         action: Action,
@@ -110,14 +110,14 @@ class CommandService:
         if kept is None:
             timeout_s = timeout_s or kind_of_command(action).timeout_s(action, self._live)
             deadline = deadline or Deadline.within(timeout_s)
-            wish = CommandRequest(
+            request = CommandRequest(
                 new_command_id(id), person, self._bus, action, deadline, origin, listener, id
             )
             try:
-                await self._check(wish, confirm)
+                await self._check(request, confirm)
             except UnreadError as unread:
-                return unread.result(id or wish.id, self._now(), action.units)
-            kept = self._start(wish)
+                return unread.result(id or request.id, self._now(), action.units)
+            kept = self._start(request)
         _refuse_other(id, (kept.bus, kept.action) == (self._bus, action))
         result = await asyncio.shield(kept.result)
         return result if id is None else msgspec.structs.replace(result, id=id)
@@ -131,35 +131,35 @@ class CommandService:
         await self._channel.cancel(id)
 
     async def read_ranges(self, person: Person, action: Action, deadline: Deadline) -> None:
-        """Read what bounds the setpoints of ``action`` where it was never read, as :meth:`ask` does.
+        """Read what bounds the setpoints of ``action`` where it was never read, as :meth:`send` does.
 
         Raises Problem 503 or 504 where it cannot be had in time.
         """
-        await read_ranges(self.ask, person, self._live, action, self._guards.limits.of, deadline)
+        await read_ranges(self.send, person, self._live, action, self._guards.limits.of, deadline)
 
     def check(self, person: Person, action: Action, *, confirm: bool = False) -> None:
-        """The checks of :meth:`ask` alone, for a review. Raises the same Problems."""
+        """The checks of :meth:`send` alone, for a review. Raises the same Problems."""
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
         self._object(person, action, confirm)
 
-    async def _check(self, wish: CommandRequest, confirm: bool) -> None:
-        async with self._rejection_recorded(wish):
-            wish.deadline.refuse_passed()
-            await self._rights.check(wish.person)
+    async def _check(self, request: CommandRequest, confirm: bool) -> None:
+        async with self._rejection_recorded(request):
+            request.deadline.refuse_passed()
+            await self._rights.check(request.person)
             # Before anything is read for it: who may not write here learns that, not what the unit says.
-            self._use_control(wish.person, wish.action)
-            await self.read_ranges(wish.person, wish.action, wish.deadline)
-            self._object(wish.person, wish.action, confirm)
+            self._use_control(request.person, request.action)
+            await self.read_ranges(request.person, request.action, request.deadline)
+            self._object(request.person, request.action, confirm)
 
     @asynccontextmanager
-    async def _rejection_recorded(self, wish: CommandRequest) -> AsyncIterator[None]:
+    async def _rejection_recorded(self, request: CommandRequest) -> AsyncIterator[None]:
         """A write that a Problem ends before anything is sent is an event with its reason."""
         try:
             yield
         except Problem as problem:
-            if wish.action.writes:
-                await self._record.reject(wish, self._live, problem)
+            if request.action.writes:
+                await self._record.reject(request, self._live, problem)
             raise
 
     def _object(self, person: Person, action: Action, confirm: bool) -> None:
@@ -187,83 +187,83 @@ class CommandService:
             confirm=confirm,
         )
 
-    def _start(self, wish: CommandRequest) -> KeptCommand:
-        already = self._cache.find(wish.person, wish.key)
+    def _start(self, request: CommandRequest) -> KeptCommand:
+        already = self._cache.find(request.person, request.key)
         if already is not None:
             return already
         # Noted before anybody else can be checked: two at once must not both pass the limit of a minute.
-        steps, at = _steps(wish.action, self._live), self._now()
+        steps, at = _steps(request.action, self._live), self._now()
         for unit, step in steps.items():
             self._moves.note(unit, step, at)
-        fate = asyncio.create_task(self._follow(wish, steps, at), name=f"command {wish.id}")
-        self._under_way.add(fate)
-        fate.add_done_callback(self._under_way.discard)
-        kept = KeptCommand(self._bus, wish.action, fate)
-        if wish.key is not None:
-            self._cache.keep(wish.person, wish.key, kept)
+        task = asyncio.create_task(self._follow(request, steps, at), name=f"command {request.id}")
+        self._under_way.add(task)
+        task.add_done_callback(self._under_way.discard)
+        kept = KeptCommand(self._bus, request.action, task)
+        if request.key is not None:
+            self._cache.keep(request.person, request.key, kept)
         return kept
 
-    async def _follow(self, wish: CommandRequest, steps: dict[int, int], at: float) -> Result:
+    async def _follow(self, request: CommandRequest, steps: dict[int, int], at: float) -> Result:
         """Carry it out; its steps, which were noted for ``at``, count no more when no unit acted."""
         acted = False
         try:
-            result = await self._carry_out(wish)
+            result = await self._carry_out(request)
             acted = result.outcome in ACTED
             return result
         finally:
             for unit, step in () if acted else steps.items():
                 self._moves.take_back(unit, step, at)
 
-    async def _carry_out(self, wish: CommandRequest) -> Result:
-        kind = kind_of_command(wish.action)
-        if not kind.is_event(wish.action):
-            return await self._send(wish)
-        if wish.action.writes:
-            units, parameters = kind.units_written(wish.action, self._live), kind.writes_parameters
-            async with self._rejection_recorded(wish):
+    async def _carry_out(self, request: CommandRequest) -> Result:
+        kind = kind_of_command(request.action)
+        if not kind.is_event(request.action):
+            return await self._transmit(request)
+        if request.action.writes:
+            units, parameters = kind.units_written(request.action, self._live), kind.writes_parameters
+            async with self._rejection_recorded(request):
                 for subscriber in self._write_subscribers:
-                    await subscriber(wish.person, units, parameters=parameters)
-        intent = await self._record.intend(wish, self._live)
-        result = without_secret(wish.action, await self._send(wish))
-        await self._record.conclude(intent, wish, result)
+                    await subscriber(request.person, units, parameters=parameters)
+        intent = await self._record.intend(request, self._live)
+        result = without_secret(request.action, await self._transmit(request))
+        await self._record.conclude(intent, request, result)
         return result
 
-    async def _send(self, wish: CommandRequest) -> Result:
+    async def _transmit(self, request: CommandRequest) -> Result:
         link = self._live.link
         if link.link == "closed":
             refusal = link.refusal
-            return Result(id=wish.id, at=self._now(), outcome="bus_closed", message=refusal)
+            return Result(id=request.id, at=self._now(), outcome="bus_closed", message=refusal)
         # Storing the intent and what the unit was may have taken a while on a slow disk.
-        reason = await self._why_no_longer(wish)
+        reason = await self._why_no_longer(request)
         if reason is not None:
-            return Result(id=wish.id, at=self._now(), outcome="not_sent", message=reason)
+            return Result(id=request.id, at=self._now(), outcome="not_sent", message=reason)
         # This clock first: whatever stops this process between the two makes the deadline earlier.
-        deadline = self._now() + wish.deadline.left_s
-        command = Command(id=wish.id, deadline=deadline, action=wish.action)
+        deadline = self._now() + request.deadline.left_s
+        command = Command(id=request.id, deadline=deadline, action=request.action)
         return await while_permitted(
-            self._channel.ask(command, wish.listener),
-            lambda: self._why_no_longer(wish),
-            lambda: self._channel.cancel(wish.id),
+            self._channel.send(command, request.listener),
+            lambda: self._why_no_longer(request),
+            lambda: self._channel.cancel(request.id),
         )
 
-    async def _why_no_longer(self, wish: CommandRequest) -> Message | None:
+    async def _why_no_longer(self, request: CommandRequest) -> Message | None:
         """Why a command must not be sent, or be given up; None while it may go on. A store that cannot be
         read now ends nothing that is half done."""
         try:
-            await self._rights.check(wish.person)
+            await self._rights.check(request.person)
         except Problem as problem:
             return problem.message
         except StoreError:
             return None
-        if not wish.action.writes:
+        if not request.action.writes:
             return None
-        for unit in kind_of_command(wish.action).units_written(wish.action, self._live):
+        for unit in kind_of_command(request.action).units_written(request.action, self._live):
             block = self._guards.blocks.of(unit)
             if block is not None:
                 return Message.of(
                     "unit_blocked", unit=unit, who=account_shown(block.set_by), reason=block.reason
                 )
-        return self._guards.control.objection(wish.person.account, self._now())
+        return self._guards.control.objection(request.person.account, self._now())
 
 
 def _refuse_other(id: str | None, same: bool) -> None:

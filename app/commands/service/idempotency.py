@@ -59,23 +59,23 @@ def _parts(bus: str, action: Action) -> tuple[str, str]:
     return json.dumps(bus), json.dumps(asked, sort_keys=True)
 
 
-def begin(connection: sqlite3.Connection, wish: CommandRequest, ring: KeyRing, now: float) -> None:
+def begin(connection: sqlite3.Connection, request: CommandRequest, ring: KeyRing, now: float) -> None:
     """The result of a command with a key is open from here on. Raises sqlite3.IntegrityError for a key that
     its sender has used."""
-    if wish.key is None:
+    if request.key is None:
         return
-    sender = wish.person.sender
+    sender = request.person.sender
     connection.execute(_FORGET_OLD, (now - KEPT_S,))
     connection.execute(_FORGET_MANY, {"sender": sender, "others": MOST_OF_A_SENDER - 2})
-    connection.execute(_INSERT, (sender, wish.key, now, digest(ring, wish.bus, wish.action)))
+    connection.execute(_INSERT, (sender, request.key, now, digest(ring, request.bus, request.action)))
 
 
-def end(connection: sqlite3.Connection, wish: CommandRequest, result: Result) -> None:
+def end(connection: sqlite3.Connection, request: CommandRequest, result: Result) -> None:
     """Its result, without the frames, which are in the events."""
-    if wish.key is None:
+    if request.key is None:
         return
     stored = msgspec.json.encode(msgspec.structs.replace(result, frames=[]))
-    where = (wish.person.sender, wish.key)
+    where = (request.person.sender, request.key)
     connection.execute("UPDATE idempotency SET result = ? WHERE sender = ? AND key = ?", (stored, *where))
 
 

@@ -37,14 +37,14 @@ class CommandSender(Protocol):
 
 
 async def read_first(
-    ask: CommandSender, person: Person, unit: int, numbers: Sequence[int], deadline: Deadline
+    send: CommandSender, person: Person, unit: int, numbers: Sequence[int], deadline: Deadline
 ) -> dict[int, int | None]:
     """The raw value of each, None where the unit does not have it.
 
     Raises UnreadError where it cannot be had, and Problem 503 ``not_sent`` where the time is over.
     """
     action = ReadParameters(unit=unit, numbers=list(numbers))
-    result = await ask(person, action, deadline=deadline)
+    result = await send(person, action, deadline=deadline)
     values: dict[int, int | None] = {value.number: value.raw for value in result.values}
     if result.outcome == "bus_closed":
         raise UnreadError(503, "bus_closed", result.message or "", outcome="bus_closed")
@@ -54,7 +54,7 @@ async def read_first(
 
 
 async def read_ranges(
-    ask: CommandSender,
+    send: CommandSender,
     person: Person,
     live: BusLive,
     action: Action,
@@ -66,7 +66,7 @@ async def read_ranges(
         unread = _unread_by_unit(live, action, limits)
         if not unread:
             return
-        reads = (read_first(ask, person, unit, unread[unit], deadline) for unit in unread)
+        reads = (read_first(send, person, unit, unread[unit], deadline) for unit in unread)
         await asyncio.gather(*reads)
     for unit, numbers in _unread_by_unit(live, action, limits).items():
         raise _unread(unit, numbers)

@@ -52,43 +52,43 @@ class CommandRecord:
         """Whether ``earlier`` is this command."""
         return idempotency.is_digest_of(earlier.command, self._events.keys.ring, bus, action)
 
-    async def intend(self, wish: CommandRequest, live: BusLive) -> Intent:
+    async def intend(self, request: CommandRequest, live: BusLive) -> Intent:
         """On disk when this returns. Raises StoreError, and then nothing may be sent."""
-        kind = kind_of_command(wish.action)
-        by_unit = kind.part_wordings(wish.action, live)
-        whole = _entry(wish, wish.unit, kind.wording(wish.action, live))
-        parts = [_entry(wish, unit, words) for unit, words in by_unit.items()]
+        kind = kind_of_command(request.action)
+        by_unit = kind.part_wordings(request.action, live)
+        whole = _entry(request, request.unit, kind.wording(request.action, live))
+        parts = [_entry(request, unit, words) for unit, words in by_unit.items()]
         ring = self._events.keys.ring
 
         def remember(connection: sqlite3.Connection) -> None:
             link_parts(connection, len(parts))
-            idempotency.begin(connection, wish=wish, ring=ring, now=self._now())
+            idempotency.begin(connection, request=request, ring=ring, now=self._now())
 
         event, *others = await self._events.intend_together([whole, *parts], remember)
         return Intent(event, dict(zip(by_unit, others, strict=True)))
 
-    async def conclude(self, intent: Intent, wish: CommandRequest, result: Result) -> None:
+    async def conclude(self, intent: Intent, request: CommandRequest, result: Result) -> None:
         """The fate of what was intended. A store that fails now changes nothing of the fate."""
         try:
             if intent.parts:
-                await self._events.conclude_together(_fates(intent, result))
-            remember = partial(idempotency.end, wish=wish, result=result)
+                await self._events.conclude_together(_outcomes(intent, result))
+            remember = partial(idempotency.end, request=request, result=result)
             message = result.message or ""
             await self._events.conclude(intent.event, result.outcome, message, result.frames, remember)
         except StoreError as error:
-            log.error("fate not stored", command=wish.id, outcome=result.outcome, error=str(error))
+            log.error("fate not stored", command=request.id, outcome=result.outcome, error=str(error))
 
-    async def reject(self, wish: CommandRequest, live: BusLive, problem: Problem) -> None:
+    async def reject(self, request: CommandRequest, live: BusLive, problem: Problem) -> None:
         """A wish that was not sent, with the reason."""
-        entry = _entry(wish, wish.unit, kind_of_command(wish.action).wording(wish.action, live))
+        entry = _entry(request, request.unit, kind_of_command(request.action).wording(request.action, live))
         await self._events.record(kind="command", **entry, outcome=problem.code, message=problem.detail)
 
 
-def _entry(wish: CommandRequest, unit: int | None, words: Wording) -> dict[str, Any]:
+def _entry(request: CommandRequest, unit: int | None, words: Wording) -> dict[str, Any]:
     return {
-        "who": wish.person.name,
-        "origin": f"{wish.origin}, token" if wish.person.via == "token" else wish.origin,
-        "bus": wish.bus,
+        "who": request.person.name,
+        "origin": f"{request.origin}, token" if request.person.via == "token" else request.origin,
+        "bus": request.bus,
         "unit": unit,
         "what": words.what,
         "old": words.old or None,
@@ -98,7 +98,7 @@ def _entry(wish: CommandRequest, unit: int | None, words: Wording) -> dict[str, 
     }
 
 
-def _fates(intent: Intent, result: Result) -> dict[int, tuple[Outcome, str | Message]]:
-    said = {fate.unit: (fate.outcome, fate.message or "") for fate in result.units}
+def _outcomes(intent: Intent, result: Result) -> dict[int, tuple[Outcome, str | Message]]:
+    by_unit = {part.unit: (part.outcome, part.message or "") for part in result.units}
     whole = (result.outcome, result.message or "")
-    return {event: said.get(unit, whole) for unit, event in intent.parts.items()}
+    return {event: by_unit.get(unit, whole) for unit, event in intent.parts.items()}

@@ -95,7 +95,7 @@ async def get_history(
     hole. ``format=epoch`` gives times in seconds since the epoch.
     """
     asked = question(history, bus, unit, value, span, points)
-    (found,) = await history.ask([asked])
+    (found,) = await history.query([asked])
     return await json_response(lambda: shown(asked, found, times))
 
 
@@ -110,7 +110,7 @@ async def get_series(
 ) -> Response:
     """Several values at once, each named ``bus/unit/value`` (1 to 32): a list of what GET /history gives."""
     asked = questions(history, series, span, points)
-    found = await history.ask(asked)
+    found = await history.query(asked)
     return await json_response(lambda: [shown(q, a, times) for q, a in zip(asked, found, strict=True)])
 
 
@@ -123,7 +123,7 @@ async def get_sparks(
     if len(series) > MOST_SPARKS:
         raise Problem(422, "invalid", Message.of("too_many_sparklines", most=MOST_SPARKS, count=len(series)))
     asked = [named_question(history, name, span, SPARK_POINTS) for name in series]
-    found = await history.ask(asked)
+    found = await history.query(asked)
     return await json_response(lambda: {name: _small(a) for name, a in zip(series, found, strict=True)})
 
 

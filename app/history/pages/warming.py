@@ -35,6 +35,6 @@ async def _ask_a_day(history: History) -> None:
     now = micros(time.time())
     names = usual_series(history)
     try:
-        await history.ask(questions(history, names, Span(now - DAY, now), POINTS))
+        await history.query(questions(history, names, Span(now - DAY, now), POINTS))
     except (Problem, StoreError):
         return

@@ -90,12 +90,12 @@ class Hub:
             readers = self._readers[language] = Readers(self._new_screen(language), self._clock)
         screen, now = readers.screen, self._clock()
         readers.tell(screen.refresh(now))
-        readers.tell(screen.put(WHOLE_LINE, {"memory": self._sources.notices(screen.voice, now)}))
+        readers.tell(screen.put(WHOLE_LINE, {"memory": self._sources.notices(screen.translator, now)}))
         return screen
 
     def _new_screen(self, language: str) -> Screen:
-        voice = Translator(self._templates.languages[language], self._templates.formats(language))
-        return Screen(self.live, voice, self._sources)
+        translator = Translator(self._templates.languages[language], self._templates.formats(language))
+        return Screen(self.live, translator, self._sources)
 
     def join(self, browser: Browser) -> None:
         """A page opened: the whole snapshot first, then diffs."""
@@ -147,8 +147,8 @@ class Hub:
             screen = readers.screen
             groups = screen.settle(now)
             held_by = {bus: guards.holder() for bus, guards in self._sources.guards.items()}
-            notices = self._sources.notices(screen.voice, now)
-            totals = {"holder": holders(held_by, screen.voice), "memory": notices}
+            notices = self._sources.notices(screen.translator, now)
+            totals = {"holder": holders(held_by, screen.translator), "memory": notices}
             held_fields = [screen.put(bus, {"held_by": holder}) for bus, holder in held_by.items()]
             for held in (screen.put(WHOLE_LINE, totals), *held_fields):
                 for group, fields in held.items():
@@ -187,7 +187,7 @@ class Hub:
         if progress.stage == "searching":
             group, field = bus, "searched"
         for readers in self._read():
-            text = readers.screen.voice.t(STAGE_WORDS[progress.stage])
+            text = readers.screen.translator.t(STAGE_WORDS[progress.stage])
             if progress.of > 1:
                 text += f" {progress.done}/{progress.of}"
             readers.tell({group: {field: text}})
@@ -199,7 +199,7 @@ class Hub:
             for unit in figures.units:
                 if unit.unit in watched:
                     groups |= screen.put(
-                        f"health/{unit_key(bus, unit.unit)}", health_fields(unit, screen.voice)
+                        f"health/{unit_key(bus, unit.unit)}", health_fields(unit, screen.translator)
                     )
             readers.tell(groups)
 
@@ -207,7 +207,7 @@ class Hub:
         for readers in self._read():
             followers = [browser for browser in readers.browsers if browser.trace == bus]
             if followers:
-                shown = [frame_fields(frame, readers.screen.voice) for frame in frames]
+                shown = [frame_fields(frame, readers.screen.translator) for frame in frames]
                 for browser in followers:
                     browser.show_frames(shown)
 
@@ -224,7 +224,7 @@ class Hub:
         people = self.people()
         for readers in self._read():
             screen = readers.screen
-            here = "\n".join(f"{name}\t{screen.voice.t(role)}" for name, role in people.items())
+            here = "\n".join(f"{name}\t{screen.translator.t(role)}" for name, role in people.items())
             readers.tell(screen.put("people", {"here": here, "count": str(len(people))}))
 
     def _tell_watched(self) -> None:
@@ -234,7 +234,7 @@ class Hub:
             return
         for bus, live in self.live.buses.items():
             units = self._pages.units(bus) or (sorted(live.units) if self.connected else [])
-            wish = (units, self._pages.is_traced(bus))
-            if self._watched.get(bus, ([], False)) != wish:
-                self._watched[bus] = wish
-                self._watchers[bus](*wish)
+            watched = (units, self._pages.is_traced(bus))
+            if self._watched.get(bus, ([], False)) != watched:
+                self._watched[bus] = watched
+                self._watchers[bus](*watched)

@@ -52,30 +52,34 @@ CHECK_TEXTS = {
 """What a person does about it, by code; nothing where only time or a decision helps."""
 
 
-def cause_text(cause: Cause, voice: Translator) -> str:
+def cause_text(cause: Cause, translator: Translator) -> str:
     """What is so, without its time: ``Stopped: run input off``."""
-    return sentence(_motion(cause, voice), _what(cause, voice), _why(cause, voice))
+    return sentence(_motion(cause, translator), _what(cause, translator), _why(cause, translator))
 
 
-def cause_line(cause: Cause, voice: Translator, now: float) -> str:
+def cause_line(cause: Cause, translator: Translator, now: float) -> str:
     """What is so and since when: ``Stopped: run input off since 02:22``."""
-    what = f"{_what(cause, voice)} {since_text(cause, voice, now)}".rstrip()
-    return sentence(_motion(cause, voice), what, _why(cause, voice))
+    what = f"{_what(cause, translator)} {since_text(cause, translator, now)}".rstrip()
+    return sentence(_motion(cause, translator), what, _why(cause, translator))
 
 
-def since_text(cause: Cause, voice: Translator, now: float) -> str:
+def since_text(cause: Cause, translator: Translator, now: float) -> str:
     """``since 02:22``; empty where no time is known. A ramp says how long it still takes instead."""
     onset = cause.onset
     if onset is None or cause.code == "ramping":
         return ""
-    time = voice.formats.since(onset.at, now)
-    return voice.t("since {time}", time=time) if onset.exact else voice.t("since at least {time}", time=time)
+    time = translator.formats.since(onset.at, now)
+    return (
+        translator.t("since {time}", time=time)
+        if onset.exact
+        else translator.t("since at least {time}", time=time)
+    )
 
 
-def check_text(cause: Cause | None, voice: Translator) -> str:
+def check_text(cause: Cause | None, translator: Translator) -> str:
     """What to check; empty where nothing is to be done."""
     text = CHECK_TEXTS.get(cause.code, "") if cause is not None else ""
-    return voice.t(text) if text else ""
+    return translator.t(text) if text else ""
 
 
 def sentence(*parts: str) -> str:
@@ -84,36 +88,36 @@ def sentence(*parts: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _motion(cause: Cause, voice: Translator) -> str:
+def _motion(cause: Cause, translator: Translator) -> str:
     motion = cause.params.get("motion", "")
-    return voice.t(MOTION_TEXTS[motion]) if motion and cause.code != "not_at_speed" else ""
+    return translator.t(MOTION_TEXTS[motion]) if motion and cause.code != "not_at_speed" else ""
 
 
-def _what(cause: Cause, voice: Translator) -> str:
+def _what(cause: Cause, translator: Translator) -> str:
     if cause.code == "not_at_speed":
-        return voice.t(
+        return translator.t(
             STOPPED_WITH_RUN if cause.params.get("motion") == "stopped" else MOTION_TEXTS["off_speed"]
         )
     if cause.code == "ramping":
-        return _ramp(cause.params, voice)
+        return _ramp(cause.params, translator)
     text = CAUSE_TEXTS.get(cause.code, "")
-    return voice.t(text, **_named(cause)) if text else ""
+    return translator.t(text, **_named(cause)) if text else ""
 
 
 def _named(cause: Cause) -> dict[str, Any]:
     return {"mode": cause.params["mode"]} if "mode" in cause.params else {}
 
 
-def _why(cause: Cause, voice: Translator) -> str:
+def _why(cause: Cause, translator: Translator) -> str:
     why = cause.params.get("why")
-    return voice.t(why) if why else ""
+    return translator.t(why) if why else ""
 
 
-def _ramp(params: Mapping[str, Any], voice: Translator) -> str:
-    target = voice.formats.fixed(params["target_raw"], params["decimals"])
+def _ramp(params: Mapping[str, Any], translator: Translator) -> str:
+    target = translator.formats.fixed(params["target_raw"], params["decimals"])
     left = params["seconds_left"]
     if not left:
-        return voice.t("ramping to {target}", target=target)
+        return translator.t("ramping to {target}", target=target)
     if left < LONG_RAMP_S:
-        return voice.t("ramping to {target}, about {n} s left", target=target, n=left)
-    return voice.t("ramping to {target}, about {n} min left", target=target, n=round(left / MINUTE_S))
+        return translator.t("ramping to {target}, about {n} s left", target=target, n=left)
+    return translator.t("ramping to {target}, about {n} min left", target=target, n=round(left / MINUTE_S))

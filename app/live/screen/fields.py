@@ -70,22 +70,22 @@ def unit_key(bus: str, unit: int) -> str:
     return f"{bus}/{unit}"
 
 
-def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, voice: Translator) -> Fields:
+def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, translator: Translator) -> Fields:
     """What a page shows of one unit as it reads."""
     state = unit.motion.state
-    fields = {"link": link, "staged": _staged(unit, voice), "ratio": _ratio(bus, unit, voice)}
+    fields = {"link": link, "staged": _staged(unit, translator), "ratio": _ratio(bus, unit, translator)}
     reading = unit.reading
     if reading is None:
-        return fields | _NEVER | {"state_text": voice.t(STATE_WORDS[""])}
+        return fields | _NEVER | {"state_text": translator.t(STATE_WORDS[""])}
     bits = bits_of(bus, reading)
     mode = mode_of(unit, bits)
     # One dictionary that grows, thirty-seven times a second: | would make a new one at each step.
-    fields |= _numbers(bus, unit, reading, voice)
+    fields |= _numbers(bus, unit, reading, translator)
     fields |= _positions(unit, reading)
     fields |= {
         "at": f"{reading.at:.2f}",
         "state": state,
-        "state_text": voice.t(STATE_WORDS[state]),
+        "state_text": translator.t(STATE_WORDS[state]),
         "mode": mode,
         "mode_text": MODE_WORDS[mode],
         "inputs": _inputs(bits),
@@ -94,15 +94,15 @@ def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, voice: Transl
     return fields
 
 
-def bus_fields(bus: BusLive, voice: Translator, now: float) -> Fields:
+def bus_fields(bus: BusLive, translator: Translator, now: float) -> Fields:
     """The figures of one bus, and for how long its units' readings count as fresh."""
     scan_s = scan_s_of(bus)
-    cause = voice.t(bus.link.cause) if bus.link.cause is not None and bus.link.link == "closed" else ""
+    cause = translator.t(bus.link.cause) if bus.link.cause is not None and bus.link.link == "closed" else ""
     fields = {
         "link": bus.link.link,
-        "link_text": voice.t(PORT_WORDS[bus.link.link]),
+        "link_text": translator.t(PORT_WORDS[bus.link.link]),
         "baud": f"{bus.baud}",
-        "carries": voice.t("of what {baud} baud can carry", baud=bus.baud),
+        "carries": translator.t("of what {baud} baud can carry", baud=bus.baud),
         "cause": cause,
         "worker": "1" if bus.worker_connected else "0",
         "stale_after": f"{stale_after_s(scan_s):.2f}",
@@ -118,7 +118,7 @@ def bus_fields(bus: BusLive, voice: Translator, now: float) -> Fields:
     figures = figures_now(bus, now)
     if figures is None:
         return fields
-    number = voice.formats.number
+    number = translator.formats.number
     return fields | {
         "scan": f"{number(figures.scan_s, 2)} s",
         "rate": number(figures.scan_hz, 1),
@@ -126,18 +126,18 @@ def bus_fields(bus: BusLive, voice: Translator, now: float) -> Fields:
         "wire_fill": f"{min(1.0, figures.wire_utilisation):.3f}",
         "one_more": f"{number(figures.scan_s_with_one_more, 2)} s",
         "noise": f"{figures.noise_bytes}",
-        "diagnosis": " ".join(map(voice.t, figures.diagnosis)),
+        "diagnosis": " ".join(map(translator.t, figures.diagnosis)),
     }
 
 
-def health_fields(figures: UnitFigures, voice: Translator) -> Fields:
+def health_fields(figures: UnitFigures, translator: Translator) -> Fields:
     """How one unit answers, for whoever has its page open."""
-    naks = [f"{count} x {voice.t(unit_error(code))}" for code, count in sorted(figures.naks.items())]
+    naks = [f"{count} x {translator.t(unit_error(code))}" for code, count in sorted(figures.naks.items())]
     median, most = figures.answer_s_median, figures.answer_s_max
     times = ""
     if median is not None and most is not None:
-        number = voice.formats.number
-        times = voice.t(
+        number = translator.formats.number
+        times = translator.t(
             "{median} ms, at most {most} ms", median=number(1000 * median, 1), most=number(1000 * most, 1)
         )
     return {
@@ -167,24 +167,24 @@ _NEVER: Fields = {
 }
 
 
-def _numbers(bus: BusLive, unit: UnitLive, reading: Reading, voice: Translator) -> Fields:
+def _numbers(bus: BusLive, unit: UnitLive, reading: Reading, translator: Translator) -> Fields:
     decimals = speed_decimals(bus, unit)
     return {
-        "actual": voice.formats.fixed(reading.actual, decimals),
-        "commanded": voice.formats.fixed(reading.commanded, decimals),
-        "deviation": _signed(reading.actual - reading.commanded, decimals, voice),
-        "analog": _analog(unit, reading.analog, voice),
+        "actual": translator.formats.fixed(reading.actual, decimals),
+        "commanded": translator.formats.fixed(reading.commanded, decimals),
+        "deviation": _signed(reading.actual - reading.commanded, decimals, translator),
+        "analog": _analog(unit, reading.analog, translator),
     }
 
 
-def _staged(unit: UnitLive, voice: Translator) -> str:
+def _staged(unit: UnitLive, translator: Translator) -> str:
     if unit.staged is None:
         return ""
     decimals = RATIO_DECIMALS if follower(unit) else unit.parameter_raw(DECIMALS)
-    return voice.formats.fixed(unit.staged, decimals)
+    return translator.formats.fixed(unit.staged, decimals)
 
 
-def _ratio(bus: BusLive, unit: UnitLive, voice: Translator) -> str:
+def _ratio(bus: BusLive, unit: UnitLive, translator: Translator) -> str:
     """What a follower holds to its master: where its commanded speed is a speed, #37 as last read."""
     if not follower(unit):
         return ""
@@ -192,22 +192,22 @@ def _ratio(bus: BusLive, unit: UnitLive, voice: Translator) -> str:
         raw = unit.parameter_raw(RATIO_SETPOINT)
     else:
         raw = unit.reading.commanded if unit.reading is not None else None
-    return "" if raw is None else voice.formats.fixed(raw, RATIO_DECIMALS)
+    return "" if raw is None else translator.formats.fixed(raw, RATIO_DECIMALS)
 
 
-def _signed(raw: int, decimals: int | None, voice: Translator) -> str:
+def _signed(raw: int, decimals: int | None, translator: Translator) -> str:
     """Nothing too has its sign: the three are of one width in a typeface, where a space is not."""
     sign = "+" if raw > 0 else "−" if raw < 0 else "±"  # noqa: RUF001 (a true minus sign)
-    return sign + voice.formats.fixed(abs(raw), decimals)
+    return sign + translator.formats.fixed(abs(raw), decimals)
 
 
-def _analog(unit: UnitLive, atd: int, voice: Translator) -> str:
+def _analog(unit: UnitLive, atd: int, translator: Translator) -> str:
     low, high = unit.parameter_raw(ANALOG_IN_LOW), unit.parameter_raw(ANALOG_IN_HIGH)
     if low is None or high is None:
         return UNKNOWN
     span = abs(high - low)
     digits = 0 if span >= 200 else 1 if span >= 20 else 2
-    return voice.formats.number(analog_input_value(atd, low, high), digits)
+    return translator.formats.number(analog_input_value(atd, low, high), digits)
 
 
 def _positions(unit: UnitLive, reading: Reading) -> Fields:

@@ -33,7 +33,7 @@ class Screen:
     """What the pages in one language show now."""
 
     live: LiveState
-    voice: Translator
+    translator: Translator
     sources: Sources
     shown: Groups = field(default_factory=dict)
     entries: list[AbnormalItem] = field(default_factory=list)
@@ -46,7 +46,7 @@ class Screen:
         for number in units:
             self._put(changed, unit_key(bus_name, number), self._unit(bus_name, bus, bus.units[number], now))
         if whole_bus:
-            fields = bus_fields(bus, self.voice, now) | {"recipe": self._recipe(bus_name)}
+            fields = bus_fields(bus, self.translator, now) | {"recipe": self._recipe(bus_name)}
             self._put(changed, bus_name, fields)
         if whole_bus or not all(_DECIDES.isdisjoint(fields) for fields in changed.values()):
             self._put(changed, WHOLE_LINE, self._line(now))
@@ -96,17 +96,17 @@ class Screen:
     def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: float) -> Fields:
         number = unit.settings.id
         blocked = self.sources.guards[bus_name].block_reason(number)
-        drifted = self.sources.drift[bus_name].summary(number, self.voice, now)
+        drifted = self.sources.drift[bus_name].summary(number, self.translator, now)
         cause = shown_cause(bus, unit, now, blocked=blocked, drifted=drifted.words)
         view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
         self._views[unit_key(bus_name, number)] = view
-        fields = unit_fields(bus, unit, view.link, self.voice)
-        line = cause_line(cause, self.voice, now) if cause is not None else ""
+        fields = unit_fields(bus, unit, view.link, self.translator)
+        line = cause_line(cause, self.translator, now) if cause is not None else ""
         return fields | {
             "level": view.level,
             "cause": line if view.level else "",
             "status": line or sentence(fields["state_text"]),
-            "check": check_text(cause, self.voice),
+            "check": check_text(cause, self.translator),
             "blocked": blocked,
             "drift": drifted.key,
         }
@@ -119,9 +119,9 @@ class Screen:
         if not departed:
             return name
         if len(departed) > MOST_DEPARTED:
-            return self.voice.t("{name}, {n} units departed", name=name, n=len(departed))
-        return self.voice.t("{name}, departed: {units}", name=name, units=", ".join(departed))
+            return self.translator.t("{name}, {n} units departed", name=name, n=len(departed))
+        return self.translator.t("{name}, departed: {units}", name=name, units=", ".join(departed))
 
     def _line(self, now: float) -> Fields:
-        self.entries = entries_of(self.live, self._views, self.voice, now)
-        return line_fields(self.live, self._views, self.entries, self.voice, now)
+        self.entries = entries_of(self.live, self._views, self.translator, now)
+        return line_fields(self.live, self._views, self.entries, self.translator, now)

@@ -36,7 +36,7 @@ class UnitGuards(Protocol):
 class GoldenDrift(Protocol):
     """How the units of a bus differ from their golden sets."""
 
-    def summary(self, unit: int, voice: Translator, now: float) -> Drifted:
+    def summary(self, unit: int, translator: Translator, now: float) -> Drifted:
         """The differences of a unit in the reader's language. ``now``: Unix time in seconds."""
 
     def on_change(self, subscriber: UnitSubscriber) -> None:

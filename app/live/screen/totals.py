@@ -40,7 +40,7 @@ class AbnormalItem:
         return f"/units/{self.key}" if "/" in self.key else f"/bus/{self.key}"
 
 
-def entries_of(live: LiveState, views: Views, voice: Translator, now: float) -> list[AbnormalItem]:
+def entries_of(live: LiveState, views: Views, translator: Translator, now: float) -> list[AbnormalItem]:
     """Everything abnormal, the worst first, in floor order; one cause is named once."""
     found: list[tuple[str, str, Cause]] = []
     for name, bus in live.buses.items():
@@ -60,9 +60,9 @@ def entries_of(live: LiveState, views: Views, voice: Translator, now: float) -> 
             key,
             name,
             cause.level,
-            cause_text(cause, voice),
-            since_text(cause, voice, now),
-            cause_line(cause, voice, now),
+            cause_text(cause, translator),
+            since_text(cause, translator, now),
+            cause_line(cause, translator, now),
         )
         for key, name, cause in found
     ]
@@ -74,7 +74,7 @@ def strip_of(entries: list[AbnormalItem]) -> list[AbnormalItem]:
 
 
 def line_fields(
-    live: LiveState, views: Views, entries: list[AbnormalItem], voice: Translator, now: float
+    live: LiveState, views: Views, entries: list[AbnormalItem], translator: Translator, now: float
 ) -> Fields:
     """The fields of the whole line. The verdict is the worst cause, after the name of its unit."""
     tally = StateCounts()
@@ -83,9 +83,9 @@ def line_fields(
     worst = entries[0] if entries else None
     return {
         "level": worst.level if worst else "",
-        "verdict": f"{worst.name} · {worst.line}" if worst else _all_well(tally, voice),
+        "verdict": f"{worst.name} · {worst.line}" if worst else _all_well(tally, translator),
         "at": worst.href if worst else "",
-        "counts": voice.t("{n} abnormal", n=len(entries)) if worst else "",
+        "counts": translator.t("{n} abnormal", n=len(entries)) if worst else "",
         "online": f"{tally.online}",
         "at_speed": f"{tally.at_speed}",
         "at_zero": f"{tally.at_zero}",
@@ -96,58 +96,58 @@ def line_fields(
             for entry in strip_of(entries)
         ),
         "abnormal": f"{len(entries)}",
-        "named": _named(entries, views, voice),
-    } | _figures(live, voice, now)
+        "named": _named(entries, views, translator),
+    } | _figures(live, translator, now)
 
 
-def _all_well(tally: StateCounts, voice: Translator) -> str:
+def _all_well(tally: StateCounts, translator: Translator) -> str:
     """The line in one sentence while nothing is abnormal."""
     if tally.units == 0:
-        return voice.t("No unit is configured")
+        return translator.t("No unit is configured")
     if tally.at_zero == tally.units:
-        return voice.tn("{n} unit at zero", "All {n} units at zero", tally.units)
+        return translator.tn("{n} unit at zero", "All {n} units at zero", tally.units)
     if tally.ramping:
-        return voice.t("{n} of {units} ramping", n=tally.ramping, units=tally.units)
+        return translator.t("{n} of {units} ramping", n=tally.ramping, units=tally.units)
     if tally.at_speed == tally.units:
-        return voice.tn("{n} unit at speed", "All {n} units at speed", tally.units)
-    return voice.t("{n} of {units} at speed, the others at zero", n=tally.at_speed, units=tally.units)
+        return translator.tn("{n} unit at speed", "All {n} units at speed", tally.units)
+    return translator.t("{n} of {units} at speed, the others at zero", n=tally.at_speed, units=tally.units)
 
 
-def holders(held_by: Mapping[str, str], voice: Translator) -> str:
+def holders(held_by: Mapping[str, str], translator: Translator) -> str:
     """Who holds control of which bus, in words; ``held_by`` has an empty name for a bus that is free. Of the
     only bus there is, only the name is said, and nothing where nobody holds any. Breaks between two buses."""
     held = {bus: holder for bus, holder in held_by.items() if holder}
     if not held:
         return ""
-    nobody, free = voice.t("nobody"), len(held_by) - len(held)
+    nobody, free = translator.t("nobody"), len(held_by) - len(held)
     if not free and len(set(held.values())) == 1:
         [holder] = set(held.values())
-        return holder if len(held) == 1 else voice.t("{name}, every bus", name=holder)
+        return holder if len(held) == 1 else translator.t("{name}, every bus", name=holder)
     named = held if free > 1 else held_by
     said = [f"{bus}: {holder or nobody}" for bus, holder in named.items()]
     if free > 1:
-        said.append(f"{voice.t('the others')}: {nobody}")
+        said.append(f"{translator.t('the others')}: {nobody}")
     return ", ".join(one.replace(" ", NO_BREAK) for one in said)
 
 
-def _named(entries: list[AbnormalItem], views: Views, voice: Translator) -> str:
+def _named(entries: list[AbnormalItem], views: Views, translator: Translator) -> str:
     """What the pages without the strip name beside the verdict: each bus that is abnormal, each block."""
     worst = entries[0].key if entries else ""
     buses = [f"{entry.name}: {entry.line}" for entry in entries[1:] if "/" not in entry.key]
     blocks = [
-        f"{view.unit.settings.name} {voice.t('blocked')}: {view.blocked}"
+        f"{view.unit.settings.name} {translator.t('blocked')}: {view.blocked}"
         for key, view in views.items()
         if view.blocked and not (key == worst and view.cause and view.cause.code == "blocked")
     ]
     return " · ".join(buses + blocks)
 
 
-def _figures(live: LiveState, voice: Translator, now: float) -> Fields:
+def _figures(live: LiveState, translator: Translator, now: float) -> Fields:
     """The slowest scan and the fullest wire of all buses."""
     known = [figures for bus in live.buses.values() if (figures := figures_now(bus, now)) is not None]
     if not known:
         return {"scan": UNKNOWN, "wire": UNKNOWN}
-    number = voice.formats.number
+    number = translator.formats.number
     return {
         "scan": f"{number(max(figures.scan_s for figures in known), 2)} s",
         "wire": f"{number(100 * max(figures.wire_utilisation for figures in known))} %",

@@ -8,13 +8,13 @@ from app.live.screen.fields import Translator
 from bus.contract import LONGEST_MEANING, Frame
 
 
-def frame_fields(frame: Frame, voice: Translator) -> dict[str, Any]:
+def frame_fields(frame: Frame, translator: Translator) -> dict[str, Any]:
     """``at``: seconds since the epoch; ``hex``: the bytes as they passed; ``meaning``: in the language of
     ``voice``."""
     return {
         "at": round(frame.at, 4),
         "direction": frame.direction,
         "hex": frame.data.hex(" ").upper(),
-        "meaning": "; ".join(map(voice.t, frame.meanings))[:LONGEST_MEANING],
+        "meaning": "; ".join(map(translator.t, frame.meanings))[:LONGEST_MEANING],
         "valid": frame.valid,
     }

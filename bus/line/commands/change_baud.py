@@ -58,7 +58,7 @@ class _Change:
         self._units = units
         self._old = old
         self._new = new
-        self._wish = context
+        self._context = context
 
     def run(self) -> Procedure:
         failure = yield from self._write_all()
@@ -89,7 +89,7 @@ class _Change:
                 return "refused", unit_refused(unit, sent.refusal)
             if sent.status is not SendStatus.RESPONDED and not (yield from self._took_it_unheard(unit, sent)):
                 return "unverified", Message.of("unit_no_acknowledgement", unit=unit)
-            if self._wish.cancelled:
+            if self._context.cancelled:
                 return "not_sent", Message("canceled")
         return None
 

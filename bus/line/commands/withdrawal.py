@@ -83,12 +83,12 @@ class SuspendedStages:
         outside = [record for record in roster if record.unit not in setpoints]
         self._waiting = {each.unit: (each, each.staged) for each in outside if each.staged is not None}
         self._sheltered: dict[int, int] = {}
-        self._wish = context
+        self._context = context
 
     def suspend(self) -> Subprocedure[tuple[Outcome, Message] | None]:
         """None when no unit outside the change can move with it."""
         for unit, (record, staged) in self._waiting.items():
-            present = yield from _stage_present(record, self._wish)
+            present = yield from _stage_present(record, self._context)
             if present is None:
                 return "not_sent", Message.of("outsider_staged", unit=unit, staged=staged)
             self._sheltered[unit] = staged

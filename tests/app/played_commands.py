@@ -43,7 +43,7 @@ REMOTE, HEALTHY, RUN = 0b0100_0000, 0b0000_0010, 0b0000_0001
 
 
 @dataclass
-class PlayedDesk:
+class PlayedCommands:
     """``memory``: unit → number → raw. ``silent_after``: writes after which nothing answers any more;
     ``hangs_after``: writes after which the next one never gets its fate; ``objects``: by parameter the
     Problem with which a write of it is not sent; ``before_write``: called as each write arrives."""
@@ -59,15 +59,15 @@ class PlayedDesk:
     hanging: asyncio.Event = field(default_factory=asyncio.Event)
     written: list[tuple[int, int, int]] = field(default_factory=list)
     write_subscribers: list[WriteSubscriber] = field(default_factory=list)
-    asked: list[Action] = field(default_factory=list)
+    sent: list[Action] = field(default_factory=list)
 
     def on_write(self, subscriber: WriteSubscriber) -> None:
         """As the real one; a test calls it itself."""
         self.write_subscribers.append(subscriber)
 
-    async def ask(self, person: Person, action: Action, **_: Any) -> Result:
+    async def send(self, person: Person, action: Action, **_: Any) -> Result:
         assert person.name
-        self.asked.append(action)
+        self.sent.append(action)
         match action:
             case ReadParameters():
                 return self._read(action)
@@ -177,13 +177,13 @@ class SetScene:
 
     def __init__(self, folder: Path) -> None:
         self.live = a_bus()
-        self.desk = PlayedDesk(self.live, {1: factory(), 2: factory()})
+        self.commands = PlayedCommands(self.live, {1: factory(), 2: factory()})
         self.events = Noted()
         self.database = Database(folder / "store.db")
         self.store = SetStore(self.database)
         self.rights = PlayedRights()
         bus = self.live.buses["dry-end"]
-        reader = ParameterReader(bus, self.desk)  # type: ignore[arg-type]
+        reader = ParameterReader(bus, self.commands)  # type: ignore[arg-type]
         self.drift = BusDrift(bus, self.store, self.events)  # type: ignore[arg-type]
         self.keeper = SetKeeper(bus, reader, self.drift, self.store, self.events, self.rights)  # type: ignore[arg-type]
 
