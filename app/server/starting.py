@@ -20,7 +20,7 @@ _CREDENTIALS = (b"authorization", b"cookie")
 class Starts:
     """``await turn(key)``: at once where nothing was begun in this iteration, else when the key is next.
 
-    After a turn of a key that has more waiting, the event loop stays free for as long as the turn has kept it:
+    After a turn of a key that has more waiting, the event loop stays free for as long as the turn took:
     a command needs the loop some twenty times, and would otherwise wait for another turn each time.
     """
 
