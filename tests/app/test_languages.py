@@ -49,7 +49,6 @@ def test_which_language(wished: str, accepted: str, otherwise: str, chosen: str)
         ),
         ("operator holds control of this line", "operator hat die Bedienung dieser Linie"),
         ("user operator added as operator", "Benutzer operator angelegt als Bediener"),
-        ("recipe at speed version 2 saved", "Rezept at speed, Fassung 2, gespeichert"),
         ("unit 2 is blocked by user: ramping", "Regler 2 ist von user gesperrt: ramping"),
         (
             "unit 3: 25000 is outside 0 to 2000 (the limits set for this unit); the nearest is 2000; "
