@@ -188,4 +188,4 @@ def test_every_word_of_the_events_is_translated(tag: str) -> None:
 
 
 def test_the_search_finds_texts_at_all() -> None:
-    assert f"the recipe holds a {FILLED}, the unit now takes a {FILLED} (#8)" in spoken()
+    assert f"the set is of unit {FILLED}, this is unit {FILLED}: read every row" in spoken()
