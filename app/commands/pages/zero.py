@@ -87,7 +87,7 @@ async def _zero_bus(person: Person, page: PageContext, plan: ZeroPlan, id: str) 
         (
             _on_site(page, plan.bus, name),
             "",
-            OutcomeText("bad", f"{page.translator.t('left out')}: {page.remark(reason)}"),
+            OutcomeText("bad", f"{page.translator.t('left out')}: {page.translator.t(reason)}"),
         )
         for name, reason in plan.left_out
     ]
