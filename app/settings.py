@@ -185,13 +185,13 @@ class Settings(StrictModel):
         ports: dict[str, str] = {}
         for index, bus in enumerate(buses):
             if bus.name in names:
-                sentence = "bus name {name} is given twice; every bus has its own"
-                raise PydanticCustomError("twice", sentence, {"name": bus.name, "at": (index, "name")})
+                message = "bus name {name} is given twice; every bus has its own"
+                raise PydanticCustomError("twice", message, {"name": bus.name, "at": (index, "name")})
             port = _same_device(bus.port)
             if port in ports:
-                sentence = "port {port} belongs to bus {other} already; every bus has its own port"
+                message = "port {port} belongs to bus {other} already; every bus has its own port"
                 context = {"port": bus.port, "other": ports[port], "at": (index, "port")}
-                raise PydanticCustomError("twice", sentence, context)
+                raise PydanticCustomError("twice", message, context)
             names.add(bus.name)
             ports[port] = bus.name
         return buses

@@ -90,7 +90,7 @@ def _play(seed: int, pipe: Connection) -> None:
     with LineServer(line, PtyPort(baud=BAUD)) as server, suppress(EOFError):
         pipe.send(server.port.name)
         while pipe.recv():
-            said = line.record.since(0, Happened.SAID)
+            said = line.record.since(0, Happened.RESPONDED)
             pipe.send(sum(len(entry.data) >= SHORTEST_POLL_ANSWER for entry in said))
 
 

@@ -22,7 +22,7 @@ from app.history.intake.folding import compact
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.writer import MIGRATIONS
-from app.history.query.query import SeriesQuery, answer
+from app.history.query.query import SeriesQuery, run_query
 from app.history.series.runs import DAY, micros
 from app.history.series.values import VALUES
 from app.history.store import tables
@@ -244,7 +244,7 @@ def _line() -> BusSettings:
 
 def _query(database: Database, end: int, days: float) -> None:
     question = SeriesQuery(_line(), 1, VALUES["actual"], end - round(days * DAY), end, 1000)
-    found = database.read_now(lambda connection: answer(connection, Tail(), question))
+    found = database.read_now(lambda connection: run_query(connection, Tail(), question))
     assert len(found.series.at) > 200
 
 

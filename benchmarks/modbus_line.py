@@ -37,7 +37,7 @@ class ModbusLine:
             request = bytes(self._pending[:_REQUEST_BYTES])
             del self._pending[:_REQUEST_BYTES]
             answer = with_crc(bytes((request[0], 3, 2 * REGISTERS)) + bytes(2 * REGISTERS))
-            self.record.add(arrivals[-1], Happened.SAID, request[0], answer)
+            self.record.add(arrivals[-1], Happened.RESPONDED, request[0], answer)
             ends = self._replies.transmit(request[0], arrivals[-1], answer, byte_s)
             self.record.add(ends, Happened.SENT, 0, answer)
 

@@ -135,7 +135,7 @@ def _settle(server: LineServer) -> None:
     for _ in range(LONGEST_SETTLING):
         number = _last_number(server)
         time.sleep(SETTLING_S)
-        heard = [entry for entry in _record(server, number) if entry.what is Happened.HEARD]
+        heard = [entry for entry in _record(server, number) if entry.what is Happened.RECEIVED]
         reads = sum(entry.data[1] == READ_PARAMETER for entry in heard)
         if _last_number(server) > number and reads <= READS_OF_A_SETTLED_HOST:
             return

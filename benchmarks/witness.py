@@ -42,7 +42,7 @@ def look(entries: Iterable[WireEvent], seconds: float) -> Seen:
             answered_at = entry.at
             octets += asked + len(entry.data)
             asked = 0
-        elif entry.what is Happened.SAID and len(entry.data) >= SHORTEST_POLL_ANSWER:
+        elif entry.what is Happened.RESPONDED and len(entry.data) >= SHORTEST_POLL_ANSWER:
             said[entry.unit] = said.get(entry.unit, 0) + 1
         elif entry.what is Happened.CAME:
             asked = len(entry.data)

@@ -23,16 +23,16 @@ WRONG_USE = 2
 def main(arguments: list[str] | None = None) -> int:
     """Gives the exit code: 0 told to leave, 2 wrong use."""
     os.umask(0o077)
-    asked = _parser().parse_args(arguments)
-    token = sys.stdin.readline().strip() if asked.child else os.environ.pop(TOKEN_VARIABLE, "")
+    options = _parser().parse_args(arguments)
+    token = sys.stdin.readline().strip() if options.child else os.environ.pop(TOKEN_VARIABLE, "")
     if not token:
         return _wrong(f"no token: set {TOKEN_VARIABLE} (see 'lineside token create')")
     try:
-        bus = load_bus(asked.config, asked.bus)
+        bus = load_bus(options.config, options.bus)
     except ConfigurationError as error:
         return _wrong(str(error))
     structlog.contextvars.bind_contextvars(bus=bus.name)
-    return run(bus, asked.app, token, child=asked.child)
+    return run(bus, options.app, token, child=options.child)
 
 
 def _parser() -> argparse.ArgumentParser:

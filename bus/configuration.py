@@ -76,11 +76,10 @@ def _listed(names: Mapping[str, object]) -> str:
 def _syntax(path: Path, text: str, error: tomllib.TOMLDecodeError) -> str:
     place = _SYNTAX_PLACE.search(str(error))
     line = int(place[1]) if place and place[1] else len(text.splitlines())
-    said = _SYNTAX_PLACE.sub("", str(error)).strip()
+    message = _SYNTAX_PLACE.sub("", str(error)).strip()
     written = (text.splitlines() or [""])[max(0, line - 1)].strip()
-    return (
-        f'{path}:{line}: this is not TOML: {said}; it says {written!r}, write key = value, text in "quotes"'
-    )
+    fault = f"this is not TOML: {message}; it says {written!r}"
+    return f'{path}:{line}: {fault}, write key = value, text in "quotes"'
 
 
 class LineNumbers:
@@ -167,9 +166,9 @@ def _error_text(model: type[BaseModel], place: tuple[KeyStep, ...], details: Err
 def _right(details: ErrorDetails) -> str:
     if details["type"] == "string_pattern_mismatch":
         return "write small letters, digits and hyphens between them, like dry-end"
-    said = details["msg"].removeprefix("Value error, ")
-    said = said.replace("Input should be a valid tuple", "Input should be a list")
-    return said.replace("Input should", "it must").replace("String should", "it must")
+    message = details["msg"].removeprefix("Value error, ")
+    message = message.replace("Input should be a valid tuple", "Input should be a list")
+    return message.replace("Input should", "it must").replace("String should", "it must")
 
 
 def _inside(place: tuple[KeyStep, ...]) -> str:

@@ -85,8 +85,8 @@ class BusSettings(Dialect):
         seen: set[int] = set()
         for index, unit in enumerate(units):
             if unit.id in seen:
-                sentence = "unit id {id} is given twice; every unit on a bus has its own (#17)"
-                raise PydanticCustomError("twice", sentence, {"id": unit.id, "at": (index, "id")})
+                message = "unit id {id} is given twice; every unit on a bus has its own (#17)"
+                raise PydanticCustomError("twice", message, {"id": unit.id, "at": (index, "id")})
             seen.add(unit.id)
         return units
 

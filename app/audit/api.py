@@ -116,11 +116,11 @@ Wanted = Annotated[Filter, Depends(wanted_events)]
 
 def shown(event: Event) -> dict[str, Any]:
     """An event as the API gives it."""
-    said = {name: event[name] for name in COLUMNS}
+    members = {name: event[name] for name in COLUMNS}
     time = iso(event["time"]) if is_moment(event["time"]) else None
     frames = json.loads(event["frames"])
     return {
-        **said,
+        **members,
         "time": time,
         "count": event["count"] or 1,
         "frames": frames,

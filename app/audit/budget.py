@@ -83,14 +83,14 @@ class EventBudget(Generic[T]):
 
     def _summary(self, series: _Series[T], now: float) -> Summary[T]:
         assert series.last is not None
-        said = Summary(series.last, series.count, now - series.first_at)
+        summary = Summary(series.last, series.count, now - series.first_at)
         series.last, series.count = None, 0
         if now - series.last_at >= QUIET_S:
             series.pause_s = FIRST_PAUSE_S
         else:
             series.pause_s = min(2 * series.pause_s, LONGEST_PAUSE_S)
             series.bucket.fill(now)
-        return said
+        return summary
 
     def _is_over(self, series: _Series[T], now: float) -> bool:
         return not series.count and not series.bucket.level(now)

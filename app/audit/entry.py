@@ -18,7 +18,7 @@ LATEST = 253_370_764_800.0
 """The year 9999: no date of the screen or of ISO 8601 goes further. Unix time in seconds."""
 _OPTIONAL = ("about", "bus", "unit", "old", "new", "old_raw", "new_raw", "outcome", "count")
 _TEXTS = ("who", "origin", "what", "message")
-SAID = ("what", "old", "new", "message")
+MESSAGE_COLUMNS = ("what", "old", "new", "message")
 """The fields that may be messages."""
 
 
@@ -27,7 +27,7 @@ def new_entry(*, kind: str, time: float, frames: Iterable[Frame] = (), **given: 
     message the field has the text in English, and ``messages`` what it is."""
     shown = json.dumps([_frame(frame) for frame in frames], separators=(",", ":"), ensure_ascii=False)
     entry = {**dict.fromkeys(_OPTIONAL), **dict.fromkeys(_TEXTS, ""), **given, "kind": kind, "frames": shown}
-    messages = {name: _plain(entry[name]) for name in SAID if isinstance(entry[name], Message)}
+    messages = {name: _plain(entry[name]) for name in MESSAGE_COLUMNS if isinstance(entry[name], Message)}
     entry |= {name: str(entry[name]) for name in messages}
     entry["messages"] = json.dumps(messages, separators=(",", ":"), ensure_ascii=False) if messages else None
     # SQLite has no negative zero.

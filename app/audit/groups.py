@@ -40,24 +40,24 @@ async def page(events: EventLog, wanted: Filter, limit: int) -> tuple[list[Event
     """Rows newest first, at most ``limit``, and the number to ask on from (None at the end). A part stands by
     itself where the filter leaves its whole out."""
     found, after = await events.page(replace(wanted, folded=True), limit)
-    wholes = [event["id"] for event in found]
-    parts, more = await events.page(Filter(parts_of=tuple(wholes)), MOST_PARTS)
-    by_whole = _by_whole(parts, wholes)
+    groups = [event["id"] for event in found]
+    parts, more = await events.page(Filter(parts_of=tuple(groups)), MOST_PARTS)
+    by_group = _by_group(parts, groups)
     if more is not None:
         # Newest first: the change of the last part may have more than were read; newer ones have all.
-        cut = _whole_of(parts[-1], sorted(wholes))
+        cut = _group_of(parts[-1], sorted(groups))
         found, after = [event for event in found if event["id"] > cut], cut + 1
-    return [EventRow(event, by_whole.get(event["id"], [])) for event in found], after
+    return [EventRow(event, by_group.get(event["id"], [])) for event in found], after
 
 
-def _by_whole(parts: Sequence[Event], wholes: Sequence[int]) -> dict[int, list[Event]]:
-    ordered = sorted(wholes)
+def _by_group(parts: Sequence[Event], groups: Sequence[int]) -> dict[int, list[Event]]:
+    ordered = sorted(groups)
     found: dict[int, list[Any]] = {}
     for part in reversed(parts):
-        found.setdefault(_whole_of(part, ordered), []).append(part)
+        found.setdefault(_group_of(part, ordered), []).append(part)
     return found
 
 
-def _whole_of(part: Event, ordered: Sequence[int]) -> int:
+def _group_of(part: Event, ordered: Sequence[int]) -> int:
     """The parts of a change stand right behind it."""
     return ordered[bisect_left(ordered, part["id"]) - 1]

@@ -75,8 +75,8 @@ class EventLog:
         new_raw: int | None = None,
     ) -> int:
         """What is about to be asked, on disk before it is. Returns the event's number for `conclude`."""
-        said = {"bus": bus, "unit": unit, "old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
-        entry = self._entry(kind, who=who, origin=origin, what=what, **said)
+        members = {"bus": bus, "unit": unit, "old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
+        entry = self._entry(kind, who=who, origin=origin, what=what, **members)
         return (await self._append_all([entry]))[0]
 
     async def intend_together(self, intents: Sequence[Mapping[str, Any]], also: Also = _nothing) -> list[int]:
@@ -92,7 +92,7 @@ class EventLog:
         ]
         await self._write_all(entries)
         for event in outcomes:
-            await self._tell(event)
+            await self._publish_stored(event)
 
     async def conclude(
         self,
@@ -105,7 +105,7 @@ class EventLog:
         """The one fate of what was intended; ``frames`` carried it. ``also``: in the same transaction."""
         entry = self._entry("fate", about=event, outcome=outcome, message=message, frames=frames)
         await self._write_all([entry], also)
-        await self._tell(event)
+        await self._publish_stored(event)
 
     async def record(
         self,
@@ -198,13 +198,13 @@ class EventLog:
 
     async def prove(self, anchors: Mapping[int, str] | None = None) -> Verdict:
         """Whether the log is whole, and holds the hashes that ``anchors`` names by entry."""
-        return await self.proof.whole(anchors)
+        return await self.proof.verify(anchors)
 
     async def _append_all(self, entries: Sequence[Event], also: Also = _nothing) -> list[int]:
         numbers = await self._write_all(entries, also)
         for number, entry in zip(numbers, entries, strict=True):
             messages = messages_of(entry["messages"])
-            self._say(
+            self._publish(
                 {**entry, "id": number, "concluded_at": None, "unreadable": False, "messages": messages}
             )
         return numbers
@@ -217,17 +217,17 @@ class EventLog:
 
         return await self._database.write(append)
 
-    def _entry(self, kind: str, **said: Any) -> dict[str, Any]:
-        return new_entry(**{"time": self._clock(), "kind": kind, **said})
+    def _entry(self, kind: str, **members: Any) -> dict[str, Any]:
+        return new_entry(**{"time": self._clock(), "kind": kind, **members})
 
-    async def _tell(self, number: int) -> None:
+    async def _publish_stored(self, number: int) -> None:
         if not self._subscribers:
             return
         event = await self._database.read(lambda connection: store.one(connection, number))
         if event is not None:
-            self._say(event)
+            self._publish(event)
 
-    def _say(self, event: Event) -> None:
+    def _publish(self, event: Event) -> None:
         for subscriber in tuple(self._subscribers):
             try:
                 subscriber(event)

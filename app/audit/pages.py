@@ -92,7 +92,7 @@ def _link(chosen: dict[str, str], **more: Any) -> str:
 
 def _csv_link(wanted: Filter, time_zone: str) -> str:
     """The same events by the API, which takes instants."""
-    said: dict[str, Any] = {
+    filters: dict[str, Any] = {
         "kind": wanted.kind,
         "bus": wanted.bus,
         "unit": wanted.unit,
@@ -101,7 +101,7 @@ def _csv_link(wanted: Filter, time_zone: str) -> str:
         "to": _iso(wanted.until, time_zone),
         "search": wanted.search,
     }
-    return "/api/v1/events.csv?" + urlencode({name: value for name, value in said.items() if value})
+    return "/api/v1/events.csv?" + urlencode({name: value for name, value in filters.items() if value})
 
 
 def _iso(at: float | None, time_zone: str) -> str:

@@ -22,7 +22,7 @@ class LogProof:
         self._keys = keys
         self._one_at_a_time = asyncio.Lock()
 
-    async def whole(self, anchors: Mapping[int, str] | None = None) -> Verdict:
+    async def verify(self, anchors: Mapping[int, str] | None = None) -> Verdict:
         """Whether the log is whole, and holds the hashes that ``anchors`` names by entry."""
         async with self._one_at_a_time:
             head, last = await self.extent()

@@ -30,9 +30,9 @@ def readable(row: Mapping[str, Any]) -> Event:
     concluded_at = row["concluded_at"]
     if concluded_at is not None and not is_moment(concluded_at):
         event |= {"concluded_at": None, "unreadable": True}
-    said = [messages_of(row["messages"]), messages_of(row["concluded_messages"])]
-    event["messages"] = {**(said[0] or {}), **(said[1] or {})}
-    if None in said:
+    parts = [messages_of(row["messages"]), messages_of(row["concluded_messages"])]
+    event["messages"] = {**(parts[0] or {}), **(parts[1] or {})}
+    if None in parts:
         event["unreadable"] = True
     if not has_time:
         event["time"] = 0.0

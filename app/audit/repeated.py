@@ -11,7 +11,7 @@ from bus.messages import Message
 
 MANY = "many addresses"
 """The origin of what is counted for more places than are told apart."""
-_Said = tuple[EventKind, str | Message, str, str, str | Message]
+_RepeatedEvent = tuple[EventKind, str | Message, str, str, str | Message]
 """Kind, what, who, origin and message."""
 
 
@@ -24,36 +24,42 @@ class RepeatedEvents:
     def __init__(self, record: Callable[..., Awaitable[int]], clock: Callable[[], float]) -> None:
         self._record = record
         self._clock = clock
-        self._tally: Tally[_Said] = Tally()
+        self._tally: Tally[_RepeatedEvent] = Tally()
 
     async def count(
         self, kind: EventKind, what: str | Message, *, who: str, origin: str, message: str | Message
     ) -> None:
         """It happened once more."""
-        told = self._tally.note(f"{kind} {who}", (kind, what, who, origin, message), self._clock())
-        if told is not None:
-            await self._tell(told)
+        counted = self._tally.note(f"{kind} {who}", (kind, what, who, origin, message), self._clock())
+        if counted is not None:
+            await self._record_counted(counted)
 
     async def follow(self) -> None:
         """Record what was counted in minutes that are over, without end."""
         while True:
             await asyncio.sleep(WINDOW_S / 4)
-            await self.tell_due()
+            await self.record_due()
 
-    async def tell_due(self) -> None:
+    async def record_due(self) -> None:
         """Record what was counted in minutes that are over."""
-        for told in self._tally.due(self._clock()):
-            await self._tell(told)
+        for counted in self._tally.due(self._clock()):
+            await self._record_counted(counted)
 
-    async def tell_rest(self) -> None:
+    async def record_rest(self) -> None:
         """Record everything that was counted: the server ends."""
-        for told in self._tally.rest(self._clock()):
-            await self._tell(told)
+        for counted in self._tally.rest(self._clock()):
+            await self._record_counted(counted)
 
-    async def _tell(self, told: Counted[_Said]) -> None:
-        kind, what, who, origin, message = told.said
-        if told.is_many:
+    async def _record_counted(self, counted: Counted[_RepeatedEvent]) -> None:
+        kind, what, who, origin, message = counted.item
+        if counted.is_many:
             origin, message = MANY, ""
         await self._record(
-            kind=kind, what=what, who=who, origin=origin, message=message, at=told.last, count=told.count
+            kind=kind,
+            what=what,
+            who=who,
+            origin=origin,
+            message=message,
+            at=counted.last,
+            count=counted.count,
         )

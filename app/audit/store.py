@@ -35,10 +35,10 @@ SELECT e.id, e.time, e.kind, e.who, e.origin, e.bus, e.unit, e.what, e.old, e.ne
 FROM events e LEFT JOIN events f ON f.about = e.id
 WHERE e.about IS NULL
 """
-AT_SIGHT = 20_000
+SCANNED_ROWS = 20_000
 """Events that a search reads without the index: some 20 ms."""
 _SEARCHED = ("what", "who", "old", "new", "message")
-_WHOLE = """
+_IN_GROUP = """
 SELECT 1 FROM event_parts JOIN events whole ON whole.id = event_parts.whole
 LEFT JOIN events whole_fate ON whole_fate.about = whole.id
 WHERE event_parts.event = e.id
@@ -62,7 +62,7 @@ class Filter:
     folded: bool = False
     parts_of: tuple[int, ...] | None = None
 
-    def conditions(self, event: str = "e", fate: str = "f") -> tuple[str, list[Any]]:
+    def conditions(self, event: str = "e", conclusion: str = "f") -> tuple[str, list[Any]]:
         """SQL to append to a query, in which these are the events and their fates, and its values."""
         given = {
             "id < ?": self.before,
@@ -76,7 +76,7 @@ class Filter:
         parts = [f"AND {event}.{condition}" for condition, value in given.items() if value is not None]
         values: list[Any] = [value for value in given.values() if value is not None]
         if self.search:
-            columns = (*(f"{event}.{column}" for column in _SEARCHED), f"{fate}.message")
+            columns = (*(f"{event}.{column}" for column in _SEARCHED), f"{conclusion}.message")
             either = " OR ".join(f"{column} LIKE ? ESCAPE '!'" for column in columns)
             parts.append(f"AND ({either})")
             values += [_pattern(self.search)] * len(columns)
@@ -87,10 +87,10 @@ class Filter:
 
     def _grouping(self) -> Iterator[tuple[str, list[Any]]]:
         if self.folded:
-            whole, values = replace(self, before=None, folded=False, parts_of=None).conditions(
+            group, values = replace(self, before=None, folded=False, parts_of=None).conditions(
                 "whole", "whole_fate"
             )
-            yield f"AND NOT EXISTS ({_WHOLE} {whole})", values
+            yield f"AND NOT EXISTS ({_IN_GROUP} {group})", values
         if self.parts_of is not None:
             marks = ", ".join("?" * len(self.parts_of))
             yield f"AND e.id IN (SELECT event FROM event_parts WHERE whole IN ({marks}))", [*self.parts_of]
@@ -151,11 +151,11 @@ def select(connection: sqlite3.Connection, wanted: Filter, limit: int) -> list[d
     phrase, lowest = search.phrase(wanted.search), search.lowest_indexed(connection)
     if not phrase or lowest is None:
         return _select(connection, wanted, limit)
-    sight = max(_first_after(connection, wanted) - AT_SIGHT, lowest)
-    found = _select(connection, wanted, limit, "AND e.id >= ?", sight)
+    scanned_from = max(_first_after(connection, wanted) - SCANNED_ROWS, lowest)
+    found = _select(connection, wanted, limit, "AND e.id >= ?", scanned_from)
     if len(found) < limit:
         indexed = f"AND e.id < ? AND e.id >= ? AND e.id IN ({search.MATCHING})"
-        found += _select(connection, wanted, limit - len(found), indexed, sight, lowest, phrase)
+        found += _select(connection, wanted, limit - len(found), indexed, scanned_from, lowest, phrase)
     if len(found) < limit and lowest > 1:
         found += _select(connection, wanted, limit - len(found), "AND e.id < ?", lowest)
     return found

@@ -15,7 +15,7 @@ Item = TypeVar("Item", bound=Hashable)
 
 @dataclass(slots=True)
 class _Window(Generic[Item]):
-    said: Item
+    item: Item
     began: float
     count: int = 0
     last: float = 0.0
@@ -26,7 +26,7 @@ class Counted(Generic[Item]):
     """What happened ``count`` times more since it was last told; ``last``: when, Unix time in seconds.
     ``is_many``: ``said`` is the last of several that are counted together."""
 
-    said: Item
+    item: Item
     count: int
     last: float
     is_many: bool
@@ -38,15 +38,15 @@ class Tally(Generic[Item]):
     def __init__(self) -> None:
         self._groups: dict[str, dict[Item | None, _Window[Item]]] = {}
 
-    def note(self, group: str, said: Item, now: float) -> Counted[Item] | None:
+    def note(self, group: str, item: Item, now: float) -> Counted[Item] | None:
         """It happened: gives what is to be told at once, None where it is counted."""
         windows = self._groups.setdefault(group, {})
-        key = said if said in windows or len(windows) < MOST_KEYS else None
+        key = item if item in windows or len(windows) < MOST_KEYS else None
         if key not in windows:
-            windows[key] = _Window(said, now)
-            return Counted(said, 1, now, key is None)
+            windows[key] = _Window(item, now)
+            return Counted(item, 1, now, key is None)
         window = windows[key]
-        window.said, window.last = said, now
+        window.item, window.last = item, now
         window.count += 1
         return None
 
@@ -65,7 +65,7 @@ class Tally(Generic[Item]):
                 if not is_over(window):
                     continue
                 if window.count:
-                    yield Counted(window.said, window.count, window.last, key is None)
-                    windows[key] = _Window(window.said, now)
+                    yield Counted(window.item, window.count, window.last, key is None)
+                    windows[key] = _Window(window.item, now)
                 else:
                     del windows[key]

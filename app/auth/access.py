@@ -111,9 +111,9 @@ async def _turn_away(connection: HTTPConnection, receive: Receive, send: Send) -
 def to_login(connection: HTTPConnection) -> Response:
     """Send a person to the login and from there back; htmx is told to move the whole page."""
     if is_fragment(connection):
-        answer = problem_json(not_signed_in())
-        answer.headers["HX-Redirect"] = _login_url(_page_of(connection), refused=True)
-        return answer
+        response = problem_json(not_signed_in())
+        response.headers["HX-Redirect"] = _login_url(_page_of(connection), refused=True)
+        return response
     is_page = connection.scope["method"] in ("GET", "HEAD")
     query = connection.url.query
     where = connection.url.path + (f"?{query}" if query else "")
@@ -122,16 +122,16 @@ def to_login(connection: HTTPConnection) -> Response:
 
 def _page_of(connection: HTTPConnection) -> str:
     """Our own page that htmx or a form asks from; foreign ones were refused before."""
-    said = connection.headers.get("hx-current-url") or connection.headers.get("referer", "/")
-    parts = urlsplit(said)
+    page = connection.headers.get("hx-current-url") or connection.headers.get("referer", "/")
+    parts = urlsplit(page)
     return parts.path + (f"?{parts.query}" if parts.query else "")
 
 
 def _login_url(next_page: str, *, refused: bool) -> str:
     """``refused``: somebody has pressed something, and is told there that it was not done."""
-    said = [f"next={quote(next_page)}"] if next_page != "/" else []
-    said += ["refused=true"] if refused else []
-    return "/login" + ("?" + "&".join(said) if said else "")
+    query = [f"next={quote(next_page)}"] if next_page != "/" else []
+    query += ["refused=true"] if refused else []
+    return "/login" + ("?" + "&".join(query) if query else "")
 
 
 def _is_public(path: str) -> bool:

@@ -56,10 +56,10 @@ class Accounts:
         """All tokens by name, without what they are."""
         return await self._database.read(store.tokens)
 
-    async def find(self, said: str) -> tuple[str, Role] | None:
+    async def find(self, account: str) -> tuple[str, Role] | None:
         """The account that somebody names, and what it may do: a user who may sign in, else a token, which
         can also be named as such; None when there is none."""
-        name, only_token = name_of(said)
+        name, only_token = name_of(account)
         now = self._clock()
 
         def find(connection: sqlite3.Connection) -> tuple[str, Role] | None:

@@ -132,8 +132,8 @@ async def _sign_in(
         return form
     home = signed_in.user.home if next == "/" else next
     response = RedirectResponse(_own(home), 303)
-    whole_s = sign_in.lifetime_of(signed_in.user).whole_s
-    _set_cookie(request, response, COOKIE, signed_in.session, whole_s)
+    absolute_s = sign_in.lifetime_of(signed_in.user).absolute_s
+    _set_cookie(request, response, COOKIE, signed_in.session, absolute_s)
     _set_cookie(request, response, DEVICE_COOKIE, signed_in.device, DEVICE_KNOWN_S)
     return response
 
@@ -168,7 +168,7 @@ async def _login_form(
         status=problem.status if problem else 200,
         headers=problem.headers if problem else None,
         refused=refused,
-        no_users=await sign_in.nobody_can_sign_in(),
+        no_users=await sign_in.has_no_users(),
         **context,
     )
 

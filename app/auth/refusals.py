@@ -51,7 +51,7 @@ class RecordRefusals:
         if person is None:
             await self._count(Message("event_foreign_page_refused"), "", scope)
         else:
-            await self._count(Message("event_access_refused"), person.account, scope, _asked(scope))
+            await self._count(Message("event_access_refused"), person.account, scope, _requested(scope))
 
     async def _count(self, what: Message, who: str, scope: Scope, message: str = "") -> None:
         client = scope.get("client")
@@ -60,7 +60,7 @@ class RecordRefusals:
         await self._events.count("access_refused", what, who=who, origin=origin, message=message)
 
 
-def _asked(scope: Scope) -> str:
+def _requested(scope: Scope) -> str:
     """The method and the path of the route, without what the request filled into it."""
     path = getattr(scope.get("route"), "path_format", "")
     return f"{scope.get('method', 'GET')} {path}" if path else ""

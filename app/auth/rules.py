@@ -24,11 +24,11 @@ class Lifetime:
     """How long a session lasts, in seconds: since it was last used, and in all."""
 
     idle_s: float
-    whole_s: float
+    absolute_s: float
 
     def ends_at(self, created_at: float, used_at: float) -> float:
         """The instant from which it is no longer good."""
-        return min(used_at + self.idle_s, created_at + self.whole_s)
+        return min(used_at + self.idle_s, created_at + self.absolute_s)
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,7 @@ class SignIn:
             kind="logout", what=Message("event_signed_out"), who=person.name, origin=address
         )
 
-    async def nobody_can_sign_in(self) -> bool:
+    async def has_no_users(self) -> bool:
         """Whether there is no user yet."""
         if not self._has_users:
             self._has_users = bool(await self._database.read(store.users))

@@ -7,7 +7,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
 from app.auth.pages import FormText, Keeping, address_of
-from app.auth.users_view import answer_to_change, users_view
+from app.auth.users_view import change_response, users_view
 from app.web.access import Admin, Role, role_named
 from app.web.templating import render
 from bus.errors import CallerError
@@ -51,7 +51,7 @@ async def review_revocation(request: Request, _: Admin, accounts: Keeping, name:
 @router.post("/users/tokens/{name}/revoke")
 async def revoke_token(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
     """It is refused from the next request on."""
-    return await answer_to_change(
+    return await change_response(
         request, accounts, accounts.revoke_token(name, by=person.name, origin=address_of(request))
     )
 

@@ -7,7 +7,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
 from app.auth.pages import FormText, Keeping, address_of
-from app.auth.users_view import answer_to_change, users_view
+from app.auth.users_view import change_response, users_view
 from app.web.access import Admin, role_named
 from app.web.templating import render
 
@@ -32,7 +32,7 @@ async def add_user(
     """A person, by password."""
     by, origin = person.name, address_of(request)
     add = accounts.add_user(name.strip(), role_named(role), password, by=by, origin=origin)
-    return await answer_to_change(request, accounts, add)
+    return await change_response(request, accounts, add)
 
 
 @router.post("/users/panels")
@@ -49,7 +49,7 @@ async def add_panel(
     by, origin = person.name, address_of(request)
     role, begins = role_named(panel_role), home.strip() or "/"
     add = accounts.add_panel(panel.strip(), role, pin, begins, by=by, origin=origin)
-    return await answer_to_change(request, accounts, add)
+    return await change_response(request, accounts, add)
 
 
 @router.post("/users/{name}/role")
@@ -58,21 +58,21 @@ async def set_role(
 ) -> Response:
     """What somebody may do from now on."""
     change = accounts.set_role(name, role_named(role), by=person.name, origin=address_of(request))
-    return await answer_to_change(request, accounts, change)
+    return await change_response(request, accounts, change)
 
 
 @router.post("/users/{name}/disable")
 async def disable(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
     """Refuse somebody from now on; every session ends."""
     change = accounts.set_disabled(name, True, by=person.name, origin=address_of(request))
-    return await answer_to_change(request, accounts, change)
+    return await change_response(request, accounts, change)
 
 
 @router.post("/users/{name}/enable")
 async def enable(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
     """Admit somebody again."""
     change = accounts.set_disabled(name, False, by=person.name, origin=address_of(request))
-    return await answer_to_change(request, accounts, change)
+    return await change_response(request, accounts, change)
 
 
 @router.post("/users/{name}/password")
@@ -81,7 +81,7 @@ async def reset_password(
 ) -> Response:
     """A new password (a PIN for a panel); every session ends."""
     reset = accounts.set_password(name, password, by=person.name, origin=address_of(request))
-    return await answer_to_change(request, accounts, reset)
+    return await change_response(request, accounts, reset)
 
 
 @router.get("/users/{name}/remove")
@@ -93,6 +93,6 @@ async def review_removal(request: Request, _: Admin, name: str) -> HTMLResponse:
 @router.post("/users/{name}/remove")
 async def remove(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
     """What somebody did stays in the events."""
-    return await answer_to_change(
+    return await change_response(
         request, accounts, accounts.remove_user(name, by=person.name, origin=address_of(request))
     )

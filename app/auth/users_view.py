@@ -39,7 +39,7 @@ async def users_view(
     )
 
 
-async def answer_to_change(request: Request, accounts: Accounts, change: Awaitable[None]) -> Response:
+async def change_response(request: Request, accounts: Accounts, change: Awaitable[None]) -> Response:
     """Back to the page; with the sentence on it, or in the dialog, when the change was refused."""
     in_dialog = is_fragment(request)
     try:

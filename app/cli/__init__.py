@@ -65,8 +65,8 @@ cli = typer.Typer(
 )
 
 
-def _say_version(is_asked: bool) -> None:
-    if is_asked:
+def _print_version(requested: bool) -> None:
+    if requested:
         from importlib.metadata import version
 
         typer.echo(f"lineside {version('lineside')}")
@@ -76,7 +76,7 @@ def _say_version(is_asked: bool) -> None:
 @cli.callback()
 def lineside(
     _: Annotated[
-        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Which version this is.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Which version this is.")
     ] = False,
 ) -> None:
     """Watch and set a line of DIGIMAX IV drives. Exit codes: 0 done, 1 it did not hold, 2 wrong use."""

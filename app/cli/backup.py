@@ -50,7 +50,7 @@ def backup(
         read, missing = _read(there, bus, wanted)
         if read:
             write_file(out, write_document(_set(bus, read, missing)))
-        _tell(out, read, missing, as_json)
+        _report(out, read, missing, as_json)
         if missing:
             raise typer.Exit(1)
 
@@ -84,7 +84,7 @@ def _set(bus: str, units: list[UnitRows], missing: dict[int, str]) -> ParameterS
     return ParameterSet(bus, time.time(), "lineside backup", "by hand", tuple(units), comment=comment)
 
 
-def _tell(out: Path, read: list[UnitRows], missing: dict[int, str], as_json: bool) -> None:
+def _report(out: Path, read: list[UnitRows], missing: dict[int, str], as_json: bool) -> None:
     for unit, reason in missing.items():
         typer.echo(f"unit {unit} was not read: {reason}", err=True)
     if as_json:

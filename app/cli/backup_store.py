@@ -78,13 +78,13 @@ def write_backup(data: Path, file: Path) -> list[str]:
         raise StoreError(f"{file} exists already; name another file")
     with in_words(file), tempfile.TemporaryDirectory(dir=file.absolute().parent) as folder:
         copies = [_copy(store, Path(folder)) for store in stores]
-        whole = Path(folder) / "whole.tar"
-        make_file(whole)
-        with tarfile.open(whole, "w") as archive:
+        tar_file = Path(folder) / "whole.tar"
+        make_file(tar_file)
+        with tarfile.open(tar_file, "w") as archive:
             _add_text(archive, MANIFEST, _manifest(copies))
             for copy in copies:
                 archive.add(copy, copy.name)
-        whole.rename(file)
+        tar_file.rename(file)
     return [store.name for store in stores]
 
 

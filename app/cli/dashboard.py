@@ -31,11 +31,11 @@ class Dashboard:
 
     def get(self, path: str, **query: str) -> Any:
         """The JSON of ``/api/v1`` + path; raises DashboardError or CallerError in words."""
-        return self._answer("GET", path, params=query)
+        return self._call("GET", path, params=query)
 
     def post(self, path: str, body: Mapping[str, Any] | None = None) -> Any:
         """Post a JSON body; the JSON of the answer."""
-        return self._answer("POST", path, json=dict(body or {}))
+        return self._call("POST", path, json=dict(body or {}))
 
     def units(self, bus: str) -> dict[int, str]:
         """Address → name of the units of a bus, in floor order."""
@@ -61,7 +61,7 @@ class Dashboard:
         rows = [_row(given) for given in self.get(f"/buses/{bus}/units/{unit}/parameters", **query)]
         return UnitRows(unit, name, {row.number: row for row in rows})
 
-    def _answer(self, method: str, path: str, **request: Any) -> Any:
+    def _call(self, method: str, path: str, **request: Any) -> Any:
         try:
             response = self._client.request(method, f"/api/v1{path}", **request)
         except (httpx.HTTPError, UnicodeError) as error:
@@ -124,5 +124,5 @@ def _problem_text(response: httpx.Response) -> str:
         problem = response.json()
     except ValueError:
         problem = {}
-    asked = f"{response.request.method} {response.request.url.path}"
-    return str(problem.get("detail") or f"{asked} ended with status {response.status_code}")
+    target = f"{response.request.method} {response.request.url.path}"
+    return str(problem.get("detail") or f"{target} ended with status {response.status_code}")

@@ -89,8 +89,8 @@ def configuration(line: Path, port: int, units: Sequence[UnitSettings]) -> str:
 
 
 def _labels(unit: UnitSettings) -> Iterator[str]:
-    said = unit.labels.model_dump(exclude_defaults=True)
-    for name, value in said.items():
+    labels = unit.labels.model_dump(exclude_defaults=True)
+    for name, value in labels.items():
         if isinstance(value, dict):
             yield from (f"{name}.{key} = {json.dumps(word)}" for key, word in value.items())
         else:

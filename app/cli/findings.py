@@ -63,9 +63,9 @@ def _data(folder: Path) -> Finding:
 
 
 def _bus(bus: BusSettings) -> Iterator[Finding]:
-    trouble = _url_fault(bus.port) if "://" in bus.port else _device_fault(bus.port)
-    if trouble:
-        yield Finding(f"bus {bus.name}: {trouble}", is_fault=True)
+    fault = _url_fault(bus.port) if "://" in bus.port else _device_fault(bus.port)
+    if fault:
+        yield Finding(f"bus {bus.name}: {fault}", is_fault=True)
         return
     absent = ""
     if "://" not in bus.port and not Path(bus.port).exists():

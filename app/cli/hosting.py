@@ -74,17 +74,17 @@ async def _host(settings: Settings, config: Path, listening: socket.socket, *, d
     """The workers begin while the dashboard is still being read, and end before it does."""
     url, tokens = url_of(*listening.getsockname()[:2]), {bus.name: new_secret() for bus in settings.bus}
     workers = WorkerProcesses(config, tokens, url)
-    asked = _ending_asked()
+    stopping = _stop_requested()
     workers.start()
     try:
         with loading():
-            if (module := await _server_module(asked)) is None:
+            if (module := await _server_module(stopping)) is None:
                 return
             server = module.Server(settings, demo, tokens, lambda: typer.echo(f"Lineside: {url}"))
         serving = asyncio.create_task(server.serve([listening]))
-        await asyncio.wait({serving, asked}, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait({serving, stopping}, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        asked.cancel()
+        stopping.cancel()
         await workers.stop()
     server.end()
     await serving
@@ -92,15 +92,15 @@ async def _host(settings: Settings, config: Path, listening: socket.socket, *, d
         raise HostingError("the dashboard could not begin; what stands above says why")
 
 
-async def _server_module(asked: asyncio.Task[Any]) -> Any:
+async def _server_module(stopping: asyncio.Task[Any]) -> Any:
     """The dashboard's code; None where the end was ``asked`` meanwhile. Beside many workers that begin too,
     reading it takes a minute on a small machine: they must not go on for so long."""
     reading = asyncio.create_task(asyncio.to_thread(import_module, "app.cli.server"))
-    await asyncio.wait({reading, asked}, return_when=asyncio.FIRST_COMPLETED)
-    return None if asked.done() else await reading
+    await asyncio.wait({reading, stopping}, return_when=asyncio.FIRST_COMPLETED)
+    return None if stopping.done() else await reading
 
 
-def _ending_asked() -> asyncio.Task[Any]:
+def _stop_requested() -> asyncio.Task[Any]:
     """Done once SIGTERM or SIGINT has come."""
     ending = asyncio.Event()
     for number in _ENDINGS:

@@ -132,8 +132,8 @@ def _left_out_text(left: Any) -> str:
 
 
 def _row_text(row: Any) -> str:
-    said = f": {row['message']}" if row["message"] else ""
-    return f"#{row['number']:<3}{row['name']:<32}{row['outcome']}{said}"
+    suffix = f": {row['message']}" if row["message"] else ""
+    return f"#{row['number']:<3}{row['name']:<32}{row['outcome']}{suffix}"
 
 
 def _ending_text(ended: Any) -> str:

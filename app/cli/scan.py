@@ -61,20 +61,20 @@ def scan(
     addresses = range(first, last + 1)
     typer.echo(announcement(port, bauds, addresses, turnaround_ms / 1000, every_baud), err=True)
     scans: list[BaudScan] = []
-    trouble, code = "", 0
+    failure, code = "", 0
     try:
         with ending():
             asyncio.run(_scan(scans, port, bauds, addresses, turnaround_ms / 1000, every_baud))
     except typer.Exit:
         if not any(done.found for done in scans):
             raise
-        trouble, code = "the port was lost", 1
+        failure, code = "the port was lost", 1
     except KeyboardInterrupt:
-        trouble, code = "interrupted", INTERRUPTED
+        failure, code = "interrupted", INTERRUPTED
     found = [one for done in scans for one in done.found]
-    _report(port, scans, found, as_json, turnaround_ms, complete=not trouble)
-    if trouble:
-        typer.echo(f"lineside: {trouble}: the scan is not complete, this is what was found so far.", err=True)
+    _report(port, scans, found, as_json, turnaround_ms, complete=not failure)
+    if failure:
+        typer.echo(f"lineside: {failure}: the scan is not complete, this is what was found so far.", err=True)
         raise typer.Exit(code)
     if not found:
         tried = ", ".join(str(done.baud) for done in scans)
@@ -152,8 +152,8 @@ def _report(
         remarks.append(Message.of("scan_turnaround", value=allowed_ms))
     if as_json:
         settings = {**settings_seen(found), "turnaround_ms": allowed_ms}
-        answer = _json(port, scans, found, [str(remark) for remark in remarks])
-        typer.echo(json.dumps({**answer, "settings": settings, "complete": complete}))
+        document = _json(port, scans, found, [str(remark) for remark in remarks])
+        typer.echo(json.dumps({**document, "settings": settings, "complete": complete}))
         return
     for one in found:
         typer.echo(_line(one))

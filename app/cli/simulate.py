@@ -85,18 +85,18 @@ def simulate(
     line = SimulatedLine(plant, Faults(seed), baud, speedup)
     with LineServer(line, _open(tcp, link, baud)) as server:
         typer.echo(server.port.name)
-        hands = None if control is None else SimulatorControl(server, control)
-        if hands is not None:
-            typer.echo(f"control 127.0.0.1:{hands.port}")
+        controller = None if control is None else SimulatorControl(server, control)
+        if controller is not None:
+            typer.echo(f"control 127.0.0.1:{controller.port}")
         signal.sigwait(_ENDINGS)
-        if hands is not None:
-            hands.close()
+        if controller is not None:
+            controller.close()
 
 
-def _dialect(**answers: str | int) -> Dialect:
+def _dialect(**options: str | int) -> Dialect:
     """What the manual leaves open, as these units decide it; the options are called as in lineside.toml."""
     try:
-        return Dialect.model_validate(answers)
+        return Dialect.model_validate(options)
     except ValidationError as error:
         first = error.errors()[0]
         option = "--" + str(first["loc"][0]).replace("_", "-")

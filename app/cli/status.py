@@ -57,8 +57,8 @@ def status(
 def is_serving(url: str) -> bool:
     """Whether a Lineside dashboard says at ``url`` that it serves."""
     try:
-        answer = httpx.get(f"{url}/healthz", timeout=WITHIN_S, trust_env=False)
-        return answer.status_code == 200 and answer.json() == {"status": "ok"}
+        response = httpx.get(f"{url}/healthz", timeout=WITHIN_S, trust_env=False)
+        return response.status_code == 200 and response.json() == {"status": "ok"}
     except (httpx.HTTPError, httpx.InvalidURL, ValueError):
         return False
 

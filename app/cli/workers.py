@@ -41,7 +41,7 @@ class WorkerProcesses:
         """Start them all, and keep them."""
         for bus in self._tokens:
             task = asyncio.create_task(self._keep(bus), name=f"keep worker of {bus}")
-            task.add_done_callback(_say_failure)
+            task.add_done_callback(_log_failure)
             self._tasks.append(task)
 
     async def stop(self) -> None:
@@ -86,7 +86,7 @@ def _readable(secret: str) -> Iterator[int]:
         os.close(reading)
 
 
-def _say_failure(task: asyncio.Task[None]) -> None:
+def _log_failure(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and task.exception():
         log.error("a bus worker is kept no longer", task=task.get_name(), exc_info=task.exception())
 

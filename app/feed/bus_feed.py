@@ -21,7 +21,7 @@ from bus.messages import Message
 _log = structlog.get_logger()
 
 HELD = Message("worker_bus_held")
-SILENT = Message("worker_silent")
+TIMED_OUT = Message("worker_silent")
 MALFORMED = Message("worker_malformed")
 REPLACED = "another worker connected for this bus"
 TICK_S = 1.0
@@ -34,7 +34,7 @@ class WorkerLeft(ConnectionError):
     """The worker announced that it leaves."""
 
 
-class WorkerSilent(ConnectionError):
+class WorkerTimeout(ConnectionError):
     """Nothing came from the worker for too long."""
 
 
@@ -130,9 +130,9 @@ class BusFeed:
             _log.warning("bus worker sent a malformed message", bus=hello.bus, why=str(error))
             self._release(connection, MALFORMED, Ending.LOST)
             await connection.close(str(error))
-        except WorkerSilent:
-            self._release(connection, SILENT, Ending.CUT)
-            await connection.close(str(SILENT))
+        except WorkerTimeout:
+            self._release(connection, TIMED_OUT, Ending.CUT)
+            await connection.close(str(TIMED_OUT))
         except WorkerLeft:
             self._release(connection, NO_WORKER, Ending.LEFT)
 
@@ -157,10 +157,10 @@ class BusFeed:
                 self._holder.port_seen |= self._pipeline.port_is_open
 
     async def _tick(self, ingest: Ingest) -> None:
-        while ingest.silent_ticks < self._timeout_ticks:
+        while ingest.missed_ticks < self._timeout_ticks:
             await ingest.tick()
             await asyncio.sleep(TICK_S)
-        raise WorkerSilent(str(SILENT))
+        raise WorkerTimeout(str(TIMED_OUT))
 
     def _release(self, connection: WorkerConnection, cause: Message, ending: Ending) -> None:
         """This connection has ended. Nothing where it was released already, or another has its place."""

@@ -35,7 +35,7 @@ class WorkerClock:
         self._own: ClockWatch | None = None
         self._settled_at = -inf
 
-    def hear(self, sent_at: float, received_at: float, running: float) -> float:
+    def observe(self, sent_at: float, received_at: float, running: float) -> float:
         """Take in one message; gives by how much a *known* clock has stepped, mostly 0.0. ``running``: when
         it was received by a clock that cannot be set."""
         if self._own_stepped(received_at, running):

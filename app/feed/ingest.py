@@ -66,15 +66,15 @@ class Ingest:
         self._snapshot_seq: int | None = None
         self._snapshot_wanted = False
         self._settled = self._delivered = received.seq
-        self.silent_ticks = 0
+        self.missed_ticks = 0
         """Ticks in a row in which nothing came, though more would have been read."""
         self._is_held_back = False
-        self._clock.hear(hello.sent_at, now(), time.monotonic())
+        self._clock.observe(hello.sent_at, now(), time.monotonic())
 
     async def receive(self, data: bytes) -> None:
         """Take in one message, and return once the next may come. Raises MalformedMessageError; nothing of
         such a message was applied."""
-        self.silent_ticks = 0
+        self.missed_ticks = 0
         self._channel.on_message()
         message = decode_from_worker(data)
         await self._take(message)
@@ -92,7 +92,7 @@ class Ingest:
     async def tick(self) -> None:
         """About once a second: the app's time, and what may be forgotten: it was here a tick ago, so it is
         on disk by now, and a server that dies is told it again."""
-        self.silent_ticks += not self._is_held_back
+        self.missed_ticks += not self._is_held_back
         await self._connection.send(ClockSync(app_time=self._now()))
         await self._confirm(self._settled)
         self._settled = self._received.seq
@@ -108,8 +108,8 @@ class Ingest:
         first = self._snapshot_seq is None
         self._snapshot_seq = snapshot.seq
         self._snapshot_wanted = False
-        whole = judge_snapshot(shifted(snapshot, self._clock.offset_s), self._units, self._now())
-        self._pipeline.snapshot(whole, self._hello.software)
+        plausible = judge_snapshot(shifted(snapshot, self._clock.offset_s), self._units, self._now())
+        self._pipeline.snapshot(plausible, self._hello.software)
         if first:
             await self._channel.opened(self._connection, self._hello.worker)
 
@@ -148,6 +148,6 @@ class Ingest:
 
     def _note_time(self, sent_at: float) -> None:
         now = self._now()
-        step = self._clock.hear(sent_at, now, time.monotonic())
+        step = self._clock.observe(sent_at, now, time.monotonic())
         if step:
             self._pipeline.clock_stepped(step, now)

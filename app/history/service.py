@@ -13,12 +13,12 @@ from app.errors import DamagedStoreError, StoreError
 from app.history.intake.tail import Tail
 from app.history.intake.upkeep import Keep
 from app.history.intake.writer import Writer
-from app.history.query.query import QueryResult, SeriesQuery, answer
+from app.history.query.query import QueryResult, SeriesQuery, run_query
 from app.history.series.runs import SECOND
 from app.history.status import Status
 from app.history.store import tables
 from app.history.store.damage import BlockKey
-from app.history.store.inspection import damaged_blocks, pages_are_whole
+from app.history.store.inspection import damaged_blocks, pages_are_intact
 from app.settings import Settings
 from bus.contract import Update
 from bus.messages import Message
@@ -87,7 +87,7 @@ class History:
 
     async def query(self, questions: Sequence[SeriesQuery]) -> list[QueryResult]:
         """What each value was. Raises StoreError when the store cannot be read."""
-        found = await self.read(lambda c, tail: [answer(c, tail, question) for question in questions])
+        found = await self.read(lambda c, tail: [run_query(c, tail, question) for question in questions])
         for each in found:
             self.report(each.damaged)
         return found
@@ -107,7 +107,7 @@ class History:
         """Look at everything that is kept; what is found is reported."""
         try:
             database = self._writer.database
-            if not await pages_are_whole(database):
+            if not await pages_are_intact(database):
                 self._writer.report_torn()
             async for block in damaged_blocks(database):
                 self.report([block])

@@ -21,7 +21,7 @@ from app.recipes.view import dry_run_json, loaded_json, recipe_json
 from app.web.access import Engineer, Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
-from app.web.numbers import whole_number
+from app.web.numbers import parse_integer
 from app.web.services import service
 from app.web.shape import StrictBody
 from bus.messages import Message
@@ -113,7 +113,7 @@ async def retire_recipe(person: Engineer, book: Book, bus: str, name: str) -> No
 
 def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
     """Keys of JSON are text; raises Problem 422 for one that is no address."""
-    wrong = next((key for key in given if not 1 <= (whole_number(key) or 0) <= 255), None)
+    wrong = next((key for key in given if not 1 <= (parse_integer(key) or 0) <= 255), None)
     if wrong is not None:
         raise Problem(422, "invalid", Message.of("not_a_unit_address", text=wrong))
     return {int(key): raw for key, raw in given.items()}

@@ -191,7 +191,7 @@ def _departure(setpoint: RecipeSetpoint, unit: UnitLive | None, since: float) ->
     if unit is None:
         name = Message.of("unit_address", unit=setpoint.unit)
         return RecipeDeparture(setpoint.unit, name, str(setpoint.raw), NOT_CONFIGURED)
-    if not _told_since(unit, setpoint.kind, since):
+    if not _commanded_since(unit, setpoint.kind, since):
         return None
     now = present_raw(unit, setpoint.kind)
     if now is None or now == setpoint.raw:
@@ -200,7 +200,7 @@ def _departure(setpoint: RecipeSetpoint, unit: UnitLive | None, since: float) ->
     return RecipeDeparture(setpoint.unit, unit.settings.name, setpoint_text(unit, setpoint), shown)
 
 
-def _told_since(unit: UnitLive, kind: RecipeKind, moment: float) -> bool:
+def _commanded_since(unit: UnitLive, kind: RecipeKind, moment: float) -> bool:
     """#37 is read in the slow circle: what it said before the recipe was loaded says nothing about it."""
     if kind == "speed":
         return unit.reading is not None

@@ -111,7 +111,7 @@ async def set_document(
     """The set as a TOML file. With ``secrets`` (engineer) #21 is in it, and the asking is an event."""
     stored = await set_or_404(sets, set_id)
     if secrets:
-        await _ask_for_secrets(person, events, stored)
+        await _record_secret_access(person, events, stored)
     headers = {"Content-Disposition": f'attachment; filename="lineside-{stored.bus}-{set_id}.toml"'}
     return Response(
         write_document(stored, with_secrets=secrets), media_type="application/toml", headers=headers
@@ -174,7 +174,7 @@ async def write_schedule(
     return {"minute_of_day": wanted.minute_of_day, "owed": []}
 
 
-async def _ask_for_secrets(person: Person, events: EventLog, stored: ParameterSet) -> None:
+async def _record_secret_access(person: Person, events: EventLog, stored: ParameterSet) -> None:
     if not person.role.includes(Role.ENGINEER):
         raise Problem(403, "forbidden", Message("secret_for_engineer"))
     what = f"set {stored.id} was taken out with the operator password (#21) in clear"

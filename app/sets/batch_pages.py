@@ -12,7 +12,7 @@ from app.live.lookup import bus_or_404
 from app.sets.batch import learn, refuse_moved, rows_of_batch, write_batch
 from app.sets.effects import EFFECT_TEXTS, OPERATING_VALUES
 from app.web.access import Engineer
-from app.web.numbers import whole_number
+from app.web.numbers import parse_integer
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS, Parameter
 from bus.messages import Message
@@ -62,7 +62,7 @@ async def batch_write(
 
 async def _typed(request: Request) -> tuple[int, dict[int, str]]:
     form = await request.form()
-    return whole_number(str(form.get("number", ""))) or 0, _by_unit(form, "unit-")
+    return parse_integer(str(form.get("number", ""))) or 0, _by_unit(form, "unit-")
 
 
 def _by_unit(form: FormData, prefix: str) -> dict[int, str]:
@@ -70,7 +70,7 @@ def _by_unit(form: FormData, prefix: str) -> dict[int, str]:
     return {
         unit: str(value)
         for key, value in form.items()
-        if key.startswith(prefix) and (unit := whole_number(key.removeprefix(prefix))) is not None
+        if key.startswith(prefix) and (unit := parse_integer(key.removeprefix(prefix))) is not None
     }
 
 

@@ -29,7 +29,7 @@ class DriftedParameter:
     traced: bool = False
 
     @property
-    def _told(self) -> tuple[int, int | None]:
+    def _target(self) -> tuple[int, int | None]:
         return self.row.number, None if self.row.right is None else self.row.right.raw
 
     @property
@@ -40,7 +40,7 @@ class DriftedParameter:
 
     def same(self, other: DriftedParameter) -> bool:
         """Whether both say the same of the unit, whoever changed it."""
-        return self._told == other._told
+        return self._target == other._target
 
 
 class BusDrift:
@@ -100,7 +100,7 @@ class BusDrift:
             return Drifted()
         found = self.of(unit)
         rows = ",".join(one.key for one in found)
-        return Drifted(_sentence(found, translator, now) if found else "", f"{self.unread(unit)}:{rows}")
+        return Drifted(_summary_text(found, translator, now) if found else "", f"{self.unread(unit)}:{rows}")
 
     def _see(self, updates: Sequence[Update]) -> None:
         """Parameters were read: look now, so that nobody has to compare forty rows at every reading."""
@@ -141,7 +141,7 @@ def _known_before(departure: DriftedParameter, before: dict[int, DriftedParamete
     return DriftedParameter(departure.row, earlier.change, earlier.traced)
 
 
-def _sentence(found: list[DriftedParameter], translator: Translator, now: float) -> str:
+def _summary_text(found: list[DriftedParameter], translator: Translator, now: float) -> str:
     head = {"number": found[0].row.number, "n": len(found)}
     text = "#{number} differs from golden" if len(found) == 1 else "{n} values differ from golden"
     if not all(one.traced for one in found):

@@ -114,11 +114,11 @@ def refuse_unwritable(plan: RestorePlan, selection: Selection) -> None:
 def _why_not(number: int, wanted: UnitRows, present: UnitRows, *, running: bool) -> LeftOut | None:
     """Why a row that is not equal cannot be written, whoever chooses it."""
     parameter = PARAMETERS[number]
-    there, asked = present.rows.get(number), wanted.rows.get(number)
+    there, target = present.rows.get(number), wanted.rows.get(number)
     if parameter.never_writable:
         text = "the address is set at the keypad only; the link cannot write it"
         return LeftOut(number, "address", text)
-    if asked is None or asked.raw is None:
+    if target is None or target.raw is None:
         return _not_held(number, wanted)
     if there is not None and not there.available:
         return LeftOut(number, "not_in_unit", "this unit does not have it")
@@ -127,7 +127,7 @@ def _why_not(number: int, wanted: UnitRows, present: UnitRows, *, running: bool)
     if number == FOLLOWER_MODE and running:
         return LeftOut(number, "running", "no change while Run is on")
     try:
-        check_writable_value(parameter, asked.raw)
+        check_writable_value(parameter, target.raw)
     except CallerError as error:
         return LeftOut(number, "illegal_value", str(error))
     return None

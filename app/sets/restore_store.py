@@ -29,8 +29,8 @@ class RestoreStore:
 
     async def sending(self, restore: Restore, place: int) -> None:
         """A row is about to be sent: should nothing more be stored, its fate is in doubt."""
-        doubt = RowResult(restore.rows[place].write, "unverified", ENDED_MEANWHILE)
-        await self._database.write(lambda connection: _update_row(connection, restore.id, place, doubt))
+        unverified = RowResult(restore.rows[place].write, "unverified", ENDED_MEANWHILE)
+        await self._database.write(lambda connection: _update_row(connection, restore.id, place, unverified))
 
     async def row(self, restore: Restore, place: int) -> None:
         """A row has its fate."""
@@ -89,7 +89,7 @@ def _insert(connection: sqlite3.Connection, restore: Restore) -> None:
     connection.executemany(
         "INSERT INTO restore_row VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
         [
-            (restore.id, place, row.write.number, *_stored_values(row.write), *_fate(row))
+            (restore.id, place, row.write.number, *_stored_values(row.write), *_result_columns(row))
             for place, row in enumerate(restore.rows)
         ],
     )
@@ -123,14 +123,14 @@ def _unless_secret(number: int, raw: int | None) -> int | None:
     return None if PARAMETERS[number].secret else raw
 
 
-def _fate(row: RowResult) -> tuple[str | None, str, int | None]:
+def _result_columns(row: RowResult) -> tuple[str | None, str, int | None]:
     return row.outcome, row.message, _unless_secret(row.write.number, row.read_back)
 
 
 def _update_row(connection: sqlite3.Connection, restore_id: str, place: int, row: RowResult) -> None:
     connection.execute(
         "UPDATE restore_row SET outcome = ?, message = ?, read_back = ? WHERE restore_id = ? AND place = ?",
-        (*_fate(row), restore_id, place),
+        (*_result_columns(row), restore_id, place),
     )
 
 
@@ -179,7 +179,9 @@ def _rows(connection: sqlite3.Connection, restore_id: str) -> list[RowResult]:
         " WHERE restore_id = ? ORDER BY place",
         (restore_id,),
     )
-    return [RowResult(Write(number, present, wanted), *fate) for number, present, wanted, *fate in found]
+    return [
+        RowResult(Write(number, present, wanted), *columns) for number, present, wanted, *columns in found
+    ]
 
 
 def _left_out(connection: sqlite3.Connection, restore_id: str) -> tuple[LeftOut, ...]:

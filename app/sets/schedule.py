@@ -22,7 +22,7 @@ _log = structlog.get_logger(__name__)
 
 LocalClock = Callable[[], datetime]
 LOOK_EVERY_S = 5.0
-SAID_AFTER = timedelta(seconds=15)
+REPORT_AFTER = timedelta(seconds=15)
 """A unit that has not been heard for so long after it was due is said to be silent."""
 
 
@@ -77,14 +77,14 @@ class SetSchedule:
         if due is not None:
             self._overdue = {unit: OverdueSet(now) for unit in await self._without_set(due)}
         overdue = self._overdue
-        heard = [unit for unit in overdue if self._is_heard(unit)]
-        if heard:
-            await self._take(person, heard, overdue)
+        responding = [unit for unit in overdue if self._is_online(unit)]
+        if responding:
+            await self._take(person, responding, overdue)
         for unit, one in tuple(overdue.items()):
-            if not one.why and not self._is_heard(unit) and now - one.since >= SAID_AFTER:
+            if not one.why and not self._is_online(unit) and now - one.since >= REPORT_AFTER:
                 await self._not_taken(person, unit, one, "the unit does not answer")
 
-    def _is_heard(self, unit: int) -> bool:
+    def _is_online(self, unit: int) -> bool:
         return self._live.units[unit].link.link == "online"
 
     async def _without_set(self, due: datetime) -> list[int]:
@@ -96,11 +96,11 @@ class SetSchedule:
         ]
 
     async def _take(self, person: Person, units: list[int], overdue: dict[int, OverdueSet]) -> None:
-        read, silent = await read_together(self._keeper, person, units)
+        read, missing = await read_together(self._keeper, person, units)
         if read and await self._keep(person, read):
             for rows in read:
                 overdue.pop(rows.unit)
-        for unit, why in silent.items():
+        for unit, why in missing.items():
             await self._not_taken(person, unit, overdue[unit], why)
 
     async def _keep(self, person: Person, read: list[UnitRows]) -> bool:

@@ -16,7 +16,7 @@ from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.model import UnitRows
 from app.sets.reading import known_rows
 from app.sets.store import SetStore, SetSummary
-from app.web.numbers import whole_number
+from app.web.numbers import parse_integer
 from bus.messages import Message
 
 
@@ -74,7 +74,7 @@ async def side(text: str, store: SetStore, live: LiveState) -> Side:
     """Find what ``text`` names. Raises Problem 404 or 422 in words."""
     kind, _, rest = text.partition(":")
     of, _, number = rest.rpartition(":")
-    unit = whole_number(number)
+    unit = parse_integer(number)
     if kind not in ("set", "golden", "live") or not of or unit is None:
         raise Problem(
             422,
@@ -86,7 +86,7 @@ async def side(text: str, store: SetStore, live: LiveState) -> Side:
 
 async def _rows(kind: str, of: str, unit: int, store: SetStore, live: LiveState) -> UnitRows:
     if kind == "set":
-        number = whole_number(of)
+        number = parse_integer(of)
         if number is None:
             raise Problem(422, "invalid", Message.of("not_a_set_number", text=of))
         return unit_rows_or_404(await set_or_404(store, number), unit)

@@ -31,14 +31,14 @@ class Taking:
     comment: str
     state: Literal["reading", "kept", "failed"] = "reading"
     read: list[UnitRows] = field(default_factory=list)
-    silent: dict[int, str] = field(default_factory=dict)
+    missing: dict[int, str] = field(default_factory=dict)
     set_id: int | None = None
     cause: str = ""
 
     @property
     def done(self) -> int:
         """How many units were asked."""
-        return len(self.read) + len(self.silent)
+        return len(self.read) + len(self.missing)
 
 
 class Takings:
@@ -68,7 +68,7 @@ class Takings:
         await self._background.close()
 
     async def _run(self, person: Person, keeper: SetKeeper, taking: Taking) -> None:
-        await read_together(keeper, person, taking.units, taking.read, taking.silent)
+        await read_together(keeper, person, taking.units, taking.read, taking.missing)
         if not taking.read:
             taking.state = "failed"
             return
@@ -85,21 +85,21 @@ async def read_together(
     person: Person,
     units: Sequence[int],
     read: list[UnitRows] | None = None,
-    silent: dict[int, str] | None = None,
+    missing: dict[int, str] | None = None,
 ) -> tuple[list[UnitRows], dict[int, str]]:
     """Read units whole, a few at once. Gives those that answered, and why the others did not; ``read`` and
     ``silent`` are filled on the way where somebody watches."""
     at_once = asyncio.Semaphore(AT_ONCE)
     read = [] if read is None else read
-    silent = {} if silent is None else silent
+    missing = {} if missing is None else missing
 
     async def read_one(unit: int) -> None:
         async with at_once:
             try:
                 read.append(await keeper.read(person, unit))
             except Problem as problem:
-                silent[unit] = problem.detail
+                missing[unit] = problem.detail
 
     await asyncio.gather(*(read_one(unit) for unit in units))
     read.sort(key=lambda rows: units.index(rows.unit))
-    return read, silent
+    return read, missing

@@ -22,7 +22,7 @@ async def look(commands: CommandService, live: LiveState, person: Person, swap: 
     at_target = await _at_section(commands, live, person, bus, target)
     at_factory: ProbeFinding = "silent"
     if at_target == "silent" and target != FACTORY_ADDRESS:
-        at_factory = await _answers(commands, person, FACTORY_ADDRESS)
+        at_factory = await _probe(commands, person, FACTORY_ADDRESS)
     return SwapState(
         target=target,
         at_target=at_target,
@@ -40,13 +40,13 @@ async def _at_section(
 ) -> ProbeFinding:
     """One lost answer is no silence: it would let the old unit, still on the cable, pass for the spare."""
     for _ in range(LOOKS):
-        kind = await _answers(commands, person, unit)
+        kind = await _probe(commands, person, unit)
         if kind != "silent" or live.buses[bus].units[unit].link.link != "online":
             return kind
     return "silent"
 
 
-async def _answers(commands: CommandService, person: Person, address: int) -> ProbeFinding:
+async def _probe(commands: CommandService, person: Person, address: int) -> ProbeFinding:
     action = ScanBus(first=address, last=address)
     result = await commands.send(person, action, timeout_s=LOOK_TIMEOUT_S, origin="unit swap")
     if result.outcome != "verified":

@@ -106,7 +106,7 @@ async def _advice(
 @router.post("/swap/{bus}/{unit}/spare")
 async def it_is_the_spare(_: Engineer, swaps: Swaps, bus: str, unit: int) -> Response:
     """What answers at the section's address is the spare: a person has looked."""
-    await swaps.said_new(swaps.of_or_404(bus, unit))
+    await swaps.confirm_spare(swaps.of_or_404(bus, unit))
     return _to_swap(bus, unit)
 
 

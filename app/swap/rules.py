@@ -47,7 +47,7 @@ class Advice:
     step: StepName
     text: str
     at_panel: bool
-    asks: bool = False
+    confirms_spare: bool = False
 
 
 PROVEN = Advice("proven", "The new unit is what the old one was, proven by a full read.", at_panel=False)
@@ -64,7 +64,7 @@ def advice(state: SwapState) -> Advice:
             "A unit answers at address {target}. If it is the old one, switch it off and take it off the "
             "cable; this page goes on when the address is silent. If it is the spare already, say so."
         )
-        return Advice("find", text, at_panel=True, asks=True)
+        return Advice("find", text, at_panel=True, confirms_spare=True)
     if state.remote is not True:
         text = (
             "At the keypad of the new unit set parameter 19 to 1 (REMOTE). In LOCAL it refuses every write, "

@@ -95,7 +95,7 @@ class SwapService:
             return None
         return replace(swap.state, is_new=swap.is_new, equal=swap.equal)
 
-    async def said_new(self, swap: Swap) -> None:
+    async def confirm_spare(self, swap: Swap) -> None:
         """What answers at the section's address is the spare: a person has looked."""
         swap.is_new = True
         swap.seen.append("a person said that it is the spare")

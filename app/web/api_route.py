@@ -42,10 +42,10 @@ class ApiRoute(APIRoute):
     def get_route_handler(self) -> RouteHandler:
         """As FastAPI has it, behind the checks."""
         handle = super().get_route_handler()
-        asked = get_flat_params(self.dependant)
+        expected = get_flat_params(self.dependant)
         known = {
             parameter.alias: _is_list(parameter.field_info.annotation)
-            for parameter in asked
+            for parameter in expected
             if isinstance(parameter.field_info, params.Query)
         }
 

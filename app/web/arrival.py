@@ -52,7 +52,7 @@ def made_at(connection: HTTPConnection) -> Instant:
     arrived = Instant(connection.scope.get("state", {}).get(ARRIVED_AT, now))
     if _only_reads(connection):
         return arrived
-    sent = (_program_sent_at(connection), _page_asked_at(connection))
+    sent = (_program_sent_at(connection), _page_requested_at(connection))
     age_s = max((time.time() - at for at in sent if at is not None), default=0.0)
     return Instant(min(arrived, now - age_s))
 
@@ -99,10 +99,10 @@ def _moment(text: str) -> float | None:
         return None
 
 
-def _page_asked_at(connection: HTTPConnection) -> float | None:
+def _page_requested_at(connection: HTTPConnection) -> float | None:
     """Seconds since the epoch by the server's clock, as the page was told it; None where it says nothing."""
-    said = connection.headers.get("lineside-asked-at") or connection.query_params.get("asked_at", "")
+    value = connection.headers.get("lineside-asked-at") or connection.query_params.get("asked_at", "")
     with suppress(ValueError, OverflowError):
-        at = float(said)
+        at = float(value)
         return at if at == at else None
     return None

@@ -13,7 +13,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
 from app.errors import Problem
-from app.web.numbers import whole_number
+from app.web.numbers import parse_integer
 from app.web.problems import respond
 from app.web.security import refuse
 from bus.messages import Message
@@ -59,7 +59,7 @@ class BoundedBody:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        announced = whole_number(Headers(scope=scope).get("content-length", ""))
+        announced = parse_integer(Headers(scope=scope).get("content-length", ""))
         if announced is not None and announced > self._most_bytes:
             await respond(Request(scope), _too_large(self._most_bytes))(scope, receive, send)
             return

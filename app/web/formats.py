@@ -31,7 +31,7 @@ class Formats:
         """A number written with a point, with this locale's sign instead."""
         return text.replace(".", self.decimal_sign)
 
-    def sentence(self, text: str) -> str:
+    def localized(self, text: str) -> str:
         """A finished sentence, such as an event's, with the numbers in it in this locale's writing. What only
         looks like one (an address, a version, a time) stays."""
         return _NUMBER.sub(lambda found: self.point(found[0].replace(",", "")), text)

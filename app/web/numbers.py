@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-def whole_number(text: str, digits: int = 18) -> int | None:
+def parse_integer(text: str, digits: int = 18) -> int | None:
     """The number that ``text`` writes with 1 to ``digits`` ASCII digits; None for anything else.
 
     ``int`` alone takes a sign, blanks, underscores and the digits of every script, and raises ValueError

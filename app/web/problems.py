@@ -112,7 +112,7 @@ def _detail(request: Request, problem: Problem) -> str:
         return problem.detail
     templates = templates_of(request)
     language = templates.language_of(request)
-    return templates.formats(language.tag).sentence(problem.text(language.t))
+    return templates.formats(language.tag).localized(problem.text(language.t))
 
 
 def _place(location: Sequence[int | str]) -> str:

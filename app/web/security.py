@@ -31,8 +31,8 @@ def same_origin(origin: str, host: str) -> bool:
     """Whether an ``Origin`` header names the host that was asked; ``null`` never does."""
     try:
         parts = urlsplit(origin)
-        asked = _authority(parts.scheme, host)
-        return bool(parts.netloc) and _authority(parts.scheme, parts.netloc) == asked
+        host_authority = _authority(parts.scheme, host)
+        return bool(parts.netloc) and _authority(parts.scheme, parts.netloc) == host_authority
     except ValueError:
         return False
 

@@ -34,8 +34,8 @@ def speed_text(raw: int, decimals: int) -> str:
     """
     if decimals > MOST_DECIMALS:
         return f"{raw} raw"
-    whole, part = divmod(raw, 10**decimals)
-    return f"{whole}.{part:0{decimals}d}" if decimals else str(whole)
+    integer_part, part = divmod(raw, 10**decimals)
+    return f"{integer_part}.{part:0{decimals}d}" if decimals else str(integer_part)
 
 
 def speed_raw(text: str, decimals: int) -> int:
@@ -148,10 +148,10 @@ def _raw(text: str, decimals: int) -> int:
     number = _NUMBER.fullmatch(text)
     if number is None:
         raise _no_number(text, speed_text(1234, decimals))
-    whole, part = number[1], number[2] or ""
+    integer_part, part = number[1], number[2] or ""
     if len(part) > decimals:
         raise _too_many_decimals(text, len(part), decimals)
-    return int(whole + part.ljust(decimals, "0"))
+    return int(integer_part + part.ljust(decimals, "0"))
 
 
 def _too_many_decimals(text: str, count: int, allowed: int) -> CallerError:

@@ -92,7 +92,7 @@ def _read(unit: Unit, request: ReadParameter) -> Reply:
 
 
 def _written(unit: Unit, request: Request) -> Reply:
-    if isinstance(request, WriteParameter) and unit.traits.answers_written_value:
+    if isinstance(request, WriteParameter) and unit.traits.responds_with_written_value:
         return Ack(request.unit, request.raw.to_bytes(4, "big"))
     return Ack(request.unit)
 

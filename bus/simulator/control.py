@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import Any
 
 from bus.catalogue import numbers
-from bus.simulator.faults import WHOLE_LINE, FaultKind
+from bus.simulator.faults import EVERY_UNIT, FaultKind
 from bus.simulator.line import SimulatedLine
 from bus.simulator.memory import FACTORY, Memory, Mode
 from bus.simulator.record import Happened, WireEvent
@@ -62,10 +62,10 @@ class Remote:
         """Ask for ``deed``; its result. Raises RuntimeError with the line's own words when it failed."""
         self._stream.write(json.dumps({"do": action, **details}) + "\n")
         self._stream.flush()
-        answer = json.loads(self._stream.readline())
-        if not answer["ok"]:
-            raise RuntimeError(answer["error"])
-        return answer.get("result")
+        response = json.loads(self._stream.readline())
+        if not response["ok"]:
+            raise RuntimeError(response["error"])
+        return response.get("result")
 
     def close(self) -> None:
         """Hang up."""
@@ -135,7 +135,7 @@ def _traits(line: SimulatedLine, request: ControlRequest) -> None:
 
 
 def _fault(line: SimulatedLine, request: ControlRequest) -> None:
-    line.faults.set(FaultKind(request["kind"]), float(request["rate"]), request.get("unit", WHOLE_LINE))
+    line.faults.set(FaultKind(request["kind"]), float(request["rate"]), request.get("unit", EVERY_UNIT))
 
 
 def _clear(line: SimulatedLine, _request: ControlRequest) -> None:

@@ -56,8 +56,8 @@ def demo_line(units: int = 8, *, seed: int = 1, traits: Traits = ORDINARY, scrip
     """
     addresses = range(1, units + 1)
     sections = [_section(address, units, seed, traits) for address in addresses]
-    hands = Script([section.unit for section in sections], seed=seed) if script else None
-    plant = Plant(sections, hands)
+    operator = Script([section.unit for section in sections], seed=seed) if script else None
+    plant = Plant(sections, operator)
     plant.settle()
     return DemoLine(tuple(_settings(address) for address in addresses), plant)
 

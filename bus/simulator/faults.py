@@ -17,7 +17,7 @@ from bus.errors import UnitErrorCode
 from bus.settings import Dialect
 from bus.wire.framing import ACK, checksum, encode_frame
 
-WHOLE_LINE = 0
+EVERY_UNIT = 0
 LATE_S = 0.4
 """Beyond any timeout of a host with the default turnaround of 50 ms."""
 SLOW_S = 0.03
@@ -76,7 +76,7 @@ class Faults:
     def __post_init__(self) -> None:
         self._random = random.Random(self.seed)
 
-    def set(self, kind: FaultKind, rate: float, unit: int = WHOLE_LINE) -> None:
+    def set(self, kind: FaultKind, rate: float, unit: int = EVERY_UNIT) -> None:
         """From now on ``kind`` happens at ``rate`` (0 never, 1 always) to ``unit`` or the whole line."""
         if rate:
             self._rates[unit][kind] = rate
@@ -87,9 +87,9 @@ class Faults:
         """All is well again."""
         self._rates.clear()
 
-    def strikes(self, kind: FaultKind, unit: int = WHOLE_LINE) -> bool:
+    def strikes(self, kind: FaultKind, unit: int = EVERY_UNIT) -> bool:
         """Whether ``kind`` happens now; draws nothing where its rate is 0, so that it disturbs no seed."""
-        rate = max(self._rates[WHOLE_LINE].get(kind, 0.0), self._rates[unit].get(kind, 0.0))
+        rate = max(self._rates[EVERY_UNIT].get(kind, 0.0), self._rates[unit].get(kind, 0.0))
         return rate > 0 and self._random.random() < rate
 
     def refusal(self, command: int) -> int:
@@ -141,8 +141,8 @@ class Faults:
         return [Piece(0.0, encode_frame(odd, _PLAIN))]
 
     def _huge(self, _frame: bytes, body: bytes) -> list[Piece]:
-        whole = body[:1] + bytes((ACK,)) + self.noise_bytes(HUGE_BYTES)
-        return [Piece(0.0, b"\x10\x02" + whole + b"\x10\x03" + bytes((checksum(whole),)))]
+        frame = body[:1] + bytes((ACK,)) + self.noise_bytes(HUGE_BYTES)
+        return [Piece(0.0, b"\x10\x02" + frame + b"\x10\x03" + bytes((checksum(frame),)))]
 
 
 _LISTED = {

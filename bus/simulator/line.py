@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 
 from bus.settings import Dialect
 from bus.simulator.answering import ALL_UNITS, Turn, encode, respond
-from bus.simulator.faults import WHOLE_LINE, FaultKind, Faults
+from bus.simulator.faults import EVERY_UNIT, FaultKind, Faults
 from bus.simulator.pacer import ReplyLine, RequestLine, Wake, byte_seconds
 from bus.simulator.plant import STEP_S, Plant
 from bus.simulator.record import Happened, WireRecord
@@ -57,12 +57,12 @@ class SimulatedLine:
         self._replies = ReplyLine()
         self._decoder = FrameDecoder(Dialect())
         self._arriving: deque[_Arriving] = deque()
-        self._half_heard: _Arriving | None = None
+        self._partial: _Arriving | None = None
         self._physics_at = math.inf
 
     def receive(self, now: float, data: bytes, host_baud: int | None = None) -> None:
         """The host wrote ``data`` at ``now``, its port set to ``host_baud`` (None: not known)."""
-        self.record.add(now, Happened.CAME, WHOLE_LINE, data)
+        self.record.add(now, Happened.CAME, EVERY_UNIT, data)
         byte_s = byte_seconds(host_baud or self.baud, self.speedup)
         for at, value in zip(self._requests.carry(now, len(data), byte_s), data, strict=True):
             if self.faults.strikes(FaultKind.ECHO):
@@ -93,18 +93,18 @@ class SimulatedLine:
     def unplug(self) -> None:
         """The cable is gone: nothing that is under way arrives."""
         self._arriving.clear()
-        self._half_heard = None
+        self._partial = None
         self._replies.hush()
         self._decoder = FrameDecoder(Dialect())
 
     def _frame_came(self, arriving: _Arriving, check: int) -> None:
         if check == DLE:
-            self._half_heard = arriving = arriving._replace(checksum_10h="once")
+            self._partial = arriving = arriving._replace(checksum_10h="once")
         self._arriving.append(arriving)
 
     def _receive_second_10h(self, at: float, value: int, byte_s: float) -> None:
         """A unit that waits for a second 10h has its frame when that follows at once."""
-        half, self._half_heard = self._half_heard, None
+        half, self._partial = self._partial, None
         if half is not None and value == DLE and at - half.at < 2 * byte_s:
             self._arriving.append(half._replace(at=at, checksum_10h="twice"))
 
@@ -119,21 +119,21 @@ class SimulatedLine:
             self._physics_at += STEP_S
 
     def _dispatch(self, arriving: _Arriving) -> None:
-        heard = False
+        received = False
         for place, unit in enumerate(self.plant.units):
             if self._receives(unit, arriving):
-                heard = True
+                received = True
                 self._respond(place, unit, arriving)
-        if not heard:
-            self.record.add(arriving.at, Happened.HEARD, WHOLE_LINE, arriving.body)
+        if not received:
+            self.record.add(arriving.at, Happened.RECEIVED, EVERY_UNIT, arriving.body)
 
     def _receives(self, unit: Unit, arriving: _Arriving) -> bool:
         if arriving.baud is not None and arriving.baud != unit.baud:
             return False
         if arriving.checksum_10h not in (None, unit.traits.dialect.checksum_10h):
             return False
-        asked = arriving.body[0]
-        if asked not in (ALL_UNITS, unit.address) and not self.faults.strikes(
+        address = arriving.body[0]
+        if address not in (ALL_UNITS, unit.address) and not self.faults.strikes(
             FaultKind.EVERYBODY, unit.address
         ):
             return False
@@ -142,7 +142,7 @@ class SimulatedLine:
     def _respond(self, place: int, unit: Unit, arriving: _Arriving) -> None:
         address, at = unit.address, arriving.at
         byte_s = byte_seconds(arriving.baud or self.baud, self.speedup)
-        self.record.add(at, Happened.HEARD, address, arriving.body)
+        self.record.add(at, Happened.RECEIVED, address, arriving.body)
         turn = self._turn(unit, arriving.body)
         if turn.acted:
             self.record.add(at, Happened.ACTED, address, arriving.body)
@@ -151,7 +151,7 @@ class SimulatedLine:
             return
         body = _body_of(frame)
         begins = at + unit.turnaround() / self.speedup
-        self.record.add(begins, Happened.SAID, address, body)
+        self.record.add(begins, Happened.RESPONDED, address, body)
         for piece in self.faults.spoil(address, frame, body):
             self._send(place, begins + piece.delay, piece.data, byte_s)
 
@@ -162,7 +162,7 @@ class SimulatedLine:
 
     def _send(self, talker: int, at: float, data: bytes, byte_s: float) -> None:
         ends = self._replies.transmit(talker, at, data, byte_s)
-        self.record.add(ends, Happened.SENT, WHOLE_LINE, data)
+        self.record.add(ends, Happened.SENT, EVERY_UNIT, data)
 
 
 def _body_of(frame: bytes) -> bytes:

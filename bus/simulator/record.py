@@ -16,11 +16,11 @@ class Happened(StrEnum):
 
     CAME = "came"
     """Bytes that the host wrote, at the time it wrote them."""
-    HEARD = "heard"
+    RECEIVED = "received"
     """A whole request reached a unit; ``at`` is its last byte. Unit 0: nobody has its address."""
     ACTED = "acted"
     """The unit carried out the write in ``data``."""
-    SAID = "said"
+    RESPONDED = "responded"
     """The unit's own answer, before any fault."""
     SENT = "sent"
     """Bytes put on the line to the host, faults and all; ``at`` is when the last of them is out."""

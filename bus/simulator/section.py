@@ -93,9 +93,9 @@ class Section:
             return
         number, sign = (numbers.ACCELERATION, 1) if unit.inputs.up else (numbers.DECELERATION, -1)
         self._potentiometer += sign * memory[numbers.MAX_DISPLAY] * dt * 10 / max(memory[number], 1)
-        whole = int(self._potentiometer)
-        self._potentiometer -= whole
-        unit.setpoint = min(max(unit.setpoint + whole, 0), unit.highest)
+        integer = int(self._potentiometer)
+        self._potentiometer -= integer
+        unit.setpoint = min(max(unit.setpoint + integer, 0), unit.highest)
 
     def _ramp(self, dt: float, wanted: float) -> None:
         if not self.unit.running:

@@ -23,7 +23,7 @@ class Traits:
 
     dialect: Dialect = AS_THE_MANUAL_READS
     last_parameter: int = 40
-    answers_written_value: bool = False
+    responds_with_written_value: bool = False
     baud_changes: Literal["at once", "at power-up"] = "at power-up"
     turnaround_s: float = 0.0
     turnaround_jitter: float = 0.2
@@ -133,8 +133,8 @@ class Unit:
     @property
     def at_speed(self) -> bool:
         """Within #12 of what is asked, while running."""
-        asked = self.measured.following if self.follows else self.commanded
-        return self.running and abs(self.measured.actual - asked) <= self.memory[numbers.AT_SPEED_WINDOW]
+        target = self.measured.following if self.follows else self.commanded
+        return self.running and abs(self.measured.actual - target) <= self.memory[numbers.AT_SPEED_WINDOW]
 
     def turnaround(self) -> float:
         """Seconds until the next answer begins; drawn from this unit's own seeded randomness."""

@@ -11,7 +11,7 @@ from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.upkeep import Keep
 from app.history.intake.writer import MIGRATIONS, Writer
-from app.history.query.query import QueryResult, SeriesQuery, answer
+from app.history.query.query import QueryResult, SeriesQuery, run_query
 from app.history.series.runs import micros
 from app.history.series.values import VALUES
 from bus.contract import ParameterValue, Reading, Update
@@ -66,7 +66,7 @@ class Shelf:
     ) -> QueryResult:
         """What a value was."""
         question = SeriesQuery(bus, 1, VALUES[value], micros(start), micros(end), most)
-        return self.database.read_now(lambda connection: answer(connection, self.tail, question))
+        return self.database.read_now(lambda connection: run_query(connection, self.tail, question))
 
     def close(self) -> None:
         """The journal keeps what is in the tail."""

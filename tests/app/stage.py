@@ -210,7 +210,7 @@ class Stage:
     """Everything between the browser and the worker. ``http`` asks as a role."""
 
     def __init__(
-        self, folder: Path, settings: BusSettings, *, control: bool = False, silent_ticks: int = 1000
+        self, folder: Path, settings: BusSettings, *, control: bool = False, missed_ticks: int = 1000
     ) -> None:
         self.database = Database(folder / "lineside.db")
         self.events = EventLog(self.database)
@@ -226,7 +226,7 @@ class Stage:
             self.channel,
             self.pipeline,
             monotonic=lambda: time.monotonic() + self.skipped_s,
-            timeout_ticks=silent_ticks,
+            timeout_ticks=missed_ticks,
         )
         self.workers = Workers({settings.name: self.feed}, ChangeRecorder(self.events))
         self.rights = PlayedRights()
@@ -333,10 +333,10 @@ class _ByHeader:
 
 @asynccontextmanager
 async def staged(
-    folder: Path, *, control: bool = False, silent_ticks: int = 1000, **bus: Any
+    folder: Path, *, control: bool = False, missed_ticks: int = 1000, **bus: Any
 ) -> AsyncIterator[Stage]:
     """The stage, served on a free port."""
-    stage = Stage(folder, bus_settings(**bus), control=control, silent_ticks=silent_ticks)
+    stage = Stage(folder, bus_settings(**bus), control=control, missed_ticks=missed_ticks)
     await stage.guards.load()
     config = uvicorn.Config(
         _ByHeader(stage.app), port=0, lifespan="off", log_level="critical", ws="websockets-sansio"

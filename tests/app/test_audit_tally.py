@@ -29,7 +29,7 @@ class Scene:
         for _ in range(times):
             await self.events.count("login_refused", "sign-in refused", who="unknown name", origin=origin)
 
-    async def said(self) -> list[tuple[str, int, float]]:
+    async def item(self) -> list[tuple[str, int, float]]:
         """Origin, count and time of each event, oldest first."""
         found, _ = await self.events.page(Filter(kind="login_refused"), 1000)
         return [(event["origin"], event["count"] or 1, event["time"]) for event in reversed(found)]
@@ -44,32 +44,32 @@ async def scene(tmp_path: Path) -> AsyncIterator[Scene]:
 
 async def test_the_first_is_an_event_at_once_and_the_rest_one_a_minute(scene: Scene) -> None:
     await scene.refuse(500)
-    await scene.events.repeated.tell_due()
-    assert await scene.said() == [("192.0.2.7", 1, 1000.0)]
+    await scene.events.repeated.record_due()
+    assert await scene.item() == [("192.0.2.7", 1, 1000.0)]
     scene.now += 30
     await scene.refuse()
     scene.now += WINDOW_S
-    await scene.events.repeated.tell_due()
-    assert await scene.said() == [("192.0.2.7", 1, 1000.0), ("192.0.2.7", 500, 1030.0)]
+    await scene.events.repeated.record_due()
+    assert await scene.item() == [("192.0.2.7", 1, 1000.0), ("192.0.2.7", 500, 1030.0)]
 
 
 async def test_who_goes_on_has_one_event_a_minute(scene: Scene) -> None:
     for _ in range(10):
         await scene.refuse(100)
         scene.now += WINDOW_S
-        await scene.events.repeated.tell_due()
-    said = await scene.said()
-    assert len(said) == 11
-    assert sum(count for _, count, _ in said) == 1000
+        await scene.events.repeated.record_due()
+    item = await scene.item()
+    assert len(item) == 11
+    assert sum(count for _, count, _ in item) == 1000
 
 
 async def test_who_comes_back_later_is_an_event_at_once_again(scene: Scene) -> None:
     await scene.refuse()
     scene.now += WINDOW_S
-    await scene.events.repeated.tell_due()
+    await scene.events.repeated.record_due()
     scene.now += WINDOW_S
     await scene.refuse()
-    assert len(await scene.said()) == 2
+    assert len(await scene.item()) == 2
 
 
 async def test_the_end_of_the_server_loses_no_count(tmp_path: Path) -> None:
@@ -84,16 +84,16 @@ async def test_many_addresses_are_told_apart_only_so_far(scene: Scene) -> None:
     for number in range(1000):
         await scene.refuse(2, origin=f"2001:db8::{number:x}")
     scene.now += WINDOW_S
-    await scene.events.repeated.tell_due()
-    said = await scene.said()
-    assert len(said) == 2 * MOST_KEYS + 2
-    assert sum(count for _, count, _ in said) == 2000
-    assert (MANY, 2 * (1000 - MOST_KEYS) - 1) in [(origin, count) for origin, count, _ in said]
+    await scene.events.repeated.record_due()
+    item = await scene.item()
+    assert len(item) == 2 * MOST_KEYS + 2
+    assert sum(count for _, count, _ in item) == 2000
+    assert (MANY, 2 * (1000 - MOST_KEYS) - 1) in [(origin, count) for origin, count, _ in item]
 
 
 async def test_the_count_is_part_of_what_is_proven(scene: Scene) -> None:
     await scene.refuse(5)
-    await scene.events.repeated.tell_rest()
+    await scene.events.repeated.record_rest()
     await scene.database.write(lambda connection: connection.execute("DROP TRIGGER events_stay_as_written"))
     assert (await scene.events.prove()).broken is None
     await scene.database.write(

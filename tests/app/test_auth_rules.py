@@ -34,7 +34,7 @@ def test_a_redirect_to_our_own_page() -> None:
 
 @given(st.floats(0, 1e6), st.floats(0, 1e6))
 def test_a_session_ends_by_the_earlier_of_two(created: float, later: float) -> None:
-    lifetime = rules.Lifetime(idle_s=100, whole_s=1000)
+    lifetime = rules.Lifetime(idle_s=100, absolute_s=1000)
     ends = lifetime.ends_at(created, created + later)
     assert ends == min(created + later + 100, created + 1000)
 

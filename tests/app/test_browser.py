@@ -18,7 +18,7 @@ async def told(browser: Browser) -> list[dict[str, Any]]:
 async def test_a_diff_is_sent_as_it_was_encoded_for_all() -> None:
     browser = Browser("anna", "operator", "en")
     one = diff(1, actual="1")
-    browser.tell(one)
+    browser.send_diff(one)
     assert await browser.next() == [one.text]
     assert json.loads(one.text) == {"is": "diff", "p": 0, "n": 1, "t": 101.0, "f": {"dry/1": {"actual": "1"}}}
 
@@ -26,8 +26,8 @@ async def test_a_diff_is_sent_as_it_was_encoded_for_all() -> None:
 async def test_newest_wins_for_a_slow_browser_and_nothing_is_queued() -> None:
     browser = Browser("anna", "operator", "en")
     for n in range(1, 1001):
-        browser.tell(diff(n, actual=str(n)))
-    browser.tell(diff(1001, mode="local"))
+        browser.send_diff(diff(n, actual=str(n)))
+    browser.send_diff(diff(1001, mode="local"))
     (only,) = await told(browser)
     assert only["f"] == {"dry/1": {"actual": "1000", "mode": "local"}}
     assert (only["p"], only["n"], only["t"]) == (0, 1001, 1101.0)
@@ -36,24 +36,24 @@ async def test_newest_wins_for_a_slow_browser_and_nothing_is_queued() -> None:
 async def test_a_merged_diff_leaves_the_shared_one_as_it_was() -> None:
     browser = Browser("anna", "operator", "en")
     first = diff(1, actual="1")
-    browser.tell(first)
-    browser.tell(diff(2, actual="2"))
+    browser.send_diff(first)
+    browser.send_diff(diff(2, actual="2"))
     assert first.groups == {"dry/1": {"actual": "1"}}
 
 
 async def test_all_who_missed_the_same_get_the_same_text() -> None:
     one, other = Browser("anna", "operator", "en"), Browser("bernd", "viewer", "en")
     for each in [diff(n, actual=str(n)) for n in range(1, 500)]:
-        one.tell(each)
-        other.tell(each)
+        one.send_diff(each)
+        other.send_diff(each)
     assert (await one.next())[0] is (await other.next())[0]
 
 
 async def test_a_snapshot_makes_what_was_pending_worthless() -> None:
     browser = Browser("anna", "operator", "en")
-    browser.tell(diff(1, actual="1"))
-    browser.say({"is": "snapshot", "n": 1})
-    browser.tell(diff(2, actual="2"))
+    browser.send_diff(diff(1, actual="1"))
+    browser.send({"is": "snapshot", "n": 1})
+    browser.send_diff(diff(2, actual="2"))
     assert [(message["is"], message["n"]) for message in await told(browser)] == [
         ("snapshot", 1),
         ("diff", 2),
@@ -93,7 +93,7 @@ async def test_a_free_socket_is_told_in_the_same_turn() -> None:
     socket = Socket()
     browser, task = await waiting(socket)
     one = diff(1, actual="1")
-    browser.tell(one)
+    browser.send_diff(one)
     assert socket.taken == [one.frame]
     assert not task.done()
     task.cancel()
@@ -103,18 +103,18 @@ async def test_what_a_busy_socket_missed_goes_before_anything_new() -> None:
     socket = Socket()
     browser, task = await waiting(socket)
     socket.free = False
-    browser.tell(diff(1, actual="1"))
+    browser.send_diff(diff(1, actual="1"))
     socket.free = True
-    browser.tell(diff(2, actual="2"))
+    browser.send_diff(diff(2, actual="2"))
     (first,) = await task
     assert (json.loads(first)["p"], json.loads(first)["n"]) == (0, 2)
-    browser.tell(diff(3, actual="3"))
+    browser.send_diff(diff(3, actual="3"))
     assert socket.taken == [], "the first may not have left yet"
     task = asyncio.create_task(browser.next())
     assert json.loads((await task)[0])["n"] == 3
     task = asyncio.create_task(browser.next())
     await asyncio.sleep(0)
-    browser.tell(diff(4, actual="4"))
+    browser.send_diff(diff(4, actual="4"))
     assert socket.taken == [diff(4, actual="4").frame]
     task.cancel()
 
@@ -122,7 +122,7 @@ async def test_what_a_busy_socket_missed_goes_before_anything_new() -> None:
 async def test_a_snapshot_is_never_overtaken() -> None:
     socket = Socket()
     browser, task = await waiting(socket)
-    browser.say({"is": "snapshot", "n": 0})
-    browser.tell(diff(1, actual="1"))
+    browser.send({"is": "snapshot", "n": 0})
+    browser.send_diff(diff(1, actual="1"))
     assert socket.taken == []
     assert [json.loads(text)["is"] for text in await task] == ["snapshot", "diff"]

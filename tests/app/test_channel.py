@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from app.feed import channel as channels
-from app.feed.channel import SILENT_LOOKS, Channel
+from app.feed.channel import STUCK_AFTER_LOOKS, Channel
 from bus.contract import AppMessage, Command, Progress, Result, SetSpeed
 from bus.messages import Message
 
@@ -65,7 +65,7 @@ async def test_a_worker_that_speaks_of_other_things_is_waited_for(quick_looks: f
     channel, connection = Channel(), Connection()
     await channel.opened(connection, "w")
     asked = asyncio.create_task(channel.send(COMMAND))
-    for _ in range(3 * SILENT_LOOKS):
+    for _ in range(3 * STUCK_AFTER_LOOKS):
         channel.on_message()
         assert not (await asyncio.wait({asked}, timeout=quick_looks))[0]
     channel.on_update(verified(), connection)

@@ -210,7 +210,7 @@ async def test_a_worker_that_says_that_it_leaves_gives_its_bus_up(stage: Stage) 
 
 async def test_a_worker_that_stands_still_keeps_its_bus(tmp_path: Path) -> None:
     """Suspended for 8 s, it lost its bus to whoever asked, and forged results were taken for verified."""
-    async with staged(tmp_path, silent_ticks=1) as stage:
+    async with staged(tmp_path, missed_ticks=1) as stage:
         worker = await stage.worker()
         await worker.gone()
         stage.skipped_s += Ending.LOST.value + 1
@@ -262,7 +262,7 @@ async def test_a_lost_worker_closes_the_bus_and_nothing_looks_fresh(stage: Stage
 
 
 async def test_a_worker_that_says_nothing_any_more_is_taken_for_lost(tmp_path: Path) -> None:
-    async with staged(tmp_path, silent_ticks=1) as stage:
+    async with staged(tmp_path, missed_ticks=1) as stage:
         worker = await stage.worker()
         closed = await worker.gone()
         assert closed.rcvd is not None

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.live.browsers.flow import FEW_PAGES, FLOOD, MOST_TOLD_S, WINDOW_S, Flow
+from app.live.browsers.flow import FEW_PAGES, FLOOD, MAX_SENDS_S, WINDOW_S, Flow
 
 
 def flow() -> tuple[Flow, list[float]]:
@@ -22,15 +22,15 @@ def test_a_flood_is_told_once_in_a_window_until_it_is_over() -> None:
     made, now = flow()
     made.came(FLOOD + 1)
     assert made.pause_s() == 0.0, "a burst is told at once"
-    made.told()
+    made.sent()
     assert made.pause_s() == WINDOW_S, "and what follows it later"
     now[0] += WINDOW_S
     made.came()
-    made.told()
+    made.sent()
     assert made.pause_s() == WINDOW_S, "the next window begins flooded"
     now[0] += WINDOW_S
     made.came()
-    made.told()
+    made.sent()
     assert made.pause_s() == 0.0, "that window was quiet"
 
 
@@ -39,10 +39,10 @@ def test_very_many_pages_share_what_the_server_can_send() -> None:
     made.share(200)
     made.came()
     assert made.pause_s() == 0.0, "the first is told at once"
-    made.told()
+    made.sent()
     made.came()
-    assert made.pause_s() == pytest.approx(200 / MOST_TOLD_S)
-    now[0] += 1.01 * 200 / MOST_TOLD_S
+    assert made.pause_s() == pytest.approx(200 / MAX_SENDS_S)
+    now[0] += 1.01 * 200 / MAX_SENDS_S
     assert made.pause_s() == 0.0
 
 
@@ -50,6 +50,6 @@ def test_a_few_pages_are_told_of_every_answer() -> None:
     made, _now = flow()
     made.share(200)
     made.share(FEW_PAGES)
-    made.told()
+    made.sent()
     made.came()
     assert made.pause_s() == 0.0

@@ -26,8 +26,8 @@ NOON = datetime(2026, 3, 29, 10, 0, tzinfo=UTC).timestamp()
     ],
 )
 def test_numbers_in_a_sentence(said: str, german: str) -> None:
-    assert Formats("de").sentence(said) == german
-    assert Formats("en").sentence(said) == said.replace("1,234.5", "1234.5")
+    assert Formats("de").localized(said) == german
+    assert Formats("en").localized(said) == said.replace("1,234.5", "1234.5")
 
 
 def test_a_typed_number_is_searched_as_it_is_kept() -> None:

@@ -15,7 +15,7 @@ from app.history.intake import writer as writing
 from app.history.intake.folding import compact
 from app.history.intake.upkeep import Keep, Upkeep
 from app.history.intake.writer import Writer
-from app.history.query.query import SeriesQuery, answer
+from app.history.query.query import SeriesQuery, run_query
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.history.series.values import VALUES
 from app.history.service import FILE, History
@@ -181,7 +181,7 @@ def overwrite_pages(path: Path, chance: random.Random) -> None:
 
 def readings_of(writer: Writer) -> int:
     question = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 3600), 20_000)
-    found = writer.database.read_now(lambda connection: answer(connection, writer.tail, question))
+    found = writer.database.read_now(lambda connection: run_query(connection, writer.tail, question))
     return sum(value is not None for value in found.series.average)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from app.history.intake.disk import DiskReserve, Space, space
 
-RESERVE = DiskReserve(announce=1000, shed=500, pause=100)
+RESERVE = DiskReserve(announce=1000, trim=500, pause=100)
 
 
 @pytest.mark.parametrize(

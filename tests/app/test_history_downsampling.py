@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.history.series.downsampling import Points, grid, in_order, series, thin
+from app.history.series.downsampling import Points, downsample, grid, in_order, series
 from app.history.series.gaps import Marks
 from app.history.series.runs import HOUR, MINUTE, SECOND
 from app.history.series.scaling import LinearScale, Scaling
@@ -23,7 +23,7 @@ def points(values: dict[int, int]) -> Points:
     st.integers(1, 50),
 )
 def test_nothing_is_cut_off(values: dict[int, int], most: int) -> None:
-    thinned = thin(points(values), 0, 10**9 + 1, most)
+    thinned = downsample(points(values), 0, 10**9 + 1, most)
     assert len(thinned.at) <= most
     assert min(thinned.least) == min(values.values())
     assert max(thinned.greatest) == max(values.values())
@@ -57,12 +57,12 @@ def test_a_value_that_was_heard_all_the_while_has_no_hole() -> None:
     steady = points({0: 1, 59 * SECOND: 1})
     steady.solid[0] = True
     assert series(steady, Marks(), PLAIN).average == [1.0, 1.0]
-    assert series(thin(steady, 0, MINUTE, 60), Marks(), PLAIN).average == [1.0, 1.0]
+    assert series(downsample(steady, 0, MINUTE, 60), Marks(), PLAIN).average == [1.0, 1.0]
 
 
 def test_a_falling_scale_swaps_least_and_greatest() -> None:
     falling = Scaling([0], [LinearScale(100, -100, 255)])
-    whole = thin(points({0: 0, 1: 255}), 0, SECOND, 1)
+    whole = downsample(points({0: 0, 1: 255}), 0, SECOND, 1)
     drawn = series(whole, Marks(), falling)
     assert (drawn.least, drawn.greatest, drawn.average) == ([0.0], [100.0], [50.0])
 

@@ -18,7 +18,7 @@ from app.history.series.runs import HOUR, MINUTE, Run
 
 RUNS = st.lists(
     st.builds(
-        lambda at, heard, speed, analog, word: Run(at, at, heard, speed, speed + 1, analog, word),
+        lambda at, readings, speed, analog, word: Run(at, at, readings, speed, speed + 1, analog, word),
         st.integers(0, 5 * MINUTE),
         st.integers(1, 300),
         st.integers(0, 99_999),
@@ -38,8 +38,8 @@ def by_minute(runs: list[Run]) -> list[Rollup]:
 @given(RUNS)
 def test_a_row_says_what_was_read(runs: list[Run]) -> None:
     row = rollup(runs, 0)
-    readings = [run for run in runs for _ in range(run.heard)]
-    assert row.heard == len(readings)
+    readings = [run for run in runs for _ in range(run.readings)]
+    assert row.readings == len(readings)
     assert (row.actual_min, row.actual_max) == (
         min(r.actual for r in readings),
         max(r.actual for r in readings),

@@ -53,7 +53,7 @@ def test_a_reading_is_kept_as_sent() -> None:
 def test_runs_say_what_the_readings_said(readings: list[tuple[int, int]]) -> None:
     runs = runs_of(readings)
     assert all(said(runs, at, value) for at, value in readings)
-    assert sum(run.heard for run in runs) == len(readings)
+    assert sum(run.readings for run in runs) == len(readings)
     assert all(run.at // MINUTE == run.until // MINUTE for run in runs)
 
 

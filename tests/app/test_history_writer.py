@@ -12,7 +12,7 @@ from app.errors import StoreError
 from app.history.intake.disk import DiskReserve
 from app.history.intake.upkeep import Keep
 from app.history.intake.writer import Writer
-from app.history.query.query import SeriesQuery, answer
+from app.history.query.query import SeriesQuery, run_query
 from app.history.series.runs import micros
 from app.history.series.values import VALUES
 from app.history.store import tables
@@ -60,7 +60,7 @@ def test_a_nearly_full_disk_is_announced_and_the_oldest_readings_go_first(tmp_pa
         shelf.keep(polls(start, start + 20))
     shelf.fold()
     shelf.close()
-    writer = opened(tmp_path, Keep(reserve=DiskReserve(announce=ENDLESS, shed=ENDLESS, pause=0)))
+    writer = opened(tmp_path, Keep(reserve=DiskReserve(announce=ENDLESS, trim=ENDLESS, pause=0)))
     until(lambda: writer.status.state == "scarce")
     until(lambda: (writer.database.read_now(tables.oldest_raw) or 0) > micros(now - 200))
     assert "nearly full" in writer.status.message
@@ -107,7 +107,7 @@ def _full(*_: object) -> None:
 
 def readings_of(writer: Writer) -> int:
     question = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 60), 1000)
-    found = writer.database.read_now(lambda connection: answer(connection, writer.tail, question))
+    found = writer.database.read_now(lambda connection: run_query(connection, writer.tail, question))
     return len(found.series.at)
 
 

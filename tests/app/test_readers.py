@@ -18,7 +18,7 @@ def readers() -> Readers:
     return Readers(screen(line()), lambda: 100.0)
 
 
-async def told(browser: Browser) -> list[dict[str, Any]]:
+async def sent(browser: Browser) -> list[dict[str, Any]]:
     return [json.loads(text) for text in await browser.next()]
 
 
@@ -31,10 +31,10 @@ def joined(made: Readers) -> Browser:
 async def test_few_are_told_at_once() -> None:
     made = readers()
     browser = joined(made)
-    made.tell({GROUP: {"actual": "1"}})
-    made.tell({GROUP: {"actual": "2"}})
+    made.publish({GROUP: {"actual": "1"}})
+    made.publish({GROUP: {"actual": "2"}})
     assert made.number == 2
-    snapshot, diff = await told(browser)
+    snapshot, diff = await sent(browser)
     assert (snapshot["n"], diff["p"], diff["n"], diff["f"]) == (0, 0, 2, {GROUP: {"actual": "2"}})
 
 
@@ -42,13 +42,13 @@ async def test_among_very_many_what_is_held_back_goes_as_one() -> None:
     made = readers()
     made.flow.share(FEW_PAGES + 1)
     browser = joined(made)
-    made.tell({GROUP: {"actual": "1"}})
-    await told(browser)
-    made.tell({GROUP: {"actual": "2", "mode": "local"}})
-    made.tell({GROUP: {"actual": "3"}})
+    made.publish({GROUP: {"actual": "1"}})
+    await sent(browser)
+    made.publish({GROUP: {"actual": "2", "mode": "local"}})
+    made.publish({GROUP: {"actual": "3"}})
     assert made.number == 1
     async with asyncio.timeout(30):
-        (diff,) = await told(browser)
+        (diff,) = await sent(browser)
     assert (diff["p"], diff["n"], diff["f"]) == (1, 2, {GROUP: {"actual": "3", "mode": "local"}})
 
 
@@ -56,10 +56,10 @@ async def test_a_page_that_opens_meanwhile_misses_no_number() -> None:
     made = readers()
     made.flow.share(FEW_PAGES + 1)
     joined(made)
-    made.tell({GROUP: {"actual": "1"}})
-    made.tell({GROUP: {"actual": "2"}})
+    made.publish({GROUP: {"actual": "1"}})
+    made.publish({GROUP: {"actual": "2"}})
     late = joined(made)
-    ((snapshot,), (diff,)) = (await told(late), await told(late))
+    ((snapshot,), (diff,)) = (await sent(late), await sent(late))
     assert (snapshot["n"], diff["p"]) == (1, 1)
 
 
@@ -67,14 +67,14 @@ async def test_nothing_is_kept_for_nobody() -> None:
     made = readers()
     made.flow.share(FEW_PAGES + 1)
     browser = joined(made)
-    made.tell({GROUP: {"actual": "1"}})
-    made.tell({GROUP: {"actual": "2"}})
+    made.publish({GROUP: {"actual": "1"}})
+    made.publish({GROUP: {"actual": "2"}})
     made.leave(browser)
-    made.tell({GROUP: {"actual": "3"}}, always=True)
+    made.publish({GROUP: {"actual": "3"}}, always=True)
     assert made.number == 1
-    await told(joined(made))
+    await sent(joined(made))
     made.flow.share(1)
-    made.tell({}, always=True)
+    made.publish({}, always=True)
     assert made.number == 2
 
 
@@ -82,7 +82,7 @@ async def test_nothing_is_kept_for_nobody() -> None:
 async def test_nothing_new_is_told_only_as_a_heartbeat(always: bool, number: int) -> None:
     made = readers()
     joined(made)
-    made.tell({}, always=always)
+    made.publish({}, always=always)
     assert made.number == number
 
 
@@ -105,7 +105,7 @@ async def test_nobody_is_always_the_last() -> None:
         waiting.append(asyncio.create_task(browser.next()))
     await asyncio.sleep(0)
     for n in range(3):
-        made.tell({GROUP: {"actual": str(n)}})
+        made.publish({GROUP: {"actual": str(n)}})
     assert {order[n : n + 3][-1] for n in (0, 3, 6)} == {"a", "b", "c"}
     for task in waiting:
         task.cancel()

@@ -15,11 +15,11 @@ def test_only_what_changed_is_given() -> None:
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([reading(1, at=100.2, actual=1199)])
-    changed = shown.see("dry", [1], 100.2, whole_bus=False)
+    changed = shown.see("dry", [1], 100.2, include_bus=False)
     assert changed == {
         "dry/1": {"at": "100.20", "actual": "119.9", "deviation": "−0.1", "fill": "0.5995", "off": "0.483"}  # noqa: RUF001
     }
-    assert shown.see("dry", [1], 100.2, whole_bus=False) == {}
+    assert shown.see("dry", [1], 100.2, include_bus=False) == {}
 
 
 def test_the_worst_cause_is_the_verdict_and_goes() -> None:
@@ -27,7 +27,7 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     shown = screen(live)
     assert shown.shown["whole_line"]["at"] == ""
     live.buses["dry"].apply([reading(2, at=100.2, inputs=1)])
-    changed = shown.see("dry", [2], 100.2, whole_bus=False)
+    changed = shown.see("dry", [2], 100.2, include_bus=False)
     assert {name: changed["whole_line"][name] for name in ("at", "level", "verdict", "counts")} == {
         "at": "/units/dry/2",
         "level": "urgent",
@@ -36,7 +36,7 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     }
     assert changed["dry/2"]["status"] == "Still turning: e-stop input active since 00:01"
     live.buses["dry"].apply([reading(2, at=100.4)])
-    well = shown.see("dry", [2], 100.4, whole_bus=False)["whole_line"]
+    well = shown.see("dry", [2], 100.4, include_bus=False)["whole_line"]
     assert (well["verdict"], well["at"], well["counts"]) == ("All 2 units at speed", "", "")
 
 
@@ -48,7 +48,7 @@ def test_the_strip_has_what_is_abnormal_beside_the_worst() -> None:
     live.buses["dry"].apply(
         [reading(unit, at=150.2, inputs=inputs, actual=0) for unit, inputs in ((1, 2), (2, 1))]
     )
-    changed = shown.see("dry", [1, 2, 3], 150.2, whole_bus=False)["whole_line"]
+    changed = shown.see("dry", [1, 2, 3], 150.2, include_bus=False)["whole_line"]
     assert changed["verdict"] == "Unit 2 · Stopped: e-stop input active since 00:02"
     assert changed["strip"].split("\n") == [
         "dry/1\thigh\tUnit 1\tStopped: run input off\tsince 00:01",
@@ -60,7 +60,7 @@ def test_a_unit_says_nothing_of_a_cable_that_its_bus_has_lost() -> None:
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
-    shown.see("dry", [1, 2], 130.0, whole_bus=True)
+    shown.see("dry", [1, 2], 130.0, include_bus=True)
     assert [shown.shown["dry/1"][name] for name in ("link", "level", "cause", "status")] == [
         *("offline", "", ""),
         "Port closed since 00:01: unplugged",
@@ -78,7 +78,7 @@ def test_a_closed_port_is_one_entry_and_not_one_for_each_unit() -> None:
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
-    changed = shown.see("dry", [1, 2], 101.0, whole_bus=True)
+    changed = shown.see("dry", [1, 2], 101.0, include_bus=True)
     said = {name: changed["whole_line"][name] for name in ("verdict", "at", "abnormal")}
     assert said == {"verdict": "dry · Port closed since 00:01: unplugged", "at": "/bus/dry", "abnormal": "1"}
     assert changed["dry"]["link"] == "closed"
@@ -88,7 +88,7 @@ def test_the_line_s_figures_are_the_worst_of_all_buses() -> None:
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([figures()])
-    assert shown.see("dry", [], 100.1, whole_bus=True)["whole_line"] == {"scan": "0.30 s", "wire": "90 %"}
+    assert shown.see("dry", [], 100.1, include_bus=True)["whole_line"] == {"scan": "0.30 s", "wire": "90 %"}
 
 
 def test_a_block_is_shown_with_its_reason() -> None:
@@ -106,7 +106,7 @@ def test_the_strip_has_an_end() -> None:
     live = line(60)
     shown = screen(live)
     live.buses["dry"].apply([reading(n, at=100.2, inputs=1) for n in range(1, 61)])
-    changed = shown.see("dry", list(range(1, 61)), 100.2, whole_bus=False)
+    changed = shown.see("dry", list(range(1, 61)), 100.2, include_bus=False)
     assert len(changed["whole_line"]["strip"].split("\n")) == 30
     assert changed["whole_line"]["abnormal"] == "60"
 
@@ -169,9 +169,9 @@ def test_a_ramp_is_told_to_its_unit_and_not_to_the_whole_line_each_second() -> N
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([reading(1, at=101.0, outputs=0x40, actual=200)])
-    shown.see("dry", [1], 101.0, whole_bus=False)
+    shown.see("dry", [1], 101.0, include_bus=False)
     live.buses["dry"].apply([reading(1, at=103.0, outputs=0x40, actual=500)])
-    changed = shown.see("dry", [1], 103.0, whole_bus=False)
+    changed = shown.see("dry", [1], 103.0, include_bus=False)
     assert changed["dry/1"]["status"] == "Ramping to 120.0, about 4 s left"
     assert "whole_line" not in changed
 
@@ -181,6 +181,6 @@ def test_what_to_check_is_said_with_the_cause() -> None:
     shown = screen(live)
     live.buses["dry"].apply([reading(1, at=100.2, inputs=2, actual=0)])
     assert (
-        shown.see("dry", [1], 100.2, whole_bus=False)["dry/1"]["check"]
+        shown.see("dry", [1], 100.2, include_bus=False)["dry/1"]["check"]
         == "Check the run contact at the drive"
     )

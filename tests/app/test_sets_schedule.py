@@ -11,7 +11,7 @@ import pytest
 
 from app.errors import Problem
 from app.sets.first_write import FirstWrites
-from app.sets.schedule import SAID_AFTER, SetSchedule, due_between
+from app.sets.schedule import REPORT_AFTER, SetSchedule, due_between
 from app.web.access import Person, Role
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import UnitLink, UnitLinkState
@@ -120,12 +120,12 @@ async def test_a_unit_silent_at_its_minute_is_said_once_and_taken_when_it_answer
     assert (await scene.kept(1), await scene.kept(2)) == (["on schedule"], [])
     assert scene.schedule.overdue() == {}
     for _ in range(2):
-        await scene.schedule.look(ANNA, NOON, NOON + SAID_AFTER)
+        await scene.schedule.look(ANNA, NOON, NOON + REPORT_AFTER)
     said = [event for event in scene.events.events if "not taken on schedule" in event["what"]]
     assert [(event["unit"], event["message"]) for event in said] == [(2, "the unit does not answer")]
     assert list(scene.schedule.overdue()) == [2]
     scene.link(2, "online")
-    await scene.schedule.look(ANNA, NOON, NOON + SAID_AFTER)
+    await scene.schedule.look(ANNA, NOON, NOON + REPORT_AFTER)
     assert (await scene.kept(2), scene.schedule.overdue()) == (["on schedule"], {})
 
 

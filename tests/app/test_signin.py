@@ -167,7 +167,7 @@ async def test_the_present_password_is_guessed_no_faster(house: House) -> None:
     with pytest.raises(Problem) as caught:
         await house.sign_in.check_present("ann", PASSWORD, "a")
     assert caught.value.status == 429
-    await house.log.repeated.tell_rest()
+    await house.log.repeated.record_rest()
     found, _ = await house.log.page(Filter(kind="user"), 100)
     refused = [event for event in found if event["what"] == "password change refused"]
     assert [(event["who"], event["origin"], event["count"]) for event in refused] == [
@@ -256,7 +256,7 @@ async def test_a_session_that_is_not_used_ends(house: House) -> None:
 async def test_even_one_in_use_ends_some_day(house: House) -> None:
     await house.add()
     cookie = await house.enter()
-    end = house.now + LIFETIME.whole_s
+    end = house.now + LIFETIME.absolute_s
     while house.now < end:
         assert await house.identity.by_cookie(cookie)
         house.now += LIFETIME.idle_s / 2

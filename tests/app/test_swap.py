@@ -64,7 +64,7 @@ def test_what_to_do_now(seen: SwapState, step: str, at_panel: bool, says: str) -
 
 def test_the_old_unit_is_not_taken_for_the_spare() -> None:
     now = advice(state("digimax", remote=True, is_new=False))
-    assert (now.step, now.asks) == ("find", True)
+    assert (now.step, now.confirms_spare) == ("find", True)
     assert "the old one" in now.text
 
 

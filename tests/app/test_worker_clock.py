@@ -18,7 +18,7 @@ DELAYS = st.lists(st.floats(0.0005, 5.0), min_size=1, max_size=50)
 def test_the_least_delay_is_nearest(offset_s: float, delays: list[float]) -> None:
     clock, now = WorkerClock(), 1000.0
     for delay in delays:
-        clock.hear(now - delay - offset_s, now, now)
+        clock.observe(now - delay - offset_s, now, now)
         now += 0.1
     assert abs(clock.offset_s - offset_s) <= min(delays) + SAME_CLOCK_S + 1e-6
 
@@ -27,7 +27,7 @@ def test_the_least_delay_is_nearest(offset_s: float, delays: list[float]) -> Non
 def test_one_clock_is_never_shifted_once_a_message_was_prompt(delays: list[float], prompt: float) -> None:
     clock, now = WorkerClock(), 1000.0
     for delay in [*delays[:5], prompt]:
-        clock.hear(now - delay, now, now)
+        clock.observe(now - delay, now, now)
         now += 0.01
     assert clock.offset_s == 0.0
 
@@ -37,15 +37,15 @@ def test_a_step_is_noticed_once_and_followed() -> None:
     for tenth in range(600):
         now = 1000.0 + tenth / 10
         offset = 0.0 if tenth < 100 else 3600.0
-        steps.append(clock.hear(now - 0.001 - offset, now, now))
+        steps.append(clock.observe(now - 0.001 - offset, now, now))
     assert [round(step) for step in steps if step] == [3600]
     assert round(clock.offset_s) == 3600
 
 
 def test_a_step_ahead_is_noticed_at_once() -> None:
     clock = WorkerClock()
-    clock.hear(1000.0, 1000.001, 1000.001)
-    assert round(clock.hear(1060.0, 1000.1, 1000.1)) == -60
+    clock.observe(1000.0, 1000.001, 1000.001)
+    assert round(clock.observe(1060.0, 1000.1, 1000.1)) == -60
 
 
 @pytest.mark.parametrize("remote", [False, True], ids=["on the same machine", "on another"])
@@ -57,7 +57,7 @@ def test_the_app_s_own_clock_set_back_is_no_step_of_the_worker(remote: bool) -> 
         running = 1000.0 + tenth / 10
         now = running - (3600.0 if tenth >= 100 else 0.0)
         sent = running - 0.01 - offset - (3600.0 if not remote and tenth >= 101 else 0.0)
-        steps.append(clock.hear(sent, now, running))
+        steps.append(clock.observe(sent, now, running))
         if tenth >= 100:
             assert abs(clock.offset_s - (offset - (3600.0 if remote else 0.0))) < SAME_CLOCK_S
     assert set(steps) == {0.0}
@@ -65,9 +65,9 @@ def test_the_app_s_own_clock_set_back_is_no_step_of_the_worker(remote: bool) -> 
 
 def test_a_stall_is_no_step() -> None:
     clock = WorkerClock()
-    clock.hear(999.999, 1000.0, 1000.0)
+    clock.observe(999.999, 1000.0, 1000.0)
     for tenth in range(int(WINDOW_S * 5)):
-        assert clock.hear(1000.0, 1000.0 + tenth / 10, 1000.0 + tenth / 10) == 0.0
+        assert clock.observe(1000.0, 1000.0 + tenth / 10, 1000.0 + tenth / 10) == 0.0
 
 
 def test_every_time_in_a_message_is_shifted_and_nothing_else() -> None:

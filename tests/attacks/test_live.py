@@ -14,7 +14,7 @@ from starlette.websockets import WebSocketDisconnect
 from app.live.browsers import socket
 from app.live.browsers.admission import MOST_OF_ACCOUNT, Admission
 from app.live.browsers.browser import Browser, Diff
-from app.live.browsers.hub import MOST_TOLD_AT_ONCE, Hub
+from app.live.browsers.hub import MAX_WATCH_BURST, Hub
 from app.live.browsers.readers import Readers
 from app.main import create_app
 from app.web.access import Role
@@ -44,15 +44,15 @@ async def test_a_page_that_asks_a_thousand_times_and_does_not_read_waits_for_one
     browser = Browser("anna", "viewer", "en")
     readers.join(browser)
     for _ in range(1000):
-        readers.tell_everything(browser)
+        readers.send_snapshot(browser)
     assert [json.loads(text)["is"] for text in await browser.next()] == ["snapshot"]
     assert browser._snapshot is None
 
 
 async def test_what_changes_after_the_request_still_follows_the_snapshot() -> None:
     browser = Browser("anna", "viewer", "en")
-    browser.say({"is": "snapshot", "n": 1})
-    browser.tell(Diff(1, 2, 100.0, {"dry/1": {"actual": "1"}}))
+    browser.send({"is": "snapshot", "n": 1})
+    browser.send_diff(Diff(1, 2, 100.0, {"dry/1": {"actual": "1"}}))
     assert [json.loads(text)["is"] for text in await browser.next()] == ["snapshot", "diff"]
 
 
@@ -143,7 +143,7 @@ def test_pages_that_turn_without_end_do_not_flood_the_workers(
     browser = Browser("anna", "viewer", "en")
     for turn in range(1000):
         hub.follow(browser, frozenset({("dry-end", turn % 2 + 1)}), "")
-    assert len(told) <= MOST_TOLD_AT_ONCE
+    assert len(told) <= MAX_WATCH_BURST
     monkeypatch.setattr(hub, "_clock", lambda: 101.0)
     hub.tick()
     assert told[-1] == ("dry-end", [2], False)

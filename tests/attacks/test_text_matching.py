@@ -48,9 +48,9 @@ def looked_up(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     found: list[str] = []
     find = Sentences._find
 
-    def recording(self: Sentences, sentence: str, deepest: int) -> str:
-        found.append(sentence)
-        return find(self, sentence, deepest)
+    def recording(self: Sentences, localized: str, deepest: int) -> str:
+        found.append(localized)
+        return find(self, localized, deepest)
 
     monkeypatch.setattr(Sentences, "_find", recording)
     return found
@@ -104,7 +104,7 @@ def test_numbers_without_end_cost_no_more_than_their_length(part: str) -> None:
     """A refusal has its numbers as the reader writes them, also those that came with the request."""
     text = f" 1{part * (LONGEST_QUERY // len(part))}x"
     begun = time.thread_time()
-    Formats("de").sentence(text)
+    Formats("de").localized(text)
     Formats("de").typed_number(text)
     assert time.thread_time() - begun < CPU_S
 
@@ -159,8 +159,8 @@ async def test_no_text_of_an_address_makes_a_route_fail(house: House) -> None:
     client = await house.signed_in(Role.ADMIN)
     for route in (route for route in house.app.routes if isinstance(route, APIRoute)):
         names = [param.alias for param in route.dependant.query_params]
-        is_asked = "GET" in route.methods and not route.path.endswith("/stream")
-        if is_asked and (names or "{" in route.path):
+        is_requested = "GET" in route.methods and not route.path.endswith("/stream")
+        if is_requested and (names or "{" in route.path):
             for text in ADDRESS_TEXTS:
                 # Encoded, the dots reach the route; the client would resolve them.
                 path = quote(filled(route.path, text)).replace("..", "%2E%2E")

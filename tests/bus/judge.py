@@ -48,8 +48,8 @@ class Said:
     def of(cls, record: WireRecord) -> Said:
         """All that is on record."""
         said, asked = cls(), dict[int, bytes]()
-        for entry in record.since(0, Happened.HEARD, Happened.SAID):
-            if entry.what is Happened.HEARD:
+        for entry in record.since(0, Happened.RECEIVED, Happened.RESPONDED):
+            if entry.what is Happened.RECEIVED:
                 asked[entry.unit] = entry.data
             else:
                 said._note(asked[entry.unit], entry)
@@ -217,7 +217,7 @@ def rash_broadcasts(cases: list[Case], record: WireRecord) -> list[str]:
 
 def _broadcasts(cases: list[Case], record: WireRecord) -> Iterator[tuple[Case, WireEvent]]:
     heard: dict[float, WireEvent] = {
-        entry.at: entry for entry in record.since(0, Happened.HEARD) if entry.data == bytes((0, EXECUTE))
+        entry.at: entry for entry in record.since(0, Happened.RECEIVED) if entry.data == bytes((0, EXECUTE))
     }
     for entry in heard.values():
         for case in cases:

@@ -298,11 +298,11 @@ def test_the_record_tells_what_was_asked_done_said_and_sent() -> None:
     there.exchange(SetAndExecuteSpeed(1, 500), SetAndExecuteSpeed(2, 500), ReadStatus(9))
     entries = [(entry.what, entry.unit) for entry in there.line.record.since()]
     assert entries[0] == (Happened.CAME, 0)
-    assert [entry for entry in entries if entry[0] is Happened.HEARD] == [
-        (Happened.HEARD, unit) for unit in (1, 2, 0)
+    assert [entry for entry in entries if entry[0] is Happened.RECEIVED] == [
+        (Happened.RECEIVED, unit) for unit in (1, 2, 0)
     ]
     assert [entry for entry in entries if entry[0] is Happened.ACTED] == [(Happened.ACTED, 1)]
-    said = {entry.unit: entry.data for entry in there.line.record.since(0, Happened.SAID)}
+    said = {entry.unit: entry.data for entry in there.line.record.since(0, Happened.RESPONDED)}
     assert said == {1: bytes((1, 6)), 2: bytes((2, 0x15, 0x80))}
     counted = [entry.number for entry in there.line.record.since()]
     assert counted == list(range(1, there.line.record.count + 1))

@@ -238,7 +238,7 @@ def test_a_unit_that_counts_in_bcd_answers_eleven_for_11h() -> None:
 
 def test_a_written_value_may_come_back() -> None:
     assert exchange(Unit(), WriteParameter(1, 6, 50)) == Ack(1)
-    talkative = Unit(traits=Traits(answers_written_value=True))
+    talkative = Unit(traits=Traits(responds_with_written_value=True))
     assert exchange(talkative, WriteParameter(1, 6, 50)) == Ack(1, bytes((0, 0, 0, 50)))
 
 

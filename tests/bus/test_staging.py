@@ -19,7 +19,7 @@ ALL = {1: 501, 2: 502, 3: 503, 4: 504}
 def heard(line: VirtualLine, command: int, since: int = 0) -> list[bytes]:
     """Requests of one command that reached a unit, in order; a broadcast once."""
     bodies: list[bytes] = []
-    for entry in line.line.record.since(since, Happened.HEARD):
+    for entry in line.line.record.since(since, Happened.RECEIVED):
         if entry.data[1] == command and (entry.data[0] or not bodies or bodies[-1][0]):
             bodies.append(entry.data)
     return bodies
@@ -49,7 +49,7 @@ def test_stage_all_one_broadcast_prove_all() -> None:
         result = await line.perform(SetLine(ALL))
         assert result.outcome == "verified"
         assert setpoints(line) == [501, 502, 503, 504]
-        requests = [e.data for e in line.line.record.since(began, Happened.HEARD)]
+        requests = [e.data for e in line.line.record.since(began, Happened.RECEIVED)]
         first = next(place for place, body in enumerate(requests) if body[1] == 0x82)
         commands = [body[1] for body in requests[first : first + 12]]
         assert commands == [0x82] * 4 + [0x83] * 4 + [0x81] * 4, "nothing between, and one 83h that all heard"

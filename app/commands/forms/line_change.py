@@ -87,12 +87,12 @@ def _proofs(
     page: PageContext, live: BusLive, setpoints: Mapping[int, int], result: Result
 ) -> list[ResultRow]:
     """(name, asked, fate) of each unit, in floor order."""
-    said = {outcome.unit: outcome for outcome in result.units}
+    by_unit = {outcome.unit: outcome for outcome in result.units}
     return [
         (
             live.units[number].settings.name,
             shown_setpoint(raw, live.units[number]),
-            page.outcome(said.get(number, result), live.units[number]),
+            page.outcome(by_unit.get(number, result), live.units[number]),
         )
         for number, raw in setpoints.items()
     ]

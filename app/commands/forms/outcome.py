@@ -40,8 +40,8 @@ def outcome_text(result: Result | UnitOutcome, shown: ValueFormat, translator: T
         return OutcomeText(_OF_A_PART[result.outcome], translator.t(result.message))
     match result.outcome:
         case "verified":
-            said = translator.t("verified: reads {value}", value=read) if read else translator.t("verified")
-            return OutcomeText("good", said)
+            text = translator.t("verified: reads {value}", value=read) if read else translator.t("verified")
+            return OutcomeText("good", text)
         case "acknowledged":
             return OutcomeText("good", translator.t("acknowledged by the unit"))
         case "refused":
@@ -55,7 +55,7 @@ def outcome_text(result: Result | UnitOutcome, shown: ValueFormat, translator: T
 
 def problem_text(problem: Problem, translator: Translator) -> OutcomeText:
     """What was refused before anything was sent."""
-    return OutcomeText("bad", translator.formats.sentence(problem.text(translator.t)))
+    return OutcomeText("bad", translator.formats.localized(problem.text(translator.t)))
 
 
 def _reason(result: Result | UnitOutcome, translator: Translator) -> str:

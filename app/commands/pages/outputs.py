@@ -94,7 +94,7 @@ async def review_analog(
     """A value of the analog output, in volts too, to be confirmed."""
     live = page.unit(bus, unit)
     try:
-        raw = _whole_number(value)
+        raw = _integer(value)
         page.commands(bus).check(person, WriteAnalogOutput(unit=unit, raw=raw), confirm=True)
     except (CallerError, Problem) as error:
         return page.not_so(error.text(page.translator.t), "#analog-error")
@@ -127,7 +127,7 @@ async def set_analog(
     return page.done(live.settings.name, page.outcome(result))
 
 
-def _whole_number(text: str) -> int:
+def _integer(text: str) -> int:
     if not text.strip().isdecimal() or len(text.strip()) > 6:
         raise CallerError(Message("whole_number_needed"))
     return int(text)

@@ -143,8 +143,8 @@ async def _write(
         outcome = OutcomeText(outcome.tone, page.translator.t(result.message or ""))
     elif result.read_back is not None:
         reads = page.translator.formats.point(text_of(parameter, result.read_back, live))
-        said = "verified: reads {value}" if result.outcome == "verified" else "reads {value} instead"
-        outcome = OutcomeText(outcome.tone, page.translator.t(said, value=reads))
+        template = "verified: reads {value}" if result.outcome == "verified" else "reads {value} instead"
+        outcome = OutcomeText(outcome.tone, page.translator.t(template, value=reads))
     return page.render(
         "unit/_parameter_done.html",
         title=f"#{number} {parameter.name}",

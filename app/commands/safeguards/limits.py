@@ -29,7 +29,7 @@ class Limits:
     @property
     def message(self) -> Message:
         """Those that there are."""
-        said = [
+        parts = [
             Message(code, {"value": limit})
             for code, limit in (
                 ("limit_lowest", self.lowest),
@@ -39,7 +39,7 @@ class Limits:
             )
             if limit is not None
         ]
-        return listed(said) if said else term("none")
+        return listed(parts) if parts else term("none")
 
     def __str__(self) -> str:
         return str(self.message)

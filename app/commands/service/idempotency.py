@@ -55,8 +55,8 @@ def is_digest_of(command: str, ring: KeyRing, bus: str, action: Action) -> bool:
 
 
 def _parts(bus: str, action: Action) -> tuple[str, str]:
-    asked = msgspec.to_builtins(action, str_keys=True)
-    return json.dumps(bus), json.dumps(asked, sort_keys=True)
+    fields = msgspec.to_builtins(action, str_keys=True)
+    return json.dumps(bus), json.dumps(fields, sort_keys=True)
 
 
 def begin(connection: sqlite3.Connection, request: CommandRequest, ring: KeyRing, now: float) -> None:

@@ -56,7 +56,7 @@ class CommandRecord:
         """On disk when this returns. Raises StoreError, and then nothing may be sent."""
         kind = kind_of_command(request.action)
         by_unit = kind.part_wordings(request.action, live)
-        whole = _entry(request, request.unit, kind.wording(request.action, live))
+        group = _entry(request, request.unit, kind.wording(request.action, live))
         parts = [_entry(request, unit, words) for unit, words in by_unit.items()]
         ring = self._events.keys.ring
 
@@ -64,7 +64,7 @@ class CommandRecord:
             link_parts(connection, len(parts))
             idempotency.begin(connection, request=request, ring=ring, now=self._now())
 
-        event, *others = await self._events.intend_together([whole, *parts], remember)
+        event, *others = await self._events.intend_together([group, *parts], remember)
         return Intent(event, dict(zip(by_unit, others, strict=True)))
 
     async def conclude(self, intent: Intent, request: CommandRequest, result: Result) -> None:
@@ -100,5 +100,5 @@ def _entry(request: CommandRequest, unit: int | None, words: Wording) -> dict[st
 
 def _outcomes(intent: Intent, result: Result) -> dict[int, tuple[Outcome, str | Message]]:
     by_unit = {part.unit: (part.outcome, part.message or "") for part in result.units}
-    whole = (result.outcome, result.message or "")
-    return {event: by_unit.get(unit, whole) for unit, event in intent.parts.items()}
+    group = (result.outcome, result.message or "")
+    return {event: by_unit.get(unit, group) for unit, event in intent.parts.items()}

@@ -145,11 +145,11 @@ async def get_marks(
     marks, more = await collect_marks(events, span, unit or [])
     templates = templates_of(request)
     language = templates.language_of(request)
-    say = templates.formats(language.tag).sentence
+    localized = templates.formats(language.tag).localized
     for mark in marks:
         messages = mark.pop("messages")
         mark["shown"] = {
-            name: say(language.t(messages.get(name, mark[name])))
+            name: localized(language.t(messages.get(name, mark[name])))
             for name in ("what", "old", "new")
             if mark[name]
         }

@@ -16,7 +16,7 @@ from app.history.series.runs import HOUR, SECOND
 from app.history.series.values import VALUES
 from app.history.service import History
 from app.web.absent import unknown_bus, unknown_unit
-from app.web.numbers import whole_number
+from app.web.numbers import parse_integer
 from app.web.services import service
 from bus.messages import Message
 from bus.settings import BusSettings
@@ -104,7 +104,7 @@ def named_question(history: History, name: str, span: Span, most: int) -> Series
     """The same from ``bus/unit/value``, as the trends page writes it."""
     bus, _, rest = name.partition("/")
     unit, _, value = rest.partition("/")
-    number = whole_number(unit)
+    number = parse_integer(unit)
     if number is None:
         raise Problem(422, "invalid", Message.of("series_malformed", example="dry-end/1/actual", text=name))
     return question(history, bus, number, value, span, most)

@@ -24,14 +24,14 @@ ExportResolution = Literal["auto", "readings", "minutes", "hours"]
 
 
 async def response(
-    history: History, asked: Sequence[SeriesQuery], file: Format, resolution: ExportResolution
+    history: History, queries: Sequence[SeriesQuery], file: Format, resolution: ExportResolution
 ) -> StreamingResponse:
     """Streamed, so that it takes no more memory for a year. Raises StoreError or Problem before it begins."""
     if file == "parquet" and not parquet_file.is_available():
         raise Problem(501, "no_parquet", Message("no_parquet"))
-    fineness = await _fineness(history, asked, resolution)
-    table = Table(asked, fineness, history.time_zone)
-    name = f"lineside-{_stamp(asked[0].start, table)}-{_stamp(asked[0].end, table)}.{file}"
+    fineness = await _fineness(history, queries, resolution)
+    table = Table(queries, fineness, history.time_zone)
+    name = f"lineside-{_stamp(queries[0].start, table)}-{_stamp(queries[0].end, table)}.{file}"
     headers = {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-store"}
     rows = pieces(history, table)
     if file == "csv":
@@ -44,12 +44,14 @@ def _stamp(at: int, table: Table) -> str:
     return datetime.fromtimestamp(at / SECOND, ZoneInfo(table.time_zone)).strftime("%Y%m%dT%H%M%S")
 
 
-async def _fineness(history: History, asked: Sequence[SeriesQuery], resolution: ExportResolution) -> Fineness:
+async def _fineness(
+    history: History, queries: Sequence[SeriesQuery], resolution: ExportResolution
+) -> Fineness:
     if resolution != "auto":
         return resolution
 
     def all_raw(connection: tables.StoreConnection, _tail: Tail) -> bool:
-        keys = [tables.find_unit(connection, q.bus.name, q.unit) for q in asked]
-        return all(has_raw(connection, key, asked[0].start) for key in keys if key is not None)
+        keys = [tables.find_unit(connection, q.bus.name, q.unit) for q in queries]
+        return all(has_raw(connection, key, queries[0].start) for key in keys if key is not None)
 
     return "readings" if await history.read(all_raw) else "minutes"

@@ -74,12 +74,12 @@ async def pieces(history: History, table: Table) -> AsyncIterator[list[ExportRow
     start, end, step = table.questions[0].start, table.questions[0].end, PIECE[table.fineness]
     begun, ended = await history.read(lambda c, _: _extent(c))
     since, end = max(start, begun), min(end, ended)
-    heard: dict[tuple[str, int], int] = {}
+    last_until: dict[tuple[str, int], int] = {}
     while since < end:
         until = min(end, since - since % step + step)
         part = [replace(q, start=since, end=until) for q in table.questions]
         damaged: list[BlockKey] = []
-        read = partial(_rows, table=table, part=part, heard=heard, damaged=damaged)
+        read = partial(_rows, table=table, part=part, last_until=last_until, damaged=damaged)
         yield await history.read(read)
         history.report(damaged)
         since = until
@@ -97,7 +97,7 @@ def _rows(
     tail: Tail,
     table: Table,
     part: Sequence[SeriesQuery],
-    heard: dict[tuple[str, int], int],
+    last_until: dict[tuple[str, int], int],
     damaged: list[BlockKey],
 ) -> list[ExportRow]:
     rows: list[ExportRow] = []
@@ -112,7 +112,7 @@ def _rows(
             if source is None:
                 continue
             if table.fineness == "readings":
-                rows += _reading_rows(source, wanted, len(part), heard)
+                rows += _reading_rows(source, wanted, len(part), last_until)
             else:
                 rows += _rollup_rows(source, wanted, 3 * len(part), table.fineness)
     rows.sort(key=lambda row: row.at)
@@ -138,28 +138,28 @@ def _reading_rows(
     source: unit_history.StoredUnit,
     wanted: Sequence[tuple[int, SeriesQuery]],
     width: int,
-    heard: dict[tuple[str, int], int],
+    last_until: dict[tuple[str, int], int],
 ) -> Iterator[ExportRow]:
     first = wanted[0][1]
     unit = (first.bus.name, first.unit)
     runs = unit_history.runs_between(source, first.start, first.end)
     if not runs:
         return
-    silent = _silences(source, first, heard.get(unit), runs)
+    holes = _holes(source, first, last_until.get(unit), runs)
     scales = {place: scale_of(source, question) for place, question in wanted}
     for position, run in enumerate(runs):
-        if position in silent:
-            yield ExportRow(silent[position], (None,) * width, f"no readings of {unit[0]}/{unit[1]}")
+        if position in holes:
+            yield ExportRow(holes[position], (None,) * width, f"no readings of {unit[0]}/{unit[1]}")
         cells: list[Cell | None] = [None] * width
         for place, question in wanted:
             cells[place] = _cell(question, run, scales[place].at(run.at))
         yield ExportRow(run.at, tuple(cells))
         if run.until > run.at:
             yield ExportRow(run.until, tuple(cells))
-    heard[unit] = runs[-1].until
+    last_until[unit] = runs[-1].until
 
 
-def _silences(
+def _holes(
     source: unit_history.StoredUnit, question: SeriesQuery, before: int | None, runs: Sequence[Run]
 ) -> dict[int, int]:
     """Before which runs there is a hole, and from when."""

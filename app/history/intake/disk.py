@@ -15,7 +15,7 @@ class DiskReserve:
 
     announce: int = 2_000 * _MB
     """Say so, on every page that shows history."""
-    shed: int = 500 * _MB
+    trim: int = 500 * _MB
     """Give up the oldest readings; minutes and hours stay."""
     pause: int = 100 * _MB
     """Write no history at all: what is left belongs to the events."""
@@ -25,6 +25,6 @@ def space(free: int, reserve: DiskReserve) -> Space:
     """What so many free bytes mean."""
     if free < reserve.pause:
         return "none"
-    if free < reserve.shed:
+    if free < reserve.trim:
         return "scarce"
     return "low" if free < reserve.announce else "enough"

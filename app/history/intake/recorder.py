@@ -30,14 +30,14 @@ MOST_KEYS = 64
 _LOOK_EVERY = 64
 
 
-def _nobody(_words: str) -> None:
+def _ignore(_words: str) -> None:
     """Nobody wants to hear of damage."""
 
 
 class Recorder:
     """Puts deliveries into the journal and the tail, and what is over into blocks."""
 
-    def __init__(self, database: Database, tail: Tail, on_damage: FoundDamage = _nobody) -> None:
+    def __init__(self, database: Database, tail: Tail, on_damage: FoundDamage = _ignore) -> None:
         self._database = database
         self._on_damage = on_damage
         self._repair = Repair(database, on_damage)
@@ -60,7 +60,7 @@ class Recorder:
             )
         oldest = min((run.at for rows in journal for _, run in rows), default=0)
         if journal:
-            self._tail.silence(self._database.read_now(lambda c: tables.marks_since(c, oldest)))
+            self._tail.mark_lost(self._database.read_now(lambda c: tables.marks_since(c, oldest)))
         for rows in journal:
             self._tail.add(rows)
         self._tail.interrupt()

@@ -45,7 +45,7 @@ class Tail:
         place = bisect_right(lost, since)
         return place < len(lost) and lost[place] <= until
 
-    def silence(self, lost: Iterable[tuple[int, int]]) -> None:
+    def mark_lost(self, lost: Iterable[tuple[int, int]]) -> None:
         """Units and when they fell silent (µs): no run goes over such a moment. To be said before the
         readings that follow are added."""
         with self._lock:
@@ -54,7 +54,7 @@ class Tail:
 
     def interrupt(self) -> None:
         """Nobody was there to hear until now: every unit's next reading begins a new run."""
-        self.silence({(unit, run.until + 1) for unit, run in self.everything()})
+        self.mark_lost({(unit, run.until + 1) for unit, run in self.everything()})
 
     def runs(self, unit: int, start: int, end: int) -> list[Run]:
         """A unit's runs that touch a span (µs), in order of time."""

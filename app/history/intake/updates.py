@@ -57,7 +57,7 @@ class Intake:
 
     def keep(self, taken: Taken) -> None:
         """The transaction is on disk: from now on readers see it."""
-        self._tail.silence(taken.lost)
+        self._tail.mark_lost(taken.lost)
         self._tail.add(taken.rows)
 
     def key(self, connection: tables.StoreConnection, bus: str, number: int) -> int:

@@ -76,7 +76,7 @@ class Upkeep:
         self._give_up_before(horizon - horizon % HOUR)
         self._database.write_now(lambda c: tables.drop_rollups(c, now - self._keep.years * 365 * DAY))
 
-    def shed(self, now: int) -> None:
+    def trim(self, now: int) -> None:
         """Give up the oldest hour of readings, since the disk is short; the last hour is worth more than
         the little space it takes."""
         oldest = self._database.read_now(tables.oldest_raw)

@@ -43,8 +43,8 @@ MOST_WAITING = 500_000
 """Updates kept in memory while the store cannot be written; then the oldest are lost."""
 
 MOST_REPORTED = 1000
-ANEW_EVERY_S = 3600.0
-SAID_FOR = 7 * DAY
+REBUILD_EVERY_S = 3600.0
+SHOWN_FOR = 7 * DAY
 """How long damage is said on the pages; in the events it stays."""
 
 log = structlog.get_logger()
@@ -120,9 +120,9 @@ class Writer:
     @property
     def status(self) -> Status:
         """How it is now."""
-        said = self._status
-        message = said.message or (str(DAMAGED) if said.damaged else "")
-        return replace(said, message=message, waiting=self._waiting - self._taken, lost=self._lost)
+        status = self._status
+        message = status.message or (str(DAMAGED) if status.damaged else "")
+        return replace(status, message=message, waiting=self._waiting - self._taken, lost=self._lost)
 
     @property
     def database(self) -> Database:
@@ -158,7 +158,7 @@ class Writer:
     def _tick(self) -> None:
         self._watch_clock()
         if self._torn and self._open is not None and not self._ending.is_set():
-            self._write_anew()
+            self._rebuild()
         if not self._writable:
             if time.monotonic() < self._retry_at:
                 return
@@ -227,12 +227,12 @@ class Writer:
         repair = Repair(database, self._on_damage)
         return _Open(database, recorder, Upkeep(database, self._keep, repair), repair)
 
-    def _write_anew(self) -> None:
+    def _rebuild(self) -> None:
         """Pages are damaged: what can be read goes into a new store, and history goes on there. A second
         time within the hour it is the machine that is at fault, and nothing more is tried."""
         self._torn = False
         opened = self._open
-        if opened is None or time.monotonic() - self._rebuilt_at < ANEW_EVERY_S:
+        if opened is None or time.monotonic() - self._rebuilt_at < REBUILD_EVERY_S:
             return
         self._rebuilt_at = time.monotonic()
         self._writable, self._open = False, None
@@ -273,9 +273,9 @@ class Writer:
         self._look_at = time.monotonic() + LOOK_EVERY_S
         free, self._space = opened.upkeep.look()
         if self._space in ("scarce", "none"):
-            opened.upkeep.shed(micros(time.time()))
+            opened.upkeep.trim(micros(time.time()))
         oldest = opened.database.read_now(tables.oldest_raw)
-        lately = micros(time.time()) - SAID_FOR
+        lately = micros(time.time()) - SHOWN_FOR
         damaged = opened.database.read_now(lambda c: tables.damaged_since(c, lately))
         state: dict[Space, StoreState] = {"enough": "ok", "low": "low", "scarce": "scarce", "none": "paused"}
         self._set_state(state[self._space])

@@ -21,23 +21,23 @@ DEFAULT_SPAN_S = 3600.0
 DEFAULT_VALUES = 8
 
 
-def preload_address(history: History, asked: QueryParams, now: int) -> str:
+def preload_address(history: History, params: QueryParams, now: int) -> str:
     """The series that a page with this query draws at ``now`` (µs); empty where none can be named."""
     try:
-        span = _span(asked, now)
+        span = _span(params, now)
     except (Problem, ValueError, OverflowError):
         return ""
-    names = _names(history, asked)[:MOST_SERIES]
+    names = _names(history, params)[:MOST_SERIES]
     if not names or span.start >= span.end:
         return ""
     query = [("from", iso(span.start)), ("to", iso(span.end)), ("format", "epoch")]
     return "/api/v1/history/series?" + urlencode([*query, *(("series", name) for name in names)])
 
 
-def _span(asked: QueryParams, now: int) -> Span:
-    length = round(float(asked.get("span", DEFAULT_SPAN_S)) * SECOND)
-    end = moment(asked["to"], "to") if "to" in asked else now
-    return Span(moment(asked["from"], "from") if "from" in asked else end - length, end)
+def _span(params: QueryParams, now: int) -> Span:
+    length = round(float(params.get("span", DEFAULT_SPAN_S)) * SECOND)
+    end = moment(params["to"], "to") if "to" in params else now
+    return Span(moment(params["from"], "from") if "from" in params else end - length, end)
 
 
 def usual_series(history: History) -> list[str]:
@@ -46,9 +46,9 @@ def usual_series(history: History) -> list[str]:
     return [f"{unit}/actual" for unit in islice(units, DEFAULT_VALUES)]
 
 
-def _names(history: History, asked: QueryParams) -> list[str]:
-    if "s" not in asked:
+def _names(history: History, params: QueryParams) -> list[str]:
+    if "s" not in params:
         return usual_series(history)
     units = [f"{bus.name}/{unit.id}" for bus in history.buses.values() for unit in bus.unit]
     known = {f"{unit}/{value}" for unit in units for value in VALUES}
-    return [name for name in asked.getlist("s") if name in known]
+    return [name for name in params.getlist("s") if name in known]

@@ -28,10 +28,10 @@ async def warm(history: History, templates: Templates, assets: Assets, language:
     environment = templates.environment(language)
     for name in environment.list_templates(filter_func=lambda name: name.startswith(_SHELL)):
         await asyncio.to_thread(environment.get_template, name)
-    await _ask_a_day(history)
+    await _query_a_day(history)
 
 
-async def _ask_a_day(history: History) -> None:
+async def _query_a_day(history: History) -> None:
     now = micros(time.time())
     names = usual_series(history)
     try:

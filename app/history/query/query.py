@@ -9,7 +9,7 @@ from typing import Literal
 from app.history.intake.tail import Tail
 from app.history.intake.updates import BUS
 from app.history.query import unit_history
-from app.history.series.downsampling import Points, Series, grid, holes_in, series, thin
+from app.history.series.downsampling import Points, Series, downsample, grid, holes_in, series
 from app.history.series.gaps import Marks
 from app.history.series.intervals import intervals
 from app.history.series.runs import HOUR, MINUTE
@@ -51,17 +51,17 @@ class QueryResult:
     """Blocks that could not be read: what they held is missing."""
 
 
-def answer(connection: tables.StoreConnection, tail: Tail, question: SeriesQuery) -> QueryResult:
+def run_query(connection: tables.StoreConnection, tail: Tail, question: SeriesQuery) -> QueryResult:
     """Read from the store and the tail."""
     key = tables.find_unit(connection, question.bus.name, question.unit)
     if key is None:
         return QueryResult(Series())
     recent = tail.runs(key, question.start, question.end)
     with tables.standing_still(connection):
-        return _answer(unit_history.StoredUnit(connection, key, recent), question)
+        return _run(unit_history.StoredUnit(connection, key, recent), question)
 
 
-def _answer(source: unit_history.StoredUnit, question: SeriesQuery) -> QueryResult:
+def _run(source: unit_history.StoredUnit, question: SeriesQuery) -> QueryResult:
     bus = tables.find_unit(source.connection, question.bus.name, BUS)
     keys = [source.unit] if bus is None else [source.unit, bus]
     marks = tables.link_marks(source.connection, keys, question.start - MARGIN, question.end)
@@ -97,12 +97,12 @@ def _points(
         if grid(start, end, most)[0] < MINUTE or not tables.rolled_up(
             source.connection, source.unit, start, end
         ):
-            return "readings", thin(raw, start, end, most)
+            return "readings", downsample(raw, start, end, most)
     if grid(start, end, most)[0] >= HOUR:
-        return "hours", thin(unit_history.rollups(source, "hours", value, start, end), start, end, most)
+        return "hours", downsample(unit_history.rollups(source, "hours", value, start, end), start, end, most)
     if exact is not None and grid(start, end, most)[0] < MINUTE:
-        return "readings", thin(exact, start, end, most)
-    return "minutes", thin(unit_history.rollups(source, "minutes", value, start, end), start, end, most)
+        return "readings", downsample(exact, start, end, most)
+    return "minutes", downsample(unit_history.rollups(source, "minutes", value, start, end), start, end, most)
 
 
 def _fits(points: Points, marks: Marks, most: int) -> bool:

@@ -45,8 +45,8 @@ class StoredUnit:
         span = "span" if tier == "raw" else tables.ROW_SPAN[tier]
         starts = f"SELECT start FROM {tier} WHERE unit = ? AND start > ? AND start < ? AND start + {span} > ?"
         longest = HOUR if tier == "raw" else tables.ROW_SPAN[tier]
-        asked = (self.unit, start - longest, end, start)
-        found = self.connection.execute(f"{starts} ORDER BY start", asked).fetchall()
+        arguments = (self.unit, start - longest, end, start)
+        found = self.connection.execute(f"{starts} ORDER BY start", arguments).fetchall()
         query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
         for (begin,) in found:
             try:
@@ -96,7 +96,7 @@ def readings(source: StoredUnit, value: Value, start: int, end: int) -> Points:
 
 
 def _stored(source: StoredUnit, column: str, start: int, end: int) -> Iterator[list[RawRow]]:
-    wanted = ("at", "until", "heard", column)
+    wanted = ("at", "until", "readings", column)
     for begin, data in source.blocks("raw", start, end):
         unpack = partial(unpack_columns, data, begin, wanted)
         unpacked = source.unpacked("raw", begin, unpack)
@@ -109,7 +109,7 @@ def _stored(source: StoredUnit, column: str, start: int, end: int) -> Iterator[l
 
 
 def _tail(source: StoredUnit, column: str) -> list[RawRow]:
-    return [(run.at, run.until, run.heard, getattr(run, column)) for run in source.tail]
+    return [(run.at, run.until, run.readings, getattr(run, column)) for run in source.tail]
 
 
 def _rising(rows: Sequence[RawRow]) -> bool:
@@ -154,7 +154,7 @@ def rollups(source: StoredUnit, tier: tables.RollupTier, value: Value, start: in
         _extend(found, [begin + at for at in starts], count, rest, value.bit, (since, end))
     for row in _tail_rollups(source, tables.STEP[tier]):
         flat = [*row[:-1], *row.on]
-        _extend(found, [row.start], [row.heard], [[flat[i]] for i in wanted[2:]], value.bit, (since, end))
+        _extend(found, [row.start], [row.readings], [[flat[i]] for i in wanted[2:]], value.bit, (since, end))
     found.solid = [False] * len(found.at)
     if found.weight:
         found.usual = found.width // max(1, median_low(found.weight))
@@ -166,7 +166,7 @@ def _wanted(value: Value) -> list[int]:
         names = [f"{value.column}_{part}" for part in ("min", "max", "sum")]
     else:
         names = ["word_and", "word_or", f"on_{value.bit}"]
-    return [FIELDS[name] for name in ("start", "heard", *names)]
+    return [FIELDS[name] for name in ("start", "readings", *names)]
 
 
 def _tail_rollups(source: StoredUnit, step: int) -> list[Rollup]:
@@ -210,13 +210,13 @@ def usual_of(source: StoredUnit, end: int) -> int:
     latest = "SELECT start, data FROM {} WHERE unit = ? AND start < ? ORDER BY start DESC LIMIT 1"
     row = source.connection.execute(latest.format("raw"), (source.unit, end)).fetchone()
     if row is not None:
-        unpack = partial(unpack_columns, row[1], row[0], ("at", "until", "heard"))
+        unpack = partial(unpack_columns, row[1], row[0], ("at", "until", "readings"))
         runs = source.unpacked("raw", row[0], unpack)
         return usual_interval(list(zip(*runs, strict=True)))
     row = source.connection.execute(latest.format("minutes"), (source.unit, end)).fetchone()
     if row is None:
         return 0
-    counts = source.unpacked("minutes", row[0], partial(columns.unpack, row[1], [FIELDS["heard"]]))
+    counts = source.unpacked("minutes", row[0], partial(columns.unpack, row[1], [FIELDS["readings"]]))
     return MINUTE // max(counts[0]) if counts else 0
 
 

@@ -60,7 +60,7 @@ class Series:
     average: list[float | None] = field(default_factory=list)
 
 
-def thin(points: Points, start: int, end: int, most: int) -> Points:
+def downsample(points: Points, start: int, end: int, most: int) -> Points:
     """The same in at most ``most`` buckets between ``start`` and ``end``, µs."""
     width, origin = grid(start, end, most, points.width or _MS)
     parts = _parts(points.at, origin, width)
@@ -108,17 +108,17 @@ def series(points: Points, marks: Marks, scaling: Scaling) -> Series:
     return _opened(result, holes_in(points, marks), points.width)
 
 
-def _opened(whole: Series, after: Sequence[int], width: int) -> Series:
+def _opened(series: Series, after: Sequence[int], width: int) -> Series:
     """With a null between the points of each hole."""
     if not after:
-        return whole
-    times = [whole.at[i] + max(width, (whole.at[i + 1] - whole.at[i]) // 2) for i in after]
+        return series
+    times = [series.at[i] + max(width, (series.at[i + 1] - series.at[i]) // 2) for i in after]
     nothing = [None] * len(after)
     return Series(
-        _inserted(whole.at, after, times),
-        _inserted(whole.least, after, nothing),
-        _inserted(whole.greatest, after, nothing),
-        _inserted(whole.average, after, nothing),
+        _inserted(series.at, after, times),
+        _inserted(series.least, after, nothing),
+        _inserted(series.greatest, after, nothing),
+        _inserted(series.average, after, nothing),
     )
 
 

@@ -14,10 +14,10 @@ from operator import sub
 
 from app.history.series.runs import SECOND
 
-LONG_SILENCE = 10 * SECOND
+LONG_GAP = 10 * SECOND
 MANY_INTERVALS = 10
 """A silence longer than both is a hole, whoever was there to say so."""
-SHORT_SILENCE = 3 * SECOND // 10
+SHORT_GAP = 3 * SECOND // 10
 FEW_INTERVALS = 3
 """A silence longer than both is a hole when the unit or port was found again at its end."""
 _SAMPLE = 2000
@@ -60,10 +60,10 @@ def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> lis
     buckets then have no hole between them.
     """
     differences = list(map(sub, times[1:], times))
-    limit = width + max(LONG_SILENCE, MANY_INTERVALS * usual)
-    found = {i for i, silent in enumerate(differences) if silent > limit}
+    limit = width + max(LONG_GAP, MANY_INTERVALS * usual)
+    found = {i for i, difference in enumerate(differences) if difference > limit}
     found |= {i for i in _before(times, marks.lost) if differences[i] > width}
-    short = width + max(SHORT_SILENCE, FEW_INTERVALS * usual)
+    short = width + max(SHORT_GAP, FEW_INTERVALS * usual)
     found |= {i for i in _ended_by(times, marks.found, usual) if differences[i] > short}
     return sorted(found)
 

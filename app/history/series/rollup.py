@@ -21,7 +21,7 @@ class Rollup(NamedTuple):
     """One unit over one minute or hour. ``start`` in µs since the epoch, values as on the wire."""
 
     start: int
-    heard: int
+    readings: int
     commanded_min: int
     commanded_max: int
     commanded_sum: int
@@ -84,14 +84,14 @@ def _any_of(words: Iterable[int]) -> int:
 
 def combine(rows: Sequence[Rollup], start: int) -> Rollup:
     """Several rows, at least one, as one longer row."""
-    _, heard, *plain, words_and, words_or, on = zip(*rows, strict=True)
+    _, readings, *plain, words_and, words_or, on = zip(*rows, strict=True)
     reaches = [
         reach
         for least, greatest, total in zip(plain[0::3], plain[1::3], plain[2::3], strict=True)
         for reach in (min(least), max(greatest), sum(total))
     ]
     bits = tuple(sum(column) for column in zip(*on, strict=True))
-    return Rollup._make([start, sum(heard), *reaches, _all_of(words_and), _any_of(words_or), bits])
+    return Rollup._make([start, sum(readings), *reaches, _all_of(words_and), _any_of(words_or), bits])
 
 
 def pack_rollups(rows: Sequence[Rollup], start: int) -> bytes:

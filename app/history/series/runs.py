@@ -26,7 +26,7 @@ class Run(NamedTuple):
 
     at: int
     until: int
-    heard: int
+    readings: int
     """How many readings these are."""
     commanded: int
     actual: int
@@ -57,7 +57,7 @@ def follows(run: Run, last: Run) -> bool:
 
 def joined(last: Run, run: Run) -> Run:
     """One run of two, the second following the first."""
-    return last._replace(until=run.until, heard=last.heard + run.heard)
+    return last._replace(until=run.until, readings=last.readings + run.readings)
 
 
 def merge(one: Iterable[Run], other: Iterable[Run]) -> list[Run]:
@@ -68,7 +68,9 @@ def merge(one: Iterable[Run], other: Iterable[Run]) -> list[Run]:
         if last is None or run[3:] != last[3:] or run.at > last.until:
             merged.append(run)
         else:
-            merged[-1] = last._replace(until=max(last.until, run.until), heard=max(last.heard, run.heard))
+            merged[-1] = last._replace(
+                until=max(last.until, run.until), readings=max(last.readings, run.readings)
+            )
     return merged
 
 

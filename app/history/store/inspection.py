@@ -21,7 +21,7 @@ REST = 4
 """How many times as long as each look took the check rests: a fifth of a core at most, and not for long."""
 
 
-async def pages_are_whole(database: Database) -> bool:
+async def pages_are_intact(database: Database) -> bool:
     """SQLite's own check of every table. Raises DamagedStoreError where it cannot even be made."""
     for table in TABLES:
         query = f"PRAGMA quick_check({table})"
@@ -40,8 +40,8 @@ async def damaged_blocks(database: Database) -> AsyncIterator[BlockKey]:
             rows = await database.read(lambda c, tier=tier, after=after: _look(c, tier, after))  # type: ignore[misc]
             if not rows:
                 break
-            for unit, start, whole in rows:
-                if not whole:
+            for unit, start, block in rows:
+                if not block:
                     yield BlockKey(tier, unit, start)
             after = rows[-1][:2]
             await asyncio.sleep(REST * (time.monotonic() - begun))

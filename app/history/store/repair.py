@@ -55,10 +55,10 @@ def set_aside(connection: tables.StoreConnection, block: BlockKey, now: int) -> 
     tables.move_damaged(connection, block, now)
     if block.tier == "raw":
         return True
-    anew = _minutes(connection, block) if block.tier == "minutes" else _hours(connection, block)
-    if anew:
-        tables.write_rollups(connection, block.tier, block.unit, block.start, anew)
-    return not anew
+    rebuilt = _minutes(connection, block) if block.tier == "minutes" else _hours(connection, block)
+    if rebuilt:
+        tables.write_rollups(connection, block.tier, block.unit, block.start, rebuilt)
+    return not rebuilt
 
 
 def _minutes(connection: tables.StoreConnection, block: BlockKey) -> list[Rollup]:

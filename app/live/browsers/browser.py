@@ -96,7 +96,7 @@ class Browser:
     _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
     _wake: asyncio.Event = field(default_factory=asyncio.Event)
 
-    def tell(self, diff: Diff) -> None:
+    def send_diff(self, diff: Diff) -> None:
         """Now where that can be; else newest wins: it goes together with what has not been sent."""
         if self._idle and self.outlet.write(diff.frame):
             return
@@ -106,7 +106,7 @@ class Browser:
             self._waiting.append(diff)
         self._has_something()
 
-    def say(self, message: dict[str, Any]) -> None:
+    def send(self, message: dict[str, Any]) -> None:
         """A snapshot, before any diff. It makes what was pending worthless, and is encoded when it can go:
         however often it is asked for, there is one."""
         self._waiting.clear()

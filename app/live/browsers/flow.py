@@ -14,7 +14,7 @@ WINDOW_S = 0.25
 told once in a window until it is quieter: they could not draw them all, and have other things to do."""
 
 FEW_PAGES = 40
-MOST_TOLD_S = 2000
+MAX_SENDS_S = 2000
 """With more pages than a few, none is told again before its share of so many messages a second: the server
 has other things to do. 200 pages are told ten times a second, 40 and fewer of every single answer."""
 
@@ -28,11 +28,11 @@ class Flow:
     _began: float = 0.0
     _count: int = 0
     _flooded: bool = False
-    _told_at: float = -math.inf
+    _sent_at: float = -math.inf
 
     def share(self, pages: int) -> None:
         """So many pages are open in all."""
-        self._gap_s = pages / MOST_TOLD_S if pages > FEW_PAGES else 0.0
+        self._gap_s = pages / MAX_SENDS_S if pages > FEW_PAGES else 0.0
 
     def came(self, units: int = 1) -> None:
         """There is something new of so many units."""
@@ -46,8 +46,8 @@ class Flow:
         """How long to wait before telling again: nothing unless there is a flood, or very many pages."""
         flooded = self._flooded or self._count > FLOOD
         gap_s = max(self._gap_s, WINDOW_S) if flooded else self._gap_s
-        return max(0.0, self._told_at + gap_s - self.clock())
+        return max(0.0, self._sent_at + gap_s - self.clock())
 
-    def told(self) -> None:
+    def sent(self) -> None:
         """Everything was told."""
-        self._told_at = self.clock()
+        self._sent_at = self.clock()

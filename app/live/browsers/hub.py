@@ -17,7 +17,7 @@ from app.live.browsers.readers import Readers
 from app.live.browsers.watched import Watched
 from app.live.command_ids import key_of
 from app.live.screen.fields import Translator, health_fields, unit_key
-from app.live.screen.screen import WHOLE_LINE, Groups, Screen
+from app.live.screen.screen import LINE_GROUP, Groups, Screen
 from app.live.screen.sources import Sources
 from app.live.screen.totals import holders
 from app.live.screen.trace_frames import frame_fields
@@ -27,8 +27,8 @@ from bus.bucket import Bucket
 from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
 
 HEARTBEAT_S = 1.0
-WATCH_TOLD_A_SECOND = 5.0
-MOST_TOLD_AT_ONCE = 50
+WATCH_UPDATES_A_SECOND = 5.0
+MAX_WATCH_BURST = 50
 """To each worker, which units are watched."""
 STAGE_WORDS = {
     "waiting": "waiting for the wire",
@@ -66,7 +66,7 @@ class Hub:
         self._watched: dict[str, tuple[list[int], bool]] = {}
         self.admission = Admission()
         self._pages = Watched({name: bus.units for name, bus in live.buses.items()})
-        self._tellings = Bucket(WATCH_TOLD_A_SECOND, MOST_TOLD_AT_ONCE)
+        self._watch_limit = Bucket(WATCH_UPDATES_A_SECOND, MAX_WATCH_BURST)
         self._watched_is_due = False
         for name, bus in live.buses.items():
             bus.subscribe(partial(self._on_updates, name))
@@ -89,8 +89,8 @@ class Hub:
         if readers is None:
             readers = self._readers[language] = Readers(self._new_screen(language), self._clock)
         screen, now = readers.screen, self._clock()
-        readers.tell(screen.refresh(now))
-        readers.tell(screen.put(WHOLE_LINE, {"memory": self._sources.notices(screen.translator, now)}))
+        readers.publish(screen.refresh(now))
+        readers.publish(screen.put(LINE_GROUP, {"memory": self._sources.notices(screen.translator, now)}))
         return screen
 
     def _new_screen(self, language: str) -> Screen:
@@ -112,12 +112,12 @@ class Hub:
     def _has_changed(self) -> None:
         for readers in self._readers.values():
             readers.flow.share(self.connected)
-        self._tell_watched()
+        self._notify_watchers()
         self._publish_people()
 
     def send_snapshot(self, browser: Browser) -> None:
         """Everything, to a page that opened or missed a number."""
-        self._readers[browser.language].tell_everything(browser)
+        self._readers[browser.language].send_snapshot(browser)
 
     def follow(self, browser: Browser, units: frozenset[tuple[str, int]], trace: str) -> None:
         """A page says which units it shows and whose frames it follows."""
@@ -126,11 +126,11 @@ class Hub:
             return
         self._pages.turn(browser.units, units, browser.trace, trace)
         browser.units, browser.trace = units, trace
-        self._tell_watched()
+        self._notify_watchers()
 
     def refresh_unit(self, bus: str, unit: int) -> None:
         """Something that no worker reports has changed, for example a block."""
-        self._render(bus, [unit], whole_bus=False)
+        self._render(bus, [unit], include_bus=False)
 
     async def beat(self) -> None:
         """The heartbeat of every page, for ever."""
@@ -142,7 +142,7 @@ class Hub:
         """One heartbeat: what has aged, and the server's time."""
         now = self._clock()
         if self._watched_is_due:
-            self._tell_watched()
+            self._notify_watchers()
         for readers in self._read():
             screen = readers.screen
             groups = screen.settle(now)
@@ -150,10 +150,10 @@ class Hub:
             notices = self._sources.notices(screen.translator, now)
             totals = {"holder": holders(held_by, screen.translator), "memory": notices}
             held_fields = [screen.put(bus, {"held_by": holder}) for bus, holder in held_by.items()]
-            for held in (screen.put(WHOLE_LINE, totals), *held_fields):
+            for held in (screen.put(LINE_GROUP, totals), *held_fields):
                 for group, fields in held.items():
                     groups.setdefault(group, {}).update(fields)
-            readers.tell(groups, always=True)
+            readers.publish(groups, always=True)
 
     # --- what the workers report -------------------------------------------------------------------
 
@@ -162,15 +162,15 @@ class Hub:
         units = {unit for update in updates if (unit := getattr(update, "unit", None)) in bus.units}
         kinds = {type(update) for update in updates}
         touched = bus.units if BusLink in kinds else units
-        self._render(bus_name, sorted(touched), whole_bus=not kinds.isdisjoint(_OF_A_BUS))
+        self._render(bus_name, sorted(touched), include_bus=not kinds.isdisjoint(_OF_A_BUS))
         if not kinds.isdisjoint(_PASSED_ON):
             for update in updates:
                 self._pass_on(bus_name, update)
 
-    def _render(self, bus: str, units: list[int], *, whole_bus: bool) -> None:
+    def _render(self, bus: str, units: list[int], *, include_bus: bool) -> None:
         now = self._clock()
         for readers in self._read():
-            readers.tell(readers.screen.see(bus, units, now, whole_bus=whole_bus))
+            readers.publish(readers.screen.see(bus, units, now, include_bus=include_bus))
 
     def _pass_on(self, bus: str, update: Update) -> None:
         match update:
@@ -190,7 +190,7 @@ class Hub:
             text = readers.screen.translator.t(STAGE_WORDS[progress.stage])
             if progress.of > 1:
                 text += f" {progress.done}/{progress.of}"
-            readers.tell({group: {field: text}})
+            readers.publish({group: {field: text}})
 
     def _show_health(self, bus: str, figures: BusFigures) -> None:
         watched = self._pages.units(bus)
@@ -201,7 +201,7 @@ class Hub:
                     groups |= screen.put(
                         f"health/{unit_key(bus, unit.unit)}", health_fields(unit, screen.translator)
                     )
-            readers.tell(groups)
+            readers.publish(groups)
 
     def _show_frames(self, bus: str, frames: Sequence[Frame]) -> None:
         for readers in self._read():
@@ -225,11 +225,11 @@ class Hub:
         for readers in self._read():
             screen = readers.screen
             here = "\n".join(f"{name}\t{screen.translator.t(role)}" for name, role in people.items())
-            readers.tell(screen.put("people", {"here": here, "count": str(len(people))}))
+            readers.publish(screen.put("people", {"here": here, "count": str(len(people))}))
 
-    def _tell_watched(self) -> None:
+    def _notify_watchers(self) -> None:
         """At once, but not as often as pages can turn; the next tick makes up for it."""
-        self._watched_is_due = not self._tellings.take(self._clock())
+        self._watched_is_due = not self._watch_limit.take(self._clock())
         if self._watched_is_due:
             return
         for bus, live in self.live.buses.items():

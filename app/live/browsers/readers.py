@@ -33,7 +33,7 @@ class Readers:
     def join(self, browser: Browser) -> None:
         """One more, told everything first."""
         self.browsers.append(browser)
-        self.tell_everything(browser)
+        self.send_snapshot(browser)
 
     def leave(self, browser: Browser) -> None:
         """One less. What nobody waits for is dropped."""
@@ -44,11 +44,13 @@ class Readers:
                 self._due.cancel()
                 self._due = None
 
-    def tell_everything(self, browser: Browser) -> None:
+    def send_snapshot(self, browser: Browser) -> None:
         """The snapshot, to a page that opened or missed a number."""
-        browser.say({"is": "snapshot", "n": self.number, "t": round(self.clock(), 3), "f": self.screen.shown})
+        browser.send(
+            {"is": "snapshot", "n": self.number, "t": round(self.clock(), 3), "f": self.screen.shown}
+        )
 
-    def tell(self, groups: Groups, *, always: bool = False) -> None:
+    def publish(self, groups: Groups, *, always: bool = False) -> None:
         """What is different now, at once or with what comes next. ``always``: even when nothing is."""
         if not self.browsers or not (groups or always):
             return
@@ -70,9 +72,9 @@ class Readers:
         self._publish(groups)
 
     def _publish(self, groups: Groups) -> None:
-        self.flow.told()
+        self.flow.sent()
         diff = Diff(self.number, self.number + 1, self.clock(), groups)
         self.number = diff.after
         self.browsers.rotate()
         for browser in self.browsers:
-            browser.tell(diff)
+            browser.send_diff(diff)

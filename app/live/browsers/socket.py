@@ -29,7 +29,7 @@ from bus.messages import Message
 
 router = APIRouter()
 
-SILENCE_ENDS_S = 30.0
+IDLE_TIMEOUT_S = 30.0
 """A page that says nothing for this long is gone; it speaks every ten seconds."""
 
 
@@ -100,7 +100,7 @@ async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
     messages = Bucket(MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE)
     snapshots = Bucket(SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE)
     while True:
-        async with asyncio.timeout(SILENCE_ENDS_S):
+        async with asyncio.timeout(IDLE_TIMEOUT_S):
             text = await websocket.receive_text()
         if not messages.take(time.monotonic()):
             await asyncio.sleep(1 / MESSAGES_A_SECOND)
@@ -114,10 +114,10 @@ async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
 
 def _follow(hub: Hub, browser: Browser, text: str) -> bool:
     """Follow what a page asks for; whether it wants a snapshot too. Raises msgspec.DecodeError."""
-    said = _decoder.decode(text)
+    message = _decoder.decode(text)
     may_trace = Role(browser.role).includes(Role.ENGINEER)
-    hub.follow(browser, _units(tuple(said.units)), said.trace if may_trace else "")
-    return said.want == "snapshot"
+    hub.follow(browser, _units(tuple(message.units)), message.trace if may_trace else "")
+    return message.want == "snapshot"
 
 
 @lru_cache(MOST_VIEWS)

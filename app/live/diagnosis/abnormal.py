@@ -82,12 +82,12 @@ def _others(cause: Cause | None, suspected: str, blocked: str, drifted: str) -> 
 
 def all_offline(views: list[UnitView]) -> Cause | None:
     """That no unit of a whole bus responds: one cause for all of them."""
-    silent = [
+    unresponsive = [
         view.cause for view in views if view.cause and view.cause.code in ("unit_offline", "unit_unknown")
     ]
-    if len(views) < 2 or len(silent) < len(views):
+    if len(views) < 2 or len(unresponsive) < len(views):
         return None
-    lost = [cause.onset.at for cause in silent if cause.onset is not None]
+    lost = [cause.onset.at for cause in unresponsive if cause.onset is not None]
     if not lost:
         return Cause("no_unit_yet", "low")
     return Cause("no_unit_responds", "urgent", Onset(max(lost)))

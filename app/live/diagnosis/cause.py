@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from app.live.diagnosis.rungs import RUNGS, Level, UnitFacts
-from app.live.state.age import offline_after_s, scan_s_of, unit_link_now, worker_is_silent
+from app.live.state.age import offline_after_s, scan_s_of, unit_link_now, worker_timed_out
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.onset import Onset
 
@@ -56,7 +56,7 @@ def bus_cause(bus: BusLive, now: float) -> Cause | None:
     """Why no unit of a bus can be read."""
     if bus.worker_lost is not None:
         return Cause("worker_lost", "urgent", bus.worker_lost)
-    if bus.figures is not None and worker_is_silent(bus, now):
+    if bus.figures is not None and worker_timed_out(bus, now):
         return Cause("worker_silent", "urgent", Onset(bus.figures.at))
     if bus.link.link == "closed":
         return Cause("port_lost", "urgent", bus.link_onset, {"why": bus.link.cause})

@@ -28,5 +28,5 @@ def suspicion(bus: BusLive, unit: UnitLive) -> str:
 def _most_read_their_own_address(bus: BusLive) -> bool:
     """Where they do not, #17 says something else in these units, and nothing about who answers."""
     read = [(unit.parameter_raw(OWN_ADDRESS), unit.settings.id) for unit in bus.units.values()]
-    said = [own == address for own, address in read if own is not None]
-    return 2 * sum(said) > len(said)
+    matches = [own == address for own, address in read if own is not None]
+    return 2 * sum(matches) > len(matches)

@@ -54,13 +54,13 @@ CHECK_TEXTS = {
 
 def cause_text(cause: Cause, translator: Translator) -> str:
     """What is so, without its time: ``Stopped: run input off``."""
-    return sentence(_motion(cause, translator), _what(cause, translator), _why(cause, translator))
+    return joined(_motion(cause, translator), _what(cause, translator), _why(cause, translator))
 
 
 def cause_line(cause: Cause, translator: Translator, now: float) -> str:
     """What is so and since when: ``Stopped: run input off since 02:22``."""
     what = f"{_what(cause, translator)} {since_text(cause, translator, now)}".rstrip()
-    return sentence(_motion(cause, translator), what, _why(cause, translator))
+    return joined(_motion(cause, translator), what, _why(cause, translator))
 
 
 def since_text(cause: Cause, translator: Translator, now: float) -> str:
@@ -82,7 +82,7 @@ def check_text(cause: Cause | None, translator: Translator) -> str:
     return translator.t(text) if text else ""
 
 
-def sentence(*parts: str) -> str:
+def joined(*parts: str) -> str:
     """Parts that explain each other as one text with a capital at its head; empty ones are left out."""
     text = ": ".join(part for part in parts if part)
     return text[:1].upper() + text[1:]

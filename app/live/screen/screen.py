@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from app.live.diagnosis.abnormal import UnitView, shown_cause
-from app.live.screen.cause_text import cause_line, check_text, sentence
+from app.live.screen.cause_text import cause_line, check_text, joined
 from app.live.screen.fields import Fields, Translator, bus_fields, unit_fields, unit_key
 from app.live.screen.sources import Sources
 from app.live.screen.totals import AbnormalItem, entries_of, line_fields
@@ -21,7 +21,7 @@ from app.live.state.live_state import LiveState
 from bus.messages import listed
 
 Groups = dict[str, Fields]
-WHOLE_LINE = "whole_line"
+LINE_GROUP = "whole_line"
 """The group of the totals: a name that no bus can have (a slug holds no underscore)."""
 _DECIDES = {"link", "state", "level", "cause"}
 """A change of these in a unit may change the strip and the totals of the line."""
@@ -40,17 +40,17 @@ class Screen:
     entries: list[AbnormalItem] = field(default_factory=list)
     _views: dict[str, UnitView] = field(default_factory=dict)
 
-    def see(self, bus_name: str, units: Iterable[int], now: float, *, whole_bus: bool) -> Groups:
+    def see(self, bus_name: str, units: Iterable[int], now: float, *, include_bus: bool) -> Groups:
         """Render what a report touched; gives what is different now."""
         bus = self.live.buses[bus_name]
         changed: Groups = {}
         for number in units:
             self._put(changed, unit_key(bus_name, number), self._unit(bus_name, bus, bus.units[number], now))
-        if whole_bus:
+        if include_bus:
             fields = bus_fields(bus, self.translator, now) | {"recipe": self._recipe(bus_name)}
             self._put(changed, bus_name, fields)
-        if whole_bus or not all(_DECIDES.isdisjoint(fields) for fields in changed.values()):
-            self._put(changed, WHOLE_LINE, self._line(now))
+        if include_bus or not all(_DECIDES.isdisjoint(fields) for fields in changed.values()):
+            self._put(changed, LINE_GROUP, self._line(now))
         return changed
 
     def settle(self, now: float) -> Groups:
@@ -63,7 +63,7 @@ class Screen:
                 if self.shown.get(unit_key(name, number), {}).get("link") != unit_link_now(bus, unit, now)
                 or unit_link_now(bus, unit, now) == "stale"
             ]
-            for group, fields in self.see(name, aged, now, whole_bus=True).items():
+            for group, fields in self.see(name, aged, now, include_bus=True).items():
                 changed.setdefault(group, {}).update(fields)
         return changed
 
@@ -71,7 +71,7 @@ class Screen:
         """Render everything anew."""
         changed: Groups = {}
         for name, bus in self.live.buses.items():
-            for group, fields in self.see(name, bus.units, now, whole_bus=True).items():
+            for group, fields in self.see(name, bus.units, now, include_bus=True).items():
                 changed.setdefault(group, {}).update(fields)
         return changed
 
@@ -106,7 +106,7 @@ class Screen:
         return fields | {
             "level": view.level,
             "cause": line if view.level else "",
-            "status": line or sentence(fields["state_text"]),
+            "status": line or joined(fields["state_text"]),
             "check": check_text(cause, self.translator),
             "blocked": blocked,
             "drift": drifted.key,

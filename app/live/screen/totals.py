@@ -119,15 +119,15 @@ def holders(held_by: Mapping[str, str], translator: Translator) -> str:
     held = {bus: holder for bus, holder in held_by.items() if holder}
     if not held:
         return ""
-    nobody, free = translator.t("nobody"), len(held_by) - len(held)
+    no_one, free = translator.t("nobody"), len(held_by) - len(held)
     if not free and len(set(held.values())) == 1:
         [holder] = set(held.values())
         return holder if len(held) == 1 else translator.t("{name}, every bus", name=holder)
     named = held if free > 1 else held_by
-    said = [f"{bus}: {holder or nobody}" for bus, holder in named.items()]
+    parts = [f"{bus}: {holder or no_one}" for bus, holder in named.items()]
     if free > 1:
-        said.append(f"{translator.t('the others')}: {nobody}")
-    return ", ".join(one.replace(" ", NO_BREAK) for one in said)
+        parts.append(f"{translator.t('the others')}: {no_one}")
+    return ", ".join(one.replace(" ", NO_BREAK) for one in parts)
 
 
 def _named(entries: list[AbnormalItem], views: Views, translator: Translator) -> str:

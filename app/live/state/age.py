@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from app.live.state.bus_live import BusLive, UnitLive
 
 OFFLINE_SCANS = 5
-WORKER_SILENT_AFTER_S = 2.0
+WORKER_TIMEOUT_S = 2.0
 """A worker tells its figures every second, and beside them whatever its units say."""
 
 
@@ -42,23 +42,23 @@ def unit_link_now(bus: BusLive, unit: UnitLive, now: float) -> UnitLinkState:
     """The worker's opinion, made worse by the age of the reading and by a closed port, never better."""
     if unit.reading is None:
         return "unknown"
-    said = unit.link.link
-    if said == "offline":
+    link = unit.link.link
+    if link == "offline":
         return "offline"
     age = now - unit.reading.at
     scan_s = scan_s_of(bus)
     if age > offline_after_s(scan_s):
         return "offline"
-    if said != "online" or bus.link.link == "closed" or age > stale_after_s(scan_s):
+    if link != "online" or bus.link.link == "closed" or age > stale_after_s(scan_s):
         return "stale"
     return "online"
 
 
-def worker_is_silent(bus: BusLive, now: float) -> bool:
+def worker_timed_out(bus: BusLive, now: float) -> bool:
     """Whether a worker that is connected says nothing: its process stands still, or the way to it is cut."""
     if not bus.worker_connected or bus.figures is None:
         return False
-    since = now - WORKER_SILENT_AFTER_S
+    since = now - WORKER_TIMEOUT_S
     return bus.figures.at < since and all(
         unit.reading is None or unit.reading.at < since for unit in bus.units.values()
     )
@@ -66,4 +66,4 @@ def worker_is_silent(bus: BusLive, now: float) -> bool:
 
 def figures_now(bus: BusLive, now: float) -> BusFigures | None:
     """The figures of a bus as far as they are of this moment."""
-    return None if bus.link.link == "closed" or worker_is_silent(bus, now) else bus.figures
+    return None if bus.link.link == "closed" or worker_timed_out(bus, now) else bus.figures

@@ -36,11 +36,11 @@ class Onsets:
     def see(self, at: float, holding: frozenset[Condition], change_seen_s: float) -> None:
         """Take in a reading. ``change_seen_s``: a change between two readings that are at most so far apart,
         the time after which a unit counts as offline, has its time from the later one; else it has none."""
-        silence, self._seen_at = at - self._seen_at, at
-        if holding == self._held and silence <= UNSEEN_S:
+        gap, self._seen_at = at - self._seen_at, at
+        if holding == self._held and gap <= UNSEEN_S:
             return
-        held = self._held if silence <= UNSEEN_S else _NOTHING
-        begun = dict.fromkeys(holding - held, Onset(at, exact=silence <= change_seen_s))
+        held = self._held if gap <= UNSEEN_S else _NOTHING
+        begun = dict.fromkeys(holding - held, Onset(at, exact=gap <= change_seen_s))
         self.of = {name: onset for name, onset in self.of.items() if name in holding & held} | begun
         self._held = holding
 
@@ -65,10 +65,10 @@ def onset_in(
     Second: whether the spans reach back to where it began."""
     began = seen.at
     for at, until, word in reversed([span for span in spans if span[0] < seen.at]):
-        silence = began - until
+        gap = began - until
         if not holds(word):
-            return Onset(began, exact=silence <= change_seen_s), True
-        if silence > UNSEEN_S:
+            return Onset(began, exact=gap <= change_seen_s), True
+        if gap > UNSEEN_S:
             return Onset(began, exact=False), True
         began = at
     return Onset(began, exact=False), False

@@ -42,7 +42,7 @@ class OnsetLookup:
         self._clock = clock
         self._looked: dict[OnsetKey, int] = {}
         """How often each open onset was looked up."""
-        self._asked: set[tuple[str, int]] = set()
+        self._requested: set[tuple[str, int]] = set()
         """The units whose last response before this start was looked up."""
 
     async def follow(self) -> None:
@@ -60,7 +60,7 @@ class OnsetLookup:
                 )
             except StoreError:
                 break
-            self._asked.add((bus_name, number))
+            self._requested.add((bus_name, number))
         self._looked = {key: self._looked.get(key, 0) for key in self._open()}
         for key, times in list(self._looked.items()):
             if times < len(LOOK_AFTER_S) and self._clock() - key[3].at >= LOOK_AFTER_S[times]:
@@ -74,7 +74,7 @@ class OnsetLookup:
             for number, unit in bus.units.items()
             if unit.reading is None
         ]
-        return [unit for unit in units if unit not in self._asked]
+        return [unit for unit in units if unit not in self._requested]
 
     def _open(self) -> list[OnsetKey]:
         return [
