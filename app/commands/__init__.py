@@ -1,1 +1,1 @@
-"""What was asked: checked before anything is sent, sent once, followed to its one fate."""
+"""Commands: checked before anything is sent, sent once, followed to exactly one result."""

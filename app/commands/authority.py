@@ -1,4 +1,4 @@
-"""Whether whoever asked for a command may still have it, while it is under way."""
+"""Whether the sender of a command still has the right to it while it is in progress."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Withdrawals(Authority, Protocol):
 
 
 class SessionEnds(Protocol):
-    """Who is signed in."""
+    """Whose session is signed in."""
 
     def on_signed_out(self, subscriber: AccountSubscriber) -> None:
         """Call ``subscriber`` with each account whose last session has ended."""
@@ -42,8 +42,8 @@ async def while_permitted(
     why_not: Callable[[], Awaitable[Message | None]],
     give_up: Callable[[], Awaitable[None]],
 ) -> Result:
-    """The result of ``work``, a command on its way. When ``why_not`` gives a reason, ``give_up`` is called
-    once, the worker stops where nothing is half done, and the reason stands before the result's message."""
+    """Return the result of ``work``, a command in progress. When ``why_not`` gives a reason, ``give_up`` is
+    called once, the worker stops where nothing is half done, and the reason precedes the result's message."""
     task = asyncio.ensure_future(work)
     reason: Message | None = None
     try:

@@ -1,8 +1,8 @@
 """Every kind of command, described once. Pure.
 
-A row says what the app needs to know of a kind: who may send it, what it changes, how it is checked, worded
-and recorded, how long it may take. What is sent is the request in ``bus.contract.actions``, which says too
-whether it writes and which units it addresses; how a worker carries it out and proves it is a row in
+A row holds what the app needs to know of a kind: who may send it, what it changes, how it is checked, worded
+and recorded, how long it may take. The request itself is in ``bus.contract.actions``, including whether it
+writes and which units it addresses; how a worker carries it out and verifies it is a row in
 ``bus.line.commands.catalogue``.
 """
 
@@ -66,14 +66,14 @@ class CommandKind(Generic[A]):
     setpoints: Callable[[A, BusLive], Iterable[NewSetpoint]] = lambda _, _bus: ()
     """The setpoints that it would bring about, as far as they are known; each is judged."""
     check: Callable[[A, RuleContext], None] = _no_check
-    """Raises ObjectionError for what it refuses by itself."""
+    """The kind's own check. Raises ObjectionError."""
     danger: Callable[[A], str] = lambda _: ""
     """Why it must be confirmed; empty where it need not be."""
     timeout_s: Callable[[A, BusLive], float] = lambda _, bus: timeout_s_for(bus)
-    """How long it may take where its sender does not say."""
+    """How long it may take where its sender gives no timeout."""
     writes_parameters: bool = False
     is_secret: Callable[[A], bool] = lambda _: False
-    """Whether its frames carry what is not to be shown (#21)."""
+    """Whether its frames carry a secret (#21)."""
     is_event: Callable[[A], bool] = lambda action: action.writes
     """Whether it is recorded before it is sent."""
 

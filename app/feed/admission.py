@@ -1,4 +1,4 @@
-"""Whether a worker that says hello is admitted. Pure."""
+"""Whether a worker is admitted after its hello. Pure."""
 
 from __future__ import annotations
 

@@ -26,8 +26,8 @@ MALFORMED = Message("worker_malformed")
 REPLACED = "another worker connected for this bus"
 TICK_S = 1.0
 TIMEOUT_TICKS = 5
-"""A worker tells its figures every second; one that says nothing for so long is gone or stuck. Ticks are
-counted, not seconds, so that a stall of the app itself makes nobody look silent."""
+"""A worker reports its figures every second; one that reports nothing for so long is gone or stuck. Ticks are
+counted, not seconds, so that a stall of the app does not count as a stall of the worker."""
 
 
 class WorkerLeft(ConnectionError):
@@ -50,8 +50,8 @@ class WorkerConnection(MessageSink, Protocol):
 
 
 class BusFeed:
-    """The feed of one bus. ``now`` is Unix time in seconds, ``monotonic`` times what is kept for a worker
-    that may come back."""
+    """The feed of one bus. ``now`` is Unix time in seconds; ``monotonic`` measures how long a bus is kept
+    for a worker that may reconnect."""
 
     def __init__(
         self,
@@ -74,7 +74,7 @@ class BusFeed:
         self._watches: set[asyncio.Task[None]] = set()
 
     def watch(self, units: list[int], trace: bool) -> None:
-        """Tell the worker which units are on an open page, and whether someone follows its trace."""
+        """Tell the worker which units are on an open page, and whether its trace is followed."""
         watch = asyncio.create_task(self._channel.watch(units, trace=trace))
         self._watches.add(watch)
         watch.add_done_callback(self._watches.discard)
@@ -97,7 +97,7 @@ class BusFeed:
             self._pipeline.worker_refused(self._now(), held_by, str(credential), refused)
             await send_away(connection, refused, self._now())
             return
-        # Taken in the same turn of the loop: of two that say hello together, the second meets the first.
+        # Taken in the same turn of the loop: of two concurrent hellos the second meets the first.
         former = self._take(hello, connection, credential)
         try:
             await self._serve_holder(hello, connection, former)

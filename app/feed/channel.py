@@ -1,10 +1,10 @@
-"""The way down to one bus: commands by id, each with exactly one fate.
+"""The commands of one bus on their way to the worker, by id, each with exactly one result.
 
-The worker carries out an id once and repeats its fate when asked again; so what was under way
-when the connection broke is asked again of the *same* worker, and is unverified with any other.
+The worker carries out an id once and repeats its result when it gets the id again. A command in progress
+when the connection breaks is sent again to the *same* worker, and is unverified with any other.
 
-A worker tells its figures every second, so one that is silent past a command's deadline is stuck, and
-whoever waits is told so at once: it drops what comes to it late by its own look at the deadline.
+A worker reports its figures every second: one without a message past a command's deadline is stuck, and
+the command ends at once. The worker drops a late command by its own check of the deadline.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ PATIENCE_S = 15.0
 """How long after its deadline, or its last sign of progress, a worker that lives is still waited for."""
 LOOK_S = 0.25
 STUCK_AFTER_LOOKS = 8
-"""After so many looks without a word from a connected worker it is stuck: two seconds, twice its figures'.
-Looks are counted, not seconds, so that a stall of the app itself makes nobody look silent."""
+"""After so many checks without a message from a connected worker it is stuck: two seconds, twice its period.
+Checks are counted, not seconds, so that a stall of the app does not count as a stall of the worker."""
 AWAY_LOOKS = 20
 """The same for one whose connection broke, which may need a moment to come back."""
 
@@ -55,7 +55,7 @@ class _OpenCommand:
 
 
 class Channel:
-    """Commands and wishes for one bus, over whichever connection its worker has now."""
+    """Sends commands to one bus over the current connection of its worker."""
 
     def __init__(self, *, patience_s: float = PATIENCE_S, reask_s: float = REASK_WITHIN_S) -> None:
         self._patience_s = patience_s
@@ -68,11 +68,11 @@ class Channel:
 
     @property
     def connected(self) -> bool:
-        """Whether a worker is there to ask."""
+        """Whether a worker is connected."""
         return self._connection is not None
 
     async def opened(self, connection: MessageSink, worker: str) -> None:
-        """A worker is ready: tell it what is watched, ask again what was under way."""
+        """A worker is ready: send it the watched units and the open commands."""
         self._connection, self._worker = connection, worker
         if self._watch.units or self._watch.trace:
             await self._deliver(self._watch)
@@ -84,7 +84,7 @@ class Channel:
                 await self._send_command(open_command)
 
     def closed(self, connection: MessageSink) -> None:
-        """The connection ended. What is under way waits a while for the worker's return."""
+        """The connection ended. Open commands wait a while for the worker's return."""
         if self._connection is not connection:
             return
         self._connection = None
@@ -96,7 +96,7 @@ class Channel:
         self._words += 1
 
     async def send(self, command: Command, listener: ProgressListener | None = None) -> Result:
-        """Send ``command`` and wait for its fate. Never raises for what happens on the way."""
+        """Send ``command`` and wait for its result. Never raises for a failure on the way."""
         if self._connection is None:
             return Result(id=command.id, at=time.time(), outcome="bus_closed", message=NO_WORKER)
         result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
@@ -111,16 +111,16 @@ class Channel:
             del self._open[command.id]
 
     async def reserve(self) -> None:
-        """Say that a write is about to be asked for: the wire waits a moment for it."""
+        """Announce a write: the wire waits a moment for it."""
         await self._deliver(ReserveTurn())
 
     async def cancel(self, command_id: str) -> None:
-        """Ask the worker to give a command up where nothing is half done; its fate still comes."""
+        """Request the worker to give a command up where nothing is half done; its result still arrives."""
         if command_id in self._open:
             await self._deliver(Cancel(id=command_id))
 
     async def watch(self, units: list[int], *, trace: bool = False) -> None:
-        """Say which units are on an open page and whether someone follows the trace."""
+        """Send which units are on an open page and whether the trace is followed."""
         wanted = Watch(units=sorted(units), trace=trace)
         if wanted != self._watch:
             self._watch = wanted
@@ -166,7 +166,7 @@ class Channel:
         return open_command.result.result()
 
     def _time_left(self, open_command: _OpenCommand, missed_looks: int) -> float:
-        """Seconds for which its fate is still waited for, as things are now."""
+        """Seconds for which the result is still awaited."""
         stuck = missed_looks >= (STUCK_AFTER_LOOKS if self.connected else AWAY_LOOKS)
         return (
             min(open_command.due_at, open_command.give_up_at) if stuck else open_command.give_up_at

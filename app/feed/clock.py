@@ -1,7 +1,7 @@
 """How far a worker's clock is from the app's, from messages that say when they were sent. Pure.
 
-A message that was on its way while this machine's own clock was set back seems to have arrived long
-before it was sent. So after a step of the app's clock nothing is judged until such messages are in.
+A message in transit while the app's clock was set back seems to have arrived long before it was
+sent. After a step of the app's clock nothing is judged until such messages are in.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Which worker has a bus, and when another may take it. Pure: ``now`` is a monotonic time in seconds.
 
-What a worker reports is what commands are verified by. So a bus goes to another worker only once the former
-one is provably gone: it has said that it leaves, or its connection ended and it did not return in time. A
-worker that merely stands still (suspended, starved, behind a cut network) keeps its bus for longer.
+Commands are verified by what a worker reports: a bus goes to another worker only once the former
+one is provably gone: it announced its end, or its connection ended and it did not return in time. A
+worker that merely stalls (suspended, starved, behind a cut network) keeps its bus for longer.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ class Ending(Enum):
     """How the connection of a worker ended. The value: seconds for which its bus is kept for it."""
 
     LEFT = 0.0
-    """It said that it leaves."""
+    """It announced its end."""
     LOST = 5.0
     """The other side ended it: a worker that lives is back within 3 s."""
     CUT = 60.0
@@ -47,7 +47,7 @@ class Holder:
     free_at: float = inf
 
     def connection_ended(self, ending: Ending, now: float) -> None:
-        """The bus is kept for its worker for as long as the ending says."""
+        """Keep the bus for its worker for the time that ``ending`` allows."""
         self.free_at = now + ending.value
 
     def is_same(self, worker: str, credential: Credential) -> bool:

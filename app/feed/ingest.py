@@ -1,7 +1,7 @@
 """The messages of one worker, in their fixed order: bytes in, messages out, no socket.
 
 ``Hello`` → Welcome → ``Snapshot`` → backlog → ``Batch`` after ``Batch``. A batch counts once for each
-worker and number; a missing number asks for a new snapshot. A malformed message is not applied at all; of a
+worker and number; a missing number requests a new snapshot. A malformed message is not applied at all; of a
 well-formed one only what is plausible (:mod:`app.feed.plausibility`).
 """
 
@@ -90,8 +90,8 @@ class Ingest:
                 raise MalformedMessageError("hello is said once, at the beginning")
 
     async def tick(self) -> None:
-        """About once a second: the app's time, and what may be forgotten: it was here a tick ago, so it is
-        on disk by now, and a server that dies is told it again."""
+        """About once a second: send the app's time, and confirm what arrived a tick ago, as it is on disk by
+        now. A server that crashes gets it again."""
         self.missed_ticks += not self._is_held_back
         await self._connection.send(ClockSync(app_time=self._now()))
         await self._confirm(self._settled)

@@ -36,7 +36,7 @@ from bus.contract import (
 AHEAD_S = 5.0
 """The offset of a clock is known to within the delay of a message."""
 LIVE_S = 60.0
-"""What is older says nothing about now, however the worker has marked it."""
+"""An older reading says nothing about the present, whatever its mark."""
 MOST_FRAMES_OF_A_COMMAND = 300
 
 
@@ -127,7 +127,7 @@ def _judged_state(state: UnitState, now: float) -> UnitState:
 
 
 def _judged_figures(figures: BusFigures, units: Collection[int], now: float) -> BusFigures:
-    """Figures are never kept: they are of now, whatever the worker's clock says."""
+    """Figures are never kept: they describe the present, whatever the worker's clock."""
     known = {each.unit: each for each in figures.units if each.unit in units}
     at = figures.at if now - LIVE_S <= figures.at <= now + AHEAD_S else now
     return replace(figures, at=at, units=list(known.values()))
@@ -145,7 +145,7 @@ def _judged_result(result: Result, units: Collection[int], now: float) -> Result
 
 
 def _read_now(value: ParameterValue, now: float) -> ParameterValue:
-    """A value that was asked for a moment ago, whatever the worker's clock says."""
+    """A value that was requested a moment ago, whatever the worker's clock."""
     return value if _in_window(value.at, now) else replace(value, at=now)
 
 
@@ -162,5 +162,5 @@ def _judged_outcome(outcome: UnitOutcome, now: float) -> UnitOutcome:
 
 
 def _is_of_before(update: Update, now: float) -> bool:
-    """Whether a value is too old to be shown as live. A state is not: its time says since when it holds."""
+    """Whether a value is too old to be shown as live. A state is not: its time is when it began."""
     return isinstance(update, Reading | ParameterValue | Staged) and update.at < now - LIVE_S

@@ -1,6 +1,6 @@
 """How much a worker may send. Pure.
 
-Nothing is dropped: what is over the rate is not read yet, so the worker's own buffer holds it back. A worker
+Nothing is dropped: input over the rate is not read yet, and waits in the worker's own buffer. A worker
 that polls 255 units at 9600 baud, and is followed, sends a tenth of this.
 """
 
@@ -19,9 +19,9 @@ from bus.contract import (
 )
 
 PER_S = 2_000.0
-"""Updates of the live state, each of which every open page is told of."""
+"""Updates of the live state, each of which goes to every open page."""
 AT_ONCE = 10_000.0
-"""A whole snapshot, or the backlog of a quarter of an hour."""
+"""A complete snapshot, or the backlog of a quarter of an hour."""
 LATE_COST = 0.25
 """Of an update that goes to history only."""
 TEXT_COST = 40.0

@@ -1,4 +1,4 @@
-"""History as the rest of the app uses it: readings in, answers out."""
+"""History as the rest of the app uses it: readings in, query results out."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ DamageSubscriber = Callable[[str, float], None]
 
 
 class History:
-    """Stores readings and answers from them. Opening never fails: :attr:`status` says when a store cannot be
-    used. Subscribers are called on the event loop that called :meth:`start`."""
+    """Stores readings and runs queries on them. Opening never fails: :attr:`status` shows when a store
+    cannot be used. Subscribers are called on the event loop that called :meth:`start`."""
 
     def __init__(self, settings: Settings) -> None:
         self.path = settings.server.data / FILE
@@ -93,7 +93,7 @@ class History:
         return found
 
     def report(self, damaged: Iterable[BlockKey]) -> None:
-        """Blocks that could not be read: the writer sets them aside and says it."""
+        """Blocks that could not be read: the writer sets them aside and reports them."""
         self._writer.report(damaged)
 
     async def inspect_daily(self) -> None:
@@ -104,7 +104,7 @@ class History:
             await asyncio.sleep(DAY_S)
 
     async def inspect(self) -> None:
-        """Look at everything that is kept; what is found is reported."""
+        """Check everything that is kept; damage is reported."""
         try:
             database = self._writer.database
             if not await pages_are_intact(database):

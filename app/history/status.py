@@ -1,4 +1,4 @@
-"""How history itself is: pages and the API say it whenever it is not well."""
+"""The state of the history itself, for pages and the API."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def store_message(state: StoreState, cause: str = "") -> str:
 
 
 def store_notice(status: Status, t: Callable[..., str], formats: Formats, now: float) -> str:
-    """What people are told on the pages, in their language; empty while history is well."""
+    """The notice on the pages, in their language; empty while history works."""
     since = formats.since(status.since, now)
     match status.state:
         case "ok":

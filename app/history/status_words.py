@@ -9,7 +9,7 @@ from app.history.service import History, seconds
 from app.history.store import tables
 
 MOST_SPANS = 50_000
-"""Bits that change more often than this over a span are not read: nothing is said of them."""
+"""Bits that change more often than this over a span are not read."""
 StatusSpan = tuple[float, float, int]
 
 

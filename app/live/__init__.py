@@ -1,1 +1,1 @@
-"""What is now: the newest word of every unit, with its age, and who is told of a change."""
+"""The live state: the newest reading of every unit, with its age, and the subscribers of its changes."""

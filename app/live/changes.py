@@ -14,18 +14,18 @@ from bus.settings import BusSettings
 
 @dataclass(frozen=True, slots=True)
 class LineEvent:
-    """An event to be recorded. ``unit`` None: the whole bus."""
+    """An event to be recorded. ``unit`` None: the bus."""
 
     kind: EventKind
     unit: int | None
     at: float
     what: Message | str
-    """Of the history, what is damaged is still said in words."""
+    """Of the history, damage is still reported as text."""
     old: str
     new: str
     message: Message | None = None
     series: str = ""
-    """Tells series of one unit and kind apart, where one must not crowd out the other."""
+    """Separates series of one unit and kind, where one must not crowd out the other."""
 
 
 _RECORDED: dict[Condition, tuple[EventKind, Message, tuple[str, str]]] = {
@@ -44,7 +44,7 @@ class _UnitMemory:
 
 @dataclass(slots=True)
 class Changes:
-    """What was last seen of one bus. The first sight of anything is no change."""
+    """The last state of one bus. The first state seen is no change."""
 
     settings: BusSettings
     _port: BusLinkState | None = None

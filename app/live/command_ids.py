@@ -1,7 +1,7 @@
-"""What a command is called on its way to the bus worker and back.
+"""Ids of commands between app and bus worker.
 
-The worker carries out an id once and repeats its result when it is asked again. For that no id is ever used
-twice: what a sender calls a command, which another sender or a later day may use as well, is only a part of
+The worker carries out an id once and repeats its result when it gets the id again. Therefore no id is ever
+used twice: the id given by a sender, which another sender or a later day may use as well, is only a part of
 it, by which a page finds the progress of its own command.
 """
 

@@ -73,7 +73,7 @@ class BusOnLine:
 
 @router.get("/")
 async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Response:
-    """Every unit in floor order, what is abnormal first."""
+    """Every unit in floor order, the abnormal ones first."""
     hub = service_of(request, Hub)
     screen = hub.screen(templates_of(request).language_of(request).tag)
     chosen = view or _remembered(request)

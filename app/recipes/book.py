@@ -28,7 +28,7 @@ from bus.contract import Result, SetLine, SetSpeed
 from bus.messages import Message
 
 MOST_RECIPES = 1000
-"""In use on one bus; a list of them is given whole."""
+"""In use on one bus; a list of them is not paged."""
 
 
 class RecipeBook:

@@ -49,8 +49,8 @@ class LoadStep:
     """What loading does to one unit. ``old`` and ``new`` are in ``measure``; ``old`` is empty and ``ramp_s``
     None where not known.
 
-    ``obstacle``: why it cannot be loaded now, None when nothing stands in the way; ``effect``: what will
-    happen, None for a unit that is not configured.
+    ``obstacle``: why it cannot be loaded now, None where it can; ``effect``: the
+    change, None for a unit that is not configured.
     """
 
     unit: int
@@ -81,7 +81,7 @@ class DryRun:
 
 @dataclass(frozen=True, slots=True)
 class RecipeDeparture:
-    """A unit whose commanded value is no longer what the loaded recipe says, or that is gone."""
+    """A unit whose commanded value no longer equals the loaded recipe, or that is gone."""
 
     unit: int
     name: str | Message
@@ -114,7 +114,7 @@ def dry_run(recipe: Recipe, bus: BusLive, refusal: SetpointRefusal, now: float) 
 
 
 def departures(recipe: Recipe, bus: BusLive, since: float = 0.0) -> list[RecipeDeparture]:
-    """Units that no longer command what the recipe says. ``since``: when it was loaded."""
+    """Units whose command no longer equals the recipe. ``since``: when it was loaded."""
     found = (_departure(setpoint, bus.units.get(setpoint.unit), since) for setpoint in recipe.setpoints)
     return [departure for departure in found if departure is not None]
 
@@ -181,7 +181,7 @@ def _shown(unit: UnitLive, setpoint: RecipeSetpoint, raw: int) -> str:
 
 
 def present_raw(unit: UnitLive, kind: RecipeKind) -> int | None:
-    """What the unit is commanded now: CS of its last answer, or #37 for a ratio."""
+    """The present command of the unit: CS of its last response, or #37 for a ratio."""
     if kind == "ratio":
         return unit.parameter_raw(RATIO_SETPOINT)
     return unit.reading.commanded if unit.reading is not None else None
@@ -201,7 +201,7 @@ def _departure(setpoint: RecipeSetpoint, unit: UnitLive | None, since: float) ->
 
 
 def _commanded_since(unit: UnitLive, kind: RecipeKind, moment: float) -> bool:
-    """#37 is read in the slow circle: what it said before the recipe was loaded says nothing about it."""
+    """#37 is read in the slow scan: a value from before the recipe was loaded does not count."""
     if kind == "speed":
         return unit.reading is not None
     read = unit.parameters.get(RATIO_SETPOINT)
@@ -209,7 +209,7 @@ def _commanded_since(unit: UnitLive, kind: RecipeKind, moment: float) -> bool:
 
 
 def setpoints_now(units: Iterable[UnitLive]) -> tuple[RecipeSetpoint, ...]:
-    """The present setpoints of units that have told theirs, to begin a recipe from."""
+    """The present setpoints of units that have reported theirs, to begin a recipe from."""
     found: list[RecipeSetpoint] = []
     for unit in units:
         kind = setpoint_kind(unit)

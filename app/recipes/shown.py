@@ -1,4 +1,4 @@
-"""What the API's answers about recipes hold, for its OpenAPI document."""
+"""Members of the API's responses about recipes, for its OpenAPI document."""
 
 from __future__ import annotations
 

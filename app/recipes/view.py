@@ -60,7 +60,7 @@ def dry_run_json(run: DryRun) -> DryRunShown:
 
 
 def loaded_json(loaded: Loaded, departed: list[RecipeDeparture]) -> LoadedShown:
-    """Which recipe a bus was loaded with, and which units no longer command what it says."""
+    """Which recipe a bus was loaded with, and which units no longer command it."""
     return {
         "id": loaded.recipe.id,
         "name": loaded.recipe.name,

@@ -40,7 +40,7 @@ from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
 MOST = 1000
-"""Sets of one answer."""
+"""Sets of one response."""
 DOCUMENT: dict[int | str, dict[str, Any]] = {
     200: {"content": {"application/toml": {"schema": {"type": "string"}}}}
 }
@@ -81,7 +81,7 @@ async def list_sets(
     before: int | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST)] = MOST,
 ) -> list[SummaryShown]:
-    """Stored sets, newest first: at most 1000; ask on with ``before`` = the last ``id``."""
+    """Stored sets, newest first: at most 1000; continue with ``before`` = the last ``id``."""
     found = await sets.summaries(bus, unit, before=before, most=limit)
     return [summary_json(summary) for summary in found]
 
@@ -90,7 +90,7 @@ async def list_sets(
 async def take_set(
     person: Engineer, keeper: ParameterSets, live: Live, bus: str, wanted: TakeSet
 ) -> SetShown:
-    """Read the units now and keep what they say; nothing is kept when one does not answer."""
+    """Read the units now and save their values; nothing is saved when one does not respond."""
     known = bus_or_404(live, bus).units
     units = wanted.units or list(known)
     for unit in units:
@@ -100,7 +100,7 @@ async def take_set(
 
 @router.get("/sets/{set_id}")
 async def one_set(_: Viewer, sets: Sets, set_id: int) -> SetShown:
-    """A whole set with the evidence of each value; #21 masked."""
+    """A complete set with the evidence of each value; #21 masked."""
     return set_json(await set_or_404(sets, set_id))
 
 
@@ -108,7 +108,7 @@ async def one_set(_: Viewer, sets: Sets, set_id: int) -> SetShown:
 async def set_document(
     person: Viewer, sets: Sets, events: Events, set_id: int, secrets: bool = False
 ) -> Response:
-    """The set as a TOML file. With ``secrets`` (engineer) #21 is in it, and the asking is an event."""
+    """The set as a TOML file. With ``secrets`` (engineer) #21 is in it, and the request is an event."""
     stored = await set_or_404(sets, set_id)
     if secrets:
         await _record_secret_access(person, events, stored)
@@ -122,7 +122,7 @@ async def set_document(
 async def mark_golden(
     request: Request, person: Engineer, sets: Sets, set_id: int, mark: GoldenMark
 ) -> GoldenShown:
-    """From now on the unit ought to be as this set says."""
+    """Make this set the unit's golden set."""
     stored = await set_or_404(sets, set_id)
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, mark.unit)
     return {"set": set_id, "unit": mark.unit, "golden": True}
@@ -146,8 +146,8 @@ async def compare_sets(
 
 @router.get("/buses/{bus}/units/{unit}/drift")
 async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -> DriftShown:
-    """Where the unit as last read departs from its golden set, and who changed it: ``changed_by`` null is
-    somebody at the panel. ``unread``: parameters that could not be compared yet."""
+    """The drift of the unit, as last read, from its golden set, and who changed it: ``changed_by`` null is
+    a change at the panel. ``unread``: parameters that could not be compared yet."""
     unit_or_404(live, bus, unit)
     return {
         "golden": drift.has_golden(unit),
@@ -158,7 +158,7 @@ async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -
 
 @router.get("/buses/{bus}/set-schedule")
 async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> ScheduleShown:
-    """At which minute of the day the units of the bus are read, and which are owed since, with why."""
+    """At which minute of the day the units of the bus are read, and which are overdue, with the reason."""
     overdue: list[OverdueShown] = [
         {"unit": unit, "why": each.why} for unit, each in schedule.overdue().items()
     ]

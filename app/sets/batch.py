@@ -79,8 +79,8 @@ def refuse_moved(rows: Iterable[BatchRow], reviewed: Mapping[int, str]) -> None:
 
 
 async def learn(commands: CommandService, person: Person, bus: BusLive, number: int) -> None:
-    """Ask the units that answer for a parameter that was never read from them; who stays silent stays
-    unknown."""
+    """Request a parameter that was never read from the units that are online; it stays unknown where a unit
+    does not respond."""
 
     async def read(unit: int) -> None:
         action = ReadParameters(unit=unit, numbers=[number], urgent=True)

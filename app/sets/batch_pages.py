@@ -24,7 +24,7 @@ router = APIRouter(include_in_schema=False)
 async def batch_page(
     request: Request, person: Engineer, live: Live, commands: Commands, bus: str, number: int = 6
 ) -> Response:
-    """The present values of one parameter over all units; one that was never read is asked for now."""
+    """The present values of one parameter over all units; those never read are requested now."""
     parameter = _writable_or_404(number)
     await learn(commands, person, bus_or_404(live, bus), number)
     rows = rows_of_batch(live.buses[bus], number, {})

@@ -1,4 +1,4 @@
-"""Who gave a parameter the value it has: one of us, or somebody at the panel."""
+"""Who gave a parameter its value: a user, or a person at the panel."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from app.sets.compare import Compared
 from bus.catalogue.parameters import PARAMETERS
 
 _ACTED = ("verified", "acknowledged", "unverified", None)
-"""Fates after which the unit may have taken the value; None: it was read before its fate was written down."""
+"""Outcomes after which the unit may have taken the value; None: it was read before the outcome was stored."""
 _LOOK_BACK = 20
-"""Wishes that were refused stand between: so many newest events of a parameter are looked at."""
+"""Refused commands are among them: so many newest events of a parameter are examined."""
 
 
 async def who_changed(events: EventLog, bus: str, unit: int, row: Compared) -> Event | None:
@@ -23,7 +23,7 @@ async def who_changed(events: EventLog, bus: str, unit: int, row: Compared) -> E
     last = next(ours, None)
     if last is None or row.right is None:
         return None
-    # A secret stands in no event, so that the last write of it is all that can be said.
+    # A secret is in no event: only its last write can be named.
     known = PARAMETERS[row.number].secret or last["new_raw"] == row.right.raw
     return last if known else None
 

@@ -103,7 +103,7 @@ def _kind(left: ParameterRow | None, right: ParameterRow | None, tolerance: int)
 
 
 def row_text(parameter: Parameter, rows: UnitRows) -> str:
-    """A row as shown to people: in its unit, a secret masked, a missing one said."""
+    """A row as shown to people: in its unit, a secret masked, a missing one marked."""
     row = rows.rows.get(parameter.number)
     if row is not None and not row.available:
         return "not in this unit"

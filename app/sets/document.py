@@ -101,7 +101,7 @@ def _row_line(row: ParameterRow, unit: UnitRows, with_secrets: bool) -> str:
 def read_document(text: str, source: str = "the file") -> ParameterSet:
     """Parse and check a file; raises DocumentError with what is wrong and where.
 
-    Only ``raw`` counts: ``value`` and ``name`` are for the reader's eyes.
+    Only ``raw`` counts: ``value`` and ``name`` are for human readers.
     """
     document = _parse(text, source)
     units = tuple(_unit_rows(unit, source) for unit in document.unit)

@@ -1,4 +1,4 @@
-"""Where units depart from their golden sets, and who did that: one of us, or somebody at the panel."""
+"""The drift of units from their golden sets, and who caused it: a user, or a person at the panel."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from bus.contract import ParameterValue, Update
 
 @dataclass(frozen=True, slots=True)
 class DriftedParameter:
-    """One row that is not as in the golden set. ``change``: our command that made it so; None: none of us
-    did, so somebody at the panel. ``traced`` False: the events have not been asked yet."""
+    """One row that differs from the golden set. ``change``: the command that caused it; None: no command
+    did: it was changed at the panel. ``traced`` False: the events have not been searched yet."""
 
     row: Compared
     change: Event | None = None
@@ -34,12 +34,12 @@ class DriftedParameter:
 
     @property
     def key(self) -> str:
-        """A text that is another when there is something else to tell."""
+        """A text that changes with the displayed drift."""
         left, right = (None if side is None else side.raw for side in (self.row.left, self.row.right))
         return f"{self.row.number}={left}>{right}@{self.change['id'] if self.change else ''}"
 
     def same(self, other: DriftedParameter) -> bool:
-        """Whether both say the same of the unit, whoever changed it."""
+        """Whether both state the same difference, whoever caused it."""
         return self._target == other._target
 
 
@@ -69,7 +69,7 @@ class BusDrift:
             self._look(unit, PARAMETERS)
 
     async def close(self) -> None:
-        """Ask the events no more."""
+        """Stop searching the events."""
         await self._background.close()
 
     def marked(self) -> list[int]:
@@ -85,7 +85,7 @@ class BusDrift:
         return list(self._found.get(unit, {}).values())
 
     async def traced(self, unit: int) -> list[DriftedParameter]:
-        """The same, after the events have been asked of every one now."""
+        """The drift, after the events have been searched for every row."""
         await self._trace(unit, self.of(unit))
         return self.of(unit)
 
@@ -103,7 +103,7 @@ class BusDrift:
         return Drifted(_summary_text(found, translator, now) if found else "", f"{self.unread(unit)}:{rows}")
 
     def _see(self, updates: Sequence[Update]) -> None:
-        """Parameters were read: look now, so that nobody has to compare forty rows at every reading."""
+        """Parameters were read: compare now, instead of forty rows at every reading."""
         read: dict[int, set[int]] = {}
         for update in updates:
             if isinstance(update, ParameterValue) and update.unit in self._golden:
@@ -112,7 +112,7 @@ class BusDrift:
             self._look(unit, numbers)
 
     def _look(self, unit: int, numbers: Iterable[int]) -> None:
-        """Compare anew; ``numbers`` were read, so who changed them is asked again."""
+        """Compare again; ``numbers`` were read: their change is searched for again."""
         before, named = self._found.get(unit, {}), frozenset(numbers)
         rows = drift(self._golden[unit], known_rows(self._live.units[unit]))
         found = {row.number: _known_before(DriftedParameter(row), before) for row in rows}
@@ -134,7 +134,7 @@ class BusDrift:
 
 
 def _known_before(departure: DriftedParameter, before: dict[int, DriftedParameter]) -> DriftedParameter:
-    """What the events said of the very same value stays said until they have been asked again."""
+    """A change found for the same value is kept until the events have been searched again."""
     earlier = before.get(departure.row.number)
     if earlier is None or not departure.same(earlier):
         return departure

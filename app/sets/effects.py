@@ -12,8 +12,8 @@ Effect = Literal[
 ]
 
 OPERATING_VALUES = frozenset({numbers.SPEED_SETPOINT, numbers.RATIO_SETPOINT})
-"""The setpoints. Operators change them every shift: they are no drift, and a restore writes one only when a
-person has chosen it by itself."""
+"""The setpoints. Operators change them every shift: they are no drift, and a restore writes one only when
+it was selected by name."""
 
 _PARAMETERS: Mapping[Effect, Collection[int]] = {
     "setpoint": OPERATING_VALUES,

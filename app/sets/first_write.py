@@ -1,5 +1,5 @@
-"""Before the first write to a unit on a day, what it was is kept, and no write waits for the wire because of
-it: what is kept is what the unit had said by then."""
+"""Before the first write to a unit on a day its values are saved. No write waits for the wire because of
+it: the values are those read by then."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class FirstWrites:
         await self._background.settled()
 
     async def close(self) -> None:
-        """End what is still being kept."""
+        """End the saving of sets."""
         await self._background.close()
 
     async def before(self, person: Person, units: Sequence[int], *, parameters: bool) -> None:
@@ -92,7 +92,7 @@ class FirstWrites:
                 self._background.begin(self._complete(person, rows.unit), f"rest of unit {rows.unit}")
 
     async def _has_set(self, unit: int, midnight: float) -> bool:
-        """Whether a set of today is there; then nobody asks again today."""
+        """Whether a set of today exists; then none is needed today."""
         today = self._clock().date()
         if self._kept.get(unit) == today:
             return True
@@ -102,7 +102,7 @@ class FirstWrites:
         return True
 
     async def _complete(self, person: Person, unit: int) -> None:
-        """What was not known before the write follows in a set of its own, in the gaps of the scan."""
+        """Values that were not known before the write follow in a separate set, in the gaps of the scan."""
         try:
             await self._keeper.take(person, [unit], "", "", "after the first write of the day")
         except (Problem, StoreError) as error:
@@ -110,7 +110,7 @@ class FirstWrites:
 
 
 def _gaps(known: Sequence[UnitRows]) -> str:
-    """Which units had not told all, in words; empty where every one had."""
+    """Which units had not reported all values; empty where every one had."""
     parts = [
         f"unit {rows.unit}: {len(rows.rows)} of {len(PARAMETERS)} parameters were known"
         for rows in known

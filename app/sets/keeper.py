@@ -1,4 +1,4 @@
-"""Taking sets and marking them golden; units that have a golden set are read whole soon after a start."""
+"""Saving sets and marking them golden; units with a golden set are read completely soon after a start."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ class SetKeeper:
         comment: str,
         origin: SetOrigin = "by hand",
     ) -> ParameterSet:
-        """Read the units now, one after another, and keep what they say.
+        """Read the units now, one after another, and save their values.
 
-        Raises Problem 504 or 503 when one does not answer; nothing is kept then.
+        Raises Problem 504 or 503 when one does not respond; nothing is saved then.
         """
         rows = [await self.read(person, unit) for unit in units]
         return await self.keep(person, rows, name, comment, origin)
@@ -64,7 +64,7 @@ class SetKeeper:
         return await self._reader.read_unit(person, unit)
 
     async def mark_golden(self, person: Person, stored: ParameterSet, unit: int) -> None:
-        """From now on the unit ought to be as this set says. Raises Problem 404 where it does not hold it."""
+        """Make this set the unit's golden set. Raises Problem 404 where it does not contain the unit."""
         if stored.unit(unit) is None:
             raise Problem(404, "unknown_set", Message.of("set_lacks_unit", set=stored.id, unit=unit))
         await self.store.mark_golden(self.bus, unit, stored.id, person.name, time.time())
@@ -79,8 +79,8 @@ class SetKeeper:
         )
 
     async def learn_marked(self, person: Person) -> None:
-        """Run for ever: read whole, in the gaps of the scan, the units whose golden set could not be compared
-        yet. The slow circle of the scan would take a quarter of an hour to come round."""
+        """Run indefinitely: read completely, in the gaps of the scan, the units whose golden set could not be
+        compared yet. The slow scan would take a quarter of an hour for it."""
         while True:
             await asyncio.sleep(_LEARN_EVERY_S)
             for unit in self._drift.marked():

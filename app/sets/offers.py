@@ -26,7 +26,7 @@ class Offers:
 
     @property
     def best(self) -> str:
-        """What stands for the unit: its golden set, else its newest; empty where it has none."""
+        """The reference of the unit: its golden set, else its newest; empty where it has none."""
         return self.golden or next((choice.text for choice in self.own), "")
 
 

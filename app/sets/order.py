@@ -95,7 +95,7 @@ def _step(write: Write, mode: int | None) -> _Step:
 
 
 def _widen_first(ordered: list[Write], low: int, high: int) -> None:
-    """Exchange the two where the order at hand would ask for low > high on the way."""
+    """Exchange the two where the present order would lead to low > high on the way."""
     at = {write.number: index for index, write in enumerate(ordered) if write.number in (low, high)}
     if len(at) < 2:
         return

@@ -44,7 +44,7 @@ async def list_page(
     unit: int | None = None,
     before: int | None = None,
 ) -> Response:
-    """The newest sets, or those before one, of one bus or unit where asked, and the form to take one."""
+    """The newest sets, or those before one, filtered by bus and unit, and the form to save one."""
     found = await sets.summaries(bus or None, unit, before=before, most=MOST_LISTED + 1)
     return render(
         request,
@@ -111,7 +111,7 @@ async def compare_page(
     tolerance: int = 0,
     everything: bool = False,
 ) -> Response:
-    """Two sides row by row, equal rows only when asked for; and the choice of both sides."""
+    """Two sides row by row, equal rows only on request; and the choice of both sides."""
     one = await side(left, sets, live) if left else None
     other = await side(right, sets, live) if right else None
     rows = compare(one.rows, other.rows, max(0, tolerance)) if one and other else []

@@ -42,8 +42,8 @@ CHOSEN: frozenset[Reason] = frozenset({"operating_value", "deselected"})
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """One row that differs or may differ and is not written; ``text`` says why. ``reason`` None: it was left
-    out by a version that did not note the reason."""
+    """One row that differs or may differ and is not written; ``text`` is the reason. ``reason`` None: it was
+    left out by a version that did not store the reason."""
 
     number: int
     reason: Reason | None
@@ -74,7 +74,7 @@ def plan_restore(
 ) -> RestorePlan:
     """``running``: the Run input of the unit (None: not known, taken as running).
 
-    ``remote``: whether its status says REMOTE (None: not known; then its #19 alone says it).
+    ``remote``: whether its status is REMOTE (None: not known; then its #19 alone decides).
     """
     writes: list[Write] = []
     left_out: list[LeftOut] = []
@@ -97,8 +97,8 @@ def plan_restore(
 
 
 def refuse_unwritable(plan: RestorePlan, selection: Selection) -> None:
-    """Raises Problem 409 ``dangerous`` or 422 ``invalid`` for a row that a person named and that would be
-    left out all the same. A unit that is not in REMOTE refuses every row, and the plan says so."""
+    """Raises Problem 409 ``dangerous`` or 422 ``invalid`` for a row that was selected and cannot be
+    written. A unit that is not in REMOTE refuses every row, and the plan states it."""
     for left in plan.left_out:
         if left.number not in selection.include or left.later:
             continue
@@ -112,7 +112,7 @@ def refuse_unwritable(plan: RestorePlan, selection: Selection) -> None:
 
 
 def _why_not(number: int, wanted: UnitRows, present: UnitRows, *, running: bool) -> LeftOut | None:
-    """Why a row that is not equal cannot be written, whoever chooses it."""
+    """Why a row that differs cannot be written, even if selected."""
     parameter = PARAMETERS[number]
     there, target = present.rows.get(number), wanted.rows.get(number)
     if parameter.never_writable:

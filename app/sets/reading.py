@@ -1,4 +1,4 @@
-"""Reading whole parameter lists from units, through the same desk as everything else."""
+"""Reading complete parameter lists from units, through the command service."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ def rows_of(values: Iterable[ParameterValue]) -> dict[int, ParameterRow]:
 
 
 def known_rows(unit: UnitLive) -> UnitRows:
-    """What is known of a live unit without asking it again, each row with the time it was read."""
+    """The known values of a live unit without a request, each row with the time it was read."""
     return UnitRows(unit.settings.id, unit.settings.name, rows_of(unit.parameters.values()))
 
 
 def status_of(bus: BusLive, unit: UnitLive) -> StatusBits | None:
-    """The inputs and the mode of a unit as last read; None for one that does not answer."""
+    """The inputs and the mode of a unit as last read; None for one that does not respond."""
     if unit.reading is None or unit.link.link in ("unknown", "offline"):
         return None
     return status_bits(unit.reading.outputs, unit.reading.inputs, bus.settings.estop_healthy)
 
 
 class ParameterReader:
-    """Reads units of one bus now; an unread or partly read unit is an answer too, never a guess."""
+    """Reads units of one bus now; an unread or partly read unit is reported as such."""
 
     def __init__(self, live: BusLive, commands: CommandService) -> None:
         self._live = live
@@ -50,9 +50,9 @@ class ParameterReader:
         return status_of(self._live, self._live.units[unit])
 
     async def read_unit(self, person: Person, unit: int, *, urgent: bool = False) -> UnitRows:
-        """All 40 parameters as the unit gives them now.
+        """All 40 parameters as the unit reports them now.
 
-        Raises Problem 503 or 504 when the bus is closed or the unit does not answer.
+        Raises Problem 503 or 504 when the bus is closed or the unit does not respond.
         """
         action = ReadParameters(unit=unit, numbers=list(PARAMETERS), urgent=urgent)
         result = await self._commands.send(person, action, timeout_s=READ_TIMEOUT_S)

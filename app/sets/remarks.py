@@ -1,4 +1,4 @@
-"""What a person ought to know of a restore as a whole before any row of it is written. Pure."""
+"""Risks of a restore as one, shown before any row of it is written. Pure."""
 
 from __future__ import annotations
 

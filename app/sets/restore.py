@@ -1,7 +1,7 @@
-"""Restores: planned, reviewed, started, and remembered with what became of each row.
+"""Restores: planned, reviewed, started, and stored with the outcome of each row.
 
-Nothing is written before a person has seen the plan. Stopped half way, by whatever, the rows say
-exactly what was done; the same restore asked again finds the done rows equal and finishes the rest.
+Nothing is written before a person has seen the plan. However it is stopped, the rows state
+exactly what was done; the same restore again finds the done rows equal and finishes the rest.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class RestoreService:
         return [self._restores.get(begun.id, begun) for begun in await self._store.of_unit(bus, unit)]
 
     async def load(self) -> None:
-        """Once at start: what was under way when the server ended is stopped, and says what was done."""
+        """Once at start: mark restores that were running when the server ended as stopped."""
         for restore in await self._store.under_way():
             restore.stop("server_ended", _UNDER_WAY_AT_END)
             await self._store.end(restore)
@@ -80,7 +80,7 @@ class RestoreService:
         wanted: UnitRows,
         selection: Selection = EVERYTHING_HARMLESS,
     ) -> Restore:
-        """Read the unit now and say what would be written; nothing is.
+        """Read the unit now and plan the writes; nothing is written.
 
         Raises Problem 503 or 504 when the unit cannot be read, 409 ``dangerous`` or 422 ``invalid`` for a row
         that the selection includes and that cannot be written.

@@ -44,7 +44,7 @@ class PlanRestore(StrictBody):
 
 
 class StartRestore(StrictBody):
-    """Another choice of rows than the plan was made with; what is left out or null stays as planned."""
+    """Another choice of rows than the plan was made with; a member left out or null stays as planned."""
 
     include: Included | None = None
     exclude: Excluded | None = None
@@ -59,7 +59,7 @@ class StartRestore(StrictBody):
 async def plan_unit_restore(
     person: Engineer, sets: Sets, restores: Restores, live: Live, bus: str, unit: int, wanted: PlanRestore
 ) -> RestoreShown:
-    """Read the unit and say what a restore would write. Nothing is written."""
+    """Read the unit and plan a restore. Nothing is written."""
     unit_or_404(live, bus, unit)
     selection = Selection(frozenset(wanted.include), frozenset(wanted.exclude), frozenset(wanted.ticked))
     rows = await wanted_rows(sets, unit, wanted.set, wanted.document, wanted.from_unit)

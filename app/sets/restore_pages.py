@@ -58,7 +58,7 @@ async def restore_page(
 async def plan_page(
     person: Engineer, sets: Sets, restores: Restores, live: Live, bus: str, unit: int, chosen: Chosen
 ) -> Response:
-    """Read the unit and say what would be written. Nothing is."""
+    """Read the unit and plan a restore. Nothing is written."""
     unit_or_404(live, bus, unit)
     rows = await chosen.uploaded(unit) or await _stored(sets, live, chosen)
     restore = await restores.plan(person, bus, unit, rows)
@@ -82,7 +82,7 @@ async def restore_progress(request: Request, _: Engineer, restores: Restores, re
         proven=_proof(restore.wanted, restore.proven),
     )
     if restore.state != "running":
-        # The state has changed: so do the buttons, and the whole is drawn anew.
+        # The state has changed, and the buttons with it: render the complete part again.
         response.headers["HX-Retarget"] = response.headers["HX-Reselect"] = "#restore"
     return response
 
@@ -101,7 +101,7 @@ async def confirm_dangerous(
 
 @router.post("/restores/{restore_id}/again")
 async def plan_again(person: Engineer, restores: Restores, live: Live, restore_id: str) -> Response:
-    """The same restore once more: what is done is found equal, the rest is reviewed."""
+    """The same restore again: done rows are found equal, the rest is reviewed."""
     old = await restore_or_404(restores, restore_id)
     unit_or_404(live, old.bus, old.unit)
     deselected = frozenset(left.number for left in old.left_out if left.reason == "deselected")

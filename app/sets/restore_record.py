@@ -30,7 +30,7 @@ class RowResult:
 
 @dataclass(slots=True)
 class Restore:
-    """``wanted`` the rows asked for, ``before`` what the unit was, ``proven`` what a full read found
+    """``wanted``: the requested rows; ``before``: the unit's values; ``proven``: those of a full read
     afterwards (None until that read). ``running``, ``remote``: the Run input and REMOTE when it was
     planned, None where not known. ``cause``, ``cause_code``: why it stopped, for people and programs."""
 
@@ -51,7 +51,7 @@ class Restore:
     running: bool | None = None
     remote: bool | None = None
     cancelled_by: str = ""
-    """Who asked to stop after the row in hand."""
+    """The user who stopped it after the current row."""
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
@@ -71,7 +71,7 @@ class Restore:
 
     @property
     def remarks(self) -> list[str]:
-        """What is to be known of the set and the unit before anything is written."""
+        """Remarks on the set and the unit, shown before anything is written."""
         return remarks(self.wanted, self.before, running=self.running, writes=self.plan.writes)
 
     @property
@@ -107,7 +107,7 @@ class Restore:
         self.cancelled_by = who
 
     def account(self) -> str:
-        """Which rows were written and proven, which are in doubt or refused, which were not tried."""
+        """Which rows were written and verified, which are unverified or refused, which were not tried."""
         fates = {
             "done": [row for row in self.rows if row.outcome == "verified"],
             "in doubt": [row for row in self.rows if row.outcome in ("unverified", "acknowledged")],

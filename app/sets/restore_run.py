@@ -18,7 +18,7 @@ from bus.errors import unit_error_name
 from bus.messages import Message, in_english, term
 
 _OF_ITS_ROW = frozenset({"invalid"})
-"""Refusals that say something of one row only."""
+"""Refusals that concern one row only."""
 _STOPS = frozenset({"unverified", "not_sent", "bus_closed"})
 """Outcomes of a row after which the others cannot be expected to do better."""
 
@@ -48,7 +48,7 @@ class RestoreRun:
         await self._prove()
 
     async def _check_review(self) -> None:
-        """Plan again on what the unit says now: a review of other rows or other values is none."""
+        """Plan again with the unit's present values: a review of other rows or values does not count."""
         restore = self._restore
         if not restore.rows:
             return

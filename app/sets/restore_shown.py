@@ -1,4 +1,4 @@
-"""What the API's answers about restores hold, for its OpenAPI document."""
+"""Members of the API's responses about restores, for its OpenAPI document."""
 
 from __future__ import annotations
 

@@ -28,12 +28,12 @@ class RestoreStore:
         await self._database.write(lambda connection: _insert(connection, restore))
 
     async def sending(self, restore: Restore, place: int) -> None:
-        """A row is about to be sent: should nothing more be stored, its fate is in doubt."""
+        """A row is about to be sent: should nothing more be stored, it counts as unverified."""
         unverified = RowResult(restore.rows[place].write, "unverified", ENDED_MEANWHILE)
         await self._database.write(lambda connection: _update_row(connection, restore.id, place, unverified))
 
     async def row(self, restore: Restore, place: int) -> None:
-        """A row has its fate."""
+        """A row has its outcome."""
         row = restore.rows[place]
         await self._database.write(lambda connection: _update_row(connection, restore.id, place, row))
 

@@ -1,4 +1,4 @@
-"""Sets taken daily at a minute that a person chose; a unit that is silent then is read when it answers."""
+"""Sets saved daily at a chosen minute; a unit that does not respond then is read when it does."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _log = structlog.get_logger(__name__)
 LocalClock = Callable[[], datetime]
 LOOK_EVERY_S = 5.0
 REPORT_AFTER = timedelta(seconds=15)
-"""A unit that has not been heard for so long after it was due is said to be silent."""
+"""A unit that has not responded for so long after it was due is reported."""
 
 
 @dataclass(slots=True)
@@ -61,8 +61,8 @@ class SetSchedule:
         await self._record(person, what)
 
     async def follow(self, person: Person) -> None:
-        """Run for ever; ``person`` is whom the sets are taken for in the events. What came due today while
-        the server was not running is made up for."""
+        """Run indefinitely; ``person`` is the author of the sets in the events. Sets due today while
+        the server was not running are saved now."""
         seen = _midnight(self._clock()) - timedelta(seconds=1)
         while True:
             now = self._clock()
@@ -71,7 +71,7 @@ class SetSchedule:
             await asyncio.sleep(LOOK_EVERY_S)
 
     async def look(self, person: Person, seen: datetime, now: datetime) -> None:
-        """Take what came due after ``seen``, up to ``now``, and what is owed from before."""
+        """Save sets that came due after ``seen``, up to ``now``, and those overdue from before."""
         minute_of_day = (await self._keeper.store.schedule()).get(self._bus)
         due = None if minute_of_day is None else due_between(minute_of_day, seen, now)
         if due is not None:
@@ -112,7 +112,7 @@ class SetSchedule:
         return True
 
     async def _not_taken(self, person: Person, unit: int, overdue: OverdueSet, why: str) -> None:
-        """Said once; tried again as long as it is owed."""
+        """Reported once; tried again as long as it is overdue."""
         first, overdue.why = not overdue.why, why
         if first:
             what = Message.of("event_set_not_taken", unit=unit)

@@ -10,8 +10,8 @@ from bus.messages import Message
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The rows that a person chose, by number. ``include``: rows that are left out unless named; ``exclude``:
-    rows not to write; ``confirmed``: dangerous rows to write, each confirmed by itself.
+    """The selected rows, by number. ``include``: rows that are left out unless named; ``exclude``:
+    rows not to write; ``confirmed``: dangerous rows to write, each confirmed separately.
 
     Raises Problem 422 for a row that is both named and excluded.
     """
@@ -31,4 +31,4 @@ class Selection:
 
 
 EVERYTHING_HARMLESS = Selection()
-"""What is written when a person chose nothing: all but setpoints and what is dangerous."""
+"""The rows written without a selection: all but setpoints and dangerous ones."""

@@ -1,4 +1,4 @@
-"""What the API's answers about parameter sets hold, for its OpenAPI document."""
+"""Members of the API's responses about parameter sets, for its OpenAPI document."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ StoredRaw = Annotated[
 
 
 class SetHead(TypedDict):
-    """What every answer about a set begins with."""
+    """The first members of every response about a set."""
 
     id: int
     bus: str

@@ -1,7 +1,7 @@
 """The two sides of a comparison as an address can name them: a stored set, a golden one, a live unit.
 
-``set:12:3`` is unit 3 of set 12, ``golden:dry-end:3`` what unit 3 ought to be, ``live:dry-end:3`` what it
-said when it was last read.
+``set:12:3`` is unit 3 of set 12, ``golden:dry-end:3`` the golden set of unit 3, ``live:dry-end:3`` its
+values as last read.
 """
 
 from __future__ import annotations

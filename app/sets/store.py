@@ -37,13 +37,13 @@ class SetStore:
         return replace(parameter_set, id=number)
 
     async def load(self, set_id: int) -> ParameterSet | None:
-        """A whole set, None when there is no such."""
+        """A complete set; None where there is none."""
         return await self._database.read(lambda connection: _load(connection, set_id))
 
     async def summaries(
         self, bus: str | None = None, unit: int | None = None, *, before: int | None = None, most: int = -1
     ) -> list[SetSummary]:
-        """Newest first, of one bus or one unit where asked; at most so many, of those stored before one."""
+        """Newest first, filtered by bus or unit; at most so many, of those stored before one."""
         return await self._database.read(lambda connection: _summaries(connection, bus, unit, before, most))
 
     async def mark_golden(self, bus: str, unit: int, set_id: int, who: str, now: float) -> None:

@@ -21,8 +21,8 @@ AT_ONCE = 4
 
 @dataclass(slots=True)
 class Taking:
-    """A set being read. ``set_id`` once it is kept; ``silent`` the units that did not answer, with why;
-    ``cause``: why nothing was kept although units answered."""
+    """A set being read. ``set_id`` once it is saved; ``missing``: the units that did not respond, with the
+    reason; ``cause``: why nothing was saved although units responded."""
 
     id: str
     bus: str
@@ -37,7 +37,7 @@ class Taking:
 
     @property
     def done(self) -> int:
-        """How many units were asked."""
+        """Number of units."""
         return len(self.read) + len(self.missing)
 
 
@@ -55,7 +55,7 @@ class Takings:
     def begin(
         self, person: Person, keeper: SetKeeper, units: Sequence[int], name: str, comment: str
     ) -> Taking:
-        """Read the units one after another and keep what they say as one set."""
+        """Read the units one after another and save their values as one set."""
         taking = Taking(secrets.token_hex(8), keeper.bus, tuple(units), name, comment)
         self._takings[taking.id] = taking
         for old in list(self._takings)[:-_KEEP]:
@@ -87,8 +87,8 @@ async def read_together(
     read: list[UnitRows] | None = None,
     missing: dict[int, str] | None = None,
 ) -> tuple[list[UnitRows], dict[int, str]]:
-    """Read units whole, a few at once. Gives those that answered, and why the others did not; ``read`` and
-    ``silent`` are filled on the way where somebody watches."""
+    """Read units completely, a few at once. Returns those that responded, and why the others did not;
+    ``read`` and ``missing`` are filled on the way for a progress display."""
     at_once = asyncio.Semaphore(AT_ONCE)
     read = [] if read is None else read
     missing = {} if missing is None else missing

@@ -28,7 +28,7 @@ def summary_json(summary: SetSummary) -> SummaryShown:
 
 
 def set_json(stored: ParameterSet) -> SetShown:
-    """A whole set; secrets masked."""
+    """A complete set; secrets masked."""
     return {
         **_head(stored),
         "units": [_unit_json(rows) for rows in stored.units],

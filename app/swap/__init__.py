@@ -1,1 +1,1 @@
-"""A dead unit replaced by a spare, step by step, until it is proven to be what the dead one was."""
+"""Replacing a failed unit by a spare, step by step, until the spare is verified to equal it."""

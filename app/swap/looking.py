@@ -13,11 +13,11 @@ from bus.contract import ScanBus
 
 LOOK_TIMEOUT_S = 30.0
 LOOKS = 4
-"""How often an address is asked whose unit still answers the scan."""
+"""Attempts at an address whose unit still responds to the scan."""
 
 
 async def look(commands: CommandService, live: LiveState, person: Person, swap: Swap) -> SwapState:
-    """What the wire shows now. Raises Problem 503 where nobody can tell: the bus is closed, or too busy."""
+    """Probe the wire. Raises Problem 503 where it cannot: the bus is closed, or too busy."""
     bus, target = swap.bus, swap.unit
     at_target = await _at_section(commands, live, person, bus, target)
     at_factory: ProbeFinding = "silent"
@@ -38,7 +38,7 @@ async def look(commands: CommandService, live: LiveState, person: Person, swap: 
 async def _at_section(
     commands: CommandService, live: LiveState, person: Person, bus: str, unit: int
 ) -> ProbeFinding:
-    """One lost answer is no silence: it would let the old unit, still on the cable, pass for the spare."""
+    """One lost response is no absence: it would let the old unit, still on the cable, pass for the spare."""
     for _ in range(LOOKS):
         kind = await _probe(commands, person, unit)
         if kind != "silent" or live.buses[bus].units[unit].link.link != "online":
@@ -55,7 +55,7 @@ async def _probe(commands: CommandService, person: Person, address: int) -> Prob
 
 
 def _remote(live: LiveState, bus: str, unit: int) -> bool | None:
-    """REMOTE as the unit itself said since it came back; None while it has not."""
+    """REMOTE as the unit reported since it came back; None until then."""
     known = live.buses[bus].units[unit]
     if known.reading is None or known.link.link != "online":
         return None

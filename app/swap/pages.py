@@ -72,7 +72,7 @@ async def begin(
 async def look_again(
     request: Request, person: Engineer, live: Live, swaps: Swaps, commands: Commands, bus: str, unit: int
 ) -> Response:
-    """Read the wire, and say where the swap stands and what to do."""
+    """Read the wire; return the state of the swap and the next step."""
     unit_or_404(live, bus, unit)
     swap = swaps.of_or_404(bus, unit)
     now = PROVEN if swap.proven else await _advice(person, live, swaps, commands, swap)
@@ -105,7 +105,7 @@ async def _advice(
 
 @router.post("/swap/{bus}/{unit}/spare")
 async def it_is_the_spare(_: Engineer, swaps: Swaps, bus: str, unit: int) -> Response:
-    """What answers at the section's address is the spare: a person has looked."""
+    """A person confirmed that the unit at the section's address is the spare."""
     await swaps.confirm_spare(swaps.of_or_404(bus, unit))
     return _to_swap(bus, unit)
 
@@ -129,7 +129,7 @@ async def begin_restore(
 async def entered(
     person: Engineer, keeper: ParameterSets, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
-    """All is entered from the sheet: read the unit whole and keep it as a set."""
+    """Everything is entered from the sheet: read the complete unit and save it as a set."""
     unit_or_404(live, bus, unit)
     swap = swaps.of_or_404(bus, unit)
     kept = await keeper.take(person, [unit], "entered from the sheet", "")
@@ -145,7 +145,7 @@ async def give_up(person: Engineer, swaps: Swaps, bus: str, unit: int) -> Respon
 
 
 def _setpoints_left(swap: Swap) -> list[LeftOutShown]:
-    """The setpoints that the spare does not have from the old unit, for nobody chose to write them."""
+    """The setpoints that the spare does not have from the old unit, as they were not selected."""
     if swap.restore is None or not swap.proven:
         return []
     return [

@@ -23,9 +23,9 @@ class SwapSource:
 
 @dataclass(slots=True)
 class Swap:
-    """``source`` None: nothing is stored, the spare is entered from the sheet. ``is_new``: what answers at
-    the section's address is the spare, for the address was silent since the beginning or a person said so.
-    ``seen``: what the wire showed, each once, in order."""
+    """``source`` None: nothing is stored, the spare is entered from the sheet. ``is_new``: the unit at
+    the section's address is the spare, as the address was empty at the beginning or a person confirmed it.
+    ``seen``: findings on the wire, each once, in order."""
 
     bus: str
     unit: int
@@ -53,7 +53,7 @@ class Swap:
 
     @property
     def equal(self) -> bool | None:
-        """Whether the spare is what was asked, as the full read after the last restore says."""
+        """Whether the spare equals the set, by the full read after the last restore."""
         if self.proven:
             return True
         if self.restore is None or self.restore.state == "planned":

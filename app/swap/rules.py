@@ -1,4 +1,4 @@
-"""Where a swap stands and what a person has to do next, from what the wire shows. Pure."""
+"""The state of a swap and the next step for a person, from the findings on the wire. Pure."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ STEPS: tuple[StepName, ...] = ("find", "address", "remote", "restore", "proven")
 
 @dataclass(frozen=True, slots=True)
 class SwapState:
-    """What the wire shows of a swap. ``remote`` and ``equal`` None: not known yet.
+    """Findings on the wire for a swap. ``remote`` and ``equal`` None: not known yet.
 
-    ``at_target``: what answers at the section's address; ``at_factory``: at address 1.
-    ``is_new``: what answers there is the spare, not the old unit that is still on the cable.
-    ``equal``: whether the unit equals the set, as the last full read says.
+    ``at_target``: the unit at the section's address; ``at_factory``: at address 1.
+    ``is_new``: that unit is the spare, not the old unit that is still on the cable.
+    ``equal``: whether the unit equals the set, by the last full read.
     ``baud``: the rate of the line.
     """
 
@@ -38,10 +38,9 @@ class SwapState:
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """The step at hand, and in words (a template for ``target``, ``factory``, ``baud`` and ``hundreds``)
-    what to do now.
+    """The current step and its text (a template for ``target``, ``factory``, ``baud`` and ``hundreds``).
 
-    ``at_panel``: only a person at the unit can do it. ``asks``: whether the unit there is the spare.
+    ``at_panel``: only a person at the unit can do it. ``confirms_spare``: to confirm that it is the spare.
     """
 
     step: StepName

@@ -19,7 +19,7 @@ from app.web.access import Person, account_shown
 from bus.messages import Message, term
 
 LOOK_WAIT_S = 2.0
-"""How long a page waits for a look before it is told what the last one showed."""
+"""How long a page waits for a probe before it shows the previous finding."""
 
 
 class RestoreLookup(Protocol):
@@ -62,7 +62,7 @@ class SwapService:
         return swap
 
     async def begin(self, person: Person, bus: str, unit: int, source: SwapSource | None) -> Swap:
-        """Somebody changes the unit of a section; ``source`` is what the spare shall become.
+        """Begin the swap of a section's unit; ``source`` is what the spare shall become.
 
         Raises Problem 409 where another swap of it is under way.
         """
@@ -78,10 +78,10 @@ class SwapService:
         return swap
 
     async def look(self, swap: Swap, look: Callable[[], Coroutine[Any, Any, SwapState]]) -> SwapState | None:
-        """What the wire shows, or showed at the last look where this one takes long; None before the first.
+        """The finding on the wire, or the previous one where a probe takes long; None before the first.
 
-        One look at a time: it takes the gaps of the scan, and a page that asks again must not pile up more.
-        Raises the Problem that ended the look.
+        One probe at a time: it takes the gaps of the scan, and a page that is reloaded must not pile up more.
+        Raises the Problem that ended the probe.
         """
         running = swap.look = swap.look or asyncio.create_task(
             look(), name=f"look for the spare of {swap.unit}"
@@ -96,7 +96,7 @@ class SwapService:
         return replace(swap.state, is_new=swap.is_new, equal=swap.equal)
 
     async def confirm_spare(self, swap: Swap) -> None:
-        """What answers at the section's address is the spare: a person has looked."""
+        """A person confirmed that the unit at the section's address is the spare."""
         swap.is_new = True
         swap.seen.append("a person said that it is the spare")
         await self._store.save(swap)
@@ -134,7 +134,7 @@ class SwapService:
         await self._record(swap, restore.who, Message("event_swap_proven"), message, outcome="verified")
 
     async def entered(self, person: Person, swap: Swap, kept: ParameterSet) -> None:
-        """All was entered from the sheet, and the unit read whole: it is kept as a set."""
+        """Everything was entered from the sheet, and the complete unit was read: save it as a set."""
         swap.proven = True
         await self._store.save(swap)
         message = f"seen: {', then '.join(swap.seen)}; entered from the sheet; kept as set {kept.id}"
@@ -149,7 +149,7 @@ class SwapService:
 
 
 def step_text(advice: Advice, swap: Swap) -> str:
-    """The sentence of the step; a restore that was tried says how it ended, the sheet what to do with it."""
+    """The text of the step; after a restore its result, for the sheet what to do with it."""
     if swap.source is None and advice.step == "restore":
         return (
             "The unit answers in REMOTE. Enter its parameters from the sheet, then let it be read whole and "

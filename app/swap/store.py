@@ -19,7 +19,7 @@ class SwapStore:
         self._database = database
 
     async def save(self, swap: Swap) -> None:
-        """As it stands now, in the place of what was known of its section."""
+        """Store the present state in place of the section's earlier one."""
         row = _row(swap)
         marks = ", ".join("?" * len(row))
         await self._database.write(

@@ -1,4 +1,4 @@
-"""The commands over HTTP; each answers once its fate is known."""
+"""The commands over HTTP; each responds once its result is known."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class CommandCall:
         unit: int | None = None,
         deadline: Deadline | None = None,
     ) -> Response:
-        """The fate of ``action`` as an answer."""
+        """Send ``action`` and return its result as a response."""
         deadline = deadline or self.deadline(body)
         result = await self.commands.send(
             person, action, deadline=deadline, confirm=body.confirm, id=self.key
@@ -200,7 +200,7 @@ async def write_analog_output(
 async def change_baud(
     person: Annotated[Person, permitted_writer(CHANGE_BAUD)], call: Call, body: BaudBody
 ) -> Response:
-    """#18 of every unit, the host after them, every unit proven; taken back by itself where one is lost."""
+    """Write #18 of every unit, change the host's rate, verify every unit; undone where a unit is lost."""
     return await call.send(person, ChangeBaud(baud=body.baud), body)
 
 
@@ -212,10 +212,10 @@ async def get_parameters(
     refresh: bool = False,
     gaps: bool = False,
 ) -> list[dict[str, Any]]:
-    """All 40 as last read, or with ``refresh`` as the unit gives them now. #21 is masked.
+    """All 40 as last read, or as the unit reports them now with ``refresh``. #21 is masked.
 
-    With ``gaps`` the reading takes only the gaps of the scan: slow while the line is watched, and the
-    watching costs nothing. What was never read is read now where the unit answers.
+    With ``gaps`` only gaps of the scan are used: slow while the line is watched, and free of cost for the
+    polling. Parameters that were never read are read now where the unit responds.
     """
     found = unit_or_404(call.live, call.bus, unit)
     if refresh:

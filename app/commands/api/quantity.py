@@ -22,7 +22,7 @@ _NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, FOLLOWER_MO
 
 
 class QuantityConverter:
-    """Converts for one unit within the time of the command. Raises CallerError for what is no number."""
+    """Converts for one unit within the time of the command. Raises CallerError for text that is no number."""
 
     def __init__(self, commands: CommandService, person: Person, unit: UnitLive, deadline: Deadline) -> None:
         self._commands = commands

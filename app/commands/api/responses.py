@@ -1,4 +1,4 @@
-"""The fate of a command as an HTTP answer."""
+"""The result of a command as an HTTP response."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ STATUS = {
 def command_response(
     request: Request, bus: BusLive, result: Result, unit: int | None = None, *, secret: bool = False
 ) -> Response:
-    """200 with the fate, or the problem that it is; the members are the same in both."""
+    """200 with the result, or the problem it stands for; the members are the same in both."""
     body = result_json(bus, result, unit, secret=secret)
     status = STATUS[result.outcome]
     if status == 200:
@@ -42,7 +42,7 @@ def command_response(
 def result_json(
     bus: BusLive, result: Result, unit: int | None = None, *, secret: bool = False
 ) -> dict[str, Any]:
-    """``units`` holds the fate at each unit, by its number as text. A secret's value is left out."""
+    """``units``: the result of each unit, keyed by its number as text. The value of a secret is left out."""
     by_unit = {str(part.unit): _unit_json(part, secret) for part in result.units}
     alone = by_unit.get(str(unit), {}) if unit is not None else {}
     return {

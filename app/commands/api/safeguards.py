@@ -1,4 +1,4 @@
-"""Limits, blocks and control over HTTP: what keeps a wish from being sent, and who said so."""
+"""Limits, blocks and control over HTTP: what keeps a command from being sent, and who set it."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ async def get_block(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> Blo
 
 @router.post("/units/{unit:int}/block")
 async def block(person: Operator, bus: BusInPath, guards: Guards, unit: int, body: BlockBody) -> BlockShown:
-    """Refuse every write to this unit, on every path, until somebody lifts it."""
+    """Reject every write to this unit, on every path, until the block is removed."""
     unit_of_bus_or_404(bus, unit)
     await guards.block(person, unit, body.reason)
     return _block_json(guards, unit)
@@ -118,13 +118,13 @@ async def get_control(_: Viewer, guards: Guards) -> ControlShown:
 
 @router.post("/control")
 async def take_control(person: Operator, guards: Guards) -> ControlShown:
-    """Take control that nobody else holds."""
+    """Take control where it is free."""
     return _control_json(guards, await guards.take(person))
 
 
 @router.post("/control/hand-over")
 async def hand_over_control(person: Operator, guards: Guards, body: HandOverBody) -> ControlShown:
-    """Give control to somebody else who may set the line. An admin may do so without holding it."""
+    """Hand control over to another user who may set the line. An admin may do so without holding it."""
     return _control_json(guards, await guards.hand_over(person, body.to))
 
 

@@ -1,4 +1,4 @@
-"""What the API's answers about commands hold, for its OpenAPI document."""
+"""Members of the API's responses about commands, for its OpenAPI document."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class FrameShown(TypedDict):
 
 
 class MessageShown(TypedDict):
-    """A text for programs; a value that is a text of its own is a message too."""
+    """A text for programs; a value that is itself a text is a message too."""
 
     code: Annotated[str, Field(description="Which text it is.")]
     params: Annotated[dict[str, Any], Field(description="Its values, by name.")]

@@ -1,6 +1,6 @@
 """``GET /buses/{bus}/trace``: the frames that a worker has kept, decoded, as JSON or as a file.
 
-Whoever sees the frames sees every value that passed, so this needs an engineer.
+The frames show every value that passed, so this needs an engineer.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ HOUR_S = 3600.0
 RECENT_S = 60.0
 PIECE = 2000
 MOST_PIECES = 200
-"""An hour of a full bus has 140. A worker that always has more to tell does not keep a download open."""
+"""An hour of a full bus has 140. Bounds a download from a worker that always has more frames."""
 
 
 TRACE: dict[int | str, dict[str, Any]] = {

@@ -1,4 +1,4 @@
-"""The change of several units of a bus: what its review said, and the proof per unit.
+"""The change of several units of a bus: its review, and the result per unit.
 
 The form of such a review holds for each unit ``raw-N``, the new setpoint, and ``was-N``, the one that the
 person saw; both raw, the latter empty where it was not known.
@@ -38,7 +38,7 @@ def reviewed(live: BusLive, form: FormData) -> dict[int, int]:
 
 
 def followers_of(live: BusLive) -> set[int]:
-    """The units of whose setpoint, a ratio, the screen says no live value."""
+    """The units whose setpoint is a ratio, of which the screen has no live value."""
     return {number for number, unit in live.units.items() if follower(unit)}
 
 
@@ -68,7 +68,7 @@ def _former(live: BusLive, setpoints: Mapping[int, int], form: FormData) -> dict
 
 
 def _outcome_of_all(page: PageContext, result: Result, proofs: list[ResultRow]) -> OutcomeText:
-    """The whole change in one sentence: how many of its units are proven."""
+    """The outcome of the change: how many of its units are verified."""
     outcome = page.outcome(result)
     if result.outcome == "verified":
         return OutcomeText(
@@ -86,7 +86,7 @@ def _outcome_of_all(page: PageContext, result: Result, proofs: list[ResultRow]) 
 def _proofs(
     page: PageContext, live: BusLive, setpoints: Mapping[int, int], result: Result
 ) -> list[ResultRow]:
-    """(name, asked, fate) of each unit, in floor order."""
+    """(name, requested, result) of each unit, in floor order."""
     by_unit = {outcome.unit: outcome for outcome in result.units}
     return [
         (

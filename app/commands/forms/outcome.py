@@ -1,4 +1,4 @@
-"""What became of a wish, in the words of the screen. Pure."""
+"""The result of a command in the words of the screen. Pure."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ ValueFormat = Callable[[int], str]
 
 
 _OF_A_PART: dict[Outcome, Tone] = {"not_sent": "bad", "unverified": "unknown"}
-"""Where one unit's part in a change has an end of its own, told by its message: taken back, or still held."""
+"""Where one unit's part of a change has its own outcome, given by its message: reverted, or still staged."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutcomeText:
-    """``good`` it is so; ``bad`` it is not, and nothing is half done; ``doubt`` nobody knows."""
+    """``good``: as requested; ``bad``: not so, and nothing is half done; ``doubt``: unknown."""
 
     tone: Tone
     text: str
@@ -34,7 +34,7 @@ ResultRow = tuple[str, str, OutcomeText]
 
 
 def outcome_text(result: Result | UnitOutcome, shown: ValueFormat, translator: Translator) -> OutcomeText:
-    """The fate of a command, or of one unit's part in it."""
+    """The text of the result of a command, or of one unit's part in it."""
     read = "" if result.read_back is None else shown(result.read_back)
     if isinstance(result, UnitOutcome) and result.message and not read and result.outcome in _OF_A_PART:
         return OutcomeText(_OF_A_PART[result.outcome], translator.t(result.message))

@@ -1,4 +1,4 @@
-"""What every form of the pages shares: who asks, in which language, and whether the review still holds."""
+"""Shared by every form of the pages: the user, the language, and whether the review is still valid."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class PageContext:
         return service_of(self.request, Hub).screen(self.translator.language.tag).flat()
 
     def people(self) -> dict[str, str]:
-        """Whoever has a page open now, by name, with the role."""
+        """Return the role of each user with an open page, keyed by user name."""
         return service_of(self.request, Hub).people()
 
     def render(self, template: str, /, *, status: int = 200, **context: Any) -> Response:
@@ -95,15 +95,15 @@ class PageContext:
             raise Problem(409, "lapsed", Message("review_lapsed"))
 
     def deadline(self, bus: BusLive, staged_units: int = 0) -> Deadline:
-        """Of the command that this request asks for. ``staged_units``: how many a change is of."""
+        """Deadline of the command that this request sends. ``staged_units``: number of units of a change."""
         return Deadline(self.made_at, timeout_s_for(bus, staged_units))
 
     async def send(
         self, person: Person, bus: str, action: Action, id: str, deadline: Deadline | None = None
     ) -> Result:
-        """The reviewed command, once; ``deadline`` where it is not that of its kind.
+        """Send the reviewed command, once; ``deadline`` where it is not that of its kind.
 
-        Raises Problem for what is not sent.
+        Raises Problem where it is not sent.
         """
         timeout_s = kind_of_command(action).timeout_s(action, self.bus(bus))
         deadline = deadline or Deadline(self.made_at, timeout_s)
@@ -123,7 +123,7 @@ class PageContext:
         return self.done(title, problem_text(problem, self.translator), status=problem.status)
 
     def done(self, title: str, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
-        """The end of a review, in the dialog. ``setpoint``: what was asked, what field reads it, its undo."""
+        """The end of a review, in the dialog. ``setpoint``: the requested value, its live field, its undo."""
         context = {"asked": "", "reads": "", "undo": None} | setpoint
         return self.render("unit/_done.html", title=title, outcome=outcome, status=status, **context)
 

@@ -32,7 +32,7 @@ async def judge(
 
 
 async def know_ramps(page: PageContext, person: Person, bus: str, units: Iterable[int]) -> None:
-    """Read what a ramp takes where that was never read; of a unit that does not tell it stays unknown."""
+    """Read the ramp parameters that were never read; a ramp stays unknown where the unit does not respond."""
     deadline = page.deadline(page.bus(bus))
 
     async def read(unit: int, numbers: list[int]) -> None:
@@ -50,7 +50,7 @@ def change(page: PageContext, bus: str, unit: int, raw: int) -> SetpointChange:
 
 
 def facts(page: PageContext, bus: str, unit: int) -> RiskInputs:
-    """What is known of a unit now, no ramp in view."""
+    """The inputs of the risk rules for a unit, without a ramp."""
     block = page.guards(bus).block_reason(unit)
     return facts_of(page.bus(bus), page.unit(bus, unit), time.time(), block=block)
 

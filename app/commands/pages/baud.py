@@ -1,4 +1,4 @@
-"""The baud rate of a whole line: reviewed, typed, changed at every unit, proven, or taken back."""
+"""The baud rate of a line: reviewed, confirmed by typing, changed at every unit, verified, or reverted."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ async def change(
     baud: Annotated[int, Form()],
     id: Annotated[str, Form(min_length=8, max_length=200)],
 ) -> Response:
-    """Change it at every unit; the fate of each."""
+    """Change it at every unit; a result for each."""
     live = page.bus(bus)
     result = await page.send(person, bus, ChangeBaud(baud=baud), id, Deadline(page.made_at, CHANGE_S))
     return page.render(

@@ -1,4 +1,4 @@
-"""The bus page: what the wire carries, how each unit answers, the frames as they pass, a scan."""
+"""The bus page: wire statistics, responses of each unit, the trace, a scan."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ async def scan(
     first: Annotated[int, Form(ge=1, le=255)] = 1,
     last: Annotated[int, Form(ge=1, le=255)] = 255,
 ) -> Response:
-    """Which addresses answer, in the gaps of the scan."""
+    """Find the addresses that respond, in the gaps of the scan."""
     page.bus(bus)
     action = ScanBus(first=min(first, last), last=max(first, last))
     result = await page.send(person, bus, action, new_id())
@@ -114,7 +114,7 @@ async def control(
     do: Annotated[str, Form(pattern="^(take|release|hand-over)$")],
     to: Annotated[str, Form(max_length=80)] = "",
 ) -> Response:
-    """Take, give back or hand over control of this line; who was quicker is said in its place."""
+    """Take, release or hand over control of this line; names the holder where another user was quicker."""
     page.bus(bus)
     try:
         await _move_control(page, person, bus, do, to)
@@ -150,7 +150,7 @@ def _control(page: PageContext, person: Person, bus: str) -> dict[str, Any]:
 
 
 def _others(page: PageContext, person: Person, bus: str) -> list[str]:
-    """Who is here, may set a line and does not hold this one; an admin may take it this way."""
+    """Users with an open page who may set a line and do not hold this one."""
     holder = page.guards(bus).holder()
     here = {name for name, role in page.people().items() if Role(role).includes(Role.OPERATOR)}
     if person.role.includes(Role.ADMIN):

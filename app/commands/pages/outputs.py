@@ -29,7 +29,7 @@ ON, OFF = "on", "off"
 
 
 def output_name(live: UnitLive, number: int) -> str:
-    """What is wired there, or just its number."""
+    """What is wired there, or its number."""
     return live.settings.labels.output.get(number, "")
 
 

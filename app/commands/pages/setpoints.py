@@ -95,7 +95,7 @@ async def review_setpoints(
 async def _typed_setpoints(
     person: Person, page: PageContext, live: BusLive, form: FormData
 ) -> dict[int, int]:
-    """Raw, by unit. Raises CallerError and Problem for what is no setpoint of its unit."""
+    """Raw setpoint by unit. Raises CallerError and Problem for an invalid setpoint."""
     fields = {unit: str(form.get(f"new-{unit}", "")).strip() for unit in live.units}
     typed = {unit: text for unit, text in fields.items() if text}
     if not typed:

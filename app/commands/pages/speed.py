@@ -89,7 +89,7 @@ async def set_speed(
     reviewed_at: Annotated[float, Form()],
     was: Was = "",
 ) -> Response:
-    """The reviewed setpoint, once, to its fate."""
+    """Send the reviewed setpoint, once, and show its result."""
     live = page.unit(bus, unit)
     action = SetSpeed(unit=unit, raw=raw, execute=how == "now")
     try:
@@ -105,7 +105,7 @@ async def set_speed(
 def _done(
     page: PageContext, bus: str, live: UnitLive, raw: int, result: Result, undo: dict[str, str] | None
 ) -> Response:
-    # The screen says the commanded speed of a follower, and no ratio to prove this by.
+    # The screen has the commanded speed of a follower, and no ratio to compare with.
     reads = "" if follower(live) else f"{bus}/{live.settings.id}.commanded"
     return page.done(
         live.settings.name,
@@ -189,7 +189,7 @@ async def execute(
     raw: SetpointField,
     reviewed_at: Annotated[float, Form()],
 ) -> Response:
-    """83h to one unit, if what is staged is still what was reviewed."""
+    """Send 83h to one unit if the staged value is still the reviewed one."""
     live = page.unit(bus, unit)
     try:
         page.refuse_lapsed(reviewed_at)

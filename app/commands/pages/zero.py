@@ -28,8 +28,8 @@ router = APIRouter(prefix="/line/zero", include_in_schema=False)
 
 @router.get("")
 async def review_zero(person: Viewer, page: Page) -> Response:
-    """What setting the line to zero will do, and to whom; a bus in other hands is named as a whole. Who may
-    only look is told so: the button stands in the same place of every page for everybody."""
+    """What setting the line to zero will do, to which units; a bus that another user controls is one item.
+    A viewer sees the same button, in the same place on every page, and is told why it has no effect."""
     if not person.role.includes(SET_LINE.role):
         return page.render("line/_zero_not_yours.html")
     now = time.time()
@@ -67,9 +67,9 @@ async def set_zero(
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[float, Form()],
 ) -> Response:
-    """Speed 0 to every unit that can be told, all at once where all acknowledge, else one by one.
+    """Set the speed of every reachable unit to 0, all at once where all acknowledge, else one by one.
 
-    What one bus or one unit refuses keeps no other from it.
+    A refusal by one bus or one unit does not affect the others.
     """
     title = page.translator.t("Set line to zero")
     try:
@@ -82,7 +82,7 @@ async def set_zero(
 
 
 async def _zero_bus(person: Person, page: PageContext, plan: ZeroPlan, id: str) -> list[ResultRow]:
-    """What is left out comes first, with the reason."""
+    """Units that are left out come first, with the reason."""
     left_out = [
         (
             _on_site(page, plan.bus, name),
@@ -123,7 +123,7 @@ async def _zero_units(person: Person, page: PageContext, plan: ZeroPlan, id: str
 
 
 class _BusCommands:
-    """Asks one bus on behalf of one press; what is refused before the wire is a fate as well."""
+    """Sends commands to one bus for one confirmation; a rejection before the wire is a result too."""
 
     def __init__(self, person: Person, page: PageContext, bus: str, id: str) -> None:
         self._person, self._page, self._bus, self._id = person, page, bus, f"{id}-{bus}"

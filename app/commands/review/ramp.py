@@ -40,7 +40,7 @@ def present_setpoint(bus: BusLive, unit: UnitLive) -> int | None:
 
 
 def ramp_parameters_missing(unit: UnitLive) -> list[int]:
-    """What must be read before a ramp's time can be told."""
+    """Parameters to read before the time of a ramp can be given."""
     return [number for number in (MAX_DISPLAY, ACCELERATION, DECELERATION) if number not in unit.parameters]
 
 

@@ -1,8 +1,8 @@
-"""What a review says of a unit besides its new value: why it cannot take a command now, and what somebody
-might not expect of it. Pure.
+"""What a review shows of a unit besides its new value: why it cannot take a command now, and risks that may
+be unexpected. Pure.
 
-Both are tables, in the order in which they are said. Of the obstacles only the first is: once it is gone, the
-next may be too.
+Both are tables in order of display. Only the first obstacle is shown: the next may disappear with
+it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from bus.messages import Message, ParamValue
 
 @dataclass(frozen=True, slots=True)
 class RiskInputs:
-    """What is known of one unit at a moment. ``bits`` None: it has never responded. ``ramp`` None: the
+    """State of one unit at a moment. ``bits`` None: it has never responded. ``ramp`` None: the
     command starts none. ``block``: why commands to it are blocked, empty where they are not.
     ``above_display``: an engineer's limit allows the setpoint, and #2 does not."""
 
@@ -66,7 +66,7 @@ _RISKS = (
 
 
 def risks_of_writing(number: int, raw: int) -> tuple[Message, ...]:
-    """What somebody might not expect of writing a parameter (86h)."""
+    """Risks of writing a parameter (86h)."""
     if number in (ACCELERATION, DECELERATION) and raw == 0:
         return (Message.of("risk_no_ramp", number=number),)
     if number in KIND_OF_PARAMETER:
@@ -102,7 +102,7 @@ def obstacle_of(facts: RiskInputs) -> Message | None:
 
 
 def risks_of(facts: RiskInputs) -> tuple[Message, ...]:
-    """What somebody might not expect of the unit."""
+    """Risks that come from the unit's state."""
     return tuple(_remarks(_RISKS, facts))
 
 

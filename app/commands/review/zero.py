@@ -1,4 +1,4 @@
-"""Setting a whole line to zero: which units take part, and which cannot. Pure.
+"""Setting a complete line to zero: which units take part, and which cannot. Pure.
 
 It commands speed 0 and every unit ramps by its own #7. It is no emergency stop: nothing on this link
 can run or stop a drive. Followers keep their ratio and come down with their master.
@@ -17,7 +17,7 @@ from bus.messages import Message
 
 @dataclass(slots=True)
 class ZeroPlan:
-    """For one bus. ``units``: address → name. ``left_out`` and ``risks``: name, and what is said of it."""
+    """For one bus. ``units``: address → name. ``left_out`` and ``risks``: name, with its reason or risk."""
 
     bus: str
     units: dict[int, str] = field(default_factory=dict)

@@ -1,7 +1,7 @@
-"""What a kind of command refuses by itself, before anything that all of them refuse. Pure.
+"""The checks of single kinds of command, before those that all kinds share. Pure.
 
-Each raises ObjectionError. The unit decides what only it can know: a write in LOCAL and an analog output that
-is not set for the link are sent, and refused by the unit in its own words.
+Each raises ObjectionError. Only the unit can decide on a write in LOCAL and on an analog output that is not
+set for the link: these are sent, and refused by the unit.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A reason not to send what was asked."""
+"""A reason not to send a command."""
 
 from __future__ import annotations
 

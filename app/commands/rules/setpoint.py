@@ -1,7 +1,7 @@
-"""Whether a unit's setpoint may become what is asked. Pure.
+"""Whether a unit's setpoint may become the requested one. Pure.
 
 In order: its range, how far it may move within a minute, how large a step may be without a review. A
-master's speed 0 is always allowed: no limit of ours may keep a line from being set to zero.
+master's speed 0 is always allowed: no limit here may keep a line from being set to zero.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""What a setpoint of a unit may be: the one answer for labels, number pad, reviews, checks and the API. Pure.
+"""The range of a unit's setpoint, for labels, number pad, reviews, checks and the API alike. Pure.
 
 ==========  =======================================================================================
 a speed     0 to #2, the number displayed at full scale. An engineer's own highest setpoint takes its
             place, and may be above it. Without either the protocol's limit holds (manual, 82h) and the
-            unit judges: one that does not have #2 (NAK 82h), or has 0 there, says nothing
+            unit decides: one without #2 (NAK 82h), or with 0 there, states no limit
 a ratio     #38 to #31, which an engineer's own limits can only narrow
 ==========  =======================================================================================
 """
@@ -105,7 +105,7 @@ def _of_the_unit(unit: UnitLive, kind: SetpointKind) -> SetpointRange:
 
 
 def _narrowed(found: SetpointRange, limits: Limits) -> SetpointRange:
-    """Of a speed, an engineer's highest takes the place of #2. Nothing else widens what the unit says."""
+    """Of a speed, an engineer's highest replaces #2. Nothing else widens the unit's range."""
     lowest, highest = found.lowest, found.highest
     if limits.highest is not None:
         own = max(lowest, min(highest, limits.highest))

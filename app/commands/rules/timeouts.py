@@ -1,4 +1,4 @@
-"""How long a command may take where its sender does not say. Pure; seconds."""
+"""How long a command may take where its sender gives no timeout. Pure; seconds."""
 
 from __future__ import annotations
 

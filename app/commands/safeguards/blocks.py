@@ -27,7 +27,7 @@ class BlockStore:
         self._blocks: dict[int, CommandBlock] = {}
 
     async def load(self) -> None:
-        """Read what is stored; once, before the first command."""
+        """Load from the database; once, before the first command."""
         self._blocks = await self._database.read(partial(_select, bus=self._bus))
 
     def of(self, unit: int) -> CommandBlock | None:

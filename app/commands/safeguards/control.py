@@ -1,6 +1,6 @@
-"""Who holds control of a bus, where the site wants one person at a time. Pure: the time is passed in.
+"""Who holds control of a bus, where the site allows one user at a time. Pure: time is passed in.
 
-Control is held in memory only: a restarted server has given it to nobody.
+Control is held in memory only: after a restart it is free.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ LAPSES_AFTER_S = 600.0
 
 @dataclass(frozen=True, slots=True)
 class Holding:
-    """Control of one bus. It lapses when nothing was asked for :data:`LAPSES_AFTER_S`."""
+    """Control of one bus. It lapses after :data:`LAPSES_AFTER_S` without a command of its holder."""
 
     holder: str
     since: float
@@ -24,12 +24,12 @@ class Holding:
 
     @property
     def lapses_at(self) -> float:
-        """When control ends unless the holder asks for something."""
+        """When control lapses unless its holder sends another command."""
         return self.used_at + LAPSES_AFTER_S
 
 
 class ControlledError(LinesideError):
-    """Somebody else holds control; the message says who."""
+    """Another user holds control; the message names the holder."""
 
 
 class Control:
@@ -40,12 +40,12 @@ class Control:
         self._holding: Holding | None = None
 
     def holding(self, now: float) -> Holding | None:
-        """Who holds control now, if anybody."""
+        """The holder of control; None where it is free."""
         holding = self._holding
         return holding if holding is not None and now < holding.lapses_at else None
 
     def take(self, who: str, now: float) -> Holding:
-        """Take control that nobody else holds. Raises ControlledError."""
+        """Take control where it is free. Raises ControlledError."""
         holding = self.holding(now)
         if holding is not None and holding.holder != who:
             raise ControlledError(Message.of("control_held_by", who=account_shown(holding.holder)))
@@ -54,7 +54,7 @@ class Control:
         return self._holding
 
     def hand_over(self, who: str, to: str, now: float, *, by_force: bool = False) -> Holding:
-        """Give control to somebody else. Raises ControlledError for one who does not hold it."""
+        """Hand control over. Raises ControlledError for a user who does not hold it."""
         holding = self.holding(now)
         if not by_force and (holding is None or holding.holder != who):
             raise ControlledError(_who_holds(holding))
@@ -77,14 +77,14 @@ class Control:
         return held
 
     def objection(self, who: str, now: float) -> Message | None:
-        """Why somebody may not write now; None where they may."""
+        """Why ``account`` may not write now; None where it may."""
         holding = self.holding(now)
         if not self.required or (holding is not None and holding.holder == who):
             return None
         return _who_holds(holding)
 
     def use(self, who: str, now: float) -> None:
-        """A write is about to be asked: it needs control, and keeps it. Raises ControlledError."""
+        """Require control for a write, and renew it. Raises ControlledError."""
         objection = self.objection(who, now)
         if objection:
             raise ControlledError(objection)

@@ -57,7 +57,7 @@ class LimitsStore:
         self._limits: dict[int, Limits] = {}
 
     async def load(self) -> None:
-        """Read what is stored; once, before the first command."""
+        """Load from the database; once, before the first command."""
         self._limits = await self._database.read(partial(_select, bus=self._bus))
 
     def of(self, unit: int) -> Limits:

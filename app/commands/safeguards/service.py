@@ -19,7 +19,7 @@ from bus.messages import Message, term
 
 SIGNED_OUT = "signed out, or has other rights"
 AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
-"""The account that somebody names, and what it may do; None when there is none."""
+"""The account with this name, and its role; None where there is none."""
 
 
 class Safeguards:
@@ -50,7 +50,7 @@ class Safeguards:
         sessions.on_signed_out(self.revoke_control)
 
     async def load(self) -> None:
-        """Read what is stored."""
+        """Load from the database."""
         await self.limits.load()
         await self.blocks.load()
 
@@ -89,16 +89,16 @@ class Safeguards:
         await self._record("block", person, unit, Message("event_block_lifted"), before.reason, None)
 
     def holding(self) -> Holding | None:
-        """Who holds control now, if anybody."""
+        """The holder of control; None where it is free."""
         return self.control.holding(self._now())
 
     def holder(self) -> str:
-        """The account of who holds control; empty when nobody does."""
+        """The account of the holder; empty where control is free."""
         holding = self.holding()
         return holding.holder if holding is not None else ""
 
     async def take(self, person: Person) -> Holding:
-        """Take control that nobody else holds. Raises Problem 409."""
+        """Take control where it is free. Raises Problem 409."""
         await self._rights.check(person)
         before = self.holding()
         try:
@@ -110,8 +110,8 @@ class Safeguards:
         return holding
 
     async def hand_over(self, person: Person, to: str) -> Holding:
-        """Give control to somebody else; an admin may without holding it. Raises Problem 409, and 422
-        for a name that nobody has who could use it: the line would be held by nobody until it lapses."""
+        """Hand control over; an admin may do so without holding it. Raises Problem 409, and 422 for a
+        name without an account that could use it, which would hold the line until it lapses."""
         to = await self._who_may_hold(person, to)
         before = self.holding()
         by_force = person.role.includes(Role.ADMIN)

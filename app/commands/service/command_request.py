@@ -1,4 +1,4 @@
-"""One command as somebody asked for it."""
+"""One command as a user or program requested it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class CommandRequest:
     origin: str
     listener: ProgressListener | None = None
     key: str | None = None
-    """What its sender calls it, to be told its result again; a sender's keys are its own."""
+    """The sender's key, by which it gets the result again; keys of different senders are independent."""
 
     @property
     def unit(self) -> int | None:

@@ -1,4 +1,4 @@
-"""The one way from a wish to the wire: checked, written down, sent once, followed to its fate."""
+"""The only path from a request to the wire: checked, recorded, sent once, followed to its result."""
 
 from __future__ import annotations
 
@@ -85,17 +85,17 @@ class CommandService:
         origin: str = "api",
         listener: ProgressListener | None = None,
     ) -> Result:
-        """Carry out ``action`` and give its one fate; the same ``id`` again gives the same fate. It is the
-        sender's own: what others ask with the same one is another command.
+        """Send ``action`` and return its one result; the same ``id`` returns the same result again. An id
+        belongs to its sender: the same id of another sender is another command.
 
-        ``deadline``: of a command that a request asks for. Without one it may wait ``timeout_s`` from now on,
-        or as long as its kind takes.
+        ``deadline``: the request's. Without one it may wait ``timeout_s`` from now, or as long as its
+        kind takes.
 
-        Raises Problem for what is not asked of the worker at all: 404 for a unit that is not
+        Raises Problem for a command that is not sent to the worker: 404 for a unit that is not
         configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``,
-        403 ``rights_withdrawn`` when the person's account may no longer do what it could when the person was
-        authenticated, 503 ``not_sent`` where its deadline has passed. Work that lasts asks once for each
-        write, so that it stops there.
+        403 ``rights_withdrawn`` when the account has lost a right that it had when the person was
+        authenticated, 503 ``not_sent`` where its deadline has passed. A task of many writes sends each as a
+        command and stops there.
         """
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
@@ -123,7 +123,7 @@ class CommandService:
         return result if id is None else msgspec.structs.replace(result, id=id)
 
     async def reserve(self) -> None:
-        """A person who may write is about to ask for it: the next turn of the wire is left to it."""
+        """A user may be about to write: reserve the next turn of the wire."""
         await self._channel.reserve()
 
     async def cancel(self, id: str) -> None:
@@ -147,7 +147,7 @@ class CommandService:
         async with self._rejection_recorded(request):
             request.deadline.refuse_passed()
             await self._rights.check(request.person)
-            # Before anything is read for it: who may not write here learns that, not what the unit says.
+            # Before anything is read for it: a user without control learns that, not the unit's values.
             self._use_control(request.person, request.action)
             await self.read_ranges(request.person, request.action, request.deadline)
             self._object(request.person, request.action, confirm)
@@ -191,7 +191,7 @@ class CommandService:
         already = self._cache.find(request.person, request.key)
         if already is not None:
             return already
-        # Noted before anybody else can be checked: two at once must not both pass the limit of a minute.
+        # Noted before another command can be checked: two at once must not both pass the limit of a minute.
         steps, at = _steps(request.action, self._live), self._now()
         for unit, step in steps.items():
             self._moves.note(unit, step, at)

@@ -1,8 +1,8 @@
-"""Commands that were asked with a key, on disk: asked again with it, also after a restart, they give the same
-result and nothing is sent.
+"""Commands with an idempotency key, on disk: sent again with it, also after a restart, they return the same
+result and nothing is sent to the unit.
 
-What is stored goes into the transaction of the command's own event, so a key is known exactly when the intent
-is, which is before anything is sent. A key belongs to its sender: what others call their commands is theirs.
+The key is stored in the transaction of the command's own event: it is known exactly when the intent is, which
+is before anything is sent. Keys of different senders are independent.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ _INSERT = "INSERT INTO idempotency (sender, key, requested_at, command) VALUES (
 
 @dataclass(frozen=True, slots=True)
 class Earlier:
-    """What a key stands for. ``command``: the digest of what was asked."""
+    """The command of a key. ``command``: digest of the request."""
 
     command: str
     result: Result
 
 
 def digest(ring: KeyRing, bus: str, action: Action) -> str:
-    """What is stored of a command, so that it is told from another one. Made with the key of the server: a
+    """Identifies a command without storing it. Keyed with the server's secret: a
     password of few digits (#21) could be found from a plain hash by trying all."""
     return ring.seal("command", *_parts(bus, action))
 
@@ -80,7 +80,7 @@ def end(connection: sqlite3.Connection, request: CommandRequest, result: Result)
 
 
 def find(connection: sqlite3.Connection, sender: str, key: str) -> Earlier | None:
-    """What a key of this sender stands for. The result of a command that was open when the server ended is
+    """The command of a sender's key. The result of a command that was open when the server ended is
     unverified."""
     row = connection.execute(
         "SELECT requested_at, command, result FROM idempotency WHERE sender IN (?, ?) AND key = ?",

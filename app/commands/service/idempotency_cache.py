@@ -10,7 +10,7 @@ from app.web.access import Person
 from bus.contract import Action, Result
 
 REMEMBERED = 1000
-"""Results kept for who asks with the same key again."""
+"""Results kept for senders that repeat a key."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class IdempotencyCache:
         return None if key is None else self._kept.get((person.sender, key))
 
     def keep(self, person: Person, key: str, command: KeptCommand) -> None:
-        """From now on the key stands for this command."""
+        """Bind the key to this command."""
         place = (person.sender, key)
         self._kept[place] = command
         while len(self._kept) > REMEMBERED and next(iter(self._kept.values())).result.done():

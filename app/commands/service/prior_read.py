@@ -31,7 +31,7 @@ class UnreadError(Problem):
 
 
 class CommandSender(Protocol):
-    """How a read is asked for."""
+    """Sends a read command."""
 
     async def __call__(self, person: Person, action: Action, *, deadline: Deadline) -> Result: ...
 

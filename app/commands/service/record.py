@@ -1,4 +1,4 @@
-"""A command in the events: its intent on disk before anything is sent, its fate once it is known.
+"""A command in the events: its intent on disk before anything is sent, its result once it is known.
 
 A change of several units is one event for the line and one for each unit, all in one transaction.
 """
@@ -45,7 +45,7 @@ class CommandRecord:
         self._now = now
 
     async def earlier(self, sender: str, key: str) -> idempotency.Earlier | None:
-        """What became of a command that this sender asked with this key, before a restart too."""
+        """The earlier command of this sender with this key, also from before a restart."""
         return await self._database.read(lambda connection: idempotency.find(connection, sender, key))
 
     def is_same(self, earlier: idempotency.Earlier, bus: str, action: Action) -> bool:
@@ -68,7 +68,7 @@ class CommandRecord:
         return Intent(event, dict(zip(by_unit, others, strict=True)))
 
     async def conclude(self, intent: Intent, request: CommandRequest, result: Result) -> None:
-        """The fate of what was intended. A store that fails now changes nothing of the fate."""
+        """Record the result of an intent. The result stands even if the database fails now."""
         try:
             if intent.parts:
                 await self._events.conclude_together(_outcomes(intent, result))
@@ -79,7 +79,7 @@ class CommandRecord:
             log.error("fate not stored", command=request.id, outcome=result.outcome, error=str(error))
 
     async def reject(self, request: CommandRequest, live: BusLive, problem: Problem) -> None:
-        """A wish that was not sent, with the reason."""
+        """Record a rejected command with the reason."""
         entry = _entry(request, request.unit, kind_of_command(request.action).wording(request.action, live))
         await self._events.record(kind="command", **entry, outcome=problem.code, message=problem.detail)
 

@@ -1,8 +1,8 @@
-"""Who is about to write: the wire is told while the request is still being read.
+"""Senders that are about to write: the wire is reserved while the request is still being read.
 
-On a busy bus a poll is always under way, and what follows it leaves within a millisecond of its end. A write
-that came too late for that by the time of its way through the app and onto its disk would wait for a whole
-poll more.
+On a busy bus a poll is always in progress, and the next leaves within a millisecond of its end. A write
+that arrives after that, because of its way through the app and onto its disk, would wait for one more
+poll.
 """
 
 from __future__ import annotations

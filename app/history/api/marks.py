@@ -1,4 +1,4 @@
-"""What is drawn beside the values: what happened to the line, setpoint changes among it."""
+"""Events drawn beside the values, setpoint changes among them."""
 
 from __future__ import annotations
 
@@ -24,6 +24,6 @@ async def collect_marks(events: EventLog, span: Span, units: list[str]) -> tuple
 
 
 def _concerns(event: Event, units: list[str]) -> bool:
-    """Of the site, of a whole bus, or of a unit that is shown."""
+    """Of the site, of a bus, or of a unit that is shown."""
     of_these = event["unit"] is None or not units or f"{event['bus']}/{event['unit']}" in units
     return event["kind"] in KINDS and of_these

@@ -50,7 +50,7 @@ def iso(at: int) -> str:
 
 
 def shown(asked: SeriesQuery, found: QueryResult, times: str) -> dict[str, Any]:
-    """An answer as the API gives it."""
+    """A result as the API returns it."""
     unit = labels.unit_settings(asked.bus, asked.unit)
     at: list[Any] = [seconds(t) if times == "epoch" else iso(t) for t in found.series.at]
     return {
@@ -139,8 +139,8 @@ async def get_marks(
     span: SpanOf,
     unit: Annotated[list[str] | None, Query()] = None,
 ) -> Response:
-    """What happened over a span, oldest first: events (setpoint changes too) of the site and of each
-    ``bus/unit`` named. At most 500, the newest; ``more`` says that there were more. ``shown``: ``what``,
+    """Events over a span, oldest first (setpoint changes too), of the site and of each
+    ``bus/unit`` named. At most 500, the newest; ``more``: there were more. ``shown``: ``what``,
     ``old`` and ``new`` in the reader's language."""
     marks, more = await collect_marks(events, span, unit or [])
     templates = templates_of(request)
@@ -158,8 +158,8 @@ async def get_marks(
 
 @router.get("/status")
 async def get_status(_: Viewer, history: HistoryOf) -> StatusShown:
-    """How history is: ``state`` ok, low or scarce (the disk is short), paused or failed; ``message`` says
-    what to do. The rest of Lineside works in every state."""
+    """The state of the history: ``state`` ok, low or scarce (the disk is short), paused or failed;
+    ``message`` states what to do. The rest of Lineside works in every state."""
     return cast(StatusShown, asdict(history.status))
 
 
@@ -172,9 +172,9 @@ async def get_export(
     file: Annotated[Format, Query(alias="format")] = "csv",
     resolution: ExportResolution = "auto",
 ) -> StreamingResponse:
-    """CSV or Parquet of any span, streamed: ``series`` as often as wanted, each ``bus/unit/value``.
+    """CSV or Parquet of any span, streamed: ``series`` may be repeated, each ``bus/unit/value``.
 
-    ``resolution`` auto gives the readings where they are still kept over the whole span, else minutes.
+    ``resolution`` auto returns the readings where they are still kept over the span, else minutes.
     """
     asked = questions(history, series, Span(span.start, span.end), 1)
     return await download.response(history, asked, file, resolution)

@@ -1,4 +1,4 @@
-"""What the API's answers about history hold, for its OpenAPI document."""
+"""Members of the API's responses about history, for its OpenAPI document."""
 
 from __future__ import annotations
 
@@ -105,4 +105,4 @@ EXPORT: dict[int | str, dict[str, Any]] = {
     },
     **problems(404, 501),
 }
-"""What an export answers with."""
+"""The response of an export."""

@@ -1,4 +1,4 @@
-"""What a request for history says: which values, over which span, in how many points."""
+"""The parameters of a request for history: values, span, number of points."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ HistoryOf = Annotated[History, service(History)]
 def moment(text: str, name: str) -> int:
     """An ISO 8601 time with zone as µs since the epoch. Raises Problem 422.
 
-    A ``+`` that came as a blank, because nobody escaped it, is understood.
+    A ``+`` that was not escaped and arrives as a blank is understood.
     """
     try:
         at = datetime.fromisoformat(_PLUS_LOST.sub(r"\1+\2", text.strip()))
@@ -69,7 +69,7 @@ async def wanted_span(
     since: Annotated[str | None, Query(alias="from", max_length=40)] = None,
     until: Annotated[str | None, Query(alias="to", max_length=40)] = None,
 ) -> Span:
-    """The span asked for; the last hour where nothing is said."""
+    """The requested span; the last hour by default."""
     end = round(time.time() * SECOND) if until is None else moment(until, "to")
     start = end - HOUR if since is None else moment(since, "from")
     if start >= end:

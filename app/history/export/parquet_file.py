@@ -1,6 +1,6 @@
 """An export as Parquet: a timestamp column with zone, a float column for each value, a note.
 
-pyarrow is large, so it is imported when the first such export is asked for.
+pyarrow is large and therefore imported at the first such export.
 """
 
 from __future__ import annotations

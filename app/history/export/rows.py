@@ -1,8 +1,8 @@
 """The rows of an export: any span, a piece at a time, so that a year takes no more memory than a day.
 
-One row for each instant at which a unit was heard; a value of another unit stays empty there.
-Equal readings one after the other are two rows, the first and the last. A hole is a row of its
-own with a note and no values.
+One row for each instant at which a unit responded; a value of another unit stays empty there.
+Equal consecutive readings are two rows, the first and the last. A hole is a separate row
+with a note and no values.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Cell(NamedTuple):
 
 
 class ExportRow(NamedTuple):
-    """An instant (µs), a cell for each column (None: nothing said then), a note."""
+    """An instant (µs), a cell for each column (None: no reading then), a note."""
 
     at: int
     cells: tuple[Cell | None, ...]
@@ -126,7 +126,7 @@ def _source(
     span: SeriesQuery,
     damaged: list[BlockKey],
 ) -> unit_history.StoredUnit | None:
-    """None for a unit without history. Made before the store stands still: what is folded in between is there
+    """None for a unit without history. Made before the store's snapshot: a block folded in between is there
     twice, not never."""
     key = tables.find_unit(connection, *unit)
     if key is None:

@@ -1,4 +1,4 @@
-"""How a filling disk is met: said early, then oldest readings go, then history pauses for the events."""
+"""Levels of a filling disk: a warning, then the oldest readings go, then history pauses for the events."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ class DiskReserve:
     """Free bytes below which each thing happens."""
 
     announce: int = 2_000 * _MB
-    """Say so, on every page that shows history."""
+    """Warn on every page that shows history."""
     trim: int = 500 * _MB
     """Give up the oldest readings; minutes and hours stay."""
     pause: int = 100 * _MB
-    """Write no history at all: what is left belongs to the events."""
+    """Write no history: the remaining space belongs to the events."""
 
 
 def space(free: int, reserve: DiskReserve) -> Space:

@@ -1,7 +1,7 @@
 """From the journal into blocks: a minute that is over, and an hour that is over.
 
-A minute that comes late goes the same way: its runs are merged with what is there, and the
-minute, its hour and its bits are worked out again from all of them.
+A minute that comes late takes the same way: its runs are merged with the stored ones, and the
+minute, its hour and its bits are computed again from all of them.
 """
 
 from __future__ import annotations

@@ -31,11 +31,11 @@ _LOOK_EVERY = 64
 
 
 def _ignore(_words: str) -> None:
-    """Nobody wants to hear of damage."""
+    """The default subscriber of damage: ignores it."""
 
 
 class Recorder:
-    """Puts deliveries into the journal and the tail, and what is over into blocks."""
+    """Writes deliveries into the journal and the tail, and completed minutes and hours into blocks."""
 
     def __init__(self, database: Database, tail: Tail, on_damage: FoundDamage = _ignore) -> None:
         self._database = database
@@ -50,7 +50,7 @@ class Recorder:
         """Readings that came after everything of their time had been given up."""
 
     def replay(self) -> None:
-        """What the journal holds, into the tail; what of it is damaged is left out and said."""
+        """Load the journal into the tail; damaged parts are left out and reported."""
         self._tail.clear()
         read = self._database.read_now(lambda c: list(tables.read_journal(c)))
         journal = [rows for rows in read if rows is not None]
@@ -79,7 +79,7 @@ class Recorder:
         self._intake.keep(taken)
 
     def fold(self, now: int, deadline: float) -> None:
-        """Go on folding what is over at ``now`` (µs) until ``deadline`` (monotonic seconds)."""
+        """Fold minutes and hours complete at ``now`` (µs) until ``deadline`` (monotonic seconds)."""
         if not self._folding and self._is_due(now):
             self._folded_minute = now - now % MINUTE
             self._folding.extend(self._tail.over(self._folded_minute))

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from app.history.series.runs import MINUTE, SECOND, Run, follows, joined
 
 BREAK = 2 * SECOND
-"""Equal readings further apart than this do not make one run: the silence between may be a hole."""
+"""Equal readings further apart than this do not make one run: there may be a hole between."""
 
 
 class Tail:
@@ -22,7 +22,7 @@ class Tail:
         self._lock = threading.Lock()
         self._minutes: dict[tuple[int, int], list[Run]] = {}
         self._lost: dict[int, list[int]] = {}
-        """When each unit fell silent (µs), in order."""
+        """When each unit stopped responding (µs), in order."""
 
     def add(self, rows: Iterable[tuple[int, Run]]) -> None:
         """Readings or runs of units, in order of arrival."""
@@ -46,14 +46,14 @@ class Tail:
         return place < len(lost) and lost[place] <= until
 
     def mark_lost(self, lost: Iterable[tuple[int, int]]) -> None:
-        """Units and when they fell silent (µs): no run goes over such a moment. To be said before the
+        """Units and when they stopped responding (µs): no run crosses such a moment. Call it before the
         readings that follow are added."""
         with self._lock:
             for unit, at in lost:
                 insort(self._lost.setdefault(unit, []), at)
 
     def interrupt(self) -> None:
-        """Nobody was there to hear until now: every unit's next reading begins a new run."""
+        """Nothing was recorded until now: every unit's next reading begins a new run."""
         self.mark_lost({(unit, run.until + 1) for unit, run in self.everything()})
 
     def runs(self, unit: int, start: int, end: int) -> list[Run]:
@@ -78,7 +78,7 @@ class Tail:
             return sorted(key for key in self._minutes if key[1] != current)
 
     def drop(self, unit: int, minute: int) -> None:
-        """Forget what is safe elsewhere."""
+        """Forget runs that are stored elsewhere."""
         with self._lock:
             self._minutes.pop((unit, minute), None)
             if unit in self._lost:

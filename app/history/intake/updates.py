@@ -24,18 +24,18 @@ class Taken:
 
     rows: list[tuple[int, Run]] = field(default_factory=list)
     lost: list[tuple[int, int]] = field(default_factory=list)
-    """Units that fell silent, and when, µs."""
+    """Units that stopped responding, and when, µs."""
 
 
 class Intake:
-    """Knows the keys of the units, and what was last said of each, so as to keep changes only."""
+    """Knows the keys of the units, and the last value of each, to keep changes only."""
 
     def __init__(self, tail: Tail) -> None:
         self._tail = tail
         self.forget()
 
     def forget(self) -> None:
-        """After a transaction that was rolled back: what is known may not be on disk."""
+        """After a transaction that was rolled back: known values may not be on disk."""
         self._keys: dict[tuple[str, int], int] = {}
         self._links: dict[int, tuple[int, str]] = {}
         self._parameters: dict[int, dict[int, ParameterStep]] = {}

@@ -46,7 +46,7 @@ class Upkeep:
         self._to_sweep = True
 
     def clock_stepped(self) -> None:
-        """What is old is uncertain for a while."""
+        """Old readings are uncertain for a while."""
         self._settled_at = time.monotonic() + SETTLED_S
 
     def look(self) -> tuple[int, Space]:
@@ -69,7 +69,7 @@ class Upkeep:
                 self._repair.set_aside(damaged.block)
 
     def give_up_old(self, now: int) -> None:
-        """Decide what is older than it need be kept; :meth:`sweep` then takes it away."""
+        """Choose the readings past their retention; :meth:`sweep` then deletes them."""
         if time.monotonic() < self._settled_at:
             return
         horizon = now - self._keep.raw_days * DAY
@@ -101,7 +101,7 @@ class Upkeep:
 
 
 def prepare(path: Path) -> None:
-    """A new store gives space back to the disk when readings are given up; it must be said first."""
+    """A new store returns space to the disk when readings are deleted; it must be set first."""
     if path.exists():
         return
     make_folder(path.parent)

@@ -1,4 +1,4 @@
-"""The thread that alone writes the store. It outlives every failure of the disk, and says so."""
+"""The only thread that writes the store. It survives every failure of the disk, and reports it."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from app.history.store.salvage import copies, put_aside
 
 MIGRATIONS = Path(__file__).parents[1] / "migrations"
 COMMIT_EVERY_S = 0.5
-"""What is lost when the power goes: this much, and the commit itself."""
+"""Lost when the power fails: this much, and the commit itself."""
 BUSY_S = 0.2
 """How long folding, and then upkeep, may take between two commits."""
 END_S = 1.0
-"""How long folding may take at the end; what is left is in the journal."""
+"""How long folding may take at the end; the rest stays in the journal."""
 RETRY_S = 10.0
 LOOK_EVERY_S = 5.0
 GIVE_UP_EVERY_S = 600.0
@@ -45,7 +45,7 @@ MOST_WAITING = 500_000
 MOST_REPORTED = 1000
 REBUILD_EVERY_S = 3600.0
 SHOWN_FOR = 7 * DAY
-"""How long damage is said on the pages; in the events it stays."""
+"""How long damage is shown on the pages; in the events it stays."""
 
 log = structlog.get_logger()
 ClockStepped = Callable[[float, float], None]
@@ -250,7 +250,7 @@ class Writer:
         )
 
     def _fail(self, why: str) -> None:
-        """What is there can still be read, until the store is opened anew."""
+        """Stored history can still be read, until the store is opened again."""
         self._writable = False
         self._retry_at = time.monotonic() + RETRY_S
         self._set_state("failed", why)

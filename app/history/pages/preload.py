@@ -1,6 +1,6 @@
-"""The data that the trends page fetches first, asked for by the page itself while its scripts are on the way.
+"""The data that the trends page fetches first, requested by the page while its scripts are on the way.
 
-The rules for an address are those of ``static/js/trends-view.js``; where they disagree, the page asks again.
+The rules for an address are those of ``static/js/trends-view.js``; where they differ, the page requests again.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
 
 
 def _catalogue(history: History) -> list[dict[str, Any]]:
-    """Every unit in floor order, with what is wired to it and in what it is measured."""
+    """Every unit in floor order, with its wiring and its measure."""
     return [
         {
             "key": f"{bus.name}/{unit.id}",

@@ -1,4 +1,4 @@
-"""What the first page after a start would wait for, done before anybody asks."""
+"""Work that the first page after a start would wait for, done in advance."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _SHELL = ("base.html", "components/", "trends/")
 
 
 async def warm(history: History, templates: Templates, assets: Assets, language: str) -> None:
-    """Static files packed, the frame of the pages and the trends page read, a day of history asked for: one
-    after the other, so that the line is never kept waiting. ``language``: the site's."""
+    """Compress static files, load the frame of the pages and the trends page, query a day of history: one
+    after the other, to keep the line responsive. ``language``: the site's."""
     await asyncio.sleep(AFTER_S)
     for name in assets:
         await asyncio.to_thread(assets.pack, name)

@@ -12,7 +12,7 @@ def unit_settings(bus: BusSettings, number: int) -> UnitSettings:
 
 
 def label(unit: UnitSettings, value: Value) -> str:
-    """What is wired there, by the unit's labels; empty when nobody named it."""
+    """The wiring by the unit's labels; empty without one."""
     if value.kind == "analog":
         return unit.labels.analog
     if value.name.startswith("output."):
@@ -21,5 +21,5 @@ def label(unit: UnitSettings, value: Value) -> str:
 
 
 def measure(unit: UnitSettings, value: Value) -> str:
-    """In what it is measured; empty when nobody said."""
+    """The unit of measure; empty where none is configured."""
     return {"speed": unit.labels.unit, "analog": unit.labels.analog_unit, "bit": ""}[value.kind]

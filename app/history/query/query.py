@@ -1,4 +1,4 @@
-"""One value over one span in at most so many points: which fineness answers, and with what."""
+"""One value over one span in at most so many points: choice of resolution, and the result."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from app.history.store.damage import BlockKey
 from bus.settings import BusSettings
 
 MOST_READINGS = 100_000
-"""More readings than this are not unpacked for one picture: minutes answer."""
+"""More readings than this are not unpacked for one chart: minutes are used."""
 MOST_INTERVALS = 50_000
 MARGIN = MINUTE
 Resolution = Literal["readings", "minutes", "hours"]
@@ -40,7 +40,7 @@ class SeriesQuery:
 
 @dataclass(slots=True)
 class QueryResult:
-    """``bucket``: how long a stretch each point stands for, µs; 0: every reading itself.
+    """``bucket``: length of the stretch of each point, µs; 0: single readings.
     ``decimals``: of the newest point; None when not known or not fixed."""
 
     series: Series

@@ -1,4 +1,4 @@
-"""The history of one unit out of the store and the tail: its readings, minutes, hours, bits or whole runs."""
+"""The history of one unit from the store and the tail: readings, minutes, hours, bits or complete runs."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ RawRow = tuple[int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class StoredUnit:
-    """Where the readings of one unit are: its key, and its runs in the tail over the span asked for.
+    """The sources of one unit's readings: its key, and its runs in the tail over the requested span.
 
-    The tail is read before the store, so that a minute which is folded meanwhile is there twice, not never.
+    The tail is read before the store: a minute folded in between is there twice, not never.
     """
 
     connection: tables.StoreConnection
@@ -40,8 +40,8 @@ class StoredUnit:
     """What could not be read, and was left out."""
 
     def blocks(self, tier: StoredTier, start: int, end: int) -> Iterator[tuple[int, bytes]]:
-        """Start and content of each that may touch a span (µs), in order of time. Each is fetched by itself,
-        so that a page which SQLite cannot follow costs what lies in it."""
+        """Start and content of each that may touch a span (µs), in order of time. Each is fetched separately,
+        so that a page that SQLite cannot follow costs only its own content."""
         span = "span" if tier == "raw" else tables.ROW_SPAN[tier]
         starts = f"SELECT start FROM {tier} WHERE unit = ? AND start > ? AND start < ? AND start + {span} > ?"
         longest = HOUR if tier == "raw" else tables.ROW_SPAN[tier]
@@ -142,7 +142,7 @@ def _points(rows: Iterable[RawRow], bit: int, usual: int) -> Points:
 
 
 def rollups(source: StoredUnit, tier: tables.RollupTier, value: Value, start: int, end: int) -> Points:
-    """Minutes or hours that touch a span, each with what is in the tail of it."""
+    """Minutes or hours that touch a span, each with its part of the tail."""
     wanted = _wanted(value)
     found = Points(width=tables.STEP[tier])
     since = start - start % tables.STEP[tier]
@@ -204,7 +204,7 @@ def bit_intervals(source: StoredUnit, bit: int, start: int, end: int) -> list[In
 
 
 def usual_of(source: StoredUnit, end: int) -> int:
-    """How often the unit was heard before a time, µs, whether or not its readings are still kept."""
+    """How often the unit responded before a time, µs, whether or not its readings are still kept."""
     if source.tail:
         return usual_interval(source.tail)
     latest = "SELECT start, data FROM {} WHERE unit = ? AND start < ? ORDER BY start DESC LIMIT 1"
@@ -227,7 +227,7 @@ def interval_points(parts: Iterable[Interval], start: int, end: int, usual: int)
 
 
 def runs_between(source: StoredUnit, start: int, end: int) -> list[Run]:
-    """Whole runs, for an export: those that begin within a span, in order of time."""
+    """Complete runs, for an export: those that begin within a span, in order of time."""
     found = [
         run
         for begin, data in source.blocks("raw", start, end)

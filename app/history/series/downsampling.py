@@ -43,16 +43,16 @@ class Points:
     total: list[int] = field(default_factory=list)
     weight: list[int] = field(default_factory=list)
     solid: list[bool] = field(default_factory=list)
-    """Whether the value was heard all the while until the next point."""
+    """Whether the value is known without a gap until the next point."""
     width: int = 0
-    """How long a stretch each point stands for, µs; 0: the readings themselves."""
+    """Length of the stretch of each point, µs; 0: single readings."""
     usual: int = 0
-    """How often the unit is heard, µs."""
+    """How often the unit responds, µs."""
 
 
 @dataclass(slots=True)
 class Series:
-    """What is drawn, in display units; None is a hole."""
+    """The points of a chart, in display units; None is a hole."""
 
     at: list[int] = field(default_factory=list)
     least: list[float | None] = field(default_factory=list)
@@ -103,7 +103,7 @@ def series(points: Points, marks: Marks, scaling: Scaling) -> Series:
         middle = scale.apply_all(map(truediv, points.total[i:j], points.weight[i:j]))
         result.least += high if scale.falling else low
         result.greatest += low if scale.falling else high
-        # Where nothing moved, exactly what was said and not its sum divided.
+        # Where nothing moved, the exact value and not its divided sum.
         result.average += [a if a == b else round(m, 6) for a, b, m in zip(low, high, middle, strict=True)]
     return _opened(result, holes_in(points, marks), points.width)
 

@@ -1,7 +1,7 @@
-"""When two neighbouring readings have a hole between them. An unchanged value is no hole.
+"""When two neighboring readings have a hole between them. An unchanged value is no hole.
 
-A hole is where the worker said that the unit or its port fell silent. Where nobody could say it
-(the worker itself was gone, its buffer ran over) the length of the silence tells.
+A hole is where the worker reported that the unit or its port stopped responding. Where it could not
+(the worker itself was gone, its buffer overflowed) the length of the gap decides.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from app.history.series.runs import SECOND
 
 LONG_GAP = 10 * SECOND
 MANY_INTERVALS = 10
-"""A silence longer than both is a hole, whoever was there to say so."""
+"""A gap longer than both is a hole in any case."""
 SHORT_GAP = 3 * SECOND // 10
 FEW_INTERVALS = 3
-"""A silence longer than both is a hole when the unit or port was found again at its end."""
+"""A gap longer than both is a hole when the unit or port was found again at its end."""
 _SAMPLE = 2000
 
 
 @dataclass(frozen=True, slots=True)
 class Marks:
-    """What was said of a unit and its port, as times in µs, in order."""
+    """Reported states of a unit and its port, as times in µs, in order."""
 
     lost: Sequence[int] = ()
     found: Sequence[int] = ()
 
 
 def usual_interval(runs: Sequence[Sequence[int]]) -> int:
-    """How often a unit is heard, µs, from its runs (``at``, ``until``, ``heard``, … each); 0: too few.
+    """How often a unit responds, µs, from its runs (``at``, ``until``, ``readings``, … each); 0: too few.
 
     The readings within a run count as well: of a steady value there is nothing between runs but holes.
     """
@@ -56,7 +56,7 @@ def _middle(spans: Iterable[tuple[int, int]]) -> int:
 def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> list[int]:
     """Positions ``i`` with a hole between ``times[i]`` and ``times[i + 1]`` (in order).
 
-    ``width``: a time stands for all readings within so many µs after it; neighbouring
+    ``width``: a time represents all readings within so many µs after it; neighboring
     buckets then have no hole between them.
     """
     differences = list(map(sub, times[1:], times))
@@ -74,7 +74,7 @@ def _before(times: Sequence[int], marks: Sequence[int]) -> set[int]:
 
 
 def _ended_by(times: Sequence[int], marks: Sequence[int], usual: int) -> set[int]:
-    """Before which reading a silence ended: the one just before the mark, which it speaks of, or the next."""
+    """Before which reading a gap ended: the one just before the mark, of the mark, or the next."""
     last = [(mark, bisect_right(times, mark) - 1) for mark in marks]
     positions = {i - 1 if i >= 0 and mark - times[i] <= usual else i for mark, i in last}
     return {i for i in positions if 0 <= i < len(times) - 1}

@@ -1,4 +1,4 @@
-"""Bits as exact intervals: from the first reading that said so to the last one in a row."""
+"""Bits as exact intervals: from the first reading with the bit to the last one in a row."""
 
 from __future__ import annotations
 

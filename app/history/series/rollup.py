@@ -1,7 +1,7 @@
-"""What is left of a minute or an hour: how many readings, and of each value the least, the greatest
+"""Summary of a minute or an hour: how many readings, and of each value the least, the greatest
 and the sum; of the bits, which were ever off, which ever on, and how often each was on.
 
-Sums and counts are exact integers, so an hour made of minutes equals the hour made of readings.
+Sums and counts are exact integers: an hour made of minutes equals the hour made of readings.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _PLAIN = len(Rollup._fields) - 1
 FIELDS = {name: position for position, name in enumerate(Rollup._fields[:-1])} | {
     f"on_{bit}": _PLAIN + bit for bit in range(BITS)
 }
-"""Where each column of a packed row of rollups stands."""
+"""Position of each column in a packed row of rollups."""
 
 
 def rollup(runs: Sequence[Run], start: int) -> Rollup:

@@ -1,8 +1,8 @@
-"""Readings as runs: one answer, and how long the wire went on saying the same.
+"""Readings as runs: one response, and how long the unit repeated it.
 
-A run holds everything the wire said: the values as sent, when they were first and last heard
+A run holds everything the unit sent: the values, when they were first and last received
 and how often. Only the instants of equal readings in between are not kept. No run crosses a
-minute, so the first reading of every minute is a heartbeat, and a minute stands by itself.
+minute: the first reading of every minute is a heartbeat, and a minute is complete without the others.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ def micros(seconds: float) -> int:
 
 
 def run_of(reading: Reading) -> Run:
-    """One reading as a run of its own."""
+    """One reading as a run."""
     at = micros(reading.at)
     word = reading.outputs << 8 | reading.inputs
     return Run(at, at, 1, reading.commanded, reading.actual, reading.analog, word)
 
 
 def follows(run: Run, last: Run) -> bool:
-    """Whether ``run`` says what ``last`` said, later in the same minute."""
+    """Whether ``run`` repeats ``last`` later in the same minute."""
     return run[3:] == last[3:] and run.at >= last.until and run.until // MINUTE == last.at // MINUTE
 
 
@@ -86,7 +86,7 @@ def unpack_runs(blob: bytes, start: int) -> list[Run]:
 
 
 def unpack_columns(blob: bytes, start: int, names: Sequence[str]) -> list[list[int]]:
-    """Some columns of a block: ``at`` must be asked for when ``until`` is."""
+    """Some columns of a block: ``at`` is needed for ``until``."""
     found = columns.unpack(blob, [COLUMNS[name] for name in names])
     by_name = dict(zip(names, found, strict=True))
     if "at" in by_name:

@@ -76,7 +76,7 @@ class Scaling:
 
 
 def scaling(value: Value, steps: Sequence[ParameterStep], *, ratio: bool, estop_healthy: int) -> Scaling:
-    """``ratio``: CS and AS of a follower are ratios (the bus's dialect says so)."""
+    """``ratio``: CS and AS of a follower are ratios (by the bus's dialect)."""
     if value.kind == "bit":
         inverted = value.name == "estop" and estop_healthy == 1
         return Scaling([0], [LinearScale(1, -1, 1, 0) if inverted else LinearScale(decimals=0)])

@@ -1,4 +1,4 @@
-"""The values that can be asked for by name, and where each is in a reading."""
+"""The values that can be requested by name, and the position of each in a reading."""
 
 from __future__ import annotations
 

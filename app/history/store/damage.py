@@ -1,4 +1,4 @@
-"""A block that cannot be read costs itself and nothing else. zlib's own checksum tells it."""
+"""A block that cannot be read costs only itself. zlib's own checksum detects it."""
 
 from __future__ import annotations
 

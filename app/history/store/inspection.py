@@ -1,7 +1,7 @@
-"""Once a day, all that is kept is looked at, so that damage is not found on the day when it is needed.
+"""Once a day all stored data is checked, so that damage is not found on the day when it is needed.
 
-SQLite's own check follows the pages; the checksum of each block is compared apart, for SQLite does not
-know what a block should say.
+SQLite's own check follows the pages; the checksum of each block is compared separately, as SQLite does not
+know its content.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is done about a damaged block: it is set aside, and worked out again from what is finer."""
+"""Repair of a damaged block: it is set aside, and computed again from finer data."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from app.history.store import tables
 from app.history.store.damage import BlockKey, DamagedBlock
 
 FoundDamage = Callable[[str], None]
-"""Called from the writer's thread with a sentence for the events."""
+"""Called from the writer's thread with a text for the events."""
 _HELD = {"raw": "every reading", "minutes": "the minutes", "hours": "the hours"}
 
 

@@ -1,7 +1,7 @@
-"""A store whose pages are damaged, written anew: every row that can still be read, one by one.
+"""A store with damaged pages is rebuilt: every row that can still be read, one by one.
 
-A page that SQLite cannot follow makes the store refuse to give up old readings or to fold new ones, for
-ever. The damaged file is kept beside the new one, under a name that says when.
+A page that SQLite cannot follow makes the store refuse to delete old readings or to fold new ones,
+permanently. The damaged file is kept beside the new one, with the time in its name.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Copy = Callable[[tables.StoreConnection], int]
 
 
 def put_aside(path: Path) -> Path:
-    """Rename a store, which nobody has open, with its log; gives its new name."""
+    """Rename a closed store with its log; return its new name."""
     stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
     aside = path.with_name(f"{path.name}.damaged-{stamp}")
     for suffix in _SUFFIXES:

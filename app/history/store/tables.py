@@ -198,7 +198,7 @@ def rolled_up(connection: StoreConnection, unit: int, start: int, end: int) -> b
 
 
 def drop_rollups(connection: StoreConnection, before: int) -> None:
-    """Give up what is older than the longest memory: rollups, bits, links."""
+    """Delete data past the longest retention: rollups, bits, links."""
     connection.execute("DELETE FROM minutes WHERE start < ?", (before,))
     connection.execute("DELETE FROM hours WHERE start < ?", (before,))
     connection.execute("DELETE FROM bits WHERE until < ?", (before,))
@@ -270,7 +270,7 @@ def replace_bits(
     )
 
 
-# --- what was said of units, ports and parameters --------------------------------------
+# --- states of units, ports and parameters ---------------------------------------------
 
 
 def write_link(connection: StoreConnection, unit: int, at: int, state: str, cause: str) -> None:

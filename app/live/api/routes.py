@@ -1,4 +1,4 @@
-"""``GET /line``, the buses and the units: what is now."""
+"""``GET /line``, the buses and the units: the live state."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ async def get_bus(_: Viewer, live: Live, sources: LineSources, english: English,
 async def get_unit(
     _: Viewer, live: Live, sources: LineSources, english: English, bus: str, unit: int
 ) -> dict[str, Any]:
-    """One unit, with the age of what it said."""
+    """One unit, with the age of its reading."""
     found = unit_or_404(live, bus, unit)
     return unit_json(live.buses[bus], found, time.time(), sources.guards[bus].block_reason, english)
 

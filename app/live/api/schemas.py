@@ -1,4 +1,4 @@
-"""What the API's answers about the line hold, for its OpenAPI document. A field never read is null."""
+"""Members of the API's responses about the line, for its OpenAPI document. A field never read is null."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class InputsShown(TypedDict):
 
 
 class LabelsShown(TypedDict):
-    """Names of what is wired to a unit, from lineside.toml; empty or left out where none is given."""
+    """Names of the wiring of a unit, from lineside.toml; empty or left out where none is given."""
 
     output: Annotated[dict[int, str], Field(description="By number of the auxiliary output, 1 to 6.")]
     input: Annotated[dict[str, str], Field(description="By name of the input.")]

@@ -1,8 +1,8 @@
-"""A unit, a bus and the line as the API shows them. Pure: the time is passed in.
+"""A unit, a bus and the line as the API shows them. Pure: time is passed in.
 
 Speeds are decimal texts in the unit's own decimals (#3), null while those are not known; a field
-that was never read is null. ``…_raw`` are the integers of the wire. ``suspect``: in words why another unit
-may be answering in this one's name; null where nothing says so.
+that was never read is null. ``…_raw`` are the integers of the wire. ``suspect``: why another unit
+may be responding in place of this one; null without a sign of it.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def bus_json(bus: BusLive, now: float, block: BlockReason, english: Translator) 
 
 
 def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason, english: Translator) -> Json:
-    """One unit with the age of what it said, by the server's clock."""
+    """One unit with the age of its reading, by the server's clock."""
     window = unit.parameter_raw(AT_SPEED_WINDOW)
     shown: Json = {
         "id": unit.settings.id,

@@ -42,7 +42,7 @@ class Diff:
 
     @property
     def payload(self) -> bytes:
-        """Encoded once, whoever it goes to."""
+        """Encoded once for all browsers."""
         if not self._payload:
             message = {
                 "is": "diff",
@@ -69,7 +69,7 @@ class Diff:
         return self._text
 
     def after_all(self, earlier: Sequence[Diff]) -> Diff:
-        """One that says what ``earlier``, which led to this one, and this one said; made once for all who
+        """This diff and the ``earlier`` ones before it as one; made once for all browsers that
         missed the same."""
         if not earlier:
             return self
@@ -90,7 +90,7 @@ class Browser:
     units: frozenset[tuple[str, int]] = frozenset()
     trace: str = ""
     _idle: bool = False
-    """Everything has been handed over: whoever asks for the next waits for it."""
+    """All messages are with the transport: the browser's task waits for the next."""
     _waiting: list[Diff] = field(default_factory=list)
     _snapshot: dict[str, Any] | None = None
     _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
@@ -107,20 +107,20 @@ class Browser:
         self._has_something()
 
     def send(self, message: dict[str, Any]) -> None:
-        """A snapshot, before any diff. It makes what was pending worthless, and is encoded when it can go:
-        however often it is asked for, there is one."""
+        """Send a snapshot, before any diff. It replaces pending messages, and is encoded when it is sent:
+        repeated requests yield one."""
         self._waiting.clear()
         self._snapshot = message
         self._has_something()
 
     def show_frames(self, frames: list[dict[str, Any]]) -> None:
-        """Frames for whoever follows the trace."""
+        """Send frames to a browser that follows the trace."""
         self._frames.extend(frames)
         self._has_something()
 
     async def next(self) -> list[str]:
-        """Wait until there is something that could not go at once; all of it, in order. Whoever asks again
-        has sent what it was given."""
+        """Wait for messages that could not go at once; return all, in order. A second call means
+        that the first ones have been sent."""
         self._idle = not self._wake.is_set()
         await self._wake.wait()
         self._wake.clear()

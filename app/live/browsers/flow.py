@@ -1,5 +1,5 @@
-"""How often open pages are told: of every answer, unless there is a flood of them or very many pages. Pure
-but for the clock, which is passed in."""
+"""How often open pages are updated: on every response, except in a flood of them or with very many pages.
+Pure but for the clock, which is passed in."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from dataclasses import dataclass
 
 FLOOD = 60
 WINDOW_S = 0.25
-"""More changed units than this within a window, which is more than six full wires bring, and the pages are
-told once in a window until it is quieter: they could not draw them all, and have other things to do."""
+"""More changed units than this within a window, which is more than six full wires bring: updates then go
+out once per window until it is quieter, as pages could not draw them all."""
 
 FEW_PAGES = 40
 MAX_SENDS_S = 2000
-"""With more pages than a few, none is told again before its share of so many messages a second: the server
-has other things to do. 200 pages are told ten times a second, 40 and fewer of every single answer."""
+"""With many pages each gets at most its share of so many messages a second, to bound the server's
+load. 200 pages get ten updates a second, 40 and fewer one for each response."""
 
 
 @dataclass(slots=True)
 class Flow:
-    """How much there was to tell lately, by a monotonic clock in seconds."""
+    """Counts recent changes, by a monotonic clock in seconds."""
 
     clock: Callable[[], float] = time.monotonic
     _gap_s: float = 0.0
@@ -43,11 +43,11 @@ class Flow:
         self._count += units
 
     def pause_s(self) -> float:
-        """How long to wait before telling again: nothing unless there is a flood, or very many pages."""
+        """Seconds to wait before the next update: 0 except in a flood, or with very many pages."""
         flooded = self._flooded or self._count > FLOOD
         gap_s = max(self._gap_s, WINDOW_S) if flooded else self._gap_s
         return max(0.0, self._sent_at + gap_s - self.clock())
 
     def sent(self) -> None:
-        """Everything was told."""
+        """An update has been sent."""
         self._sent_at = self.clock()

@@ -40,7 +40,7 @@ STAGE_WORDS = {
 _OF_A_BUS = {BusFigures, BusLink}
 """What changes more than the units that it names."""
 _PASSED_ON = {Progress, Frames, BusFigures}
-"""What says something that is not part of the state."""
+"""Sources of data that is not part of the live state."""
 Watcher = Callable[[list[int], bool], None]
 """Called with the units of a bus that someone has open, and whether someone follows its trace."""
 
@@ -62,7 +62,7 @@ class Hub:
         self._watchers = watchers
         self._clock = clock
         self._readers: dict[str, Readers] = {}
-        """Of every language that was asked for once; most have nobody now."""
+        """Readers of every language requested so far; most are empty now."""
         self._watched: dict[str, tuple[list[int], bool]] = {}
         self.admission = Admission()
         self._pages = Watched({name: bus.units for name, bus in live.buses.items()})
@@ -79,12 +79,12 @@ class Hub:
         return sum(len(readers.browsers) for readers in self._readers.values())
 
     def people(self) -> dict[str, str]:
-        """Whoever has a page open now, by name, with the role."""
+        """Return the role of each user with an open page, keyed by user name."""
         roles = {browser.name: browser.role for browser in self._browsers()}
         return {name: roles[name] for name in sorted(roles)}
 
     def screen(self, language: str) -> Screen:
-        """What is shown in a language, brought up to date."""
+        """The screen of a language, up to date."""
         readers = self._readers.get(language)
         if readers is None:
             readers = self._readers[language] = Readers(self._new_screen(language), self._clock)
@@ -98,7 +98,7 @@ class Hub:
         return Screen(self.live, translator, self._sources)
 
     def join(self, browser: Browser) -> None:
-        """A page opened: the whole snapshot first, then diffs."""
+        """A page opened: send a complete snapshot first, then diffs."""
         self.screen(browser.language)
         self._readers[browser.language].join(browser)
         self._has_changed()
@@ -120,7 +120,7 @@ class Hub:
         self._readers[browser.language].send_snapshot(browser)
 
     def follow(self, browser: Browser, units: frozenset[tuple[str, int]], trace: str) -> None:
-        """A page says which units it shows and whose frames it follows."""
+        """Note the units that a page shows and the bus whose trace it follows."""
         units, trace = self._pages.known(units), trace if trace in self.live.buses else ""
         if (units, trace) == (browser.units, browser.trace):
             return
@@ -133,7 +133,7 @@ class Hub:
         self._render(bus, [unit], include_bus=False)
 
     async def beat(self) -> None:
-        """The heartbeat of every page, for ever."""
+        """Send the heartbeat of every page, indefinitely."""
         while True:
             await asyncio.sleep(HEARTBEAT_S)
             self.tick()
@@ -182,7 +182,7 @@ class Hub:
                 self._show_health(bus, update)
 
     def _show_progress(self, bus: str, progress: Progress) -> None:
-        """Of a search everybody who looks at the bus is told; it has no review whose page knows its id."""
+        """Progress of a scan goes to every page of the bus; it has no review whose page knows its id."""
         group, field = f"command/{key_of(progress.id)}", "stage"
         if progress.stage == "searching":
             group, field = bus, "searched"
@@ -214,7 +214,7 @@ class Hub:
     # --- to the browsers ----------------------------------------------------------------------------
 
     def _read(self) -> list[Readers]:
-        """Of the languages that somebody has open."""
+        """The languages with an open page."""
         return [readers for readers in self._readers.values() if readers.browsers]
 
     def _browsers(self) -> list[Browser]:

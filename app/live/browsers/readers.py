@@ -1,8 +1,8 @@
-"""The open pages of one language: told the same, in the same turn of the loop, by the same bytes.
+"""The open pages of one language: they get the same bytes in the same turn of the loop.
 
 What is held back, in a flood or among very many pages, is held back once for all of them and goes together.
-So a number is what they were told last, and a page that opens in between gets a snapshot of that number: it
-is newer than the number says, and what was held back will say again what it knows already.
+The number is that of the last message sent. A page that opens in between gets a snapshot of that number: it
+is newer than the number, and the next message repeats some fields.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ class Readers:
     clock: Callable[[], float]
     flow: Flow = field(default_factory=Flow)
     browsers: deque[Browser] = field(default_factory=deque)
-    """Each is the first in its turn: to write to all takes a while, and nobody shall always be the last."""
+    """Each browser is the first in its turn: writing to all takes a while; none is always the last."""
     number: int = 0
     _held: Groups = field(default_factory=dict)
     _due: asyncio.TimerHandle | None = None
 
     def join(self, browser: Browser) -> None:
-        """One more, told everything first."""
+        """Add a browser; send it a snapshot."""
         self.browsers.append(browser)
         self.send_snapshot(browser)
 
     def leave(self, browser: Browser) -> None:
-        """One less. What nobody waits for is dropped."""
+        """Remove a browser; drop changes that no page waits for."""
         self.browsers.remove(browser)
         if not self.browsers:
             self._held = {}
@@ -51,7 +51,7 @@ class Readers:
         )
 
     def publish(self, groups: Groups, *, always: bool = False) -> None:
-        """What is different now, at once or with what comes next. ``always``: even when nothing is."""
+        """Send changed fields, at once or with the next message. ``always``: even when nothing changed."""
         if not self.browsers or not (groups or always):
             return
         self.flow.came(len(groups) or 1)

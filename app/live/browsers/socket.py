@@ -1,6 +1,6 @@
-"""The WebSocket ``/live`` of an open page: it is told what changes; it asks for nothing but a snapshot.
+"""The WebSocket ``/live`` of an open page: it receives changes, and may request a snapshot.
 
-Commands never come this way: what was clicked while a socket was down must never be sent later.
+Commands never come this way: one that was clicked while a socket was down must never be sent later.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from bus.messages import Message
 router = APIRouter()
 
 IDLE_TIMEOUT_S = 30.0
-"""A page that says nothing for this long is gone; it speaks every ten seconds."""
+"""A page that sends nothing for this long is gone; it sends every ten seconds."""
 
 
 MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE = 2.0, 10
 SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE = 0.5, 3
-"""Of one page. The whole state is a quarter of a megabyte for a large line."""
+"""Per page. The complete state is a quarter of a megabyte for a large line."""
 MOST_VIEWS = 64
 """Sets of units that pages show at a time."""
 
 
 class PageMessage(msgspec.Struct, forbid_unknown_fields=True):
-    """What a page may say. ``units``: the units it shows, as ``bus/unit``; ``trace``: a bus to follow, for an
-    engineer, because whoever sees the frames sees every value that passed."""
+    """The message of a page. ``units``: the units it shows, as ``bus/unit``; ``trace``: a bus to follow, for
+    an engineer, because the frames show every value that passed."""
 
     want: Literal["", "snapshot"] = ""
     units: Annotated[list[Annotated[str, msgspec.Meta(max_length=48)]], msgspec.Meta(max_length=512)] = []
@@ -96,7 +96,7 @@ async def _send(websocket: WebSocket, texts: list[str]) -> None:
 
 
 async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
-    """A page that says more than its share is listened to more slowly."""
+    """A page that sends more than its share is read more slowly."""
     messages = Bucket(MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE)
     snapshots = Bucket(SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE)
     while True:
@@ -113,7 +113,7 @@ async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
 
 
 def _follow(hub: Hub, browser: Browser, text: str) -> bool:
-    """Follow what a page asks for; whether it wants a snapshot too. Raises msgspec.DecodeError."""
+    """Apply a message of a page; whether it requests a snapshot too. Raises msgspec.DecodeError."""
     message = _decoder.decode(text)
     may_trace = Role(browser.role).includes(Role.ENGINEER)
     hub.follow(browser, _units(tuple(message.units)), message.trace if may_trace else "")

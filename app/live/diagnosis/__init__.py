@@ -1,1 +1,1 @@
-"""What is abnormal, and why. Pure."""
+"""The abnormal conditions of a line and their causes. Pure."""

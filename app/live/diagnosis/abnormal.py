@@ -1,4 +1,4 @@
-"""What is abnormal on the line, the worst first. Pure."""
+"""The abnormal conditions of the line, the worst first. Pure."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _others(cause: Cause | None, suspected: str, blocked: str, drifted: str) -> 
 
 
 def all_offline(views: list[UnitView]) -> Cause | None:
-    """That no unit of a whole bus responds: one cause for all of them."""
+    """That no unit of a bus responds: one cause for all of them."""
     unresponsive = [
         view.cause for view in views if view.cause and view.cause.code in ("unit_offline", "unit_unknown")
     ]

@@ -15,7 +15,7 @@ from app.live.state.onset import Onset
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """One cause. ``params``: what its text names; ``why`` among them is a text of its own."""
+    """One cause. ``params``: of its text; ``why`` among them is itself a text."""
 
     code: str
     level: Level

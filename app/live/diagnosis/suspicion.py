@@ -1,8 +1,8 @@
-"""Whether another unit may be answering in a unit's name. Pure.
+"""Whether another unit may be responding in place of a unit. Pure.
 
-An answer bears the address that was asked and nothing else, so one that comes from a unit with a broken
-address decoder looks like the right one. Two things speak: the address that whoever answers reads in its own
-#17, and that every answer but its own comes twice.
+A response carries only the address that was requested: one that comes from a unit with a broken
+address decoder looks like the right one. Two signs show it: the address that the responding unit reads in its
+#17, and that every response but its own comes twice.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from bus.catalogue.numbers import OWN_ADDRESS
 
 
 def suspicion(bus: BusLive, unit: UnitLive) -> str:
-    """Why the values shown for ``unit`` may be another's, in words; empty where nothing says so.
+    """Why the values shown for ``unit`` may be another's; empty without a sign of it.
 
     It warns and forbids nothing: an address changed at the panel (#17) may hold from the next power-up only.
     """
@@ -26,7 +26,7 @@ def suspicion(bus: BusLive, unit: UnitLive) -> str:
 
 
 def _most_read_their_own_address(bus: BusLive) -> bool:
-    """Where they do not, #17 says something else in these units, and nothing about who answers."""
+    """Where they do not, #17 of these units has another meaning, and no address can be checked."""
     read = [(unit.parameter_raw(OWN_ADDRESS), unit.settings.id) for unit in bus.units.values()]
     matches = [own == address for own, address in read if own is not None]
     return 2 * sum(matches) > len(matches)

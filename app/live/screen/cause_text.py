@@ -1,4 +1,4 @@
-"""A cause in the words of a reader's language: what is so, since when, and what to check. Pure."""
+"""A cause in the reader's language: the condition, since when, and what to check. Pure."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ CAUSE_TEXTS = {
     "address_suspect": "address in doubt",
     "blocked": "commands blocked",
 }
-"""By code. What a unit does meanwhile stands before it (:data:`MOTION_TEXTS`), and why after it; a drift has
-nothing but that."""
+"""By code. The motion of the unit precedes it (:data:`MOTION_TEXTS`), the reason follows; a drift has
+only the reason."""
 MOTION_TEXTS = {
     "stopped": "stopped",
     "stopping": "still turning",
@@ -53,18 +53,18 @@ CHECK_TEXTS = {
 
 
 def cause_text(cause: Cause, translator: Translator) -> str:
-    """What is so, without its time: ``Stopped: run input off``."""
+    """The condition without its time: ``Stopped: run input off``."""
     return joined(_motion(cause, translator), _what(cause, translator), _why(cause, translator))
 
 
 def cause_line(cause: Cause, translator: Translator, now: float) -> str:
-    """What is so and since when: ``Stopped: run input off since 02:22``."""
+    """The condition and its time: ``Stopped: run input off since 02:22``."""
     what = f"{_what(cause, translator)} {since_text(cause, translator, now)}".rstrip()
     return joined(_motion(cause, translator), what, _why(cause, translator))
 
 
 def since_text(cause: Cause, translator: Translator, now: float) -> str:
-    """``since 02:22``; empty where no time is known. A ramp says how long it still takes instead."""
+    """``since 02:22``; empty where no time is known. A ramp shows the time left instead."""
     onset = cause.onset
     if onset is None or cause.code == "ramping":
         return ""

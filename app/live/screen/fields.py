@@ -51,7 +51,7 @@ Fields = dict[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Translator:
-    """How one language says things."""
+    """The texts of one language."""
 
     language: Language
     formats: Formats
@@ -131,7 +131,7 @@ def bus_fields(bus: BusLive, translator: Translator, now: float) -> Fields:
 
 
 def health_fields(figures: UnitFigures, translator: Translator) -> Fields:
-    """How one unit answers, for whoever has its page open."""
+    """How one unit responds, for its open page."""
     naks = [f"{count} x {translator.t(unit_error(code))}" for code, count in sorted(figures.naks.items())]
     median, most = figures.answer_s_median, figures.answer_s_max
     times = ""

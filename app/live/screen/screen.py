@@ -1,4 +1,4 @@
-"""The line as it stands on the browsers' pages in one language: what is shown, and what changed.
+"""The line on the browsers' pages in one language: the fields, and which of them changed.
 
 Between the live state and the sockets: no I/O and no clock. Order of use: :meth:`Screen.see` for what
 a worker reported, :meth:`Screen.settle` once a second for what only time changes; both give the
@@ -41,7 +41,7 @@ class Screen:
     _views: dict[str, UnitView] = field(default_factory=dict)
 
     def see(self, bus_name: str, units: Iterable[int], now: float, *, include_bus: bool) -> Groups:
-        """Render what a report touched; gives what is different now."""
+        """Render the units of a report; return the changed fields."""
         bus = self.live.buses[bus_name]
         changed: Groups = {}
         for number in units:
@@ -68,7 +68,7 @@ class Screen:
         return changed
 
     def refresh(self, now: float) -> Groups:
-        """Render everything anew."""
+        """Render everything again."""
         changed: Groups = {}
         for name, bus in self.live.buses.items():
             for group, fields in self.see(name, bus.units, now, include_bus=True).items():
@@ -76,7 +76,7 @@ class Screen:
         return changed
 
     def put(self, group: str, fields: Fields) -> Groups:
-        """Show something that is no unit and no bus; gives what is different now."""
+        """Set fields that belong to no unit and no bus; return those that changed."""
         changed: Groups = {}
         self._put(changed, group, fields)
         return changed

@@ -1,4 +1,4 @@
-"""What pages and API show that no worker reports: each of these owners is asked for it."""
+"""Data on pages and in the API that no worker reports, by owner."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ class LoadedRecipes(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """The owners, those of a bus by its name. ``notices``: what is wrong with the records, for a page in its
-    language and at a Unix time; ``history_fault``: why no history is stored. Both return an empty text while
-    there is nothing to say."""
+    """The owners, those of a bus by its name. ``notices``: faults of the records, for a page in its
+    language and at a Unix time; ``history_fault``: why no history is stored. Both return an empty text where
+    there is no fault."""
 
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]

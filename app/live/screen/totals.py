@@ -1,4 +1,4 @@
-"""What is shown of the line as a whole: the verdict, the strip of what is abnormal, the counts. Pure."""
+"""The line on one page: the verdict, the strip of abnormal units, the counts. Pure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from app.live.state.live_state import LiveState
 from app.web.formats import UNKNOWN
 
 MOST_ENTRIES = 30
-"""In the strip; when more is not well, the verdict has their number."""
+"""In the strip; with more abnormal ones, the verdict has their number."""
 NO_BREAK = "\u00a0"
 Views = Mapping[str, UnitView]
 """How each unit looks, by the group of its fields."""
@@ -23,7 +23,7 @@ Views = Mapping[str, UnitView]
 
 @dataclass(frozen=True, slots=True)
 class AbnormalItem:
-    """One item of the strip of what is abnormal. ``key``: the group of its unit or bus."""
+    """One item of the strip. ``key``: the group of its unit or bus."""
 
     key: str
     name: str
@@ -69,14 +69,14 @@ def entries_of(live: LiveState, views: Views, translator: Translator, now: float
 
 
 def strip_of(entries: list[AbnormalItem]) -> list[AbnormalItem]:
-    """What stands beside the verdict, which names the worst."""
+    """The items beside the verdict, which names the worst."""
     return entries[1 : 1 + MOST_ENTRIES]
 
 
 def line_fields(
     live: LiveState, views: Views, entries: list[AbnormalItem], translator: Translator, now: float
 ) -> Fields:
-    """The fields of the whole line. The verdict is the worst cause, after the name of its unit."""
+    """The fields of the line. The verdict is the worst cause, after the name of its unit."""
     tally = StateCounts()
     for view in views.values():
         tally.count(view)
@@ -101,7 +101,7 @@ def line_fields(
 
 
 def _all_well(tally: StateCounts, translator: Translator) -> str:
-    """The line in one sentence while nothing is abnormal."""
+    """The verdict while nothing is abnormal."""
     if tally.units == 0:
         return translator.t("No unit is configured")
     if tally.at_zero == tally.units:
@@ -114,8 +114,8 @@ def _all_well(tally: StateCounts, translator: Translator) -> str:
 
 
 def holders(held_by: Mapping[str, str], translator: Translator) -> str:
-    """Who holds control of which bus, in words; ``held_by`` has an empty name for a bus that is free. Of the
-    only bus there is, only the name is said, and nothing where nobody holds any. Breaks between two buses."""
+    """Who holds control of which bus; ``held_by`` has an empty name for a bus that is free. For
+    a single bus only the name, and an empty text where it is free. Breaks between two buses."""
     held = {bus: holder for bus, holder in held_by.items() if holder}
     if not held:
         return ""

@@ -10,7 +10,7 @@ from bus.contract import LONGEST_MEANING, Frame
 
 def frame_fields(frame: Frame, translator: Translator) -> dict[str, Any]:
     """``at``: seconds since the epoch; ``hex``: the bytes as they passed; ``meaning``: in the language of
-    ``voice``."""
+    ``translator``."""
     return {
         "at": round(frame.at, 4),
         "direction": frame.direction,

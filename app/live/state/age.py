@@ -13,16 +13,16 @@ if TYPE_CHECKING:
 
 OFFLINE_SCANS = 5
 WORKER_TIMEOUT_S = 2.0
-"""A worker tells its figures every second, and beside them whatever its units say."""
+"""A worker reports its figures every second, beside the readings of its units."""
 
 
 def stale_after_s(scan_s: float) -> float:
-    """An answer older than this is overdue: two seconds, or two scans where those take longer."""
+    """A response older than this is overdue: two seconds, or two scans where those take longer."""
     return max(2.0, 2 * scan_s)
 
 
 def offline_after_s(scan_s: float) -> float:
-    """No answer for this long: the unit counts as lost."""
+    """No response for this long: the unit counts as lost."""
     return max(10.0, OFFLINE_SCANS * scan_s)
 
 
@@ -55,7 +55,7 @@ def unit_link_now(bus: BusLive, unit: UnitLive, now: float) -> UnitLinkState:
 
 
 def worker_timed_out(bus: BusLive, now: float) -> bool:
-    """Whether a worker that is connected says nothing: its process stands still, or the way to it is cut."""
+    """Whether a connected worker has stopped sending: its process hangs, or its network is cut."""
     if not bus.worker_connected or bus.figures is None:
         return False
     since = now - WORKER_TIMEOUT_S

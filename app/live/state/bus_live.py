@@ -36,7 +36,7 @@ BusSubscriber = Callable[[Sequence[Update]], None]
 
 @dataclass(slots=True)
 class UnitLive:
-    """The newest word of one unit. ``link`` is the worker's opinion; the age has a say too."""
+    """The newest reading of one unit. ``link`` is the worker's view; the age counts too."""
 
     settings: UnitSettings
     link: UnitLink
@@ -64,7 +64,7 @@ class BusLive:
     settings: BusSettings
     link: BusLink
     link_onset: Onset
-    """Since when the port is as ``link`` says."""
+    """When the present ``link`` began."""
     worker_lost: Onset | None
     """Since when no worker is connected; None while one is."""
     worker_software: str = ""
@@ -79,7 +79,7 @@ class BusLive:
 
     @property
     def baud(self) -> int:
-        """The present rate: what the worker says, as #18 may have moved it; else as configured."""
+        """The present rate as the worker reports it, as #18 may have changed it; else as configured."""
         return self.link.baud or self.settings.baud
 
     def subscribe(self, subscriber: BusSubscriber) -> Callable[[], None]:
@@ -99,10 +99,10 @@ class BusLive:
                 log.exception("subscriber of the live state failed", bus=self.settings.name)
 
     def take_snapshot(self, snapshot: Snapshot, software: str) -> list[Update]:
-        """A worker connected, with its whole state; returns that as updates."""
+        """A worker connected, with its complete state; returns that as updates."""
         if not self.worker_connected:
             self.worker_lost = None
-            # It says how its port is, and not since when.
+            # It reports the state of its port, and not since when.
             self.link, self.link_onset = snapshot.bus, Onset(snapshot.bus.at, exact=False)
         self.worker_software = software
         updates = updates_of(snapshot)
@@ -140,7 +140,7 @@ class BusLive:
                 unit.staged = update.raw
 
     def _take_link(self, link: BusLink) -> None:
-        """A worker says how its port is when that changes."""
+        """A worker reports a change of its port."""
         if link.link != self.link.link:
             self.link_onset = Onset(link.at)
         self.link = link

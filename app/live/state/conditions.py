@@ -24,7 +24,7 @@ STATUS_CONDITIONS: dict[Condition, Callable[[StatusBits], bool]] = {
     "not_in_remote": lambda bits: not bits.remote,
     "not_at_speed": lambda bits: not bits.at_speed,
 }
-"""The conditions that one bit of ST1 or ST2 says (manual, 81h)."""
+"""The conditions of single bits of ST1 or ST2 (manual, 81h)."""
 _TURNING: frozenset[Condition] = frozenset(("turning",))
 
 
@@ -39,7 +39,7 @@ def is_driven(bits: StatusBits) -> bool:
 
 
 def mode_of(unit: UnitLive, bits: StatusBits) -> str:
-    """``remote`` is the unit's own word (ST2); LOCAL and KEYLOCK are told apart by #19."""
+    """``remote`` is from the unit (ST2); LOCAL and KEYLOCK are distinguished by #19."""
     if bits.remote:
         return "remote"
     return "keylock" if unit.parameter_raw(CONTROL_MODE) == KEYLOCK else "local"
@@ -47,7 +47,7 @@ def mode_of(unit: UnitLive, bits: StatusBits) -> str:
 
 @lru_cache(maxsize=4096)
 def status_conditions(bits: StatusBits) -> frozenset[Condition]:
-    """The conditions that the status bits say."""
+    """The conditions in the status bits."""
     return frozenset(name for name, holds in STATUS_CONDITIONS.items() if holds(bits))
 
 

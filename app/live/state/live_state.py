@@ -1,6 +1,6 @@
 """The present state of every bus. Times are Unix times in seconds on the app's own clock; the feed shifts a
 worker's times before they come here. What is overdue is not stored but computed from the age
-(:mod:`app.live.state.age`), so that a silent worker cannot keep anything looking fresh.
+(:mod:`app.live.state.age`): a worker that hangs cannot keep anything looking fresh.
 """
 
 from __future__ import annotations

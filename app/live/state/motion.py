@@ -1,8 +1,8 @@
-"""Whether a unit is at speed, on its way there, or neither. Pure: readings in, one word out.
+"""Whether a unit is at speed, ramping, or neither. Pure: readings in, state out.
 
-The unit itself says only *at speed* (ST2 bit 7). The rest follows from the readings: a unit whose distance
-from where it should be shrinks is ramping; one whose distance has not shrunk for a while is off speed.
-Without run, or with an emergency stop active, it should stand still, whatever is commanded.
+The unit itself reports only *at speed* (ST2 bit 7). The rest follows from the readings: a unit whose distance
+from its target shrinks is ramping; one whose distance has not shrunk for a while is off speed.
+Without run, or with an emergency stop active, its target is standstill, whatever is commanded.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Motion:
     _nearer_at: float = 0.0
 
     def see(self, reading: Reading, bits: StatusBits, *, scan_s: float, ratio: bool = False) -> MotionState:
-        """The state after this reading. ``ratio``: its speeds are ratios to a master, which say nothing of
+        """The state after this reading. ``ratio``: its speeds are ratios to a master, which do not show
         whether the motor turns."""
         driven = is_driven(bits)
         goal = reading.commanded if driven else 0

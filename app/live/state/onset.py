@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from app.live.state.conditions import Condition
 
 UNSEEN_S = 60.0
-"""What held before and after a silence of at most this, such as a restart, held meanwhile too."""
+"""A condition before and after a gap of at most this, such as a restart, counts as uninterrupted."""
 _NOTHING: frozenset[Condition] = frozenset()
 
 

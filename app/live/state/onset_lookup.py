@@ -46,7 +46,7 @@ class OnsetLookup:
         """The units whose last response before this start was looked up."""
 
     async def follow(self) -> None:
-        """Look up what is open, as long as the server runs."""
+        """Look up open conditions, as long as the server runs."""
         while True:
             await asyncio.sleep(LOOK_EVERY_S)
             await self.look()

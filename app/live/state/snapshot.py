@@ -1,4 +1,4 @@
-"""A worker's whole state as the updates that lead to it. Pure."""
+"""A worker's complete state as the updates that lead to it. Pure."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from bus.contract import Snapshot, Staged, UnitState, Update
 
 
 def updates_of(snapshot: Snapshot) -> list[Update]:
-    """A whole state as the updates that lead to it."""
+    """A complete state as the updates that lead to it."""
     updates: list[Update] = [snapshot.bus]
     for unit in snapshot.units:
         updates += _updates_of_unit(unit, snapshot.sent_at)
