@@ -1,6 +1,6 @@
 """The data that the trends page fetches first, requested by the page while its scripts are on the way.
 
-The rules for an address are those of ``static/js/trends-view.js``; where they differ, the page requests again.
+The rules for an address are those of ``static/js/trends-view.js``; where they differ, it requests again.
 """
 
 from __future__ import annotations
