@@ -1,8 +1,8 @@
 """Moments on the two clocks, apart from each other and from durations for the type checker.
 
-A moment and a duration are both floats at run time, and one in the place of the other is a command that acts
-an hour late or never. For mypy a moment is no float: a duration added to it gives a moment, the difference of two
-is a duration. ``float(moment)`` is the number for a library that wants one.
+A moment and a duration are both floats at run time, and one in the place of the other is a command that
+acts an hour late or never. For mypy a moment is no float: a duration added to it gives a moment, the
+difference of two is a duration. ``float(moment)`` is the number for a library that wants one.
 """
 
 from __future__ import annotations
