@@ -19,8 +19,7 @@ class LineEvent:
     kind: EventKind
     unit: int | None
     at: float
-    what: Message | str
-    """Of the history, damage is still reported as text."""
+    what: Message
     old: str
     new: str
     message: Message | None = None

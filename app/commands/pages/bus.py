@@ -119,7 +119,7 @@ async def control(
     try:
         await _move_control(page, person, bus, do, to)
     except Problem as problem:
-        return _control_part(page, person, bus, fault=problem.text(page.translator.t))
+        return _control_part(page, person, bus, fault=page.translator.t(problem.message))
     return _control_part(page, person, bus)
 
 

@@ -97,7 +97,7 @@ async def review_analog(
         raw = _integer(value)
         page.commands(bus).check(person, WriteAnalogOutput(unit=unit, raw=raw), confirm=True)
     except (CallerError, Problem) as error:
-        return page.not_so(error.text(page.translator.t), "#analog-error")
+        return page.not_so(page.translator.t(error.message), "#analog-error")
     return page.review(
         "unit/_review_analog.html",
         unit=page.shown(bus, unit),

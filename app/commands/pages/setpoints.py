@@ -75,7 +75,7 @@ async def review_setpoints(
         deadline = page.deadline(live, len(setpoints))
         await judge(page, person, bus, SetLine(setpoints=setpoints), deadline)
     except (CallerError, Problem) as error:
-        return page.not_so(error.text(page.translator.t), f"#setpoints-error-{bus}")
+        return page.not_so(page.translator.t(error.message), f"#setpoints-error-{bus}")
     await know_ramps(page, person, bus, setpoints)
     changes = [change(page, bus, unit, raw) for unit, raw in setpoints.items()]
     left_out, unchanged = keep_their_setpoint(page, bus, setpoints)

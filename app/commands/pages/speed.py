@@ -70,7 +70,7 @@ async def _review(
 def _not_so(page: PageContext, live: UnitLive, error: CallerError | Problem) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     return page.not_so(
-        error.text(page.translator.t),
+        page.translator.t(error.message),
         ERROR_PLACE,
         nearest="" if nearest is None else page.translator.formats.point(shown_setpoint(nearest, live)),
         status=error.status if isinstance(error, Problem) else 422,

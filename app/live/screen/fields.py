@@ -120,7 +120,7 @@ def bus_fields(bus: BusLive, translator: Translator, now: float) -> Fields:
         return fields
     number = translator.formats.number
     return fields | {
-        "scan": f"{number(figures.scan_s, 2)} s",
+        "scan": scan_text(translator, figures.scan_s),
         "rate": number(figures.scan_hz, 1),
         "wire": f"{number(100 * figures.wire_utilisation)} %",
         "wire_fill": f"{min(1.0, figures.wire_utilisation):.3f}",
@@ -128,6 +128,11 @@ def bus_fields(bus: BusLive, translator: Translator, now: float) -> Fields:
         "noise": f"{figures.noise_bytes}",
         "diagnosis": " ".join(map(translator.t, figures.diagnosis)),
     }
+
+
+def scan_text(translator: Translator, scan_s: float) -> str:
+    """A scan time; unknown where it is 0 because no unit responds."""
+    return f"{translator.formats.number(scan_s, 2)} s" if scan_s > 0 else UNKNOWN
 
 
 def health_fields(figures: UnitFigures, translator: Translator) -> Fields:
