@@ -89,6 +89,7 @@ class Problem(LinesideError):
         status: int,
         code: ProblemCode,
         message: Message,
+        /,
         **extra: Any,
     ) -> None:
         super().__init__(message)
