@@ -15,5 +15,5 @@ def anchor_notice(status: AnchorStatus, t: Callable[..., str], formats: Formats,
         return t("The audit log was altered after it was anchored. Run lineside audit verify.")
     if status.unwritten:
         since, why = formats.since(status.since, now), t(status.unwritten)
-        return t("Since {time} the audit log is not anchored. The reason: {why}", time=since, why=why)
+        return t("The audit log is not anchored since {time}. Cause: {why}", time=since, why=why)
     return ""

@@ -14,13 +14,13 @@ from bus.messages import Message
 __all__ = ["StoreError", "in_words"]
 
 _MEANINGS: dict[int, str] = {
-    sqlite3.SQLITE_FULL: "the disk is full; free some space, nothing was stored",
+    sqlite3.SQLITE_FULL: "the disk is full; nothing was stored; free some space",
     sqlite3.SQLITE_READONLY: "it is read-only; give the server's user write access to it and its folder",
-    sqlite3.SQLITE_CORRUPT: "it is damaged; restore a backup of it (lineside backup-store) or move it away",
-    sqlite3.SQLITE_NOTADB: "it is not a Lineside store, or damaged; restore a backup of it or move it away",
-    sqlite3.SQLITE_CANTOPEN: "it cannot be opened; check that its folder exists and may be used",
-    sqlite3.SQLITE_IOERR: "the disk failed at it; check the disk",
-    sqlite3.SQLITE_BUSY: "another program holds it locked; end that program",
+    sqlite3.SQLITE_CORRUPT: ("it is damaged; restore a backup (lineside restore-store) or move it away"),
+    sqlite3.SQLITE_NOTADB: ("it is not a Lineside store, or it is damaged; restore a backup or move it away"),
+    sqlite3.SQLITE_CANTOPEN: "it cannot be opened; check that its folder exists and is accessible",
+    sqlite3.SQLITE_IOERR: "disk error; check the disk",
+    sqlite3.SQLITE_BUSY: "another program has locked it; stop that program",
     sqlite3.SQLITE_PERM: "access to it is refused; give the server's user access",
 }
 _PRIMARY = 0xFF

@@ -56,9 +56,9 @@ def store_notice(status: Status, t: Callable[..., str], formats: Formats, now: f
         case "ok":
             return t(DAMAGED) if status.damaged else ""
         case "failed":
-            text = "Since {time} no history is kept, everything else works. The reason: {why}"
+            text = "No history is stored since {time}; everything else works. Cause: {why}"
             return t(text, time=since, why=status.cause)
         case "paused":
-            return t("Since {time} no history is kept: the disk is full. Free some space.", time=since)
+            return t("No history is stored since {time}: the disk is full. Free some space.", time=since)
         case _:
             return f"{t('History')}: {t(NOTICES[status.state])}"

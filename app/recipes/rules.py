@@ -175,7 +175,7 @@ def _obstacle(setpoint: RecipeSetpoint, unit: UnitLive, facts: RiskInputs) -> st
         return obstacle.text
     kind = setpoint_kind(unit)
     if kind is None:
-        return "whether it follows by ratio (#8) has not been read yet"
+        return "its mode (#8) has not been read yet"
     if kind != setpoint.kind:
         return f"the recipe holds a {setpoint.kind}, the unit now takes a {kind} (#8)"
     return ""

@@ -29,7 +29,7 @@ _MEANINGS: dict[int, str] = {
     38: "follows at {new} at least instead of {old}",
 }
 _ANY_MEANING = "{new} instead of {old}"
-_SECRET_MEANING = "it differs; a secret is not shown"
+_SECRET_MEANING = "it differs; the secret value is not shown"
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,15 +38,15 @@ EFFECTS: Mapping[int, Effect] = {
 
 EFFECT_TEXTS: Mapping[Effect, str] = {
     "setpoint": "Changes the machine's speed now",
-    "speed_scale": "Changes the speed of the running unit at once",
-    "ramp": "Changes how fast the running unit changes its speed",
-    "contact": "Changes the speed at once while the preset, up or down input is on",
+    "speed_scale": "Changes the speed of the running unit immediately",
+    "ramp": "Changes the ramp of the running unit",
+    "contact": "Changes the speed immediately while the preset, up or down input is on",
     "ratio_limit": "Changes the speed of a running follower whose ratio is outside the new limits",
-    "meaning": "Changes what the setpoints of the unit mean",
-    "analog_output": "Changes the analog output at once, and the speed of what it drives",
+    "meaning": "Changes the meaning of the unit's setpoints",
+    "analog_output": ("Changes the analog output immediately, and the speed of the equipment that it drives"),
     "unknown": "May change the running unit: the manual does not explain this parameter",
 }
-NO_RAMP = "Takes the ramp away: from then on the unit changes its speed at once"
+NO_RAMP = "Removes the ramp: the unit then changes its speed immediately"
 
 
 def warning_of(number: int, raw: int, *, running: bool | None) -> str:

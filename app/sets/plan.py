@@ -18,7 +18,7 @@ from bus.messages import Message, term
 _REMOTE = 1
 """#19 of a unit that takes writes (manual, 4.0)."""
 NOT_IN_REMOTE = (
-    "the unit is not in REMOTE and refuses every write; set #19 to 1 at its keypad, then plan again"
+    "the unit is not in REMOTE and rejects every write; set #19 to 1 at its keypad, then plan again"
 )
 DESELECTED = "left out by choice"
 
@@ -149,5 +149,5 @@ def _not_held(number: int, wanted: UnitRows) -> LeftOut:
     if row is not None and not row.available:
         return LeftOut(number, "not_in_set", "the unit of the set did not have it")
     if PARAMETERS[number].secret:
-        return LeftOut(number, "secret", "secret, not held in the set")
-    return LeftOut(number, "not_in_set", "the set does not hold it")
+        return LeftOut(number, "secret", "secret, not stored in the set")
+    return LeftOut(number, "not_in_set", "the set does not contain it")

@@ -10,8 +10,10 @@ from app.sets.order import Write
 from bus.catalogue.numbers import FOLLOWER_MODE
 from bus.catalogue.parameters import PARAMETERS
 
-RUNS = "the unit runs: the marked rows change what the machine does at once"
-MAY_RUN = "it is not known whether the unit runs: the marked rows may change what the machine does at once"
+RUNS = "the unit runs: the marked rows change the speed of the machine immediately"
+MAY_RUN = (
+    "whether the unit runs is not known: the marked rows may change the speed of the machine immediately"
+)
 
 
 def remarks(
@@ -39,9 +41,9 @@ def _kind(wanted: UnitRows, present: UnitRows) -> list[str]:
     kinds = [rows.raw(FOLLOWER_MODE) for rows in (wanted, present)]
     if None not in kinds and (kinds[0] == 0) != (kinds[1] == 0):
         found.append(
-            "the set is of a master, this unit follows by ratio (#8): another type of section"
+            "the set is from a master, this unit is a follower (#8): another type of section"
             if kinds[0] == 0
-            else "the set is of a follower by ratio, this unit is a master (#8): another type of section"
+            else "the set is from a follower, this unit is a master (#8): another type of section"
         )
     for rows, text in ((wanted, "the unit of the set"), (present, "this unit")):
         lacks = sum(not row.available for row in rows.rows.values())

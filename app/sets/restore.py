@@ -32,7 +32,7 @@ EndSubscriber = Callable[[Restore], Awaitable[None]]
 _log = structlog.get_logger(__name__)
 
 _KEEP_FINISHED = 50
-_UNDER_WAY_AT_END = "the server ended while it was under way"
+_UNDER_WAY_AT_END = "the server stopped during the restore"
 
 
 class RestoreService:
@@ -146,7 +146,7 @@ class RestoreService:
             raise
         except Exception:
             _log.exception("a restore failed", restore=restore.id)
-            restore.stop("failed", "an error in the server; its log says more")
+            restore.stop("failed", "server error; its log has the details")
         finally:
             await self._end(restore)
 

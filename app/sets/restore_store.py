@@ -14,7 +14,7 @@ from bus.catalogue.parameters import PARAMETERS
 
 NOT_KEPT = -1
 """Stands for a secret (#21), which is kept in parameter sets alone: no raw value is negative."""
-ENDED_MEANWHILE = "the server ended before its fate was known; it may have been written"
+ENDED_MEANWHILE = "the server stopped before the result was known; the row may have been written"
 
 
 class RestoreStore:

@@ -82,7 +82,7 @@ class SetSchedule:
             await self._take(person, heard, overdue)
         for unit, one in tuple(overdue.items()):
             if not one.why and not self._is_heard(unit) and now - one.since >= SAID_AFTER:
-                await self._not_taken(person, unit, one, "the unit does not answer")
+                await self._not_taken(person, unit, one, "the unit does not respond")
 
     def _is_heard(self, unit: int) -> bool:
         return self._live.units[unit].link.link == "online"

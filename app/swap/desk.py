@@ -98,7 +98,7 @@ class SwapService:
     async def said_new(self, swap: Swap) -> None:
         """What answers at the section's address is the spare: a person has looked."""
         swap.is_new = True
-        swap.seen.append("a person said that it is the spare")
+        swap.seen.append("a user confirmed the spare")
         await self._store.save(swap)
 
     async def restoring(self, swap: Swap, restore: Restore) -> None:
@@ -128,7 +128,7 @@ class SwapService:
             f"seen: {', then '.join(swap.seen)}",
             f"restored from {swap.source_words}: {restore.account() or 'nothing had to be written'}",
             f"left out: {left_out}" if left_out else "",
-            "proven by a full read",
+            "verified by a full read",
         ]
         message = "; ".join(part for part in story if part)
         await self._record(swap, restore.who, Message("event_swap_proven"), message, outcome="verified")
@@ -152,11 +152,14 @@ def step_text(advice: Advice, swap: Swap) -> str:
     """The sentence of the step; a restore that was tried says how it ended, the sheet what to do with it."""
     if swap.source is None and advice.step == "restore":
         return (
-            "The unit answers in REMOTE. Enter its parameters from the sheet, then let it be read whole and "
-            "kept as a set."
+            "The unit responds and is in REMOTE. Enter the values of the parameter sheet, then read "
+            "the unit and save it as a set."
         )
     if swap.source is None and advice.step == "proven":
-        return "The new unit has been read whole and is kept as a set; compare that with the sheet."
+        return (
+            "All parameters of the new unit were read and saved as a set. Compare the set with the "
+            "parameter sheet."
+        )
     if advice.step == "restore" and swap.restore is not None and swap.equal is False:
-        return "The restore is not finished. Review it again: only the rows that still differ are written."
+        return "The restore is not complete. Review it again: only the rows that still differ are written."
     return advice.text

@@ -98,7 +98,7 @@ async def _advice(person: Person, live: Live, swaps: SwapService, desk: CommandS
         state = await swaps.look(swap, lambda: look(desk, live, person, swap))
     except Problem as problem:
         return Advice("find", problem.detail, at_panel=False)
-    return Advice("find", "reading the wire", at_panel=False) if state is None else advice(state)
+    return Advice("find", "reading the bus", at_panel=False) if state is None else advice(state)
 
 
 @router.post("/swap/{bus}/{unit}/spare")
@@ -130,7 +130,7 @@ async def entered(
     """All is entered from the sheet: read the unit whole and keep it as a set."""
     unit_or_404(live, bus, unit)
     swap = swaps.of_or_404(bus, unit)
-    kept = await keeper.take(person, [unit], "entered from the sheet", "")
+    kept = await keeper.take(person, [unit], "entered from the parameter sheet", "")
     await swaps.entered(person, swap, kept)
     return Response(status_code=303, headers={"Location": f"/sets/{kept.id}"})
 

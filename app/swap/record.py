@@ -63,4 +63,4 @@ class Swap:
     @property
     def source_words(self) -> str:
         """Where its parameters come from."""
-        return "the sheet" if self.source is None else self.source.words(self.unit)
+        return "the parameter sheet" if self.source is None else self.source.words(self.unit)

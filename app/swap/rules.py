@@ -50,7 +50,9 @@ class Advice:
     asks: bool = False
 
 
-PROVEN = Advice("proven", "The new unit is what the old one was, proven by a full read.", at_panel=False)
+PROVEN = Advice(
+    "proven", ("The new unit has the parameters of the old unit, verified by a full read."), at_panel=False
+)
 
 
 def advice(state: SwapState) -> Advice:
@@ -61,34 +63,37 @@ def advice(state: SwapState) -> Advice:
         return _nothing_at_target(state)
     if not state.is_new:
         text = (
-            "A unit answers at address {target}. If it is the old one, switch it off and take it off the "
-            "cable; this page goes on when the address is silent. If it is the spare already, say so."
+            "A unit responds at address {target}. If it is the old unit, switch it off and "
+            "disconnect it; this page continues when the address stops responding. If it is already "
+            "the spare, confirm it."
         )
         return Advice("find", text, at_panel=True, asks=True)
     if state.remote is not True:
         text = (
-            "At the keypad of the new unit set parameter 19 to 1 (REMOTE). In LOCAL it refuses every write, "
-            "and the link cannot change that."
+            "At the keypad of the new unit, set parameter 19 to 1 (REMOTE). In LOCAL it rejects "
+            "every write, and the link cannot change that."
         )
         return Advice("remote", text, at_panel=True)
     if state.equal is not True:
-        return Advice("restore", "The unit answers in REMOTE. Restore its parameters now.", at_panel=False)
+        return Advice(
+            "restore", "The unit responds and is in REMOTE. Restore its parameters now.", at_panel=False
+        )
     return PROVEN
 
 
 def _at_target_wrong(state: SwapState) -> Advice:
     if state.at_target == "foreign":
-        text = "Something that is no DIGIMAX IV answers at address {target}. Take it off the cable."
+        text = "A device that is not a DIGIMAX IV responds at address {target}. Disconnect it from the cable."
     elif state.at_target == "late":
         text = (
-            "Responses from address {target} come too late to be identified. Increase turnaround_ms for this "
-            "bus in lineside.toml and restart Lineside."
+            "Responses from address {target} arrive too late to be identified. Increase "
+            "turnaround_ms for this bus in lineside.toml and restart Lineside."
         )
         return Advice("find", text, at_panel=False)
     else:
         text = (
-            "Two units answer at address {target} at once. Take the old one off the cable, or give the other "
-            "its own address at its keypad (parameter 17)."
+            "Two units respond at address {target}. Disconnect the old unit, or set a unique address "
+            "at the keypad of the other (parameter 17)."
         )
     return Advice("address", text, at_panel=True)
 
@@ -96,36 +101,37 @@ def _at_target_wrong(state: SwapState) -> Advice:
 def _nothing_at_target(state: SwapState) -> Advice:
     if state.at_factory == "garbled":
         text = (
-            "Two units answer at address {factory}: the spare still has its factory address, which another "
-            "section uses. At the keypad of the spare set parameter 17 to {target}."
+            "Two units respond at address {factory}: the spare still has its factory address, which "
+            "another section uses. At the keypad of the spare, set parameter 17 to {target}."
         )
         return Advice("address", text, at_panel=True)
     if state.at_factory == "digimax" and FACTORY_ADDRESS not in state.configured:
         text = (
-            "The spare answers at its factory address {factory}. At its keypad set parameter 17 to {target}."
+            "The spare responds at its factory address {factory}. At its keypad, set parameter 17 to "
+            "{target}."
         )
         return Advice("address", text, at_panel=True)
     if state.baud != FACTORY_BAUD:
         text = (
-            "Nothing new answers yet. Connect and power the spare. Out of its box it speaks at 9600 baud, "
-            "and this line goes at {baud}: at its keypad set parameter 17 to {target} and parameter 18 to "
-            "{hundreds}, then switch it off and on."
+            "No spare responds yet. Connect and power the spare. Its factory setting is 9600 baud, "
+            "and this line runs at {baud}: at its keypad, set parameter 17 to {target} and parameter "
+            "18 to {hundreds}, then switch it off and on."
         )
     else:
         text = (
-            "Nothing new answers yet. Connect and power the spare; at its keypad set parameter 17 to "
-            "{target}. If it was used elsewhere before, set parameter 18 to {hundreds} ({baud} baud) as "
-            "well, then switch it off and on."
+            "No spare responds yet. Connect and power the spare; at its keypad, set parameter 17 to "
+            "{target}. If it was used elsewhere before, also set parameter 18 to {hundreds} ({baud} "
+            "baud), then switch it off and on."
         )
     return Advice("find", text, at_panel=True)
 
 
 _KIND_WORDS: dict[ProbeFinding, str] = {
-    "silent": "nothing answers",
+    "silent": "no response",
     "digimax": "a unit answers",
     "garbled": "two units answer",
-    "foreign": "something that is no unit answers",
-    "late": "responses come too late",
+    "foreign": "a device that is not a unit responds",
+    "late": "responses arrive too late",
 }
 
 

@@ -131,14 +131,14 @@ async def test_the_daily_look_finds_it_and_it_is_said_once(
     try:
         await history.inspect()
         until(lambda: history.status.damaged == 1)
-        assert "something that was kept was damaged" in history.status.message
+        assert "stored values were damaged" in history.status.message
         await history.inspect()
         until(lambda: history.status.state == "ok")
     finally:
         history.close()
     await asyncio.sleep(0)
     assert len(words) == 1
-    assert "it is missing: every reading of dry-end/1 from 2026-11-21T12:00+00:00" in words[0]
+    assert "it is missing: every value of dry-end/1 from 2026-11-21T12:00+00:00" in words[0]
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -106,7 +106,7 @@ async def test_a_page_for_people_and_a_fragment_for_htmx(house: House) -> None:
     page = await client.get("/nowhere", headers={"accept": "text/html"})
     assert page.status_code == 404
     assert "<!doctype html>" in page.text
-    assert "there is nothing at /nowhere" in page.text
+    assert "there is no page at /nowhere" in page.text
     part = await client.get("/nowhere", headers={"hx-request": "true"})
     assert part.status_code == 404
     assert "<!doctype" not in part.text
@@ -123,7 +123,7 @@ async def test_a_store_that_fails_is_said(
     house: House, engineer: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def fail(*_: object) -> None:
-        raise StoreError("the store x: the disk is full; free some space, nothing was stored")
+        raise StoreError("the store x: the disk is full; nothing was stored; free some space")
 
     monkeypatch.setattr(house.services.events, "page", fail)
     answer = await engineer.get("/api/v1/events")
@@ -135,7 +135,7 @@ async def test_a_store_that_fails_at_the_door_refuses(
     house: House, engineer: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def fail(*_: object) -> None:
-        raise StoreError("the store x: the disk failed at it; check the disk")
+        raise StoreError("the store x: disk error; check the disk")
 
     monkeypatch.setattr(house.services.identity, "by_token", fail)
     check_problem(await engineer.get("/api/v1/line"), 503, "store")

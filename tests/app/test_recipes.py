@@ -191,7 +191,7 @@ def test_a_unit_whose_mode_was_not_read_cannot_be_loaded() -> None:
     live.buses["dry-end"].apply([BusLink(at=1.0, link="open"), UnitLink(unit=1, at=1.0, link="online")])
     live.buses["dry-end"].apply([Reading(1, fresh(), 1000, 1000, 0, REMOTE, HEALTHY)])
     [step] = steps_of(live, RecipeSetpoint(1, 1200, "speed"))
-    assert step.obstacle == "whether it follows by ratio (#8) has not been read yet"
+    assert step.obstacle == "its mode (#8) has not been read yet"
 
 
 def test_a_recipe_begins_from_the_setpoints_that_are_known() -> None:

@@ -74,7 +74,7 @@ def test_the_dialect_says_which_level_is_an_emergency_stop() -> None:
 def test_the_numbers_are_params() -> None:
     bus = after(reading(at=96.4)).buses["dry"]
     facts = facts_of(bus, bus.units[1], NOW, block="{age}", ramp=Ramp(7, 0, 0.0))
-    assert obstacle_of(facts) == Remark("blocked", "blocked: {block}", (("block", "{age}"),))
+    assert obstacle_of(facts) == Remark("blocked", "commands blocked: {block}", (("block", "{age}"),))
     assert [risk.params for risk in risks_of(facts)] == [(("age", "4"),), (("number", "7"),)]
 
 

@@ -65,7 +65,7 @@ GOOD = write_document(a_set({6: 50}))
     [
         ("", "not a parameter set"),
         (GOOD[: len(GOOD) - 20], "cut off"),
-        (GOOD.replace("version = 1", "version = 2"), "newer Lineside"),
+        (GOOD.replace("version = 1", "version = 2"), "newer version of Lineside"),
         (GOOD.replace("raw = 50", "raw = 10000"), "outside 0 to 9999"),
         (GOOD.replace("raw = 50", "raw = -1"), "outside"),
         (GOOD.replace("raw = 50", 'raw = "fifty"'), "raw"),
@@ -81,7 +81,7 @@ GOOD = write_document(a_set({6: 50}))
         (GOOD + "6 = { raw = 51 }\n", "not readable as TOML: .*overwrite"),
         (GOOD + "x = " + "[" * 100_000, "nested too deeply"),
         (GOOD.replace("raw = 50", "raw = " + "9" * 5000), "not readable as TOML"),
-        (GOOD.replace("taken_at = ", "taken_at = 0001-01-01T00:00:00 # "), "no time"),
+        (GOOD.replace("taken_at = ", "taken_at = 0001-01-01T00:00:00 # "), "not a time of reading"),
         (GOOD + "#" * 2_000_000, "too long"),
         (GOOD.replace("raw = 50", "raw = \0 50"), "not readable as TOML"),
     ],

@@ -157,7 +157,7 @@ def test_what_a_unit_does_not_have_and_what_the_set_does_not_hold_is_named() -> 
     reasons = {left.number: (left.reason, left.text) for left in plan.left_out}
     assert [write.number for write in plan.writes] == [6]
     assert reasons[40] == ("not_in_unit", "this unit does not have it")
-    assert reasons[21] == ("secret", "secret, not held in the set")
+    assert reasons[21] == ("secret", "secret, not stored in the set")
 
 
 def test_local_is_named_beforehand_and_may_be_written_later() -> None:

@@ -112,7 +112,7 @@ async def test_left_off_it_says_which_rows_are_done(a_scene: SetsScene) -> None:
     restore = await scene.plan()
     restore.cancel("ben")
     await scene.finish(restore)
-    assert (restore.state, restore.cause) == ("stopped", "left off by ben after 0 of 4 rows")
+    assert (restore.state, restore.cause) == ("stopped", "canceled by ben after 0 of 4 rows")
     assert {row.outcome for row in restore.rows} == {"not_sent"}
     assert scene.desk.written == []
 

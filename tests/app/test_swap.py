@@ -44,15 +44,15 @@ def state(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: 
         (state("silent"), "find", True, "Connect and power"),
         (state("silent", "digimax"), "address", True, "factory address"),
         (state("silent", "digimax", configured=frozenset({1, 5})), "find", True, "Connect and power"),
-        (state("silent", "garbled"), "address", True, "Two units answer at address {factory}"),
-        (state("garbled"), "address", True, "Two units answer at address {target}"),
-        (state("foreign"), "address", True, "no DIGIMAX IV"),
+        (state("silent", "garbled"), "address", True, "Two units respond at address {factory}"),
+        (state("garbled"), "address", True, "Two units respond at address {target}"),
+        (state("foreign"), "address", True, "not a DIGIMAX IV"),
         (state("late"), "find", False, "Increase turnaround_ms"),
         (state("digimax", remote=None), "remote", True, "REMOTE"),
         (state("digimax", remote=False), "remote", True, "REMOTE"),
         (state("digimax", remote=True), "restore", False, "Restore"),
         (state("digimax", remote=True, equal=False), "restore", False, "Restore"),
-        (state("digimax", remote=True, equal=True), "proven", False, "proven"),
+        (state("digimax", remote=True, equal=True), "proven", False, "verified"),
     ],
 )
 def test_what_to_do_now(seen: SwapState, step: str, at_panel: bool, says: str) -> None:
@@ -65,11 +65,11 @@ def test_what_to_do_now(seen: SwapState, step: str, at_panel: bool, says: str) -
 def test_the_old_unit_is_not_taken_for_the_spare() -> None:
     now = advice(state("digimax", remote=True, is_new=False))
     assert (now.step, now.asks) == ("find", True)
-    assert "the old one" in now.text
+    assert "the old unit" in now.text
 
 
 def test_another_baud_than_that_of_the_box_is_named() -> None:
-    assert "Out of its box it speaks at 9600 baud" in advice(state("silent", baud=4800)).text
+    assert "Its factory setting is 9600 baud" in advice(state("silent", baud=4800)).text
 
 
 class Scene:
@@ -126,13 +126,13 @@ async def test_a_swap_ends_with_one_event_that_tells_all_of_it(scene: Scene) -> 
     await scene.desk.ended(restore)
     assert swap.proven
     [_, end] = events.events
-    assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and proven", "verified", 2)
+    assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and verified", "verified", 2)
     for part in (
         "two units answer at 1",
         "from set 1:",
         "done: #6",
         "#17: at the keypad",
-        "proven by a full read",
+        "verified by a full read",
     ):
         assert part in end["message"]
 
@@ -155,7 +155,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     known = again.of_or_404("dry-end", 2)
     assert (known.who, known.began_at, known.source) == ("anna", 100.0, SwapSource(1, 2))
     assert (known.is_new, known.seen, known.equal, known.proven) == (True, swap.seen, False, False)
-    with pytest.raises(Problem, match="anna has begun a swap of unit 2 already"):
+    with pytest.raises(Problem, match="anna has already started a swap of unit 2"):
         await again.begin(ANNA, "dry-end", 2, None)
     await again.give_up(ANNA, known)
     later = scene.another()
@@ -165,12 +165,14 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
 
 async def test_without_a_set_the_sheet_is_entered_and_the_unit_kept(scene: Scene) -> None:
     swap = await scene.desk.begin(ANNA, "dry-end", 2, None)
-    assert scene.events.events[-1]["what"] == "unit swap begun, from the sheet"
+    assert scene.events.events[-1]["what"] == "unit swap started, from the parameter sheet"
     ready = advice(state("digimax", remote=True))
-    assert "from the sheet" in step_text(ready, swap)
+    assert "parameter sheet" in step_text(ready, swap)
     await scene.desk.entered(ANNA, swap, ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9))
     assert swap.equal
-    assert "compare that with the sheet" in step_text(advice(state("digimax", remote=True, equal=True)), swap)
+    assert "Compare the set with the parameter sheet" in step_text(
+        advice(state("digimax", remote=True, equal=True)), swap
+    )
     assert "kept as set 9" in scene.events.events[-1]["message"]
 
 

@@ -53,7 +53,7 @@ PARTS = {
         "a block of the history was damaged, it was worked out again: the hours of dry-end/1 from 03:00 on"
     ),
     "a block of the history is damaged, it is missing: X1": (
-        "a block of the history is damaged, it is missing: every reading of dry-end/1 from 03:00 on"
+        "a block of the history is damaged, it is missing: every value of dry-end/1 from 03:00 on"
     ),
     "parameter set X1 taken of unit X1, X1": "parameter set 3 taken of unit 1, 2, by hand",
     "parameters restored: X1 of X1 verified": "parameters restored: 1 of 1 row verified",
@@ -73,10 +73,11 @@ PARTS = {
 """Pieces of a sentence → one that is built of them."""
 UNSEEN = {
     "X1 (X1 of unit key X1 from X1)": "a log",
-    "X1, at the panel": "both of its texts are looked up by app.sets.drift",
+    "X1, changed at the panel": "both of its texts are looked up by app.sets.drift",
+    "X1: changed by {who} {when}": "the same",
     "History: something that was kept was damaged; the events say what is missing, the rest is ": "a half",
     "whole. Check the disk.": "the other half",
-    "no history is kept, everything else works": "said with its time and cause",
+    "no history is stored; everything else works": "said with its time and cause",
     "of a size that cannot be known now": "has a pattern of its own",
     "a worker says hello first": "said to a program",
     "this bus was connected to too often; wait a minute": "said to a program",

@@ -243,7 +243,7 @@ def test_one_that_missed_the_broadcast_and_stays_silent_may_still_hold_it_and_th
         fate = await unit_2_misses_the_broadcast(line, back=False)
         assert fate.outcome == "unverified"
         assert entered(line)[1] == 502
-        assert "unit 2: it did not respond to the read-back; it may still hold 502 staged" in str(
+        assert "unit 2: it did not respond to the read-back; 502 may still be staged in it" in str(
             fate.message
         )
 

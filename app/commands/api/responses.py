@@ -28,12 +28,12 @@ STATUS = {
 }
 _WORDS = {
     "verified": "read back and equal",
-    "acknowledged": "the unit acknowledged it",
-    "refused": "the unit refused",
+    "acknowledged": "the unit acknowledged the command",
+    "refused": "rejected by the unit",
     "invalid": "nothing was sent",
-    "unverified": "no proof: whether the unit acted is not known",
+    "unverified": "not read back: whether the unit executed it is not known",
     "bus_closed": "no link to the bus; nothing was sent",
-    "not_sent": "the wire was not free in time; nothing was sent",
+    "not_sent": "the bus was busy until the deadline; nothing was sent",
 }
 
 

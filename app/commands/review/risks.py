@@ -59,12 +59,12 @@ class _Rule:
 
 
 _OBSTACLES = (
-    _Rule("blocked", "blocked: {block}", lambda unit: bool(unit.block), ("block",)),
+    _Rule("blocked", "commands blocked: {block}", lambda unit: bool(unit.block), ("block",)),
     _Rule("bus_closed", "no link to the bus", lambda unit: not unit.bus_is_open),
     _Rule("offline", "does not respond", lambda unit: unit.bits is None or unit.link == "offline"),
     _Rule("not_in_remote", "not in REMOTE", lambda unit: unit.bits is not None and not unit.bits.remote),
 )
-_NO_RAMP = "changes at once, without a ramp: #{number} is 0.0 s"
+_NO_RAMP = "changes immediately, without a ramp: #{number} is 0.0 s"
 _RISKS = (
     _Rule(
         "above_display",
@@ -90,7 +90,7 @@ _RISKS = (
     ),
     _Rule(
         "ramp_unknown",
-        "how long its ramp takes is not known",
+        "duration of its ramp unknown",
         lambda unit: unit.ramp is not None and unit.ramp.seconds is None,
     ),
 )
@@ -101,7 +101,7 @@ def risks_of_writing(number: int, raw: int) -> tuple[Remark, ...]:
     if number in (ACCELERATION, DECELERATION) and raw == 0:
         return (Remark("no_ramp", _NO_RAMP, (("number", f"{number}"),)),)
     if number in KIND_OF_PARAMETER:
-        return (Remark("setpoint", "this is a setpoint: the machine may change its speed at once"),)
+        return (Remark("setpoint", ("this is a setpoint: the machine may change its speed immediately")),)
     return ()
 
 

@@ -14,7 +14,7 @@ from app.history.store.damage import BlockKey, DamagedBlock
 
 FoundDamage = Callable[[str], None]
 """Called from the writer's thread with a sentence for the events."""
-_HELD = {"raw": "every reading", "minutes": "the minutes", "hours": "the hours"}
+_HELD = {"raw": "every value", "minutes": "the minutes", "hours": "the hours"}
 
 
 class Repair:

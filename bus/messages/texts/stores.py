@@ -5,7 +5,7 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText
 
 TEXTS: dict[str, EnglishText] = {
-    "store_closed": "the store {path} is closed; the server is ending",
+    "store_closed": "the store {path} is closed; the server is stopping",
     "store_step_failed": "the store {path}: step {step} {called} failed: {error}",
     "store_of_newer_version": (
         "the store {path} was written by a newer version of Lineside (its step {step} {called} is "
@@ -16,7 +16,7 @@ TEXTS: dict[str, EnglishText] = {
         "{path} belongs to another user (uid {uid}), who can read and change it; chown it to the "
         "server's user, or run this as that user"
     ),
-    "number_too_large": "a number is larger than any that is stored; nothing was done",
+    "number_too_large": "a number is too large; nothing was done",
     "search_too_costly": "this takes too long; narrow it by time, kind, bus or unit",
     "store_folder_failed": "the store {path}: {error}; check its folder",
     "store_damaged": "the store {path}: {error}; restore a backup of it",
