@@ -100,7 +100,7 @@ async def review(
         run=run,
         was=was,
         followers=followers_of(bus),
-        risks=by_remark((step.name, risk) for step in run.steps for risk in step.risks),
+        risks=by_remark((str(step.name), risk) for step in run.steps for risk in step.risks),
         left_out=by_remark(left_out),
         unchanged=unchanged,
         longest_s=longest_change_s(bus, len(run.steps)),

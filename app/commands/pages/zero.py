@@ -87,7 +87,7 @@ async def _zero_bus(person: Person, desk: PageContext, plan: ZeroPlan, id: str) 
         (
             _on_site(desk, plan.bus, name),
             "",
-            OutcomeText("bad", f"{desk.voice.t('left out')}: {desk.remark(reason)}"),
+            OutcomeText("bad", f"{desk.voice.t('left out')}: {desk.voice.t(reason)}"),
         )
         for name, reason in plan.left_out
     ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import time
 from contextlib import suppress
+from functools import lru_cache
 from typing import Annotated, Literal
 
 import msgspec
@@ -35,6 +36,8 @@ SILENCE_ENDS_S = 30.0
 MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE = 2.0, 10
 SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE = 0.5, 3
 """Of one page. The whole state is a quarter of a megabyte for a large line."""
+MOST_VIEWS = 64
+"""Sets of units that pages show at a time."""
 
 
 class PageMessage(msgspec.Struct, forbid_unknown_fields=True):
@@ -113,8 +116,14 @@ def _follow(hub: Hub, browser: Browser, text: str) -> bool:
     """Follow what a page asks for; whether it wants a snapshot too. Raises msgspec.DecodeError."""
     said = _decoder.decode(text)
     may_trace = Role(browser.role).includes(Role.ENGINEER)
-    hub.follow(browser, frozenset(_unit(key) for key in said.units), said.trace if may_trace else "")
+    hub.follow(browser, _units(tuple(said.units)), said.trace if may_trace else "")
     return said.want == "snapshot"
+
+
+@lru_cache(MOST_VIEWS)
+def _units(keys: tuple[str, ...]) -> frozenset[tuple[str, int]]:
+    """One set for all pages that show the same: for a long line it is fifty kilobytes."""
+    return frozenset(_unit(key) for key in keys)
 
 
 def _unit(key: str) -> tuple[str, int]:

@@ -23,6 +23,15 @@ TEXTS: dict[str, EnglishText] = {
     "field_output": "output",
     "field_value": "value",
     "frame_length_illegal": "a frame carries {lowest} to {highest} bytes, not {count}",
+    # The outcome, where nothing more is known.
+    "outcome_verified": "read back and equal",
+    "outcome_acknowledged": "the unit acknowledged it",
+    "outcome_refused": "the unit refused",
+    "outcome_invalid": "nothing was sent",
+    "outcome_unverified": "no proof: whether the unit acted is not known",
+    "outcome_bus_closed": "no link to the bus; nothing was sent",
+    "outcome_not_sent": "the wire was not free in time; nothing was sent",
+    "outcome_because": "{outcome}: {reason}",
     # One unit.
     "unit_unresponsive": "unit {unit} does not respond; nothing was sent, its state is not known",
     "unit_no_response": "unit {unit} did not respond",
