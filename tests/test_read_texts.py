@@ -13,9 +13,7 @@ GERMAN = in_text(avoided_words("German"))
 Texts = Callable[[], Iterable[tuple[str, str]]]
 
 
-@pytest.mark.parametrize(
-    "texts", [read_texts.screen, read_texts.command_line, read_texts.api, read_texts.logs]
-)
+@pytest.mark.parametrize("texts", [read_texts.screen])
 def test_no_text_has_a_word_to_avoid(texts: Texts) -> None:
     assert [(where, text) for where, text in texts() if ENGLISH.search(text)] == []
 

@@ -126,7 +126,7 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     page.locator(".setpoints__new[name=new-1]").fill("50")
     page.evaluate("document.querySelector('[name=new-3]').value = '51'")
     page.get_by_role("button", name="Review the change").click()
-    expect(page.locator("#review [data-remark=obstacle_not_in_remote]")).to_contain_text("cannot take part")
+    expect(page.locator("#review [data-remark=obstacle_not_in_remote]")).to_contain_text("not possible")
     expect(page.locator("#review [data-remark=obstacle_blocked]")).to_contain_text("left out")
     assert judged(page, axe) == []
     page.keyboard.press("Escape")  # as above

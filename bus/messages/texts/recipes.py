@@ -20,7 +20,7 @@ TEXTS: dict[str, EnglishText] = {
     "recipe_without_setpoint": "no setpoint was given; nothing was saved",
     "unit_not_configured": "not in the configuration",
     "unit_address": "unit {unit}",
-    "recipe_mode_unread": "whether it follows by ratio (#8) has not been read yet",
+    "recipe_mode_unread": "its mode (#8) has not been read yet",
     "recipe_holds_speed": "the recipe holds a speed, the unit now takes a ratio (#8)",
     "recipe_holds_ratio": "the recipe holds a ratio, the unit now takes a speed (#8)",
     "recipe_sets": "becomes {new}; what it has now is not known",

@@ -25,10 +25,10 @@ TEXTS: dict[str, EnglishText] = {
     "frame_length_illegal": "a frame carries {lowest} to {highest} bytes, not {count}",
     # The outcome, where nothing more is known.
     "outcome_verified": "read back and equal",
-    "outcome_acknowledged": "the unit acknowledged it",
-    "outcome_refused": "the unit refused",
+    "outcome_acknowledged": "the unit acknowledged the command",
+    "outcome_refused": "rejected by the unit",
     "outcome_invalid": "nothing was sent",
-    "outcome_unverified": "no proof: whether the unit acted is not known",
+    "outcome_unverified": "not read back: whether the unit executed it is not known",
     "outcome_bus_closed": "no link to the bus; nothing was sent",
     "outcome_not_sent": "the wire was not free in time; nothing was sent",
     "outcome_because": "{outcome}: {reason}",
