@@ -36,7 +36,7 @@ def diff(
     token_file: TokenFile = None,
     bus: Annotated[str, typer.Option(help="Name of the bus.")] = "",
     unit: Annotated[int | None, typer.Option(help="The unit to compare with.")] = None,
-    tolerance: Annotated[int, typer.Option(min=0, help="Raw counts that still pass as equal.")] = 0,
+    tolerance: Annotated[int, typer.Option(min=0, help="Difference in raw counts that counts as equal.")] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Show the rows that differ. Exit 0 when equal, 1 when different, 2 on wrong use."""

@@ -81,7 +81,7 @@ async def list_sets(
     before: int | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST)] = MOST,
 ) -> list[SummaryShown]:
-    """Stored sets, newest first: at most 1000; ask on with ``before`` = the last ``id``."""
+    """Stored sets, newest first: at most 1000; the last ``id`` is ``before`` of the next page."""
     found = await sets.summaries(bus, unit, before=before, most=limit)
     return [summary_json(summary) for summary in found]
 
@@ -90,7 +90,7 @@ async def list_sets(
 async def take_set(
     person: Engineer, keeper: ParameterSets, live: Live, bus: str, wanted: TakeSet
 ) -> SetShown:
-    """Read the units now and keep what they say; nothing is kept when one does not answer."""
+    """Read the units now and save the values; nothing is saved if a unit does not respond."""
     known = bus_or_404(live, bus).units
     units = wanted.units or list(known)
     for unit in units:
@@ -100,7 +100,7 @@ async def take_set(
 
 @router.get("/sets/{set_id}")
 async def one_set(_: Viewer, sets: Sets, set_id: int) -> SetShown:
-    """A whole set with the evidence of each value; #21 masked."""
+    """A set with the evidence of each value; #21 is masked."""
     return set_json(await set_or_404(sets, set_id))
 
 
@@ -108,7 +108,7 @@ async def one_set(_: Viewer, sets: Sets, set_id: int) -> SetShown:
 async def set_document(
     person: Viewer, sets: Sets, events: Events, set_id: int, secrets: bool = False
 ) -> Response:
-    """The set as a TOML file. With ``secrets`` (engineer) #21 is in it, and the asking is an event."""
+    """The set as a TOML file. With ``secrets`` (engineer) it contains #21, and the export is an event."""
     stored = await set_or_404(sets, set_id)
     if secrets:
         await _ask_for_secrets(person, events, stored)
@@ -122,7 +122,7 @@ async def set_document(
 async def mark_golden(
     request: Request, person: Engineer, sets: Sets, set_id: int, mark: GoldenMark
 ) -> GoldenShown:
-    """From now on the unit ought to be as this set says."""
+    """Make this set the golden set of the unit."""
     stored = await set_or_404(sets, set_id)
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, mark.unit)
     return {"set": set_id, "unit": mark.unit, "golden": True}
@@ -146,8 +146,8 @@ async def compare_sets(
 
 @router.get("/buses/{bus}/units/{unit}/drift")
 async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -> DriftShown:
-    """Where the unit as last read departs from its golden set, and who changed it: ``changed_by`` null is
-    somebody at the panel. ``unread``: parameters that could not be compared yet."""
+    """Drift of the unit, as last read, from its golden set, and who changed it: ``changed_by`` null is a
+    change at the panel. ``unread``: parameters that could not be compared yet."""
     unit_or_404(live, bus, unit)
     return {
         "golden": drift.has_golden(unit),
@@ -158,7 +158,7 @@ async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -
 
 @router.get("/buses/{bus}/set-schedule")
 async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> ScheduleShown:
-    """At which minute of the day the units of the bus are read, and which are owed since, with why."""
+    """Minute of the day at which the units of the bus are read, and overdue units with the reason."""
     overdue: list[OverdueShown] = [
         {"unit": unit, "why": each.why} for unit, each in schedule.overdue().items()
     ]
@@ -169,7 +169,7 @@ async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str
 async def write_schedule(
     person: Engineer, schedule: ScheduleOfBus, wanted: SaveScheduleRequest
 ) -> ScheduleShown:
-    """Read all units of the bus daily, or no longer."""
+    """Read all units of the bus daily, or end the schedule."""
     await schedule.set(person, wanted.minute_of_day)
     return {"minute_of_day": wanted.minute_of_day, "owed": []}
 

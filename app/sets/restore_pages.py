@@ -120,7 +120,7 @@ async def start(person: Engineer, restores: Restores, restore_id: str, row: Tick
 
 @router.post("/restores/{restore_id}/cancel")
 async def cancel(person: Engineer, restores: Restores, restore_id: str) -> Response:
-    """Stop after the row in hand."""
+    """Stop after the current row."""
     (await restore_or_404(restores, restore_id)).cancel(person.name)
     return go_to(f"/restores/{restore_id}")
 

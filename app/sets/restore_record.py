@@ -103,7 +103,7 @@ class Restore:
         self.rows = [row if row.outcome else replace(row, outcome="not_sent") for row in self.rows]
 
     def cancel(self, who: str) -> None:
-        """Stop after the row in hand."""
+        """Stop after the current row."""
         self.cancelled_by = who
 
     def account(self) -> str:

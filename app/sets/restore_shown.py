@@ -36,14 +36,12 @@ class RestoreRowShown(RestoreValues):
     selected: Annotated[bool, Field(description="Whether this restore writes it.")]
     reason: Annotated[str | None, Field(description="Why it is not selected; null: it is.")]
     reason_code: MaybeReason
-    effect: Annotated[
-        Effect | None, Field(description="What writing it does to a running unit; null: nothing.")
-    ]
+    effect: Annotated[Effect | None, Field(description="Effect of the write on a running unit; null: none.")]
     warning: Annotated[
         str | None, Field(description="The effect in words, where the unit runs or may run; null: none.")
     ]
-    words: Annotated[str, Field(description="What the change means, a template for old and new.")]
-    meaning: Annotated[str, Field(description="What the change means.")]
+    words: Annotated[str, Field(description="Effect of the change, a template for old and new.")]
+    meaning: Annotated[str, Field(description="Effect of the change.")]
     outcome: Annotated[Outcome | None, Field(description="null: not written yet.")]
     message: str
     read_back: StoredRaw
@@ -61,8 +59,8 @@ class LeftOutShown(RestoreValues):
 
 
 class RestoreShown(TypedDict):
-    """A restore: its plan, how far it is, and what a full read found afterwards. In state ``equal`` the unit
-    equals the set in all rows selected."""
+    """A restore: its plan, its progress, and the result of the full read afterwards. In state ``equal``
+    the unit equals the set in all rows selected."""
 
     id: str
     bus: str
@@ -80,5 +78,5 @@ class RestoreShown(TypedDict):
     rows: list[RestoreRowShown]
     left_out: list[LeftOutShown]
     remaining: Annotated[
-        list[ComparedShown] | None, Field(description="What still differs; null: not read afterwards yet.")
+        list[ComparedShown] | None, Field(description="Rows that still differ; null: not read back yet.")
     ]

@@ -25,7 +25,7 @@ class SetHead(TypedDict):
     comment: str
     taken_at: Time
     who: str
-    origin: Annotated[str, Field(description="What made it: by hand, on schedule, before the first write …")]
+    origin: Annotated[str, Field(description="Origin: by hand, on schedule, before the first write …")]
     golden_for: Annotated[list[int], Field(description="Addresses of the units whose golden set it is.")]
 
 
@@ -44,7 +44,9 @@ class SetParameterShown(TypedDict):
     value: Annotated[str | None, Field(description="As shown to people; null: not known, or a secret.")]
     available: Annotated[bool, Field(description="Whether the unit has it.")]
     read_at: MaybeTime
-    frame: Annotated[str | None, Field(description="The response that said so, hexadecimal; null: a secret.")]
+    frame: Annotated[
+        str | None, Field(description="The response with the value, hexadecimal; null: a secret.")
+    ]
 
 
 class SetUnitShown(TypedDict):
@@ -85,7 +87,7 @@ class ComparedShown(TypedDict):
 class DepartureShown(ComparedShown):
     """A row in which a unit differs from its golden set, and whose change it is."""
 
-    changed_by: Annotated[str | None, Field(description="User or token; null: somebody at the panel.")]
+    changed_by: Annotated[str | None, Field(description="User or token; null: changed at the panel.")]
     changed_at: MaybeTime
     changed: str
 

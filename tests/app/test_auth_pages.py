@@ -127,7 +127,7 @@ async def test_a_password_that_is_too_weak_is_told_to_the_admin(
 ) -> None:
     assert "still in use" not in (await admin.get("/users")).text
     await house.services.database.write(lambda c: c.execute("UPDATE users SET weak_secret = 1"))
-    assert "Have it changed: ada." in (await admin.get("/users")).text
+    assert "must change theirs: ada." in (await admin.get("/users")).text
 
 
 async def test_a_browser_that_signed_in_is_known_again(house: House) -> None:
@@ -198,7 +198,7 @@ async def test_an_admin_adds_changes_and_removes_people(house: House, admin: htt
         ("/users/ada/password", {"password": "short"}, "12 to 256 characters"),
         ("/users/tokens", {"token": "a b"}, "1 to 40 letters"),
         ("/users/tokens", {"token": "t", "token_role": "king"}, "there is no role"),
-        ("/users/tokens", {"token": "t", "token_role": "worker"}, "is for one bus; name it: dry-end"),
+        ("/users/tokens", {"token": "t", "token_role": "worker"}, "is for one bus; give one of dry-end"),
         ("/users/tokens", {"token": "t", "expires": "soon"}, "an integer, or empty"),
         ("/users/tokens", {"token": "t", "expires": "9999"}, "after 1 to 3650 days"),
         ("/users/tokens/none/revoke", {}, "there is no token none"),

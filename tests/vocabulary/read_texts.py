@@ -20,7 +20,7 @@ from tests.catalogs import catalog_at, wanted
 from tests.vocabulary import ROOT
 
 LOG_CALLS = {"debug", "info", "warning", "error", "exception"}
-DESCRIBED = ("description", "summary", "title")
+DESCRIBED = ("description", "summary")
 DOCUMENTS = [
     *ROOT.glob("*.md"),
     *(path for path in (ROOT / "docs").rglob("*.md") if path.name != "glossary.md"),
