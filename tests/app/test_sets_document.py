@@ -74,7 +74,7 @@ GOOD = write_document(a_set({6: 50}))
         (GOOD.replace("\n6 = ", "\nx = "), "no parameter 'x'"),
         (GOOD.replace("id = 3", "id = 300"), "id"),
         (GOOD.replace("[[unit]]", "[[drive]]").replace("[unit.", "[drive."), "unit"),
-        (GOOD + GOOD[GOOD.index("[[unit]]") :], "given twice"),
+        (GOOD + GOOD[GOOD.index("[[unit]]") :], "occurs twice"),
         ('format = "something else"\n', "not a parameter set"),
         (GOOD.replace("\n6 = ", "\n06 = "), "no parameter '06'"),
         (GOOD.replace("version = 1", "version = 0"), "version"),

@@ -93,7 +93,7 @@ def test_every_row_can_be_deselected(
     [
         (17, False, 422, "invalid", "#17 cannot be written: the address is set at the keypad only"),
         (8, True, 422, "invalid", "#8 cannot be written: no change while Run is on"),
-        (18, False, 409, "dangerous", "#18: The unit answers at the new baud rate only"),
+        (18, False, 409, "dangerous", "#18: The unit responds only at the new baud rate"),
     ],
 )
 def test_a_row_that_was_named_is_never_left_out_in_silence(
