@@ -13,7 +13,9 @@ GERMAN = in_text(avoided_words("German"))
 Texts = Callable[[], Iterable[tuple[str, str]]]
 
 
-@pytest.mark.parametrize("texts", [read_texts.screen])
+@pytest.mark.parametrize(
+    "texts", [read_texts.screen, read_texts.command_line, read_texts.api, read_texts.logs]
+)
 def test_no_text_has_a_word_to_avoid(texts: Texts) -> None:
     assert [(where, text) for where, text in texts() if ENGLISH.search(text)] == []
 

@@ -83,6 +83,14 @@ async def test_the_view_is_remembered(house: House) -> None:
     assert (await client.get("/?view=nonsense")).status_code == 422
 
 
+async def test_the_matrix_has_a_former_name_in_stored_home_pages_and_cookies(house: House) -> None:
+    client = await house.program(Role.VIEWER)
+    answer = await client.get("/?view=board")
+    assert (answer.status_code, answer.cookies["lineside_view"]) == (200, "matrix")
+    client.cookies.set("lineside_view", "board")
+    assert '<ul class="matrix' in (await client.get("/")).text
+
+
 async def test_the_manifest_names_the_app(house: House) -> None:
     manifest = (await house.client().get("/manifest.webmanifest")).json()
     assert (manifest["start_url"], manifest["display"]) == ("/", "standalone")
