@@ -5,7 +5,31 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText
 
 TEXTS: dict[str, EnglishText] = {
-    "store_closed": "the store {path} is closed; the server is stopping",
+    "store_failed": "the store {path}: {reason}",
+    "store_disk_full": "the disk is full; free some space, nothing was stored",
+    "store_read_only": "it is read-only; give the server's user write access to it and its folder",
+    "store_is_damaged": "it is damaged; restore a backup of it (lineside backup-store) or move it away",
+    "store_foreign": "it is not a Lineside store, or damaged; restore a backup of it or move it away",
+    "store_not_openable": "it cannot be opened; check that its folder exists and may be used",
+    "store_disk_failed": "the disk failed at it; check the disk",
+    "store_locked": "another program holds it locked; end that program",
+    "store_access_refused": "access to it is refused; give the server's user access",
+    "store_missing": "there is no store {path}; nothing was served with this configuration yet",
+    "stores_missing": "there is no store in {folder}; nothing was served with this configuration yet",
+    "backup_exists": "{file} exists already; name another file",
+    "backup_malformed": "{file} is not a backup of Lineside's stores, or damaged: {error}",
+    "backup_damaged": "{file} is damaged: {store} is not what was backed up; take another backup",
+    "backup_unsound": "{file}: {store} is not sound ({verdict}); take another backup",
+    "store_in_use": "{store} is in use: end the dashboard, then restore",
+    "event_stores_restored": "the stores were restored from a backup",
+    "backup_of": "{file} of {time}, SHA-256 {digest}",
+    "withheld_sessions": "every session has ended",
+    "withheld_tokens": "tokens revoked: {names}",
+    "withheld_users": "users disabled, as they are or were removed now: {names}",
+    "withheld_roles": "users with the lower role of now: {names}",
+    "withheld_no_admin": "no admin can sign in; add one with 'lineside user add'",
+    "system_error": "{error}",
+    "store_closed": "the store {path} is closed; the server is ending",
     "store_step_failed": "the store {path}: step {step} {called} failed: {error}",
     "store_of_newer_version": (
         "the store {path} was written by a newer version of Lineside (its step {step} {called} is "
