@@ -154,7 +154,7 @@ class AuditVerification(BaseModel):
 
 @router.get("/events/proof", dependencies=[DOWNLOAD])
 async def prove_events(_: Admin, events: Events) -> AuditVerification:
-    """Walk the whole log as ``lineside audit verify`` does, without the anchor."""
+    """Verify the complete log like ``lineside audit verify``, without the anchor."""
     verdict = await events.prove()
     return AuditVerification.model_validate(vars(verdict) | {"fault": in_english(verdict.fault)})
 

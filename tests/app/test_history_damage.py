@@ -131,7 +131,7 @@ async def test_the_daily_look_finds_it_and_it_is_said_once(
     try:
         await history.inspect()
         until(lambda: history.status.damaged == 1)
-        assert "something that was kept was damaged" in str(history.status.message)
+        assert "stored values were damaged" in str(history.status.message)
         await history.inspect()
         until(lambda: history.status.state == "ok")
     finally:

@@ -126,7 +126,7 @@ async def test_a_store_that_fails_is_said(
     async def fail(*_: object) -> None:
         raise StoreError(
             Message.of(
-                "system_error", error="the store x: the disk is full; free some space, nothing was stored"
+                "system_error", error="the store x: the disk is full; nothing was stored; free some space"
             )
         )
 

@@ -60,7 +60,8 @@ PARTS = {
 """Pieces of a sentence → one that is built of them."""
 UNSEEN = {
     "X1 (X1 of unit key X1 from X1)": "a log",
-    "X1, at the panel": "both of its texts are looked up by app.sets.drift",
+    "X1, changed at the panel": "both of its texts are looked up by app.sets.drift",
+    "X1: changed by {who} {when}": "the same",
     "of a size that cannot be known now": "has a pattern of its own",
     "a worker says hello first": "said to a program",
     "this bus was connected to too often; wait a minute": "said to a program",

@@ -6,11 +6,11 @@ from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {
     "history_disk_low": "the disk with the history is nearly full: free some space soon",
-    "history_disk_scarce": "the disk with the history is nearly full: the oldest readings are being given up",
-    "history_disk_full": "the disk is full: no readings are stored until some space is free",
-    "history_failed": "no history is kept, everything else works",
+    "history_disk_scarce": ("the disk with the history is nearly full: the oldest values are being deleted"),
+    "history_disk_full": "the disk is full: no values are stored until space is free",
+    "history_failed": "no history is stored; everything else works",
     "history_failed_since": ("Since {time} no history is kept, everything else works. The reason: {reason}"),
-    "history_paused_since": "Since {time} no history is kept: the disk is full. Free some space.",
+    "history_paused_since": ("No history is stored since {time}: the disk is full. Free some space."),
     "history_notice": "History: {notice}",
     "history_because": "{notice}: {cause}",
     "history_damaged": (
@@ -32,7 +32,7 @@ TEXTS: dict[str, EnglishText] = {
     "event_history_tail_damaged": (
         "the last minutes of the history were damaged before this start, some are missing"
     ),
-    "history_readings": "every reading",
+    "history_readings": "every value",
     "history_minutes": "the minutes",
     "history_hours": "the hours",
     "too_many_sparklines": "series: at most {most}, not {count}",
