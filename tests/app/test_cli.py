@@ -192,7 +192,7 @@ def tamper(store: Path, sql: str) -> None:
 def test_the_log_is_proved_whole(lineside: Shell) -> None:
     for name in ("a", "b", "c"):
         lineside("token", "create", name, "--role", "viewer")
-    assert lineside("audit", "verify") == (0, "the audit log is whole: 3 entries\n", "")
+    assert lineside("audit", "verify") == (0, "the audit log is intact: 3 entries\n", "")
 
 
 @pytest.mark.parametrize(

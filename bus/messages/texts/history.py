@@ -24,10 +24,14 @@ TEXTS: dict[str, EnglishText] = {
         "a block of the history was damaged, it was worked out again: {what} of {unit} from {since} on"
     ),
     "event_history_rebuilt": Plural(
-        "the store of the history was damaged and is written anew, 1 stretch of it is missing: "
-        "the damaged one is kept as {file}",
-        "the store of the history was damaged and is written anew, {n} stretches of it are missing: "
-        "the damaged one is kept as {file}",
+        (
+            "the store of the history was damaged and was rebuilt; 1 time span is missing; the "
+            "damaged store was saved as {file}"
+        ),
+        (
+            "the store of the history was damaged and was rebuilt; {n} time spans are missing; the "
+            "damaged store was saved as {file}"
+        ),
     ),
     "event_history_tail_damaged": (
         "the last minutes of the history were damaged before this start, some are missing"
