@@ -7,6 +7,7 @@ import ast
 from functools import cache
 from io import BytesIO
 from pathlib import Path
+from typing import get_args
 
 from babel.messages.catalog import Catalog
 from babel.messages.extract import extract_from_dir
@@ -16,9 +17,12 @@ from app.live.browsers.hub import STAGE_WORDS
 from app.live.screen.cause_text import CAUSE_TEXTS, CHECK_TEXTS, MOTION_TEXTS, STOPPED_WITH_RUN
 from app.live.screen.fields import STATE_WORDS
 from app.messages.languages import DEFAULT, catalogs
+from app.sets.model import SetOrigin
+from app.sets.restore_record import RestoreState
 from app.web.access import Role
 from app.web.assets import templates_dir
 from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.values import parameter_unit
 from bus.errors import UnitErrorCode, unit_error_name
 from bus.messages import TEXTS, Plural
 
@@ -67,6 +71,9 @@ def in_tables() -> set[str]:
         *(parameter.group for parameter in parameters),
         *(parameter.dangerous for parameter in parameters if parameter.dangerous),
         *(word for parameter in parameters for word in parameter.choices.values()),
+        *(unit for parameter in parameters if (unit := parameter_unit(parameter))),
+        *get_args(SetOrigin),
+        *get_args(RestoreState),
         *(str(role) for role in Role),
     }
 

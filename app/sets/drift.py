@@ -142,21 +142,31 @@ def _known_before(departure: DriftedParameter, before: dict[int, DriftedParamete
 
 
 def _sentence(found: list[DriftedParameter], voice: Translator, now: float) -> str:
-    head = {"number": found[0].row.number, "n": len(found)}
-    text = "#{number} differs from golden" if len(found) == 1 else "{n} values differ from golden"
+    number, n, tn = found[0].row.number, len(found), voice.tn
     if not all(one.traced for one in found):
-        return voice.t(text, **head)
+        return tn("#{number} differs from golden", "{n} values differ from golden", n, number=number)
     people = _latest_of_each(found)
     at_panel = sum(one.change is None for one in found)
     if not people:
-        return voice.t(f"{text}, at the panel", **head)
+        return tn(
+            "#{number} differs from golden, at the panel",
+            "{n} values differ from golden, at the panel",
+            n,
+            number=number,
+        )
     if len(people) == 1 and not at_panel:
         ((change, _),) = people
-        return voice.t(f"{text}: by {{who}} {{when}}", **head, **_by(change, voice, now))
+        return tn(
+            "#{number} differs from golden: by {who} {when}",
+            "{n} values differ from golden: by {who} {when}",
+            n,
+            number=number,
+            **_by(change, voice, now),
+        )
     parts = [voice.t("{m} by {who} {when}", m=rows, **_by(change, voice, now)) for change, rows in people]
     if at_panel:
         parts.append(voice.t("{m} at the panel", m=at_panel))
-    return voice.t("{n} values differ from golden: {parts}", n=len(found), parts=", ".join(parts))
+    return voice.t("{n} values differ from golden: {parts}", n=n, parts=", ".join(parts))
 
 
 def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:

@@ -19,5 +19,6 @@ TEXTS: dict[str, EnglishText] = {
     "number_too_large": "a number is larger than any that is stored; nothing was done",
     "search_too_costly": "this takes too long; narrow it by time, kind, bus or unit",
     "store_folder_failed": "the store {path}: {error}; check its folder",
+    "stored_text_unreadable": "the stored text cannot be read",
     "store_damaged": "the store {path}: {error}; restore a backup of it",
 }
