@@ -90,7 +90,7 @@ class PlayedDesk:
         try:
             check.check(action, now)
         except ObjectionError as error:
-            raise Problem(422, error.code, str(error)) from error
+            raise Problem(422, error.code, error.message) from error
 
     @property
     def _silent(self) -> bool:

@@ -38,7 +38,7 @@ from tests.e2e.limits import CALL_S, START_S, UNIT_S
 
 LINESIDE = Path(sys.executable).with_name("lineside")
 ROLES = ("viewer", "operator", "engineer", "admin")
-PASSWORD = "correct horse battery staple"
+PASSWORD = "collect house bakery stable"
 AT_REST = ("--no-script",)
 """Units to which nothing happens but what the test does."""
 

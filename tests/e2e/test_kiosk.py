@@ -43,7 +43,7 @@ def panels(site: Site, browser: Browser) -> dict[str, Any]:
     page = context.new_page()
     page.goto("/login?next=/users")
     page.get_by_label("Name").fill("admin")
-    page.get_by_label("Password").fill("correct horse battery staple")
+    page.get_by_label("Password").fill("collect house bakery stable")
     page.get_by_role("button", name="Log in").click()
     for name, role in (("wall", None), ("desk", "operator")):
         form = page.locator('form[action="/users/panels"]')
