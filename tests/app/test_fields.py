@@ -98,6 +98,15 @@ def test_a_bus_s_figures_are_texts() -> None:
     assert (shown["scan"], shown["wire"], shown["stale_after"]) == ("1,50 s", "98 %", "3.00")
 
 
+def test_without_a_response_there_is_no_scan_time() -> None:
+    live = line()
+    live.buses["dry"].apply(
+        [BusFigures(at=100.0, scan_hz=0.0, scan_s=0.0, wire_utilisation=0.3, scan_s_with_one_more=0.0)],
+    )
+    shown = bus_fields(live.buses["dry"], voice(), 100.5)
+    assert (shown["scan"], shown["wire"]) == ("–", "30 %")  # noqa: RUF001
+
+
 def test_health_names_each_refusal() -> None:
     figures = UnitFigures(
         unit=1, polls=10, answers=8, naks={0x80: 2}, answer_s_median=0.003, answer_s_max=0.04

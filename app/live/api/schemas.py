@@ -112,7 +112,9 @@ class BusShown(TypedDict):
     link_since: Time
     worker: Annotated[bool, Field(description="Whether the bus worker is connected.")]
     scan_hz: Annotated[float | None, Field(description="Scans per second.")]
-    scan_s: Annotated[float | None, Field(description="Duration of one scan, seconds.")]
+    scan_s: Annotated[
+        float | None, Field(description="Duration of one scan, seconds; null while no unit responds.")
+    ]
     scan_s_with_one_more: Annotated[float | None, Field(description="The same with one unit more, seconds.")]
     scan_s_expected: Annotated[
         float, Field(description="Duration of a scan that the staleness is judged by, seconds.")
