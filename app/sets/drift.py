@@ -15,6 +15,7 @@ from app.sets.compare import Compared, drift
 from app.sets.model import UnitRows
 from app.sets.reading import known_rows
 from app.sets.store import SetStore
+from app.web.formats import Formats
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, Update
 
@@ -161,9 +162,9 @@ def _sentence(found: list[DriftedParameter], voice: Translator, now: float) -> s
             "{n} values differ from golden: by {who} {when}",
             n,
             number=number,
-            **_by(change, voice, now),
+            **_by(change, voice.formats, now),
         )
-    parts = [voice.t("{m} by {who} {when}", m=rows, **_by(change, voice, now)) for change, rows in people]
+    parts = [voice.t("{m} by {who} {when}", m=rows, **_by(change, voice.formats, now)) for change, rows in people]
     if at_panel:
         parts.append(voice.t("{m} at the panel", m=at_panel))
     return voice.t("{n} values differ from golden: {parts}", n=n, parts=", ".join(parts))
@@ -181,5 +182,5 @@ def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
     return sorted(latest, key=lambda each: -float(each[0]["time"]))
 
 
-def _by(change: Event, voice: Translator, now: float) -> dict[str, str]:
-    return {"who": change["who"], "when": voice.formats.since(change["time"], now)}
+def _by(change: Event, formats: Formats, now: float) -> dict[str, str]:
+    return {"who": change["who"], "when": formats.since(change["time"], now)}
