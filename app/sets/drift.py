@@ -164,7 +164,8 @@ def _sentence(found: list[DriftedParameter], voice: Translator, now: float) -> s
             number=number,
             **_by(change, voice.formats, now),
         )
-    parts = [voice.t("{m} by {who} {when}", m=rows, **_by(change, voice.formats, now)) for change, rows in people]
+    formats = voice.formats
+    parts = [voice.t("{m} by {who} {when}", m=rows, **_by(change, formats, now)) for change, rows in people]
     if at_panel:
         parts.append(voice.t("{m} at the panel", m=at_panel))
     return voice.t("{n} values differ from golden: {parts}", n=n, parts=", ".join(parts))
