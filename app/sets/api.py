@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
+from msgspec import to_builtins
 from pydantic import Field
 
 from app.audit.api import Events
@@ -35,7 +36,7 @@ from app.web.api_route import ApiRoute
 from app.web.schema_problem import problems
 from app.web.services import bus_service, bus_service_of, service
 from app.web.shape import StrictBody, UnitAddresses
-from bus.messages import Message
+from bus.messages import Message, in_english
 from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
@@ -160,7 +161,8 @@ async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -
 async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> ScheduleShown:
     """Minute of the day at which the units of the bus are read, and overdue units with the reason."""
     overdue: list[OverdueShown] = [
-        {"unit": unit, "why": each.why} for unit, each in schedule.overdue().items()
+        {"unit": unit, "why": in_english(each.why), "why_message": to_builtins(each.why)}
+        for unit, each in schedule.overdue().items()
     ]
     return {"minute_of_day": (await sets.schedule()).get(bus), "owed": overdue}
 
@@ -177,5 +179,5 @@ async def write_schedule(
 async def _ask_for_secrets(person: Person, events: EventLog, stored: ParameterSet) -> None:
     if not person.role.includes(Role.ENGINEER):
         raise Problem(403, "forbidden", Message("secret_for_engineer"))
-    what = f"set {stored.id} was taken out with the operator password (#21) in clear"
+    what = Message.of("event_secret_exported", set=stored.id)
     await events.record(kind="secret", who=person.name, origin=person.via, bus=stored.bus, what=what)

@@ -7,10 +7,14 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
+from app.commands.api.schemas import MessageShown
 from app.live.api.schemas import MaybeTime, Time, UnitAddress
 from app.sets.compare import Comparison
 
 Number = Annotated[int, Field(description="Number of the parameter, 1 to 40.")]
+MaybeMessage = Annotated[
+    MessageShown | None, Field(description="What the field before it says; null where that says nothing.")
+]
 StoredRaw = Annotated[
     int | None, Field(description="Integer on the wire; null: not known, or a secret (#21).")
 ]
@@ -81,7 +85,8 @@ class ComparedShown(TypedDict):
     right: Annotated[str, Field(description="Value of the second.")]
     left_raw: StoredRaw
     right_raw: StoredRaw
-    meaning: Annotated[str, Field(description="What the difference means; empty: none.")]
+    meaning: Annotated[str, Field(description="What the difference means, English; empty: none.")]
+    meaning_message: MaybeMessage
 
 
 class DepartureShown(ComparedShown):
@@ -104,7 +109,8 @@ class OverdueShown(TypedDict):
     """A unit whose set of the day could not be saved yet."""
 
     unit: UnitAddress
-    why: str
+    why: Annotated[str, Field(description="Why, English.")]
+    why_message: MaybeMessage
 
 
 class ScheduleShown(TypedDict):

@@ -68,7 +68,6 @@ async def test_before_the_first_parameter_write_what_is_known_is_stored_once_and
     assert scene.desk.asked == []
     summary = (await scene.store.summaries("dry-end", 1))[-1]
     assert summary.origin == BEFORE
-    assert summary.comment == "unit 1: 1 of 40 parameters were known"
     await scene.first.settled()
     await scene.first.before(ANNA, [1], parameters=True)
     assert await scene.kept(1) == [AFTER, BEFORE]
@@ -134,7 +133,7 @@ async def test_a_unit_that_falls_silent_while_it_is_read_stays_owed(scene: Scene
     scene.link(1, "online")
     scene.desk.silent_after = 0
     await scene.schedule.look(ANNA, MIDNIGHT - timedelta(minutes=1), NOON)
-    assert scene.schedule.overdue()[1].why == "no response"
+    assert str(scene.schedule.overdue()[1].why) == "no answer"
     scene.desk.silent_after = None
     await scene.schedule.look(ANNA, NOON, NOON)
     assert await scene.kept(1) == ["on schedule"]

@@ -43,5 +43,6 @@ TEXTS: dict[str, EnglishText] = {
     "number_too_large": "a number is too large; nothing was done",
     "search_too_costly": "this takes too long; narrow it by time, kind, bus or unit",
     "store_folder_failed": "the store {path}: {error}; check its folder",
+    "stored_text_unreadable": "the stored text cannot be read",
     "store_damaged": "the store {path}: {error}; restore a backup of it",
 }
