@@ -145,30 +145,34 @@ def _known_before(departure: DriftedParameter, before: dict[int, DriftedParamete
 def _sentence(found: list[DriftedParameter], voice: Translator, now: float) -> str:
     number, n, tn = found[0].row.number, len(found), voice.tn
     if not all(one.traced for one in found):
-        return tn("#{number} differs from golden", "{n} values differ from golden", n, number=number)
+        return tn(
+            "#{number} differs from the golden set", "{n} values differ from the golden set", n, number=number
+        )
     people = _latest_of_each(found)
     at_panel = sum(one.change is None for one in found)
     if not people:
         return tn(
-            "#{number} differs from golden, at the panel",
-            "{n} values differ from golden, at the panel",
+            "#{number} differs from the golden set, changed at the panel",
+            "{n} values differ from the golden set, changed at the panel",
             n,
             number=number,
         )
     if len(people) == 1 and not at_panel:
         ((change, _),) = people
         return tn(
-            "#{number} differs from golden: by {who} {when}",
-            "{n} values differ from golden: by {who} {when}",
+            "#{number} differs from the golden set: changed by {who} {when}",
+            "{n} values differ from the golden set: changed by {who} {when}",
             n,
             number=number,
             **_by(change, voice.formats, now),
         )
     formats = voice.formats
-    parts = [voice.t("{m} by {who} {when}", m=rows, **_by(change, formats, now)) for change, rows in people]
+    parts = [
+        voice.t("{m} changed by {who} {when}", m=rows, **_by(change, formats, now)) for change, rows in people
+    ]
     if at_panel:
-        parts.append(voice.t("{m} at the panel", m=at_panel))
-    return voice.t("{n} values differ from golden: {parts}", n=n, parts=", ".join(parts))
+        parts.append(voice.t("{m} changed at the panel", m=at_panel))
+    return voice.t("{n} values differ from the golden set: {parts}", n=n, parts=", ".join(parts))
 
 
 def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:

@@ -38,15 +38,13 @@ class RestoreRowShown(RestoreValues):
     reason: Annotated[str | None, Field(description="Why it is not selected; null: it is.")]
     reason_code: MaybeReason
     reason_message: MaybeMessage
-    effect: Annotated[
-        Effect | None, Field(description="What writing it does to a running unit; null: nothing.")
-    ]
+    effect: Annotated[Effect | None, Field(description="Effect of the write on a running unit; null: none.")]
     warning: Annotated[
         str | None, Field(description="The effect in words, where the unit runs or may run; null: none.")
     ]
     warning_message: MaybeMessage
-    words: Annotated[str, Field(description="What the change means, a template for old and new.")]
-    meaning: Annotated[str, Field(description="What the change means.")]
+    words: Annotated[str, Field(description="Effect of the change, a template for old and new.")]
+    meaning: Annotated[str, Field(description="Effect of the change.")]
     meaning_message: MaybeMessage
     outcome: Annotated[Outcome | None, Field(description="null: not written yet.")]
     message: Annotated[str, Field(description="What became of it, English; empty: nothing more.")]

@@ -43,7 +43,7 @@ class RestoreRow:
 
     @property
     def meaning(self) -> Message:
-        """What the change means."""
+        """Effect of the change."""
         unknown = Message("value_not_known")
         return meaning(self.number, self.present or unknown, self.wanted or unknown)
 

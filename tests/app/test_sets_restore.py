@@ -115,7 +115,7 @@ async def test_left_off_it_says_which_rows_are_done(a_scene: SetsScene) -> None:
     await scene.finish(restore)
     assert restore.state == "stopped"
     assert restore.cause == Message.of("restore_left_off", who="ben", done=0, n=4)
-    assert str(restore.cause) == "left off by ben after 0 of 4 rows"
+    assert str(restore.cause) == "canceled by ben after 0 of 4 rows"
     assert {row.outcome for row in restore.rows} == {"not_sent"}
     assert scene.desk.written == []
 

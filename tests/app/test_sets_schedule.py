@@ -133,7 +133,7 @@ async def test_a_unit_that_falls_silent_while_it_is_read_stays_owed(scene: Scene
     scene.link(1, "online")
     scene.desk.silent_after = 0
     await scene.schedule.look(ANNA, MIDNIGHT - timedelta(minutes=1), NOON)
-    assert str(scene.schedule.overdue()[1].why) == "no answer"
+    assert str(scene.schedule.overdue()[1].why) == "no response"
     scene.desk.silent_after = None
     await scene.schedule.look(ANNA, NOON, NOON)
     assert await scene.kept(1) == ["on schedule"]

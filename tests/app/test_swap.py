@@ -132,7 +132,7 @@ async def test_a_swap_ends_with_one_event_that_tells_all_of_it(scene: Scene) -> 
         "from set 1:",
         "done: #6",
         "#17: the address is set at the keypad only",
-        "proven by a full read",
+        "verified by a full read",
     ):
         assert part in end["message"]
 

@@ -56,17 +56,17 @@ TEXTS: dict[str, EnglishText] = {
     ),
     "at_row": "#{number}: {why}",
     "nothing_more_sent": "nothing more was sent",
-    "no_golden_set": "no set of unit {unit} on {bus} is marked golden",
+    "no_golden_set": "unit {unit} on {bus} has no golden set",
     "set_numbered": "set {set}",
     "set_of_unit": "set {set} of unit {unit}",
     "event_secret_exported": "set {set} was taken out with the operator password (#21) in clear",
-    "unit_unread": "the unit does not answer",
+    "unit_unread": "the unit does not respond",
     # Values and what their differences mean.
     "value_not_in_unit": "not in this unit",
     "value_secret": "secret",
     "value_not_known": "not known",
     "differs": "{new} instead of {old}",
-    "differs_secret": "it differs; a secret is not shown",
+    "differs_secret": "it differs; the secret value is not shown",
     "differs_max_rpm": "full scale is {new} instead of {old}",
     "differs_max_display": "shows {new} at full scale instead of {old}",
     "differs_decimals": "shows {new} decimals instead of {old}",
@@ -82,45 +82,47 @@ TEXTS: dict[str, EnglishText] = {
     "differs_min_ratio": "follows at {new} at least instead of {old}",
     # What writing a parameter does to a running machine.
     "effect_setpoint": "Changes the machine's speed now",
-    "effect_speed_scale": "Changes the speed of the running unit at once",
-    "effect_ramp": "Changes how fast the running unit changes its speed",
-    "effect_contact": "Changes the speed at once while the preset, up or down input is on",
+    "effect_speed_scale": "Changes the speed of the running unit immediately",
+    "effect_ramp": "Changes the ramp of the running unit",
+    "effect_contact": "Changes the speed immediately while the preset, up or down input is on",
     "effect_ratio_limit": "Changes the speed of a running follower whose ratio is outside the new limits",
-    "effect_meaning": "Changes what the setpoints of the unit mean",
-    "effect_analog_output": "Changes the analog output at once, and the speed of what it drives",
+    "effect_meaning": "Changes the meaning of the unit's setpoints",
+    "effect_analog_output": (
+        "Changes the analog output immediately, and the speed of the equipment that it drives"
+    ),
     "effect_unknown": "May change the running unit: the manual does not explain this parameter",
-    "effect_no_ramp": "Takes the ramp away: from then on the unit changes its speed at once",
+    "effect_no_ramp": "Removes the ramp: the unit then changes its speed immediately",
     # Why a row is left out.
     "row_address": "the address is set at the keypad only; the link cannot write it",
     "row_not_in_unit": "this unit does not have it",
     "row_not_read": "it could not be read from the unit",
     "row_running": "no change while Run is on",
     "row_lacked_by_source": "the unit of the set did not have it",
-    "row_secret": "secret, not held in the set",
-    "row_not_in_set": "the set does not hold it",
+    "row_secret": "secret, not stored in the set",
+    "row_not_in_set": "the set does not contain it",
     "row_deselected": "left out by choice",
     "row_not_in_remote": (
-        "the unit is not in REMOTE and refuses every write; set #19 to 1 at its keypad, then plan again"
+        "the unit is not in REMOTE and rejects every write; set #19 to 1 at its keypad, then plan again"
     ),
     # What is to be known before a restore.
-    "restore_runs": "the unit runs: the marked rows change what the machine does at once",
+    "restore_runs": "the unit runs: the marked rows change the speed of the machine immediately",
     "restore_may_run": (
-        "it is not known whether the unit runs: the marked rows may change what the machine does at once"
+        "whether the unit runs is not known: the marked rows may change the speed of the machine immediately"
     ),
     "restore_of_other_unit": "the set is of unit {unit}, this is unit {present}: read every row",
-    "restore_of_master": ("the set is of a master, this unit follows by ratio (#8): another type of section"),
+    "restore_of_master": ("the set is from a master, this unit is a follower (#8): another type of section"),
     "restore_of_follower": (
-        "the set is of a follower by ratio, this unit is a master (#8): another type of section"
+        "the set is from a follower, this unit is a master (#8): another type of section"
     ),
     "restore_source_lacks": "the unit of the set has {count} of {all} parameters only",
     "restore_unit_lacks": "this unit has {count} of {all} parameters only",
     # What became of a restore.
     "row_refused": "refused: {error}",
-    "row_in_doubt": "the server ended before its fate was known; it may have been written",
-    "restore_under_way_at_end": "the server ended while it was under way",
+    "row_in_doubt": ("the server stopped before the result was known; the row may have been written"),
+    "restore_under_way_at_end": "the server stopped during the restore",
     "restore_shut_down": "the server was shut down",
-    "restore_failed": "an error in the server; its log says more",
-    "restore_wrote_nothing": "nothing had to be written",
+    "restore_failed": "server error; its log has the details",
+    "restore_wrote_nothing": "no row differed; nothing was written",
     "rows_done": "done: {rows}",
     "rows_in_doubt": "in doubt: {rows}",
     "rows_refused": "refused: {rows}",
