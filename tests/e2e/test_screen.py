@@ -15,7 +15,7 @@ from tests.e2e.site import Site, eventually
 PAGES = [
     "/",
     "/?view=rows",
-    "/?view=board",
+    "/?view=matrix",
     "/units/line/1",
     "/units/line/1/parameters",
     "/setpoints",
@@ -48,8 +48,8 @@ def test_a_page_is_accessible_and_fits_its_window(
     expect(page.locator(".rail__item[aria-current]")).to_be_in_viewport(ratio=1)
 
 
-def test_a_cell_of_the_board_draws_what_its_unit_is_off_by(browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/?view=board")
+def test_a_cell_of_the_matrix_draws_what_its_unit_is_off_by(browser_page: OpensPages) -> None:
+    page = opened(browser_page(viewport=PANEL), "/?view=matrix")
     expect(page.locator(".cell__pointer:not([data-step=''])")).to_have_count(8)
     drawn = page.locator(".cell__pointer").evaluate_all(
         "pointers => pointers.map(pointer => getComputedStyle(pointer).backgroundImage)"
@@ -117,7 +117,7 @@ def test_german_is_german_with_its_decimal_sign(site: Site, browser_page: OpensP
     page = opened(browser_page(viewport=PANEL, locale="de-DE"), "/units/line/1")
     raw = site.unit(1)["commanded_raw"]
     expect(page.locator('[data-live="line/1.commanded"]')).to_have_text(f"{raw / 10:.1f}".replace(".", ","))
-    expect(page.get_by_role("button", name="Anlage auf null")).to_be_visible()
+    expect(page.get_by_role("button", name="Linie auf null")).to_be_visible()
     expect(page.locator('[data-pad=","]')).to_be_visible()
 
 
@@ -184,7 +184,7 @@ def test_a_viewer_sees_no_control(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PANEL), "/units/line/1")
     expect(page.locator(".main [data-command]")).to_have_count(0)
     page.get_by_role("button", name="Set line to zero").click()
-    expect(page.locator("#review")).to_contain_text("An operator may set the line to zero")
+    expect(page.locator("#review")).to_contain_text("Setting the line to zero needs the role operator")
     expect(page.locator("[data-review-act]")).to_have_count(0)
     opened(page, "/setpoints")
     expect(page.locator(".main [data-command], [data-new]")).to_have_count(0)

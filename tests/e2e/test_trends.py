@@ -378,7 +378,7 @@ def test_a_store_that_is_damaged_is_said_and_the_line_goes_on(
     own_site.wait_for_units()
     page = browser_page("viewer", own_site, viewport=OFFICE)
     page.goto("/trends")
-    expect(page.locator(".notice").first).to_contain_text("no history is kept")
+    expect(page.locator(".notice").first).to_contain_text("no history is stored")
     with own_site.api("viewer") as client:
         assert client.get("/history/status").json()["state"] == "failed"
     own_site.wait_for_units()

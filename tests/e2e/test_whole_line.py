@@ -179,7 +179,7 @@ def test_a_user_is_added_given_a_role_disabled_and_removed(
     row.get_by_role("button", name="Disable the user").click()
     assert axe(page) == []
     row.get_by_role("button", name="Remove the user").click()
-    expect(page.locator("#review")).to_contain_text("cannot come back")
+    expect(page.locator("#review")).to_contain_text("is deleted permanently")
     page.get_by_role("button", name="Remove karin").click()
     expect(row).to_have_count(0)
 
@@ -189,13 +189,13 @@ def test_a_token_is_revoked_after_it_was_asked_in_words(
 ) -> None:
     page = browser_page("admin", viewport={"width": 360, "height": 740})
     page.goto("/users")
-    card = page.locator("section", has=page.get_by_role("heading", name="Create a token"))
+    card = page.locator("section", has=page.get_by_role("heading", name="New token"))
     card.get_by_label("Name").fill("plc")
     card.get_by_role("button", name="Create the token").click()
     token = page.locator("[data-token]").inner_text()
     revoke = page.get_by_role("button", name="Revoke the token: plc")
     revoke.click()
-    expect(page.locator("#review")).to_contain_text("Nobody has used it yet")
+    expect(page.locator("#review")).to_contain_text("Never used")
     assert axe(page) == []
     page.get_by_role("button", name="Cancel").click()
     bearer = {"Authorization": f"Bearer {token}"}
