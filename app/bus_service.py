@@ -29,7 +29,7 @@ from app.sets.store import SetStore
 from app.web.access import Person, Role
 
 SERVER = Person("server", Role.ENGINEER, "worker")
-"""Who acts when nobody asked: the schedule of parameter sets."""
+"""Author of automatic actions: the schedule of parameter sets."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +50,8 @@ class BusDependencies:
 
 
 class BusService:
-    """One bus: its live state, what its worker reports, and what is commanded. Call :meth:`load` before the
-    first command. ``monotonic`` times what is kept for a worker that may come back."""
+    """One bus: its live state, its worker's reports, and its commands. Call :meth:`load` before the
+    first command. ``monotonic`` measures how long a bus is kept for a worker that may reconnect."""
 
     def __init__(
         self,
@@ -86,7 +86,7 @@ class BusService:
         self.first_writes = FirstWrites(live, self.commands, self.sets, site.local_time)
 
     async def load(self) -> None:
-        """Read what is stored of the bus."""
+        """Load the bus from the database."""
         await self.safeguards.load()
         await self.drift.load()
 

@@ -1,4 +1,4 @@
-"""What can go wrong in the app, each as a sentence that says what to do."""
+"""The errors of the app, each with a text that states what to do."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Problem(LinesideError):
     """A refusal that goes to the client: problem+json for programs, a page or a fragment for people.
 
     ``code`` is the kind of reason for programs, ``message`` the reason, ``detail`` its text in English.
-    ``extra`` are members of the answer (RFC 9457, 3.2).
+    ``extra`` are members of the response (RFC 9457, 3.2).
     """
 
     def __init__(
@@ -100,6 +100,6 @@ class Problem(LinesideError):
         self.headers: dict[str, str] = {}
 
     def with_headers(self, **headers: str) -> Problem:
-        """The same refusal with response headers; an underscore in a name stands for a hyphen."""
+        """The same refusal with response headers; an underscore in a name becomes a hyphen."""
         self.headers.update({name.replace("_", "-"): value for name, value in headers.items()})
         return self

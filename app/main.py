@@ -95,15 +95,15 @@ FEATURES = (
 def create_app(
     settings: Settings, *, demo: bool = False, worker_tokens: Mapping[str, str] | None = None
 ) -> FastAPI:
-    """The whole app over ``settings``. ``demo``: whoever comes from this machine is signed in.
-    ``worker_tokens``: by bus, what the worker that the server starts itself opens /feed with.
+    """The complete app over ``settings``. ``demo``: requests from this machine are signed in.
+    ``worker_tokens``: by bus, the token with which the server's own worker opens /feed.
 
     Raises StoreError when the data cannot be used, RuntimeError for a route that declares no role.
     """
     services = build(settings, demo=demo, worker_tokens=worker_tokens or {})
     app = FastAPI(
         title="Lineside",
-        summary="Watch and set a line of DIGIMAX IV drives",
+        summary="Monitor and command a line of DIGIMAX IV drives",
         version=version("lineside"),
         lifespan=_lifespan,
         openapi_url=None,

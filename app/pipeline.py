@@ -15,7 +15,7 @@ from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, Unit
 from bus.messages import Message, number
 
 KEPT = (Reading, ParameterValue, UnitLink, BusLink)
-"""What belongs to history; what is of the moment only does not wait in its queue."""
+"""Updates for the history; momentary ones do not wait in its queue."""
 IMPLAUSIBLE = Message("updates_implausible")
 
 
@@ -46,7 +46,7 @@ class Pipeline:
         self._changes = Changes(live.settings)
 
     def snapshot(self, snapshot: Snapshot, software: str) -> None:
-        """A worker's whole state: it is now. History had its readings, or gets them as backlog; the
+        """A worker's complete state: it is live. History had its readings, or gets them as backlog; the
         parameters that scale them and the states of the links may be news to it."""
         updates = self._live.take_snapshot(snapshot, software)
         self._append([update for update in updates if not isinstance(update, Reading)])
@@ -68,11 +68,11 @@ class Pipeline:
 
     @property
     def port_is_open(self) -> bool:
-        """As the worker said last."""
+        """As the worker last reported."""
         return self._live.link.link == "open"
 
     def worker_connected(self, hello: Hello, at: float, *, again: bool) -> None:
-        """A worker said hello: ``again`` the one that this app knew, else one that was started."""
+        """A worker sent its hello: ``again``: the one that this app knew, else one that was started."""
         what = Message.of("event_worker_back" if again else "event_worker_started", port=hello.port)
         self._recorder.note(LineEvent("worker", None, at, what, "", "connected"))
 

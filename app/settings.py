@@ -1,4 +1,4 @@
-"""What lineside.toml says, whole: the site, the server and every bus."""
+"""The complete lineside.toml: the site, the server and every bus."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class Site(StrictModel):
 
     name: Annotated[OneLine, Field(min_length=1, max_length=80)] = "Lineside"
     language: str = "en"
-    """For whoever has chosen none and whose browser asks for none we have."""
+    """The default, where the user has chosen none and the browser requests none that exists."""
     time_zone: str = ""
     """An IANA name such as Europe/Berlin; empty: the machine's own."""
     simulated: StrictBool = False
-    """No drive is connected: every page says so."""
+    """No drive is connected: every page shows it."""
     control: StrictBool = False
-    """One person at a time holds control of a line, and nobody else may set anything."""
+    """One user at a time holds control of a line, and no other may set anything."""
 
     @property
     def zone(self) -> str:
@@ -129,7 +129,7 @@ class ServerSettings(StrictModel):
     trusted_proxies: tuple[TrustedNetwork, ...] = ()
     """Whose X-Forwarded-For, -Proto and -Host are believed."""
     allowed_hosts: tuple[HostName, ...] = ()
-    """The names under which the dashboard answers; empty: any."""
+    """The names under which the dashboard responds; empty: any."""
     sessions: Sessions = Sessions()
 
     @property
@@ -157,7 +157,7 @@ class Audit(StrictModel):
 
 
 class Settings(StrictModel):
-    """The whole configuration."""
+    """The complete configuration."""
 
     site: Site = Site()
     server: ServerSettings = ServerSettings()

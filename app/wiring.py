@@ -179,7 +179,7 @@ def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
 
 
 def _notices(history: History, anchoring: Anchoring | None, translator: Translator, now: float) -> str:
-    """What of the records is not well, in the reader's language; mostly nothing."""
+    """Faults of the records, in the reader's language; mostly none."""
     found = (
         store_notice(history.status, translator.formats, now),
         anchor_notice(_anchor_status(anchoring), translator.formats, now),
@@ -189,7 +189,7 @@ def _notices(history: History, anchoring: Anchoring | None, translator: Translat
 
 @asynccontextmanager
 async def running(services: Services) -> AsyncIterator[None]:
-    """From the first request to the last: what was left open is closed, and the rest goes on by itself."""
+    """From the first request to the last: open commands are closed, and background tasks run."""
     await _begin(services)
     works = (
         *((services.anchoring.follow,) if services.anchoring else ()),

@@ -1,1 +1,1 @@
-"""Who did what, with its fate: append-only, each entry chained by hash to the one before."""
+"""Who did what, with its outcome: append-only, each entry chained by hash to the one before."""

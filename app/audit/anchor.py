@@ -1,4 +1,4 @@
-"""The anchor: heads of the audit log in a file that whoever can write the store cannot change.
+"""The anchor: heads of the audit log in a file that cannot be changed with access to the store alone.
 
 One line of JSON for each head, only ever appended: the file may be append-only or on write-once media.
 
@@ -50,8 +50,8 @@ def _reason(error: OSError) -> Message:
 
 @dataclass(frozen=True)
 class Anchors:
-    """What a file of anchors says. ``heads``: hash by entry. ``forged``: the first line that was not written
-    with the key; ``unreadable``: lines that say nothing, as one that a power failure cut off."""
+    """The content of a file of anchors. ``heads``: hash by entry. ``forged``: the first line that was not
+    written with the key; ``unreadable``: invalid lines, as one that a power failure cut off."""
 
     heads: dict[int, str] = field(default_factory=dict)
     newest: int = 0
@@ -67,7 +67,7 @@ def anchor_line(head: Head, at: float, ring: KeyRing) -> bytes:
 
 
 def read_anchors(lines: Iterable[bytes], ring: KeyRing) -> Anchors:
-    """What the lines say. Two that name different hashes of one entry cannot both be right: the second
+    """The content of the lines. Two that name different hashes of one entry cannot both be right: the second
     counts as forged."""
     heads: dict[int, str] = {}
     newest = unreadable = 0

@@ -24,14 +24,14 @@ EVERY_S = 60.0
 WITHIN_S = 10.0
 """What the medium is given for one line, which on a network may be long."""
 AT_END_S = 1.0
-"""The same while the server ends, which as a whole has five seconds."""
+"""The same while the server ends, which has five seconds in total."""
 T = TypeVar("T")
 log = structlog.get_logger()
 
 
 @dataclass(frozen=True, slots=True)
 class AnchorStatus:
-    """``altered``: how the log is not what was anchored, which stays said until the server starts again;
+    """``altered``: how the log differs from the anchor, which is reported until the server starts again;
     ``unwritten``: why the anchor is behind, ``since`` when (Unix time in seconds). Both mostly None."""
 
     altered: Message | None = None
@@ -86,7 +86,7 @@ class Anchoring:
             await self._record(Message("event_anchor_written"))
 
     async def _begin(self, within_s: float) -> Head:
-        """The head that the anchor names last, as the log has it; where it has another, that is said."""
+        """The head that the anchor names last, as the log has it; a difference is reported."""
         ring = self._events.keys.ring
         anchored = await self._in_thread(lambda: newest_anchor(self._path, ring), within_s)
         if anchored is None:

@@ -1,4 +1,4 @@
-"""The chain that makes the log provable: an entry's hash covers the one before and all of its own fields,
+"""The chain that makes the log provable: an entry's hash covers the one before and all of the entry's fields,
 and a seal over that hash shows that it was made with the key. Pure."""
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def confirms_head(head: Head, ring: KeyRing) -> bool:
 
 
 def remark_on(head: Head, ring: KeyRing) -> Message | None:
-    """What an entry has to say of the log before anything is added to ``head``; mostly nothing."""
+    """An entry about the log itself, needed before anything is added to ``head``; mostly none."""
     if head.id == 0 or confirms_head(head, ring):
         return None
     if not head.key:

@@ -44,7 +44,7 @@ def differences(before: Any, now: Any) -> list[str]:
 
 
 def change_since_last(folder: Path, now: dict[str, Any]) -> str:
-    """What changed, in one sentence; empty when nothing did. Notes the configuration for the next time."""
+    """The changes in one text; empty when there are none. Stores the configuration for the next time."""
     file = folder / FILE
     try:
         before = json.loads(file.read_text(encoding="utf-8"))

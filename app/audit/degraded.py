@@ -1,4 +1,4 @@
-"""What people are told on the pages while the audit log proves less than it should."""
+"""The notice on the pages while the audit log proves less than it should."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 class Detached:
-    """Runs one piece of work at a time in a thread of its own. An executor would be joined at the end of the
+    """Runs one task at a time in a separate thread. An executor would be joined at the end of the
     process, and a network file system that hangs would keep that from ending."""
 
     def __init__(self, name: str) -> None:
@@ -33,7 +33,7 @@ class Detached:
 
     def _start(self, work: Callable[[], T]) -> Future[T]:
         future: Future[T] = Future()
-        # From here on nobody can cancel it: who gives up waiting leaves the thread to its end.
+        # From here on it cannot be canceled: the thread runs to its end.
         future.set_running_or_notify_cancel()
 
         def run() -> None:

@@ -1,5 +1,5 @@
-"""An entry of the log before it is chained: every field in the type in which the store gives it back, for the
-hash is made of what is written and compared with what is read. Pure."""
+"""An entry of the log before it is chained: every field in the type in which the store returns it, as the
+hash is made of the written values and compared with those read. Pure."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def new_entry(*, kind: str, time: float, frames: Iterable[Frame] = (), **given: 
 
 
 def is_moment(time: float) -> bool:
-    """Whether a Unix time in seconds can be shown as a date; 0 stands for a time that is unknown."""
+    """Whether a Unix time in seconds can be shown as a date; 0 means an unknown time."""
     return math.isfinite(time) and 0 < time < LATEST
 
 

@@ -37,8 +37,8 @@ def link_parts(connection: sqlite3.Connection, count: int) -> None:
 
 
 async def page(events: EventLog, wanted: Filter, limit: int) -> tuple[list[EventRow], int | None]:
-    """Rows newest first, at most ``limit``, and the number to ask on from (None at the end). A part stands by
-    itself where the filter leaves its whole out."""
+    """Rows newest first, at most ``limit``, and the number to continue from (None at the end). A part is a
+    row where the filter leaves its group out."""
     found, after = await events.page(replace(wanted, folded=True), limit)
     groups = [event["id"] for event in found]
     parts, more = await events.page(Filter(parts_of=tuple(groups)), MOST_PARTS)

@@ -37,7 +37,7 @@ def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
     """The keys, None where there is no file. Raises KeyFileError for one that others could have read or made,
     and for one that holds no keys. ``owners``: the users that it may belong to."""
     try:
-        # A FIFO or a device would keep the start waiting for ever.
+        # A FIFO or a device would delay the start indefinitely.
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
     except FileNotFoundError:
         return None

@@ -15,7 +15,7 @@ BEGINNING = "0" * 64
 """The hash before the first entry of a log."""
 
 Purpose = Literal["entry", "head", "anchor", "command", "decoy"]
-"""What a seal is for. It is part of what is sealed, so no seal passes for one of another purpose."""
+"""The purpose of a seal. It is part of the sealed data: no seal passes for one of another purpose."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class KeyOrigin:
 
 @dataclass(frozen=True)
 class KeyRing:
-    """Every key that a log was ever sealed with, the newest last; the newest seals what is written now."""
+    """Every key that a log was ever sealed with, the newest last; the newest seals new entries."""
 
     keys: tuple[bytes, ...]
     origin: KeyOrigin = KeyOrigin()
@@ -39,7 +39,7 @@ class KeyRing:
 
     @cached_property
     def newest(self) -> str:
-        """The id of the newest key, 16 hex digits that say nothing about the key."""
+        """The id of the newest key, 16 hex digits that reveal nothing of the key."""
         return _key_id(self.keys[-1])
 
     def rank(self, key_id: str) -> int | None:

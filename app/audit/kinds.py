@@ -1,4 +1,4 @@
-"""What kinds of event there are. Whoever asks for another is told so, instead of being shown nothing."""
+"""The kinds of event. A filter for an unknown one is refused, instead of returning nothing."""
 
 from __future__ import annotations
 

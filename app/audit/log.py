@@ -56,7 +56,7 @@ class EventLog:
         self._subscribers: list[EventSubscriber] = []
 
     def subscribe(self, subscriber: EventSubscriber) -> Callable[[], None]:
-        """Hear of each event, and of a command again with its fate. Returns what ends it."""
+        """Call ``subscriber`` with each event, a command again at its outcome; return what ends it."""
         self._subscribers.append(subscriber)
         return lambda: self._subscribers.remove(subscriber)
 
@@ -74,7 +74,7 @@ class EventLog:
         old_raw: int | None = None,
         new_raw: int | None = None,
     ) -> int:
-        """What is about to be asked, on disk before it is. Returns the event's number for `conclude`."""
+        """Store a command before it is sent. Returns the event's number for `conclude`."""
         members = {"bus": bus, "unit": unit, "old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
         entry = self._entry(kind, who=who, origin=origin, what=what, **members)
         return (await self._append_all([entry]))[0]
@@ -102,7 +102,7 @@ class EventLog:
         frames: Sequence[Frame] = (),
         also: Also = _nothing,
     ) -> None:
-        """The one fate of what was intended; ``frames`` carried it. ``also``: in the same transaction."""
+        """Store the outcome of an intent; ``frames`` carried it. ``also``: in the same transaction."""
         entry = self._entry("fate", about=event, outcome=outcome, message=message, frames=frames)
         await self._write_all([entry], also)
         await self._publish_stored(event)
@@ -125,7 +125,7 @@ class EventLog:
         at: float | None = None,
         count: int = 1,
     ) -> int:
-        """Something that happened, whole; ``at`` when, if not just now, and ``count`` how often. Returns the
+        """Store a complete event; ``at``: when, if not just now, and ``count``: how often. Returns the
         event's number."""
         entry = self._entry(
             kind,
@@ -166,7 +166,7 @@ class EventLog:
         return len(left)
 
     async def page(self, wanted: Filter, limit: int) -> tuple[list[Event], int | None]:
-        """Events newest first, and the number to ask on from (None at the end)."""
+        """Events newest first, and the number to continue from (None at the end)."""
         found = await self._database.read_costly(
             lambda connection: store.select(connection, wanted, limit + 1)
         )
@@ -197,7 +197,7 @@ class EventLog:
             log.warning("events are searched without an index", why=str(error))
 
     async def prove(self, anchors: Mapping[int, str] | None = None) -> Verdict:
-        """Whether the log is whole, and holds the hashes that ``anchors`` names by entry."""
+        """Whether the log is intact, and holds the hashes that ``anchors`` names by entry."""
         return await self.proof.verify(anchors)
 
     async def _append_all(self, entries: Sequence[Event], also: Also = _nothing) -> list[int]:

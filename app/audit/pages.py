@@ -78,7 +78,7 @@ def _number(text: str) -> int | None:
 
 
 def _day(text: str, time_zone: str, later: timedelta = timedelta(0)) -> float | None:
-    """The instant at which a day (2026-11-21) begins at the site; None for what is no day."""
+    """The instant at which a day (2026-11-21) begins at the site; None for an invalid day."""
     try:
         day = datetime.fromisoformat(text).date() + later
         return datetime.combine(day, time(), ZoneInfo(time_zone)).timestamp()

@@ -23,7 +23,7 @@ class LogProof:
         self._one_at_a_time = asyncio.Lock()
 
     async def verify(self, anchors: Mapping[int, str] | None = None) -> Verdict:
-        """Whether the log is whole, and holds the hashes that ``anchors`` names by entry."""
+        """Whether the log is intact, and holds the hashes that ``anchors`` names by entry."""
         async with self._one_at_a_time:
             head, last = await self.extent()
             walk = Walk(self._keys.knowing(head.key), anchors)
@@ -38,7 +38,7 @@ class LogProof:
         return walk.end(head)
 
     async def extent(self) -> tuple[Head, int]:
-        """What is noted as the newest entry, and the number of the last that there is."""
+        """The entry noted as the newest, and the number of the last one stored."""
         return await self._database.read(store.extent)
 
     async def link(self, number: int) -> Head | None:

@@ -23,8 +23,8 @@ class FrameRecord(msgspec.Struct):
 
 
 def readable(row: Mapping[str, Any]) -> Event:
-    """The row as an event. Where its time or its frames cannot be, ``unreadable`` is true, the time 0, which
-    no event has, and the frames left out. ``messages``: what its fields say, where that is known."""
+    """The row as an event. Where its time or its frames are invalid, ``unreadable`` is true, the time 0,
+    which no event has, and the frames left out. ``messages``: of its fields, where known."""
     has_time, frames = is_moment(row["time"]), frames_of(row["frames"])
     event = {**row, "unreadable": not has_time or frames is None}
     concluded_at = row["concluded_at"]
@@ -42,7 +42,7 @@ def readable(row: Mapping[str, Any]) -> Event:
 
 
 def messages_of(text: str | None) -> dict[str, Message] | None:
-    """What the fields of an entry say, by field, from its JSON; None where it is none."""
+    """The messages of an entry's fields, by field, from its JSON; None where it is invalid."""
     if text is None:
         return {}
     try:

@@ -9,15 +9,15 @@ from app.audit.kinds import EventKind
 from app.audit.tally import WINDOW_S, Counted, Tally
 from bus.messages import Message
 
-MANY = "many addresses"
-"""The origin of what is counted for more places than are told apart."""
+MANY = "several addresses"
+"""The origin of events that are counted for more places than are kept apart."""
 _RepeatedEvent = tuple[EventKind, str | Message, str, str, str | Message]
 """Kind, what, who, origin and message."""
 
 
 class RepeatedEvents:
-    """An event at once for the first of its kind, person, place and message, then one a minute that says how
-    often it happened since. Places are told apart for each person, so that a flood hides nobody who is under
+    """An event at once for the first of its kind, person, place and message, then one a minute with the
+    number of repetitions. Places are kept apart for each person, so that a flood hides no one who is under
     attack: ``who`` is one of a bounded number. ``record``: as `EventLog.record`; ``clock`` gives Unix time in
     seconds."""
 
@@ -29,7 +29,7 @@ class RepeatedEvents:
     async def count(
         self, kind: EventKind, what: str | Message, *, who: str, origin: str, message: str | Message
     ) -> None:
-        """It happened once more."""
+        """Count one repetition."""
         counted = self._tally.note(f"{kind} {who}", (kind, what, who, origin, message), self._clock())
         if counted is not None:
             await self._record_counted(counted)

@@ -38,8 +38,8 @@ WHERE events_text MATCH ?
 
 
 def prepare(connection: sqlite3.Connection) -> None:
-    """Begin the index where there is none. Where FTS5 is missing, remove what needs it: each event is written
-    as before, and the index is built anew when FTS5 is back."""
+    """Build the index where there is none. Where FTS5 is missing, remove its tables: each event is written
+    as before, and the index is rebuilt when FTS5 is back."""
     if not is_possible(connection):
         connection.execute(f"DROP TRIGGER IF EXISTS {_TRIGGER}")
     elif not _follows(connection):

@@ -47,8 +47,8 @@ WHERE event_parts.event = e.id
 
 @dataclass(frozen=True)
 class Filter:
-    """Which events are wanted; what is None or empty does not narrow. Times in seconds since the epoch.
-    ``folded`` leaves out the parts of a change that is wanted itself, ``parts_of`` all but the parts of
+    """The events of a query; None or empty does not filter. Times in seconds since the epoch.
+    ``folded`` leaves out the parts of a change that is in the result, ``parts_of`` all but the parts of
     these."""
 
     before: int | None = None
@@ -63,7 +63,7 @@ class Filter:
     parts_of: tuple[int, ...] | None = None
 
     def conditions(self, event: str = "e", conclusion: str = "f") -> tuple[str, list[Any]]:
-        """SQL to append to a query, in which these are the events and their fates, and its values."""
+        """SQL to append to a query, with the aliases of the events and their conclusions, and its values."""
         given = {
             "id < ?": self.before,
             "kind = ?": self.kind,
@@ -114,8 +114,8 @@ def _head(row: Mapping[str, Any]) -> Head:
 
 
 def append(connection: sqlite3.Connection, entry: Mapping[str, Any], keys: Keys) -> int:
-    """Add an entry without its id; gives that. Where the log before it cannot be vouched for, an entry that
-    says so comes first."""
+    """Add an entry without its id; return the id. Where the log before it cannot be vouched for, an entry
+    about that comes first."""
     head = _end_of(connection)
     ring = keys.knowing(head.key)
     if remark := remark_on(head, ring):
@@ -143,10 +143,10 @@ def _insert(connection: sqlite3.Connection, head: Head, entry: Mapping[str, Any]
 
 
 def select(connection: sqlite3.Connection, wanted: Filter, limit: int) -> list[dict[str, Any]]:
-    """Events newest first, each command with its fate.
+    """Events newest first, each command with its outcome.
 
-    A search looks through the newest `AT_SIGHT` row by row, which is enough for a word that is in many, and
-    finds the others by the index: a word that is in few has few rows there.
+    A search scans the newest `SCANNED_ROWS` row by row, which suffices for a frequent word, and
+    finds the others by the index: a rare word has few rows there.
     """
     phrase, lowest = search.phrase(wanted.search), search.lowest_indexed(connection)
     if not phrase or lowest is None:
@@ -170,13 +170,13 @@ def _select(
 
 
 def _first_after(connection: sqlite3.Connection, wanted: Filter) -> int:
-    """The first number that no event before which is asked for has."""
+    """The first number of the requested period."""
     newest: int = connection.execute("SELECT COALESCE(max(id), 0) + 1 FROM events").fetchone()[0]
     return min(newest, wanted.before or newest)
 
 
 def one(connection: sqlite3.Connection, number: int) -> dict[str, Any] | None:
-    """One event with its fate."""
+    """One event with its outcome."""
     row = connection.execute(f"{_FOLDED} AND e.id = ?", (number,)).fetchone()
     return readable(dict(row)) if row else None
 
@@ -192,7 +192,7 @@ def kinds(connection: sqlite3.Connection) -> list[str]:
 
 
 def open_intents(connection: sqlite3.Connection) -> list[dict[str, Any]]:
-    """Commands that were begun and have no fate."""
+    """Commands without an outcome."""
     query = (
         "SELECT * FROM events e WHERE e.kind = 'command' AND e.about IS NULL AND e.outcome IS NULL "
         "AND NOT EXISTS (SELECT 1 FROM events f WHERE f.about = e.id)"
@@ -201,7 +201,7 @@ def open_intents(connection: sqlite3.Connection) -> list[dict[str, Any]]:
 
 
 def extent(connection: sqlite3.Connection) -> tuple[Head, int]:
-    """What is noted as the newest entry, and the number of the last that there is, at one instant."""
+    """The entry noted as the newest, and the number of the last one stored, at one instant."""
     row = connection.execute(
         "SELECT head.*, (SELECT max(id) FROM events) AS last FROM (SELECT 1) LEFT JOIN events_head AS head"
     ).fetchone()
@@ -222,7 +222,7 @@ def entries_from(connection: sqlite3.Connection, number: int, until: int) -> lis
 
 
 def prove(connection: sqlite3.Connection, ring: KeyRing, anchors: Mapping[int, str]) -> Verdict:
-    """Walk the whole log, chunk by chunk: what is added meanwhile is left for the next time."""
+    """Walk the log, chunk by chunk: entries added in between are left for the next time."""
     head, last = extent(connection)
     walk, number = Walk(ring, anchors), LOWEST_ID
     while walk.broken is None and (chunk := entries_from(connection, number, last)):

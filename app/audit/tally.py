@@ -23,8 +23,8 @@ class _Window(Generic[Item]):
 
 @dataclass(frozen=True, slots=True)
 class Counted(Generic[Item]):
-    """What happened ``count`` times more since it was last told; ``last``: when, Unix time in seconds.
-    ``is_many``: ``said`` is the last of several that are counted together."""
+    """What happened ``count`` times since it was last recorded; ``last``: when, Unix time in seconds.
+    ``is_many``: ``item`` is the last of several that are counted together."""
 
     item: Item
     count: int
@@ -33,13 +33,13 @@ class Counted(Generic[Item]):
 
 
 class Tally(Generic[Item]):
-    """Counts what is said, by group. Beyond `MOST_KEYS` different ones all others of a group are one."""
+    """Counts items by group. Beyond `MOST_KEYS` different ones all others of a group are one."""
 
     def __init__(self) -> None:
         self._groups: dict[str, dict[Item | None, _Window[Item]]] = {}
 
     def note(self, group: str, item: Item, now: float) -> Counted[Item] | None:
-        """It happened: gives what is to be told at once, None where it is counted."""
+        """Count an item; return it where it must be recorded at once, else None."""
         windows = self._groups.setdefault(group, {})
         key = item if item in windows or len(windows) < MOST_KEYS else None
         if key not in windows:
@@ -56,7 +56,7 @@ class Tally(Generic[Item]):
         return list(self._take(lambda window: not 0 <= now - window.began < WINDOW_S, now))
 
     def rest(self, now: float) -> list[Counted[Item]]:
-        """Everything that was counted and not told yet."""
+        """Everything counted and not recorded yet."""
         return list(self._take(lambda _: True, now))
 
     def _take(self, is_over: Callable[[_Window[Item]], bool], now: float) -> Iterator[Counted[Item]]:

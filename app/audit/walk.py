@@ -1,4 +1,4 @@
-"""Following a log from entry to entry, to say whether it is whole. Pure."""
+"""Following a log from entry to entry, to verify it. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bus.messages import Message
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a log is whole; ``broken`` is the first entry that is not, ``fault`` says how.
+    """Whether a log is intact; ``broken``: the first entry that is not, ``fault``: the reason.
 
     ``unsealed``: the entries from 1 up to this one are older than the key. They are proven to be as they
     were when it was made, and no further back. ``anchored``: the newest entry that an anchor names.

@@ -30,9 +30,9 @@ PUBLIC_PREFIX = "/static/"
 
 
 class Identify:
-    """Puts ``person`` into the scope. Nobody passes except to the public paths; a token or a cookie
-    that is not good is refused even where nobody would be let in by the demo. What lasts, a WebSocket or a
-    response in pieces, ends with the rights of its person."""
+    """Puts ``person`` into the scope. Only public paths are open without one; a token or a cookie
+    that is not valid is refused even where the demo needs none. A WebSocket or a
+    response in pieces ends with the rights of its person."""
 
     def __init__(self, app: ASGIApp, identity: Identity, rechecks: Rechecks, *, demo: bool = False) -> None:
         self._app = app
@@ -72,7 +72,7 @@ class Identify:
             await while_allowed(self._app(scope, receive, send), is_still, send, self._rechecks)
             return
         with suppress(RightsEndedError):
-            # Returning without the rest makes the server cut the connection: nobody takes it for whole.
+            # Returning without the rest makes the server cut the connection, as an incomplete response.
             await self._app(scope, receive, sending_while_allowed(send, is_still, self._rechecks))
 
     async def _is_still(self, connection: HTTPConnection, person: Person | None) -> bool:
@@ -109,7 +109,7 @@ async def _turn_away(connection: HTTPConnection, receive: Receive, send: Send) -
 
 
 def to_login(connection: HTTPConnection) -> Response:
-    """Send a person to the login and from there back; htmx is told to move the whole page."""
+    """Send a person to the login and from there back; htmx moves the complete page."""
     if is_fragment(connection):
         response = problem_json(not_signed_in())
         response.headers["HX-Redirect"] = _login_url(_page_of(connection), refused=True)
@@ -121,14 +121,14 @@ def to_login(connection: HTTPConnection) -> Response:
 
 
 def _page_of(connection: HTTPConnection) -> str:
-    """Our own page that htmx or a form asks from; foreign ones were refused before."""
+    """Our own page that htmx or a form requests from; foreign ones were refused before."""
     page = connection.headers.get("hx-current-url") or connection.headers.get("referer", "/")
     parts = urlsplit(page)
     return parts.path + (f"?{parts.query}" if parts.query else "")
 
 
 def _login_url(next_page: str, *, refused: bool) -> str:
-    """``refused``: somebody has pressed something, and is told there that it was not done."""
+    """``refused``: the login page then explains that the action was not carried out."""
     query = [f"next={quote(next_page)}"] if next_page != "/" else []
     query += ["refused=true"] if refused else []
     return "/login" + ("?" + "&".join(query) if query else "")
@@ -139,6 +139,6 @@ def _is_public(path: str) -> bool:
 
 
 def _is_loopback(connection: HTTPConnection) -> bool:
-    """From this machine and under its own name: a foreign name for 127.0.0.1 is somebody's trick."""
+    """From this machine and under its own name: a foreign name for 127.0.0.1 is an attack."""
     client = connection.client.host if connection.client else ""
     return client in LOOPBACK and connection.url.hostname in LOOPBACK

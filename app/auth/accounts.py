@@ -57,7 +57,7 @@ class Accounts:
         return await self._database.read(store.tokens)
 
     async def find(self, account: str) -> tuple[str, Role] | None:
-        """The account that somebody names, and what it may do: a user who may sign in, else a token, which
+        """The account of a name, and its role: a user who may sign in, else a token, which
         can also be named as such; None when there is none."""
         name, only_token = name_of(account)
         now = self._clock()
@@ -89,7 +89,7 @@ class Accounts:
         await self._note("user", Message.of("event_panel_added", name=name, role=term(role)), by, origin)
 
     async def set_role(self, name: str, role: Role, *, by: str, origin: str) -> None:
-        """Raises CallerError for nobody, for the last admin, and for a panel above operator."""
+        """Raises CallerError for an unknown user, for the last admin, and for a panel above operator."""
 
         def change(connection: sqlite3.Connection) -> bool:
             found = store.user(connection, name)
@@ -101,7 +101,7 @@ class Accounts:
         await self._note("user", Message.of("event_role_changed", name=name, role=term(role)), by, origin)
 
     async def set_disabled(self, name: str, disabled: bool, *, by: str, origin: str) -> None:
-        """Refuse a user, or admit again. Raises CallerError for nobody and for the last admin."""
+        """Refuse a user, or admit again. Raises CallerError for an unknown user and for the last admin."""
         await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
         refused, admitted = (
             Message.of("event_user_refused", name=name),
@@ -110,7 +110,7 @@ class Accounts:
         await self._note("user", refused if disabled else admitted, by, origin)
 
     async def remove_user(self, name: str, *, by: str, origin: str) -> None:
-        """Raises CallerError for nobody and for the last admin."""
+        """Raises CallerError for an unknown user and for the last admin."""
         await self._change(name, lambda connection: store.remove_user(connection, name))
         await self._note("user", Message.of("event_user_removed", name=name), by, origin)
 
@@ -132,7 +132,7 @@ class Accounts:
         await self._note("user", what, by, origin, kept=name if keep else "")
 
     async def set_language(self, name: str, language: str) -> None:
-        """The user's own wish; empty: what the browser asks for."""
+        """The language that the user chose; empty: that of the browser."""
         await self._database.write(lambda connection: store.set_language(connection, name, language))
 
     async def create_token(

@@ -1,4 +1,4 @@
-"""Who a session cookie or a bearer token stands for."""
+"""The account of a session cookie or a bearer token."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Identity:
         self._clock = clock
 
     async def by_cookie(self, cookie: str, *, is_use: bool = True) -> Person | None:
-        """Who a session cookie stands for; None when it is over or was never good.
+        """The account of a session cookie; None when it is over or was never valid.
 
-        ``is_use`` False: the look prolongs nothing.
+        ``is_use`` False: the lookup prolongs nothing.
         """
         hash_ = rules.secret_hash(cookie)
         session = await self._database.read(lambda connection: store.session(connection, hash_))
@@ -64,7 +64,7 @@ class Identity:
         )
 
     async def by_token(self, bearer: str) -> Person | None:
-        """Who a bearer token stands for. Raises ExpiredTokenError for one that has."""
+        """The account of a bearer token. Raises ExpiredTokenError for one that has."""
         for bus, own in self._worker_tokens.items():
             if hmac.compare_digest(bearer.encode(), own.encode()):
                 return Person("worker", Role.WORKER, "worker", bus=bus)
@@ -88,7 +88,7 @@ class Identity:
         )
 
     async def _note(self, work: Callable[[sqlite3.Connection], None]) -> None:
-        """When somebody was last here. On a disk that takes nothing the line can still be watched."""
+        """When an account was last used. On a disk that takes nothing the line can still be watched."""
         with suppress(StoreError):
             await self._database.write(work)
 
@@ -99,7 +99,7 @@ def _has_too_many_rights(session: Session) -> bool:
 
 
 class ExpiredTokenError(Problem):
-    """401, which tells a stranger nothing: only who holds the token gets it. ``account``: whose it was."""
+    """401 for the holder of an expired token; a stranger does not get it. ``account``: the token's."""
 
     def __init__(self, token: Token) -> None:
         day = datetime.fromtimestamp(token.expires_at or 0.0, UTC).date().isoformat()

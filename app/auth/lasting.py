@@ -20,14 +20,14 @@ class RightsEndedError(Exception):
 
 
 class Rechecks:
-    """Tells open connections to look again whether they are still allowed."""
+    """Makes open connections check again whether they are still allowed."""
 
     def __init__(self) -> None:
         self.count = 0
         self._next: asyncio.Future[None] | None = None
 
     def now(self) -> None:
-        """Somebody's rights have changed."""
+        """The rights of an account have changed."""
         self.count += 1
         if self._next is not None and not self._next.done():
             self._next.set_result(None)

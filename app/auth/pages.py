@@ -27,14 +27,14 @@ SigningIn = Annotated[SignIn, service(SignIn)]
 Keeping = Annotated[Accounts, service(Accounts)]
 FormText = Annotated[str, Form()]
 DEVICE_COOKIE = "lineside_device"
-"""Tells a browser in which somebody has signed in before from those of strangers; it signs nobody in."""
+"""Distinguishes a browser with an earlier sign-in from those of strangers; it signs no one in."""
 DEVICE_KNOWN_S = 365 * rules.DAY
 LONGEST_NAME = 64
-"""What is kept of a name that somebody typed; no user has one so long."""
+"""The stored part of a typed name; no user has one so long."""
 
 
 def address_of(connection: HTTPConnection) -> str:
-    """Where somebody asks from."""
+    """The place of a sign-in attempt."""
     return connection.client.host if connection.client else ""
 
 
@@ -42,7 +42,7 @@ def address_of(connection: HTTPConnection) -> str:
 async def login_page(
     request: Request, sign_in: SigningIn, next: str = "/", panel: bool = False, refused: bool = False
 ) -> Response:
-    """The form; whoever is signed in already goes on. ``refused``: a press has led here."""
+    """The form; a signed-in user is redirected. ``refused``: an action has led here."""
     if person_of(request):
         return RedirectResponse(_own(next), 303)
     return await _login_form(request, sign_in, next, panel, refused=refused)
@@ -85,7 +85,7 @@ async def account_page(request: Request, _: Viewer, done: str = "") -> HTMLRespo
 async def choose_language(
     request: Request, person: Viewer, accounts: Keeping, language: FormText = ""
 ) -> Response:
-    """Empty: what the browser asks for."""
+    """Empty: that of the browser."""
     if language and language not in templates_of(request).languages:
         raise CallerError(Message.of("no_such_language", language=language[:40]))
     _refuse_programs(person.via)
@@ -139,14 +139,14 @@ async def _sign_in(
 
 
 def _set_cookie(request: Request, response: Response, name: str, value: str, max_age_s: float) -> None:
-    """Lax, so that a link to a page that somebody sends opens signed in; what changes something is
+    """Lax, so that a link from an e-mail opens signed in; changes are
     guarded by its Origin (`app.web.security`). Not Secure on plain HTTP, which plants use."""
     is_https = request.url.scheme == "https"
     response.set_cookie(name, value, max_age=int(max_age_s), httponly=True, samesite="lax", secure=is_https)
 
 
 def _device_of(request: Request) -> str:
-    """The cookie of a browser in which somebody has signed in before; empty for what none of ours is."""
+    """The cookie of a browser with an earlier sign-in; empty for an invalid one."""
     device = request.cookies.get(DEVICE_COOKIE, "")
     return device if len(device) == rules.SECRET_LENGTH and device.isascii() else ""
 

@@ -37,7 +37,7 @@ def hash_now(secret: str) -> str:
 
 
 def is_outdated(stored: str) -> bool:
-    """Whether a hash has other parameters than a new one. Raises InvalidHashError for what is no hash."""
+    """Whether a hash has other parameters than a new one. Raises InvalidHashError for an invalid hash."""
     return _hasher.check_needs_rehash(stored)
 
 

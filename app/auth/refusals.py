@@ -21,7 +21,7 @@ REFUSED_ACCOUNT = "refused_account"
 
 
 class RecordRefusals:
-    """Counts each 403, and each 401 for a bearer token. A page that nobody is signed in for is no attack."""
+    """Counts each 403, and each 401 for a bearer token. A page without a sign-in is no attack."""
 
     def __init__(self, app: ASGIApp, events: EventLog) -> None:
         self._app = app

@@ -37,7 +37,7 @@ _log = structlog.get_logger()
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """What one account may do. ``credential`` tells it from an earlier one of the same name."""
+    """The rights of one account. ``credential`` distinguishes it from an earlier one of the same name."""
 
     role: Role
     credential: str

@@ -1,4 +1,4 @@
-"""What is asked of names, passwords, PINs and sessions. No clock: time is passed in."""
+"""The rules for names, passwords, PINs and sessions. No clock: time is passed in."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def check_name(name: str) -> None:
 
 
 def check_panel_role(role: Role) -> None:
-    """Raises CallerError: whoever passes by a panel may press it."""
+    """Raises CallerError: anyone who passes by a panel may touch it."""
     if not Role.OPERATOR.includes(role):
         raise CallerError(Message.of("panel_role_too_high", role=term(role)))
 
@@ -103,5 +103,5 @@ def new_secret() -> str:
 
 
 def secret_hash(secret: str) -> bytes:
-    """What is stored of a random secret; it needs no slow hash, nobody can guess 256 bits."""
+    """The stored form of a random secret; it needs no slow hash, as 256 bits cannot be guessed."""
     return hashlib.sha256(secret.encode()).digest()

@@ -26,7 +26,7 @@ from bus.errors import CallerError
 from bus.messages import Message, term
 
 _WRONG = {False: Message("name_or_password_wrong"), True: Message("name_or_pin_wrong")}
-"""What a person is told, and what somebody at a panel."""
+"""The error for a person, and for a panel."""
 HASHED_AT_ONCE = 2
 """As many as there are threads for it; each takes 20 ms of a core."""
 MOST_WAITING_OF_PLACE = 5
@@ -85,7 +85,7 @@ class SignIn:
         after too many, 403 for a panel that has more rights than a panel may have.
         """
         if not name or not secret:
-            # Nobody has an empty name or secret, so nothing is tried: it costs nothing, and is no event.
+            # No user has an empty name or secret: it is not checked, costs nothing, and is no event.
             raise Problem(401, "unauthorized", _WRONG[panel])
         user = await self._checked(name, secret, address, device, panel)
         if user is None:
@@ -173,7 +173,7 @@ class SignIn:
 
     async def _user_or_decoy(self, name: str) -> tuple[User | None, str]:
         """A user with the hash of the secret. For an unknown name the hash of another user, always the same
-        one: hashes of an earlier version take longer, and the time must not tell which names there are."""
+        one: hashes of an earlier version take longer, and the time must not reveal which names exist."""
         number = int(self._events.keys.ring.seal("decoy", name), 16)
 
         def find(connection: sqlite3.Connection) -> tuple[User | None, str]:
@@ -199,7 +199,7 @@ class SignIn:
         return SignedIn(session, device, user)
 
     def _is_weak(self, user: User, secret: str) -> bool:
-        """Whether today's rules refuse the secret; it holds until it is changed, and the admin is told."""
+        """Whether today's rules refuse the secret; it works until it is changed; the admin is notified."""
         try:
             if user.panel:
                 strength.check_pin(secret)
@@ -211,7 +211,7 @@ class SignIn:
 
     async def note_refusal(self, name: str, address: str) -> None:
         """Count a wrong secret in the events. It is written to the disk for some names and not for others, so
-        only once the refusal is sent: its time must not tell which names there are."""
+        only once the refusal is sent: its time must not reveal which names exist."""
         known = await self._database.read(lambda connection: store.user(connection, name))
         # A password typed into the field for the name must not end up in the log.
         who = name if known else "unknown name"

@@ -14,7 +14,7 @@ MOST_PLACES = 50
 
 @dataclass(frozen=True)
 class User:
-    """Somebody, or a panel, who may sign in."""
+    """A user or a panel who may sign in."""
 
     name: str
     role: Role
@@ -32,7 +32,7 @@ class User:
 
 @dataclass(frozen=True)
 class Session:
-    """Somebody's sign-in."""
+    """A user's session."""
 
     user: User
     created_at: float
@@ -149,7 +149,7 @@ def set_disabled(connection: sqlite3.Connection, name: str, disabled: bool) -> b
 
 
 def set_language(connection: sqlite3.Connection, name: str, language: str) -> None:
-    """The user's own wish; empty: what the browser asks for."""
+    """The language that the user chose; empty: that of the browser."""
     connection.execute("UPDATE users SET language = ? WHERE name = ?", (language, name))
 
 
@@ -193,7 +193,7 @@ def note_places(connection: sqlite3.Connection, name: str, places: Iterable[str]
 
 
 def session(connection: sqlite3.Connection, hash_: bytes) -> Session | None:
-    """The sign-in that a cookie stands for."""
+    """The session of a cookie."""
     query = (
         f"SELECT {_USER}, s.created_at AS begun_at, s.used_at, s.expires_at "
         "FROM sessions s JOIN users u USING (name) WHERE s.hash = ?"
@@ -228,7 +228,7 @@ def tokens(connection: sqlite3.Connection) -> list[Token]:
 
 
 def token(connection: sqlite3.Connection, hash_: bytes) -> Token | None:
-    """The token that a bearer stands for."""
+    """The token of a bearer."""
     row = connection.execute(f"SELECT {_TOKEN} FROM tokens WHERE hash = ?", (hash_,)).fetchone()
     return _token(row) if row else None
 

@@ -1,7 +1,7 @@
-"""Which passwords and PINs are refused, because they are among the first that anybody tries. Pure.
+"""Which passwords and PINs are refused, because they are among the first to be tried. Pure.
 
 A text is cut into pieces: common words (also with digits for letters), repetitions, sequences, runs of
-neighboring keys, and single characters. What has too few pieces is easy to guess, however long it is.
+neighboring keys, and single characters. A text with too few pieces is easy to guess, however long it is.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from bus.errors import CallerError
 from bus.messages import Message
 
 SHORTEST_PASSWORD, LONGEST_PASSWORD = 12, 256
-"""Argon2 works on all of it; nobody is to make us work on a megabyte."""
+"""Argon2 works on all of it; bounds the work of one request."""
 FEWEST_PIECES = 7
 FEWEST_SIGNS = 5
 FEWEST_PIECES_OF_PIN = 4
@@ -79,7 +79,7 @@ def check_pin(pin: str) -> None:
 
 
 def is_easy_password(password: str) -> bool:
-    """Whether it is among what is tried first."""
+    """Whether it is among the first to be tried."""
     text = _without_separator(_bare(password))
     block = _block_of(text)
     return (
@@ -92,7 +92,7 @@ def is_easy_password(password: str) -> bool:
 
 
 def is_easy_pin(pin: str) -> bool:
-    """Whether it is among what is tried first."""
+    """Whether it is among the first to be tried."""
     return (
         len(set(pin)) <= 2
         or len(_block_of(pin)) < len(pin)
@@ -119,7 +119,7 @@ def _bare(text: str) -> str:
 
 
 def _without_separator(text: str) -> str:
-    """What is left of ``s-p-e-l-l-e-d``."""
+    """The letters of ``s-p-e-l-l-e-d``."""
     between = set(text[1::2])
     return text[::2] if len(between) == 1 and not between.pop().isalnum() else text
 
@@ -178,7 +178,7 @@ def _are_neighbors(one: tuple[float, float] | None, other: tuple[float, float] |
 
 
 def _repeated(text: str, place: int) -> int:
-    """Of what stands before already."""
+    """Repeats an earlier piece."""
     length = LEAST_RUN
     while place + length <= len(text) and text[place : place + length] in text[:place]:
         length += 1

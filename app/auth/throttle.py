@@ -1,8 +1,8 @@
 """How soon a sign-in may be tried again. Pure: ``now`` is a time in seconds.
 
-A name and a place together back off, so whoever guesses waits, and nobody is locked out elsewhere. A place is
+A name and a place together back off: guessing waits, and no one is locked out elsewhere. A place is
 a browser that has signed in with this name before, or else the network of the address. A name is slowed down
-as a whole only for places from which it never signed in: many addresses that guess one name together get one
+in general only for places from which it never signed in: many addresses that guess one name together get one
 try in a while, and its owner is not among them. A network that fails with many names waits, except for names
 that have signed in from it.
 """
@@ -46,7 +46,7 @@ class _Failures:
 
 
 class _Bounded(Generic[K, V]):
-    """Values by key, no more than ``most``; ``new`` makes what is there for a key without one."""
+    """Values by key, no more than ``most``; ``new`` makes the value of a new key."""
 
     def __init__(self, most: int, new: Callable[[], V]) -> None:
         self._most = most
@@ -57,7 +57,7 @@ class _Bounded(Generic[K, V]):
         return len(self._values)
 
     def get(self, key: K) -> V:
-        """To look at; what is changed must be `kept`."""
+        """For reading; a changed value must be `kept`."""
         found = self._values.get(key)
         return self._new() if found is None else found
 

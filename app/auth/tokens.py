@@ -26,7 +26,7 @@ async def create_token(
     token_bus: FormText = "",
     expires: FormText = "",
 ) -> HTMLResponse:
-    """The token is on this one answer and nowhere else."""
+    """The token is in this one response and nowhere else."""
     try:
         secret = await accounts.create_token(
             token.strip(),

@@ -16,7 +16,7 @@ router = APIRouter(include_in_schema=False)
 
 @router.get("/users")
 async def users_page(request: Request, _: Admin, accounts: Keeping) -> HTMLResponse:
-    """Everybody who may sign in, and every token."""
+    """Every user, and every token."""
     return await users_view(request, accounts)
 
 
@@ -56,21 +56,21 @@ async def add_panel(
 async def set_role(
     request: Request, person: Admin, accounts: Keeping, name: str, role: FormText = ""
 ) -> Response:
-    """What somebody may do from now on."""
+    """Change the role of a user."""
     change = accounts.set_role(name, role_named(role), by=person.name, origin=address_of(request))
     return await change_response(request, accounts, change)
 
 
 @router.post("/users/{name}/disable")
 async def disable(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
-    """Refuse somebody from now on; every session ends."""
+    """Disable a user; every session ends."""
     change = accounts.set_disabled(name, True, by=person.name, origin=address_of(request))
     return await change_response(request, accounts, change)
 
 
 @router.post("/users/{name}/enable")
 async def enable(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
-    """Admit somebody again."""
+    """Enable a user again."""
     change = accounts.set_disabled(name, False, by=person.name, origin=address_of(request))
     return await change_response(request, accounts, change)
 
@@ -86,13 +86,13 @@ async def reset_password(
 
 @router.get("/users/{name}/remove")
 async def review_removal(request: Request, _: Admin, name: str) -> HTMLResponse:
-    """What removing somebody means, before it is done."""
+    """The consequences of removing a user, before it is done."""
     return render(request, "users/_review_remove.html", name=name)
 
 
 @router.post("/users/{name}/remove")
 async def remove(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
-    """What somebody did stays in the events."""
+    """Remove a user, whose actions stay in the events."""
     return await change_response(
         request, accounts, accounts.remove_user(name, by=person.name, origin=address_of(request))
     )

@@ -1,4 +1,4 @@
-"""The page of users and tokens, and the answer to a change of them."""
+"""The page of users and tokens, and the response to a change of them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ async def users_view(
     token_name: str = "",
     token: str = "",
 ) -> HTMLResponse:
-    """Everybody who may sign in and every token; ``fault``: why a change was refused; ``token``: the secret
+    """Every user and every token; ``fault``: why a change was refused; ``token``: the secret
     of the one just created, ``token_name``, which is shown once."""
     return render(
         request,
@@ -40,7 +40,7 @@ async def users_view(
 
 
 async def change_response(request: Request, accounts: Accounts, change: Awaitable[None]) -> Response:
-    """Back to the page; with the sentence on it, or in the dialog, when the change was refused."""
+    """Back to the page; with the reason on it, or in the dialog, when the change was refused."""
     in_dialog = is_fragment(request)
     try:
         await change

@@ -1,8 +1,8 @@
-"""What a store that is put back from a backup must not give again: rights that were withdrawn since.
+"""Rights that a store restored from a backup must not give again: those withdrawn since.
 
 Sessions all end. A token holds only where the present store knows it too, and a user may do what both stores
 allow, under the present password. Where there is no present store with users in it, as on a new machine,
-nobody knows which tokens were revoked, so that all of them are; users are as they were then.
+it is unknown which tokens were revoked: all of them are; users are as they were then.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class PresentUser:
 
 @dataclass(frozen=True, slots=True)
 class Present:
-    """What the present store says of who may do what: hashes of tokens, and users by name."""
+    """The rights in the present store: hashes of tokens, and users by name."""
 
     tokens: frozenset[bytes]
     users: dict[str, PresentUser]
@@ -57,7 +57,7 @@ def read_present(connection: sqlite3.Connection) -> Present | None:
 
 
 def withhold(restored: sqlite3.Connection, present: Present | None) -> Withheld:
-    """Take away in the restored store what was withdrawn since; ``present`` None: nobody knows what was."""
+    """Remove from the restored store the rights withdrawn since; ``present`` None: unknown which."""
     restored.execute("DELETE FROM sessions")
     tokens = _withhold_tokens(restored, frozenset() if present is None else present.tokens)
     disabled: list[str] = []

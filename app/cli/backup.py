@@ -41,7 +41,7 @@ def backup(
     out: Annotated[Path, typer.Option(help="The TOML file to write.")],
     token: TokenOption = "",
     token_file: TokenFile = None,
-    unit: Annotated[int | None, typer.Option(help="One unit; without it the whole bus.")] = None,
+    unit: Annotated[int | None, typer.Option(help="One unit; without it, every unit of the bus.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Read all parameters from the units and write them to a file (#21 is masked)."""
@@ -66,7 +66,7 @@ def _check_place(out: Path) -> None:
 
 
 def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows], dict[int, str]]:
-    """What answered, and why the others did not; one silent unit does not cost the rest their backup."""
+    """The units that responded, and why the others did not; one offline unit does not prevent the backup."""
 
     def read(unit: int) -> UnitRows | str:
         try:

@@ -24,7 +24,7 @@ TokenOption = Annotated[
     str,
     typer.Option(
         "--token",
-        help=f"A bearer token. Other users of this machine see it: better --token-file or {TOKEN_VARIABLE}.",
+        help=f"A bearer token. Other users of this machine can see it: use --token-file or {TOKEN_VARIABLE}.",
     ),
 ]
 TokenFile = Annotated[
@@ -73,7 +73,7 @@ def _token_in(file: Path) -> str:
 
 def _warn_if_shared(file: Path, mode: int) -> None:
     """A secret mounted by a container or a credential store is a regular file of any mode, and no mistake of
-    the caller: so this warns and goes on."""
+    the caller: this warns and goes on."""
     if stat.S_ISREG(mode) and mode & (stat.S_IRGRP | stat.S_IROTH):
         typer.echo(
             f"lineside: other users of this machine can read {file}; protect it: chmod 600 {file}", err=True

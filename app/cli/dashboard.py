@@ -22,7 +22,7 @@ _TIMEOUT_S = 600.0
 
 
 class DashboardError(LinesideError):
-    """The dashboard could not be reached, or did not do what it was asked to."""
+    """The dashboard could not be reached, or did not carry out the request."""
 
 
 class Dashboard:
@@ -36,7 +36,7 @@ class Dashboard:
         return self._call("GET", path, params=query)
 
     def post(self, path: str, body: Mapping[str, Any] | None = None) -> Any:
-        """Post a JSON body; the JSON of the answer."""
+        """Post a JSON body; return the JSON of the response."""
         return self._call("POST", path, json=dict(body or {}))
 
     def units(self, bus: str) -> dict[int, str]:

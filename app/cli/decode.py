@@ -1,4 +1,4 @@
-"""``lineside decode``: what the frames in some bytes say."""
+"""``lineside decode``: the meaning of the frames in some bytes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def decode(
     file: Annotated[Path | None, typer.Option(help="A trace file, or a file of hex.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="A list of frames as JSON.")] = False,
 ) -> None:
-    """Say what frames mean. Exit 0, or 1 when no frame is valid, or 2 when the bytes are not hex."""
+    """Decode frames. Exit 0, 1 when no frame is valid, 2 when the bytes are not hex."""
     with ending():
         found = decode_text(_given_text(hex_bytes or [], file))
     frames = [item for item in found if isinstance(item, Described)]
@@ -51,7 +51,7 @@ def decode(
 
 
 def decode_text(text: str) -> list[Described | DescribedNoise]:
-    """What a trace or a run of hex says. Raises CallerError when it is neither."""
+    """The content of a trace or a run of hex. Raises CallerError when it is neither."""
     lines = [line for line in text.splitlines() if line.strip()]
     if any(is_trace_line(line) for line in lines):
         return _decode_trace([parse_trace_line(line) for line in lines])
@@ -61,7 +61,7 @@ def decode_text(text: str) -> list[Described | DescribedNoise]:
 def parse_hex(text: str) -> bytes:
     """Bytes from hex in any case, with or without 0x, blanks, commas, brackets.
 
-    Raises CallerError naming what is not hex.
+    Raises CallerError naming the invalid part.
     """
     tokens = [token for token in _SEPARATORS.split(text) if token]
     if not tokens:
@@ -73,7 +73,7 @@ def parse_hex(text: str) -> bytes:
 
 
 def _decode_trace(traced: list[Frame]) -> list[Described | DescribedNoise]:
-    """Each direction is a stream of its own; an answer is read in the light of the request before it."""
+    """Each direction is a separate stream; a response is decoded with the request before it."""
     dialect = Dialect()
     describer = Describer(dialect)
     streams = {"out": FrameDecoder(dialect), "in": FrameDecoder(dialect)}

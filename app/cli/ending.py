@@ -1,4 +1,4 @@
-"""How a command ends: 0 done, 1 it did not hold, 2 wrong use; errors in one sentence on standard error."""
+"""Exit codes of a command: 0 done, 1 failed, 2 wrong use; errors in one line on standard error."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bus.errors import CallerError, LinesideError
 
 @contextmanager
 def ending() -> Iterator[None]:
-    """Turn the errors of this project into a sentence and an exit code."""
+    """Turn the errors of this project into a text and an exit code."""
     try:
         yield
     except CallerError as error:

@@ -1,4 +1,4 @@
-"""What ``lineside check`` says of a place on this machine."""
+"""A finding of ``lineside check`` about this machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether this machine can do what a configuration says. Nothing is changed and no port is opened."""
+"""Whether this machine can run a configuration. Nothing is changed and no port is opened."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def _device_fault(path: str) -> str:
 
 
 def _is_other_device(device: int) -> bool:
-    """Whether Linux knows it as something else than a terminal; of a pseudo-terminal it says nothing."""
+    """Whether Linux knows it as something else than a terminal; a pseudo-terminal is not known."""
     subsystem = Path(f"/sys/dev/char/{os.major(device)}:{os.minor(device)}/subsystem")
     return subsystem.exists() and subsystem.resolve().name != "tty"
 

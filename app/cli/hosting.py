@@ -92,8 +92,8 @@ async def _host(settings: Settings, config: Path, listening: socket.socket, *, d
 
 
 async def _server_module(stopping: asyncio.Task[Any]) -> Any:
-    """The dashboard's code; None where the end was ``asked`` meanwhile. Beside many workers that begin too,
-    reading it takes a minute on a small machine: they must not go on for so long."""
+    """The dashboard's code; None where ``stopping`` came first. Beside many workers that start too,
+    importing it takes a minute on a small machine: they must not go on for so long."""
     reading = asyncio.create_task(asyncio.to_thread(import_module, "app.cli.server"))
     await asyncio.wait({reading, stopping}, return_when=asyncio.FIRST_COMPLETED)
     return None if stopping.done() else await reading

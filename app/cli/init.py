@@ -18,7 +18,7 @@ STARTER = Path(__file__).with_name("starter.toml")
 
 
 class InitError(LinesideError):
-    """The file was not written; the text says why and what to do."""
+    """The file was not written; the text gives the reason and what to do."""
 
 
 def register(cli: typer.Typer) -> None:

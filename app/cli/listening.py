@@ -10,11 +10,11 @@ from bus.errors import LinesideError
 from bus.messages import Message
 
 BACKLOG = 512
-"""Browsers of a whole plant come back at once after a restart."""
+"""Browsers of a plant reconnect at once after a restart."""
 
 
 class ListenError(LinesideError):
-    """The dashboard's port cannot be taken; the text says why and what to do."""
+    """The dashboard's port cannot be taken; the text gives the reason and what to do."""
 
 
 def listen(host: str, port: int, choose: str) -> socket.socket:

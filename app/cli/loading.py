@@ -1,4 +1,4 @@
-"""Code being read: nothing of it is rubbish, so nobody looks for any meanwhile."""
+"""While code is imported there is no garbage to collect."""
 
 from __future__ import annotations
 

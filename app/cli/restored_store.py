@@ -1,5 +1,5 @@
-"""A store from a backup, made ready to be put in the place of the present one: rights that were withdrawn
-since stay so, what protects the machine stays in force, and an event says who put it back."""
+"""A store from a backup, prepared to replace the present one: rights that were withdrawn
+since stay so, blocks and limits stay in force, and an event names who restored it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``lineside scan``: which addresses answer, at which baud, what they are. It reads only."""
+"""``lineside scan``: which addresses respond, at which baud, what they are. It reads only."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bus.settings import BAUDS, check_port
 FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
 """9600 is the default of a unit, and the quickest to try."""
 INTERRUPTED = 130
-"""As a shell says of a program that SIGINT ended."""
+"""As a shell reports a program that SIGINT ended."""
 _SOCKET = "socket://"
 _KINDS = {"digimax": "DIGIMAX IV", "garbled": "garbled", "foreign": "no DIGIMAX IV"}
 
@@ -33,21 +33,22 @@ def register(cli: typer.Typer) -> None:
 def scan(
     port: Annotated[str, typer.Option(help="A device path, socket://host:port or rfc2217://host:port.")],
     baud: Annotated[
-        int | None, typer.Option(help="Only this one; else all six, fastest first, until one answers.")
+        int | None,
+        typer.Option(help="Only this baud rate; else all six, fastest first, until a unit responds."),
     ] = None,
-    first: Annotated[int, typer.Option(min=1, max=255, help="The first address to ask.")] = 1,
-    last: Annotated[int, typer.Option(min=1, max=255, help="The last address to ask.")] = 255,
+    first: Annotated[int, typer.Option(min=1, max=255, help="The first address to poll.")] = 1,
+    last: Annotated[int, typer.Option(min=1, max=255, help="The last address to poll.")] = 255,
     turnaround_ms: Annotated[
-        float, typer.Option(min=0, max=5000, help="What a unit may take to begin its answer.")
+        float, typer.Option(min=0, max=5000, help="Milliseconds that a unit may take to start its response.")
     ] = 50.0,
     every_baud: Annotated[
-        bool, typer.Option("--every-baud", help="Go on through all six although one has answered.")
+        bool, typer.Option("--every-baud", help="Scan at all six baud rates, even after a response.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="The result as JSON.")] = False,
 ) -> None:
-    """Ask every address, a silent one twice; nothing is written to any unit.
+    """Poll every address, twice without a response; nothing is written to any unit.
 
-    Exit 0 when something answered, 1 when nothing did, 130 when it was interrupted by Ctrl-C.
+    Exit 0 when a unit responded, 1 when none did, 130 when interrupted by Ctrl-C.
     """
     try:
         check_port(port)
@@ -87,7 +88,7 @@ def scan(
 
 
 def bauds_to_try(port: str, baud: int | None) -> tuple[int, ...]:
-    """A device server has a baud rate of its own that is not set from here: 9600 is assumed for its pace."""
+    """A device server sets its baud rate itself: 9600 is assumed for its pace."""
     if baud is not None:
         return (baud,)
     return (9600,) if port.startswith(_SOCKET) else FASTEST_FIRST

@@ -27,7 +27,7 @@ MOST_MESSAGE_BYTES = 4 * 1024 * 1024
 
 
 class Server(uvicorn.Server):
-    """Leaves the signals to the host, and says when it serves."""
+    """Leaves the signals to the host, and reports when it serves."""
 
     def __init__(
         self, settings: Settings, demo: bool, worker_tokens: Mapping[str, str], serving: Callable[[], None]
@@ -41,7 +41,7 @@ class Server(uvicorn.Server):
         self._accepting: list[asyncio.Task[None]] = []
 
     def end(self) -> None:
-        """Let go of everybody, then return from serving."""
+        """Close all connections, then return from serving."""
         self.should_exit = True
         self._ended.set()
 
@@ -85,7 +85,7 @@ class Server(uvicorn.Server):
 
 def _config(app: Any, watch: LoopWatch, connections: Connections) -> uvicorn.Config:
     """No deflate on WebSockets: at ten messages a second it costs a quarter of a core, and every page would
-    need frames of its own."""
+    need separate frames."""
     return uvicorn.Config(
         app,
         loop="none",
@@ -97,7 +97,7 @@ def _config(app: Any, watch: LoopWatch, connections: Connections) -> uvicorn.Con
         ws_max_size=MOST_MESSAGE_BYTES,
         access_log=False,
         proxy_headers=False,  # app.server.forwarded does it, for the proxies that are named
-        log_level="error",  # a warning for each malformed request would let anybody fill the disk
+        log_level="error",  # a warning for each malformed request would let anyone fill the disk
         server_header=False,
         lifespan="on",
         timeout_graceful_shutdown=GRACEFUL_S,

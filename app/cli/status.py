@@ -21,7 +21,7 @@ WITHIN_S = 5.0
 
 
 class NotServingError(LinesideError):
-    """No dashboard answers where the configuration says."""
+    """No dashboard responds at the configured address."""
 
 
 def register(cli: typer.Typer) -> None:
@@ -35,7 +35,7 @@ def status(
     token_file: TokenFile = None,
     as_json: Annotated[bool, typer.Option("--json", help="The result as JSON.")] = False,
 ) -> None:
-    """Say whether the dashboard serves, and how each bus is with a token of any role but worker.
+    """Show whether the dashboard serves, and the state of each bus with a token of any role but worker.
 
     Exit 0 when it serves, else 1.
     """
@@ -53,7 +53,7 @@ def status(
 
 
 def is_serving(url: str) -> bool:
-    """Whether a Lineside dashboard says at ``url`` that it serves."""
+    """Whether a Lineside dashboard serves at ``url``."""
     try:
         response = httpx.get(f"{url}/healthz", timeout=WITHIN_S, trust_env=False)
         return response.status_code == 200 and response.json() == {"status": "ok"}

@@ -45,7 +45,7 @@ class WorkerProcesses:
             self._tasks.append(task)
 
     async def stop(self) -> None:
-        """End them all: by SIGTERM, and what is left after the grace is killed."""
+        """End them all: by SIGTERM, and by SIGKILL after the grace."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -63,7 +63,7 @@ class WorkerProcesses:
             pause = min(2 * pause, LONGEST_PAUSE_S)
 
     async def _run(self, bus: str) -> int:
-        """Start one and wait for its end. A group of its own: Ctrl-C comes to it through the parent."""
+        """Start one and wait for its end. In its own process group: Ctrl-C reaches it through the parent."""
         called = ("-P", "-m", "bus", "--config", str(self._config), "--bus", bus, "--app", self._app_url)
         with _readable(self._tokens[bus]) as token:
             process = await asyncio.create_subprocess_exec(

@@ -1,4 +1,4 @@
-"""The connections to one store: one that writes, on a thread of its own, and read-only ones."""
+"""The connections to one store: one that writes, on its own thread, and read-only ones."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Synchronous = Literal["FULL", "NORMAL"]
 READERS = 4
 COSTLY_READERS = 2
 COSTLY_S = 3.0
-"""Of a thread, for which one costly read may compute: a busy machine makes nobody exceed it."""
+"""Of a thread, for which one costly read may compute: the load of the machine does not count."""
 STEPS = 20_000
 """Of SQLite between two looks at the clock: a few milliseconds."""
 BUSY_S = 5.0
@@ -115,7 +115,7 @@ class Database:
             return work(self._reader())
 
     def close(self) -> None:
-        """Finish what is asked, then close; waits for the threads."""
+        """Finish pending calls, then close; waits for the threads."""
         self._readers.shutdown()
         self._costly.shutdown()
         self._writer.shutdown()

@@ -43,7 +43,7 @@ def migrations_in(folder: Path) -> list[Migration]:
 
 @contextmanager
 def alone(path: Path) -> Iterator[None]:
-    """Hold off whoever else opens the store: two commands on a new one would take its first step twice."""
+    """Lock out other processes that open the store: two on a new one would take its first step twice."""
     make_folder(path.parent)
     held = path.with_name(f"{path.name}.opening")
     make_file(held)
@@ -53,7 +53,7 @@ def alone(path: Path) -> Iterator[None]:
 
 
 def bring_up_to_date(connection: sqlite3.Connection, path: Path, folder: Path) -> list[Migration]:
-    """Apply what is missing, each step whole or not at all, and say which. ``connection`` is in
+    """Apply missing steps, each completely or not at all, and return them. ``connection`` is in
     autocommit. Raises StoreError for a store of a newer version and for a step that fails."""
     known = migrations_in(folder)
     applied = _applied(connection)

@@ -18,7 +18,7 @@ from bus.messages import Message
 
 FOLDER_MODE, FILE_MODE = 0o700, 0o600
 OTHERS = 0o077
-"""Every right of the group and of everybody else."""
+"""Every right of the group and of others."""
 WRITABLE_BY_OTHERS = 0o022
 CODE = "compiled"
 """The folder of compiled templates, which are executed: it is emptied if others could have written to it."""
@@ -62,11 +62,11 @@ def refuse_link(path: Path) -> None:
 def make_private(folder: Path) -> None:
     """Take the rights of all others from a folder and everything in it.
 
-    Raises StoreError for what belongs to somebody else, who could give them back.
+    Raises StoreError for files of another owner, who could give them back.
     """
     with in_words(folder):
         make_folder(folder)
-        # From the top down: once a folder is restricted, nobody else can put a link where a file was.
+        # From the top down: once a folder is restricted, no other user can put a link where a file was.
         was_open = restrict(folder) & WRITABLE_BY_OTHERS
         code = folder / CODE
         if code.is_dir() and not code.is_symlink() and (was_open or _others_can_write(code)):

@@ -31,8 +31,8 @@ _PRIMARY = 0xFF
 def in_words(path: Path) -> Iterator[None]:
     """Turn what SQLite or the file system raises into a StoreError that names the store.
 
-    A broken rule of a table (sqlite3.IntegrityError) passes through: that is for the caller to answer.
-    A number past 64 bits can only have been asked for: CallerError.
+    A broken rule of a table (sqlite3.IntegrityError) passes through: it is the caller's to handle.
+    A number past 64 bits can only come from a request: CallerError.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""What is said to people in each language: one gettext catalog, a ``.po`` file of this folder, for each."""
+"""The texts for people in each language: one gettext catalog, a ``.po`` file of this folder, for each."""
 
 from __future__ import annotations
 

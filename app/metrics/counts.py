@@ -1,4 +1,4 @@
-"""Commands by their fate."""
+"""Commands by their outcome."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ OUTCOMES = ("verified", "acknowledged", "refused", "unverified", "invalid", "not
 
 
 class Counts:
-    """Commands by their fate since the server started."""
+    """Commands by their outcome since the server started."""
 
     def __init__(self, events: EventLog) -> None:
         self.commands: Counter[str] = Counter(dict.fromkeys(OUTCOMES, 0))

@@ -1,4 +1,4 @@
-"""The families of metrics. Nobody waits for them at the start, so they are loaded when first asked for."""
+"""The families of metrics, imported at the first request, as the start does not need them."""
 
 from __future__ import annotations
 

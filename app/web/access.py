@@ -1,6 +1,6 @@
-"""Who asks, and what a route demands of them.
+"""The user of a request, and the role that a route requires.
 
-Every route declares a role with one of the dependencies here or says that it is public; the app does
+Every route declares a role with one of the dependencies here or is declared public; the app does
 not start otherwise (`app.web.routes`). The person is put into the ASGI scope by `app.auth.access`.
 """
 
@@ -25,8 +25,8 @@ AccountSubscriber = Callable[[str], Awaitable[None]]
 
 
 class Role(StrEnum):
-    """What someone may do. The first four each include the ones before; ``worker`` opens /feed and nothing
-    else, and nothing else opens /feed: what a worker reports is what commands are verified by."""
+    """Permissions. Each of the first four includes those before it; ``worker`` opens /feed and nothing else,
+    and no other role opens /feed: commands are verified by the reports of a worker."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"
@@ -57,7 +57,7 @@ def role_named(word: str, among: Iterable[Role] = PEOPLE_ROLES) -> Role:
 
 @dataclass(frozen=True)
 class Person:
-    """Somebody who is signed in: a person, a panel or a program."""
+    """A signed-in user: a person, a panel or a program."""
 
     name: str
     role: Role
@@ -70,7 +70,7 @@ class Person:
     bus: str = ""
     """The one bus that a worker speaks for."""
     credential: str = field(default="", repr=False, compare=False)
-    """What the person was authenticated by, told from an earlier one of the same account."""
+    """Identifies the credential, distinct from an earlier one of the same account."""
 
     @property
     def has_account(self) -> bool:
@@ -79,12 +79,12 @@ class Person:
 
     @property
     def account(self) -> str:
-        """Who it is, told from all others."""
+        """Identifies the user among all."""
         return account_of(self.name, token=self.via == "token")
 
     @property
     def sender(self) -> str:
-        """The account, told from an earlier one of the same name too."""
+        """Identifies the account, distinct from an earlier one of the same name."""
         return f"{self.account} {self.created_at!r}"
 
 
@@ -94,7 +94,7 @@ def account_of(name: str, *, token: bool) -> str:
 
 
 def account_shown(account: str) -> str | Message:
-    """The account as the value of a message: what it is for a program is said in the reader's language."""
+    """The account as the value of a message, in the reader's language where it is a program."""
     name, is_token = name_of(account)
     return Message.of("account_of_token", name=name) if is_token else account
 
@@ -105,14 +105,14 @@ def name_of(account: str) -> tuple[str, bool]:
 
 
 def person_of(connection: HTTPConnection) -> Person | None:
-    """Who asks, None when nobody is signed in."""
+    """The user of a request; None where no one is signed in."""
     person: Person | None = connection.scope.get("person")
     return person
 
 
 @dataclass(frozen=True)
 class Requires:
-    """A dependency: refuses whoever has less than ``role`` and a write that comes late; gives the person."""
+    """A dependency: refuses a user with less than ``role`` and a write that comes late; returns the user."""
 
     role: Role
 
@@ -137,11 +137,11 @@ class Requires:
 
 
 async def public() -> None:
-    """For ``dependencies=[Depends(public)]``: a route that nobody need sign in for."""
+    """For ``dependencies=[Depends(public)]``: a route without sign-in."""
 
 
 def not_signed_in() -> Problem:
-    """The refusal for nobody."""
+    """The refusal of a request without a user."""
     problem = Problem(401, "unauthorized", Message("sign_in_needed"))
     return problem.with_headers(WWW_Authenticate="Bearer")
 

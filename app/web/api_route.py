@@ -1,4 +1,4 @@
-"""A route of the API: what a request says twice, or says and nobody asked for, is refused, not guessed at."""
+"""A route of the API: repeated and unknown parameters of a request are refused, not guessed at."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from app.web.schema_problem import usual_problems
 from bus.messages import Message
 
 MOST_MEMBERS = 1000
-"""Of a JSON object; the largest has one for each of 255 units. Each unknown one is a fault of its own."""
+"""Of a JSON object; the largest has one for each of 255 units. Each unknown one is a separate fault."""
 RouteHandler = Callable[[Request], Coroutine[Any, Any, Response]]
 
 
@@ -57,7 +57,7 @@ class ApiRoute(APIRoute):
 
 
 class _OfOneMeaning(Request):
-    """A request in whose JSON no key stands twice (RFC 8259, 4 leaves open which of them would hold)."""
+    """A request whose JSON has no repeated key (RFC 8259, 4 leaves open which of them would hold)."""
 
     async def json(self) -> Any:
         """Raises Problem 422 for a key given twice."""
@@ -86,7 +86,7 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _is_text(name: str) -> bool:
-    """Whether UTF-8 can say it. A key that has half a surrogate pair is passed over by pydantic, even where
+    """Whether UTF-8 can encode it. Pydantic ignores a key with half a surrogate pair, even where
     unknown ones are forbidden."""
     try:
         name.encode()

@@ -1,6 +1,6 @@
-"""When a request was made, as far as anybody can know.
+"""When a request was made, as far as it can be known.
 
-Three clocks say so, and the earliest is believed: the server, which stamps each request with the moment at
+Three clocks give it, and the earliest is believed: the server, which stamps each request with the moment at
 which its first byte arrived (app/server/stamping.py), a stall or a start of the server included; a program,
 in the header ``Lineside-Sent-At``; a page of ours, in the header ``Lineside-Asked-At`` or, where the browser
 sends the form itself, in the query ``asked_at`` (static/js/review.js).
@@ -29,8 +29,8 @@ SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 
 
 class Begun:
-    """Middleware: notes when the app begins with a request, before its body is read. A server that does not
-    say when the first byte arrived is taken to call the app at once."""
+    """Middleware: notes when the app begins with a request, before its body is read. Without the server's
+    stamp of the first byte it counts from the call of the app."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -100,7 +100,7 @@ def _moment(text: str) -> float | None:
 
 
 def _page_requested_at(connection: HTTPConnection) -> float | None:
-    """Seconds since the epoch by the server's clock, as the page was told it; None where it says nothing."""
+    """Seconds since the epoch by the server's clock, as sent to the page; None without one."""
     value = connection.headers.get("lineside-asked-at") or connection.query_params.get("asked_at", "")
     with suppress(ValueError, OverflowError):
         at = float(value)

@@ -107,7 +107,7 @@ class Assets:
         return _STYLES_IMPORT.sub(lambda found: self._read(_beside(name, found[1].decode())), body)
 
     def imports(self, module: str) -> list[str]:
-        """The addresses of every module that one needs before it runs, so that a page asks for all at once
+        """The addresses of every module that one needs before it runs, for a page to request them all at once
         and not for one after the other. What it imports later, by a call, is left out. Raises Problem 404."""
         if module not in self._imports:
             needed: dict[str, None] = {}

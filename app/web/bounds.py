@@ -31,7 +31,7 @@ LONGEST_CONTENT_TYPE = 200
 
 
 class BoundedRequest:
-    """Refuses an address, a header or a body larger than anything that is asked for here."""
+    """Refuses an address, a header or a body larger than anything that the app needs."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app

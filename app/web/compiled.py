@@ -21,7 +21,7 @@ class Compiled(FileSystemBytecodeCache):
         super().__init__(str(folder))
 
     def load_bytecode(self, bucket: Bucket) -> None:
-        """Take what is kept of one template, if anything is."""
+        """Load the compiled form of one template, if it is stored."""
         with suppress(OSError):
             super().load_bytecode(bucket)
 

@@ -1,7 +1,7 @@
 """How long a command may wait: one type for the moment at which it was made, one for its deadline.
 
 A moment and a duration are both floats, and one in the place of the other is a command that acts an hour late
-or never. Here they have types of their own, so that the type checker tells them apart.
+or never. Here they have separate types, so that the type checker tells them apart.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from bus.messages import Message
 Instant = NewType("Instant", float)
 """A moment on this process's monotonic clock, seconds."""
 DEFAULT_TIMEOUT_S = 2.0
-"""How long after it was made a write may still be sent, where nobody says otherwise."""
+"""How long after it was made a write may still be sent, by default."""
 
 
 def instant_now() -> Instant:
@@ -33,7 +33,7 @@ class Deadline:
 
     @classmethod
     def within(cls, timeout_s: float) -> Deadline:
-        """The deadline of what is made now."""
+        """The deadline of a command that is made now."""
         return cls(instant_now(), timeout_s)
 
     @property

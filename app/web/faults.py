@@ -1,4 +1,4 @@
-"""What is wrong with one field of a request, by what pydantic found."""
+"""The fault of one field of a request, from pydantic's error."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from app.time_zone import UTC
 
 HALF_DAY_S = 43_200
 UNKNOWN = "\N{EN DASH}"
-"""What stands where a value was never read."""
+"""Shown in place of a value that was never read."""
 _NUMBER = re.compile(r"(?<![\w.,:/-])-?(?:\d+|\d{1,3}(?:,\d{3})+)\.\d+(?![\w:/-]|[.,]\d)")
 
 
@@ -32,12 +32,12 @@ class Formats:
         return text.replace(".", self.decimal_sign)
 
     def localized(self, text: str) -> str:
-        """A finished sentence, such as an event's, with the numbers in it in this locale's writing. What only
+        """A text, such as an event's, with its numbers in the format of this locale. What only
         looks like one (an address, a version, a time) stays."""
         return _NUMBER.sub(lambda found: self.point(found[0].replace(",", "")), text)
 
     def typed_number(self, text: str) -> str:
-        """What somebody typed, with a point where it is a number in this locale's writing."""
+        """User input, with a point where it is a number in this locale's format."""
         number = re.fullmatch(rf"\s*(-?\d+){re.escape(self.decimal_sign)}(\d+)\s*", text)
         return f"{number[1]}.{number[2]}" if number else text
 

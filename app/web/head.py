@@ -1,4 +1,4 @@
-"""HEAD of whatever GET gives (RFC 9110, 9.3.2): what watches a server often asks only so much."""
+"""HEAD for every GET (RFC 9110, 9.3.2): monitoring often requests only that."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 
 class HeadAsGet:
-    """Lets every route of GET answer HEAD. The server leaves the body out, as it knows what was asked."""
+    """Lets every GET route respond to HEAD. The server leaves the body out, as it knows the method."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app

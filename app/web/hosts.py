@@ -1,7 +1,7 @@
-"""The names under which this server is asked: a browser can be made to ask it under any other.
+"""The host names of this server: a browser can be made to request it under any other.
 
 A page whose name is given our address afterwards (DNS rebinding) is of one origin with us for the browser.
-Origin alone does not protect a server that answers to every name.
+Origin alone does not protect a server that responds under every name.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from bus.messages import Message
 
 LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})
 OPEN_PATH = "/healthz"
-"""Probes ask by address, and learn nothing but that the server serves."""
+"""Probes request by address, and learn only that the server is up."""
 
 
 class AllowedHosts:
-    """Answers 421 under any name but these; an empty list allows all. 400 for a request with two names."""
+    """Responds 421 under any other name; an empty list allows all. 400 for a request with two names."""
 
     def __init__(self, app: ASGIApp, allowed: Collection[str]) -> None:
         self._app = app
@@ -50,7 +50,7 @@ class AllowedHosts:
 
 
 def host_name(text: str) -> str:
-    """The name in a Host header, without port, in small letters; empty for what is none."""
+    """The name in a Host header, without port, in lower case; empty for an invalid one."""
     try:
         return canonical((urlsplit(f"//{text}").hostname or "").rstrip("."))
     except ValueError:
@@ -58,7 +58,7 @@ def host_name(text: str) -> str:
 
 
 def _is_local(scope: Scope, host: str) -> bool:
-    """From this machine, under the address that it was asked at: the bus workers of ``serve`` do so."""
+    """From this machine, under its address: the bus workers of ``serve`` do so."""
     client = (scope.get("client") or ("", 0))[0]
     server = canonical((scope.get("server") or ("", 0))[0])
     return client in (*LOOPBACK, server) and host in (*LOOPBACK, server)

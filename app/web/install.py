@@ -59,7 +59,7 @@ async def manifest(request: Request) -> Response:
 
 @router.get("/sw.js")
 async def service_worker(request: Request) -> Response:
-    """The service worker, for the whole site; it changes with the assets."""
+    """The service worker, for the site; it changes with the assets."""
     assets = service_of(request, Assets)
     kept = json.dumps([assets.url(name) for name in KEPT])
     head = f"const OFFLINE = {json.dumps(OFFLINE)};\nconst KEPT = {kept};\n"
@@ -75,6 +75,6 @@ async def offline(request: Request) -> Response:
 
 @router.get("/favicon.ico")
 async def favicon(request: Request) -> Response:
-    """For browsers that ask without reading the page."""
+    """For browsers that request it without reading the page."""
     icon = "icons/lineside-unreal.svg" if _is_unreal(request) else "icons/lineside.svg"
     return RedirectResponse(service_of(request, Assets).url(icon))

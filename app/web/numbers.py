@@ -1,4 +1,4 @@
-"""Whole numbers in the text of a request."""
+"""Integers in the text of a request."""
 
 from __future__ import annotations
 

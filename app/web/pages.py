@@ -22,5 +22,5 @@ async def static_file(request: Request, version: str, name: str) -> Response:
 
 @router.get("/healthz")
 async def health() -> dict[str, str]:
-    """Answers once the app serves."""
+    """Responds once the app serves."""
     return {"status": "ok"}

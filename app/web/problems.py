@@ -40,7 +40,7 @@ MOST_FAULTS = 20
 
 
 def wants_json(connection: HTTPConnection) -> bool:
-    """Whether a program asks: the API, and whoever accepts no HTML elsewhere."""
+    """Whether a program sent it: the API, and clients that accept no HTML elsewhere."""
     path = connection.scope["path"]
     if path.startswith("/api/") or path in ("/metrics", "/healthz"):
         return True
@@ -49,12 +49,12 @@ def wants_json(connection: HTTPConnection) -> bool:
 
 
 def is_fragment(connection: HTTPConnection) -> bool:
-    """Whether htmx asks, to swap the answer into a page that stands."""
+    """Whether htmx sent it, to swap the response into an open page."""
     return connection.headers.get("hx-request") == "true"
 
 
 class _ProblemResponse(JSONResponse):
-    """A key of a JSON body may hold half a surrogate pair, which UTF-8 cannot say."""
+    """A key of a JSON body may hold half a surrogate pair, which UTF-8 cannot encode."""
 
     media_type = "application/problem+json"
 
@@ -87,7 +87,7 @@ def _plain(params: Mapping[str, object]) -> dict[str, int | float | str]:
 
 
 async def refuse_socket(socket: WebSocket, problem: Problem) -> None:
-    """Refuse a handshake by an HTTP answer where the server can, else by a close code 4000 + status."""
+    """Refuse a handshake by an HTTP response where the server can, else by a close code 4000 + status."""
     if "websocket.http.response" in socket.scope.get("extensions", {}):
         await socket.send_denial_response(problem_json(problem))
     else:
@@ -95,7 +95,7 @@ async def refuse_socket(socket: WebSocket, problem: Problem) -> None:
 
 
 def respond(request: Request, problem: Problem) -> Response:
-    """The problem in the form that whoever asks can read."""
+    """The problem in the form that the client can read."""
     if wants_json(request):
         return problem_json(problem, _detail(request, problem))
     template = "web/_problem.html" if is_fragment(request) else "web/problem.html"
@@ -103,8 +103,8 @@ def respond(request: Request, problem: Problem) -> Response:
 
 
 def _detail(request: Request, problem: Problem) -> str:
-    """A page that asks the API shows the sentence to a person, in that person's language; a program that
-    comes with a token gets it in English."""
+    """A page that calls the API shows the text to a person, in that person's language; a program with a
+    token gets it in English."""
     person = person_of(request)
     if person is None or person.via != "session":
         return problem.detail
@@ -139,7 +139,7 @@ async def _on_problem(request: Request | WebSocket, error: Exception) -> Respons
 
 async def _on_http(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    # The client went away in the middle of its body: there is nobody to draw a page for.
+    # The client went away in the middle of its body: no page is needed.
     if error.status_code in (204, 304) or isinstance(error.__cause__, ClientDisconnect):
         return Response(status_code=error.status_code)
     if isinstance(error.__cause__, Problem):
@@ -205,7 +205,7 @@ async def _on_anything(request: Request, error: Exception) -> Response:
 
 
 def install(app: FastAPI) -> None:
-    """Every kind of failure gets its answer."""
+    """Responds to every kind of failure."""
     app.exception_handler(Problem)(_on_problem)
     app.add_exception_handler(HTTPException, _on_http)
     app.add_exception_handler(RequestValidationError, _on_invalid)

@@ -1,4 +1,4 @@
-"""The rules that hold for every route: it names a role or says that it is public, and the role is checked
+"""The rules for every route: it declares a role or is public, and the role is checked
 before a byte of the body is read."""
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _roles(route: RouteContext) -> Iterator[Role | None]:
 
 
 def demands(app: FastAPI) -> list[tuple[RouteContext, set[Role | None]]]:
-    """What each route demands; ``None`` stands for public, an empty set for one that says nothing."""
+    """The roles that each route requires; ``None``: public, an empty set: none declared."""
     return [(route, set(_roles(route))) for route in iter_route_contexts(app.routes)]
 
 
@@ -48,11 +48,11 @@ def refuse_undeclared(app: FastAPI) -> None:
 
 
 def guard(app: FastAPI, turns: Turns) -> None:
-    """Check the role of every route, then the size of the body, before the route reads it; and let an account
-    read few things at a time.
+    """Check the role of every route, then the size of the body, before the route reads it; and limit the
+    concurrent requests of an account.
 
-    FastAPI reads and parses a body first and asks for the role then. A route that takes files says how large
-    they may be by FastAPI's ``max_body_size``; one that is a `SEARCH` or a `DOWNLOAD` has its own turns.
+    FastAPI reads and parses a body first and checks the role then. A route with files declares their size
+    by FastAPI's ``max_body_size``; one that is a `SEARCH` or a `DOWNLOAD` has separate turns.
     """
     for route in app.routes:
         if isinstance(route, APIRoute):

@@ -1,4 +1,4 @@
-"""Which requests are not ours to answer.
+"""Requests that are refused before the app sees them.
 
 A request that changes something, and every WebSocket handshake, must come from our own pages when a
 browser sends it: browsers name the page's origin in ``Origin``. One without ``Origin`` is not from a
@@ -28,7 +28,7 @@ def _authority(scheme: str, netloc: str) -> tuple[str | None, int | None]:
 
 
 def same_origin(origin: str, host: str) -> bool:
-    """Whether an ``Origin`` header names the host that was asked; ``null`` never does."""
+    """Whether an ``Origin`` header names the requested host; ``null`` never does."""
     try:
         parts = urlsplit(origin)
         host_authority = _authority(parts.scheme, host)
@@ -38,7 +38,7 @@ def same_origin(origin: str, host: str) -> bool:
 
 
 def is_foreign(scope: Scope) -> bool:
-    """Whether a browser sends this from somebody else's page to change something or to listen."""
+    """Whether a foreign page makes a browser send this to change something or to listen."""
     if scope["type"] == "http" and scope["method"] in SAFE_METHODS:
         return False
     headers = Headers(scope=scope)
@@ -49,7 +49,7 @@ def is_foreign(scope: Scope) -> bool:
 
 
 async def refuse(scope: Scope, receive: Receive, send: Send, problem: Problem) -> None:
-    """Answer a request or a WebSocket handshake with a problem before anything else sees it."""
+    """Refuse a request or a WebSocket handshake with a problem before anything else sees it."""
     if scope["type"] == "websocket":
         await refuse_socket(WebSocket(scope, receive, send), problem)
     else:

@@ -48,8 +48,8 @@ def bus_service_of(connection: HTTPConnection, bus: str, kind: type[S]) -> S:
 
 
 def looked_up(find: Callable[[HTTPConnection], Any]) -> Any:
-    """``Depends(find)`` for what is only looked up: FastAPI would send a plain function to a thread and wait
-    for it there, and between an operator's press and the wire there is no time for that."""
+    """``Depends(find)`` for a mere lookup: FastAPI would send a plain function to a thread and wait
+    for it there, and between an operator's click and the wire there is no time for that."""
 
     async def look_up(connection: HTTPConnection) -> Any:
         return find(connection)

@@ -80,11 +80,11 @@ class Templates:
         return Formats(self.languages[tag].locale, self._site.zone)
 
     def text(self, tag: str, name: str, /, **context: Any) -> str:
-        """A template in one language, for whoever renders without a request."""
+        """A template in one language, for rendering without a request."""
         return self.environment(tag).get_template(name).render(context)
 
     def language_of(self, connection: HTTPConnection) -> Language:
-        """The language for whoever asks."""
+        """The language of the request."""
         person = person_of(connection)
         preferred = person.language if person else ""
         accepted = connection.headers.get("accept-language", "")
@@ -105,7 +105,7 @@ def render(
     headers: Mapping[str, str] | None = None,
     **context: Any,
 ) -> HTMLResponse:
-    """A page or fragment in the language of whoever asks, never kept by a cache."""
+    """A page or fragment in the language of the request, never kept by a cache."""
     templates = templates_of(request)
     person: Person | None = person_of(request)
     context = {"person": person, "request": request, "path": request.url.path, "now": time(), **context}

@@ -45,11 +45,13 @@ def outcome_text(result: Result | UnitOutcome, shown: ValueFormat, translator: T
         case "acknowledged":
             return OutcomeText("good", translator.t("acknowledged by the unit"))
         case "refused":
-            return OutcomeText("bad", translator.t("refused: {reason}", reason=_reason(result, translator)))
+            return OutcomeText(
+                "bad", translator.t("rejected by the unit: {reason}", reason=_reason(result, translator))
+            )
         case "unverified":
             if read:
                 return OutcomeText("unknown", translator.t("reads {value} instead", value=read))
-            return OutcomeText("unknown", translator.t("no answer: whether it was done is not known"))
+            return OutcomeText("unknown", translator.t("no response: the result is not known"))
     return OutcomeText("bad", _not_sent(result.outcome, result.message, translator))
 
 
@@ -66,7 +68,7 @@ def _reason(result: Result | UnitOutcome, translator: Translator) -> str:
 
 def _not_sent(outcome: Outcome, message: Message | None, translator: Translator) -> str:
     if outcome == "not_sent":
-        return translator.t("not sent: the wire was not free in time")
+        return translator.t("not sent: the bus was busy until the deadline")
     if outcome == "bus_closed":
         return translator.t("not sent: there is no link to the bus")
     return translator.t(message or "")

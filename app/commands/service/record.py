@@ -76,7 +76,7 @@ class CommandRecord:
             message = result.message or ""
             await self._events.conclude(intent.event, result.outcome, message, result.frames, remember)
         except StoreError as error:
-            log.error("fate not stored", command=request.id, outcome=result.outcome, error=str(error))
+            log.error("outcome not stored", command=request.id, outcome=result.outcome, error=str(error))
 
     async def reject(self, request: CommandRequest, live: BusLive, problem: Problem) -> None:
         """Record a rejected command with the reason."""

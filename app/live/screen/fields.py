@@ -102,7 +102,7 @@ def bus_fields(bus: BusLive, translator: Translator, now: float) -> Fields:
         "link": bus.link.link,
         "link_text": translator.t(PORT_WORDS[bus.link.link]),
         "baud": f"{bus.baud}",
-        "carries": translator.t("of what {baud} baud can carry", baud=bus.baud),
+        "carries": translator.t("of the capacity of {baud} baud", baud=bus.baud),
         "cause": cause,
         "worker": "1" if bus.worker_connected else "0",
         "stale_after": f"{stale_after_s(scan_s):.2f}",

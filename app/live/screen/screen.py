@@ -120,9 +120,9 @@ class Screen:
         if not departed:
             return name
         if len(departed) > MOST_DEPARTED:
-            return self.translator.t("{name}, {n} units departed", name=name, n=len(departed))
+            return self.translator.t("{name}, {n} units with drift", name=name, n=len(departed))
         return self.translator.t(
-            "{name}, departed: {units}", name=name, units=self.translator.t(listed(departed))
+            "{name}, drift: {units}", name=name, units=self.translator.t(listed(departed))
         )
 
     def _line(self, now: float) -> Fields:

@@ -119,7 +119,7 @@ def holders(held_by: Mapping[str, str], translator: Translator) -> str:
     held = {bus: holder for bus, holder in held_by.items() if holder}
     if not held:
         return ""
-    no_one, free = translator.t("nobody"), len(held_by) - len(held)
+    no_one, free = translator.t("free"), len(held_by) - len(held)
     if not free and len(set(held.values())) == 1:
         [holder] = set(held.values())
         return holder if len(held) == 1 else translator.t("{name}, every bus", name=holder)
