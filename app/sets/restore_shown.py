@@ -48,7 +48,7 @@ class RestoreRowShown(RestoreValues):
     meaning_message: MaybeMessage
     outcome: Annotated[Outcome | None, Field(description="null: not written yet.")]
     message: Annotated[str, Field(description="What became of it, English; empty: nothing more.")]
-    outcome_message: Annotated[MessageShown | None, Field(description="What message says.")]
+    outcome_message: Annotated[MessageShown | None, Field(description="message as data.")]
     read_back: StoredRaw
 
 
@@ -75,14 +75,14 @@ class RestoreShown(TypedDict):
     state: RestoreState
     cause: Annotated[str, Field(description="Why it stopped; empty: it did not.")]
     cause_code: Annotated[str | None, Field(description="The cause, for programs; null: it did not stop.")]
-    cause_message: Annotated[MessageShown | None, Field(description="What cause says.")]
+    cause_message: Annotated[MessageShown | None, Field(description="cause as data.")]
     running: Annotated[
         bool | None, Field(description="The Run input when the restore was planned; null: not known.")
     ]
     done: Annotated[int, Field(description="Rows that have an outcome.")]
     equal: Annotated[int, Field(description="Rows that were equal beforehand.")]
     remarks: list[str]
-    remark_messages: Annotated[list[MessageShown], Field(description="What each of the remarks says.")]
+    remark_messages: Annotated[list[MessageShown], Field(description="Each of the remarks as data.")]
     rows: list[RestoreRowShown]
     left_out: list[LeftOutShown]
     remaining: Annotated[

@@ -13,7 +13,7 @@ from app.sets.compare import Comparison
 
 Number = Annotated[int, Field(description="Number of the parameter, 1 to 40.")]
 MaybeMessage = Annotated[
-    MessageShown | None, Field(description="What the field before it says; null where that says nothing.")
+    MessageShown | None, Field(description="The field before it as data; null: it is empty.")
 ]
 StoredRaw = Annotated[
     int | None, Field(description="Integer on the wire; null: not known, or a secret (#21).")

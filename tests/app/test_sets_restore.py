@@ -162,7 +162,7 @@ async def test_a_killed_server_left_the_exact_list_of_what_was_done(a_scene: Set
     assert (found.state, found.who) == ("stopped", "anna")
     assert [row.outcome for row in found.rows] == ["verified", "verified", "unverified", "not_sent"]
     assert scene.events.events[-1]["outcome"] == "stopped"
-    assert scene.events.events[-1]["message"].endswith("done: #6, #7; in doubt: #12; not written: #9")
+    assert scene.events.events[-1]["message"].endswith("done: #6, #7; not verified: #12; not written: #9")
     await scene.restores.close()
 
     scene.commands.hangs_after, scene.restores = None, after

@@ -128,7 +128,7 @@ async def test_a_swap_ends_with_one_event_that_tells_all_of_it(scene: Scene) -> 
     [_, end] = events.events
     assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and verified", "verified", 2)
     for part in (
-        "nothing answers at address 5 and two units answer at address 1",
+        "no response at address 5 and two units respond at address 1",
         "from set 1:",
         "done: #6",
         "#17: the address is set at the keypad only",
@@ -172,7 +172,7 @@ async def test_without_a_set_the_sheet_is_entered_and_the_unit_kept(scene: Scene
     assert swap.equal
     proven = advice(state("digimax", remote=True, equal=True))
     assert step_text(proven, swap) == Message("swap_compare_with_sheet")
-    assert "kept as set 9" in scene.events.events[-1]["message"]
+    assert "saved as set 9" in scene.events.events[-1]["message"]
 
 
 def test_a_unit_without_a_set_is_offered_those_of_its_group_first() -> None:

@@ -109,7 +109,7 @@ TEXTS: dict[str, EnglishText] = {
     "restore_may_run": (
         "whether the unit runs is not known: the marked rows may change the speed of the machine immediately"
     ),
-    "restore_of_other_unit": "the set is of unit {unit}, this is unit {present}: read every row",
+    "restore_of_other_unit": ("the set is from unit {unit}, this is unit {present}: check every row"),
     "restore_of_master": ("the set is from a master, this unit is a follower (#8): another type of section"),
     "restore_of_follower": (
         "the set is from a follower, this unit is a master (#8): another type of section"
@@ -124,7 +124,7 @@ TEXTS: dict[str, EnglishText] = {
     "restore_failed": "server error; its log has the details",
     "restore_wrote_nothing": "no row differed; nothing was written",
     "rows_done": "done: {rows}",
-    "rows_in_doubt": "in doubt: {rows}",
+    "rows_in_doubt": "not verified: {rows}",
     "rows_refused": "refused: {rows}",
     "rows_not_written": "not written: {rows}",
     "rows_left_out": "left out: {rows}",
