@@ -24,6 +24,7 @@ from app.web.api_route import ApiRoute
 from app.web.services import service
 from app.web.shape import iso
 from app.web.turns import DOWNLOAD, SEARCH
+from bus.messages import in_english
 
 router = APIRouter(prefix="/api/v1", tags=["events"], route_class=ApiRoute)
 MOST = 1000
@@ -156,7 +157,8 @@ class AuditVerification(BaseModel):
 @router.get("/events/proof", dependencies=[DOWNLOAD])
 async def prove_events(_: Admin, events: Events) -> AuditVerification:
     """Walk the whole log as ``lineside audit verify`` does, without the anchor."""
-    return AuditVerification.model_validate(vars(await events.prove()))
+    verdict = await events.prove()
+    return AuditVerification.model_validate(vars(verdict) | {"fault": in_english(verdict.fault)})
 
 
 @router.get("/events.csv", response_class=StreamingResponse, responses=CSV, dependencies=[DOWNLOAD])

@@ -34,7 +34,7 @@ Also = Callable[[sqlite3.Connection], None]
 CHUNK = 1000
 INDEX_PAUSE_S = 0.05
 """Between two transactions of the index, in which commands are written down."""
-ENDED_BEFORE = "the server stopped before the fate was known"
+ENDED_BEFORE = Message("server_stopped")
 
 
 def _nothing(_: sqlite3.Connection) -> None:

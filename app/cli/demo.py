@@ -18,6 +18,7 @@ from app.cli.ending import ending
 from app.cli.listening import listen
 from app.errors import StoreError
 from app.settings import load
+from bus.messages import Message
 from bus.settings import UnitSettings
 from bus.worker.parent import tied_environment
 
@@ -64,7 +65,7 @@ def _simulator(units: int, link: Path) -> Iterator[Callable[[], None]]:
 
     def begun() -> None:
         if output is None or not output.readline():
-            raise StoreError("the simulated line could not begin; what stands above says why")
+            raise StoreError(Message("simulator_not_started"))
 
     with ended(process, END_WITHIN_S):
         yield begun

@@ -11,6 +11,7 @@ from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.ending import ending
 from bus.configuration import load_bus
 from bus.errors import CallerError
+from bus.messages import Message
 
 WORKER_TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
 
@@ -30,7 +31,7 @@ def worker(
     """Work one bus for a dashboard elsewhere, until Ctrl-C or SIGTERM; reconnects indefinitely."""
     with ending():
         if not app.startswith(("http://", "https://", "ws://", "wss://")):
-            raise CallerError(f"--app {app!r} is no address; give for example http://192.168.1.10:8000")
+            raise CallerError(Message.of("app_url_malformed", url=app))
         bearer = bearer_token(token, token_file, WORKER_TOKEN_VARIABLE)
         settings = load_bus(config, bus)
         from bus.worker.process import run

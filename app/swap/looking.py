@@ -10,6 +10,7 @@ from app.swap.rules import FACTORY_ADDRESS, ProbeFinding, SwapState
 from app.web.access import Person
 from bus.catalogue.status import status_bits
 from bus.contract import ScanBus
+from bus.messages import Message
 
 LOOK_TIMEOUT_S = 30.0
 LOOKS = 4
@@ -50,7 +51,7 @@ async def _answers(desk: CommandService, person: Person, address: int) -> ProbeF
     action = ScanBus(first=address, last=address)
     result = await desk.ask(person, action, timeout_s=LOOK_TIMEOUT_S, origin="unit swap")
     if result.outcome != "verified":
-        raise Problem(503, "not_looked", result.message or "")
+        raise Problem(503, "not_looked", result.message or Message("worker_no_result"))
     return next((found.kind for found in result.found if found.unit == address), "silent")
 
 

@@ -97,7 +97,7 @@ async def test_what_a_dead_server_left_open_is_unverified(log: EventLog) -> None
     assert await log.close_open_intents() == 0
     events = {event["id"]: event for event in await newest(log, kind="command")}
     assert events[done]["outcome"] == "acknowledged"
-    assert (events[left]["outcome"], events[left]["message"]) == ("unverified", ENDED_BEFORE)
+    assert (events[left]["outcome"], events[left]["message"]) == ("unverified", str(ENDED_BEFORE))
 
 
 @pytest.mark.parametrize("change", ["UPDATE events SET what = 'x' WHERE id = 1", "DELETE FROM events"])
@@ -129,7 +129,7 @@ async def test_who_takes_the_guard_away_is_found_out(log: EventLog, database: Da
     assert (await log.prove()).entries == 5
     await database.write(tamper)
     verdict = await log.prove()
-    assert (verdict.broken, verdict.fault) == (3, "entry 3 was changed after it was written")
+    assert (verdict.broken, str(verdict.fault)) == (3, "entry 3 was changed after it was written")
 
 
 async def test_pages_go_back_to_the_beginning_without_a_gap(log: EventLog) -> None:

@@ -11,6 +11,7 @@ import pytest
 from app.errors import StoreError
 from app.server.security_headers import HEADERS
 from app.web.access import Role
+from bus.messages import Message
 from tests.app.whole_app import House, whole_app
 
 SPEED = "/api/v1/buses/dry-end/units/1/speed"
@@ -130,7 +131,11 @@ async def test_a_store_that_fails_is_said(
     house: House, engineer: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def fail(*_: object) -> None:
-        raise StoreError("the store x: the disk is full; free some space, nothing was stored")
+        raise StoreError(
+            Message.of(
+                "system_error", error="the store x: the disk is full; free some space, nothing was stored"
+            )
+        )
 
     monkeypatch.setattr(house.services.events, "page", fail)
     answer = await engineer.get("/api/v1/events")
@@ -142,7 +147,7 @@ async def test_a_store_that_fails_at_the_door_refuses(
     house: House, engineer: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def fail(*_: object) -> None:
-        raise StoreError("the store x: the disk failed at it; check the disk")
+        raise StoreError(Message.of("store_failed", path="x", reason=Message("store_disk_failed")))
 
     monkeypatch.setattr(house.services.identity, "by_token", fail)
     check_problem(await engineer.get("/api/v1/line"), 503, "store")

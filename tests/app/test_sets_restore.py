@@ -18,6 +18,7 @@ from app.sets.restore_record import Restore
 from app.sets.restore_store import RestoreStore
 from app.sets.selection import Selection
 from bus.contract import WriteParameter
+from bus.messages import Message
 from tests.app.played_desk import ANNA, Noted, PlayedDesk, a_bus, answering, factory
 
 WANTED = {6: 50, 7: 60, 12: 7, 9: 1234}
@@ -272,7 +273,9 @@ async def test_a_unit_that_ran_at_the_review_may_go_on_running(a_scene: SetsScen
 
 
 async def test_an_objection_to_one_row_does_not_cost_the_others(a_scene: SetsScene) -> None:
-    scene = a_scene(objects={7: Problem(422, "invalid", "above the engineer's limit")})
+    scene = a_scene(
+        objects={7: Problem(422, "invalid", Message.of("system_error", error="above the engineer's limit"))}
+    )
     restore = await scene.run()
     assert [row.outcome for row in restore.rows] == ["verified", "invalid", "verified", "verified"]
     assert restore.rows[1].message == "above the engineer's limit"
@@ -281,7 +284,7 @@ async def test_an_objection_to_one_row_does_not_cost_the_others(a_scene: SetsSce
 
 @pytest.mark.parametrize("code", ["rights_withdrawn", "controlled", "blocked"])
 async def test_an_objection_to_whoever_asks_stops_it_between_two_rows(a_scene: SetsScene, code: str) -> None:
-    scene = a_scene(objects={12: Problem(403, code, "no longer")})
+    scene = a_scene(objects={12: Problem(403, code, Message.of("system_error", error="no longer"))})
     restore = await scene.run()
     assert (restore.state, restore.cause_code, restore.cause) == ("stopped", code, "no longer")
     assert [row.outcome for row in restore.rows] == ["verified", "verified", "not_sent", "not_sent"]

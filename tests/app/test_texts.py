@@ -23,6 +23,8 @@ FOR_PROGRAMS = (
     "app/commands/api/responses.py",
     *("app/audit/walk.py", "app/audit/key_file.py", "app/audit/keys.py", "app/audit/anchor.py"),
     "app/database/private.py",
+    "app/history/series/columns.py",
+    "app/history/export/rows.py",
     *("app/feed/ingest.py", "app/feed/socket.py", "bus/configuration.py", "bus/settings.py"),
     *(
         "app/server",
@@ -48,17 +50,10 @@ UNSEEN_CALLS = {
 }
 UNSEEN_KEYWORDS = {"description", "summary", "title", "help", "name"}
 PARTS = {
-    "a block of the history was damaged, it was worked out again: X1": (
-        "a block of the history was damaged, it was worked out again: the hours of dry-end/1 from 03:00 on"
-    ),
-    "a block of the history is damaged, it is missing: X1": (
-        "a block of the history is damaged, it is missing: every reading of dry-end/1 from 03:00 on"
-    ),
     "parameter set X1 taken of unit X1, X1": "parameter set 3 taken of unit 1, 2, by hand",
     "the unit of the set": "the unit of the set has 20 of 40 parameters only",
     "X1 has X1 of X1 parameters only": "this unit has 20 of 40 parameters only",
     "restored from X1: X1": "restored from set 3 of unit 1: done: #6; in doubt: #7",
-    "unit swap begun, from X1": "unit swap begun, from set 3",
     "X1 at address X1": "a unit answers at address 3 in REMOTE",
     ", not in REMOTE": "a unit answers at address 3, not in REMOTE",
 }
@@ -66,9 +61,6 @@ PARTS = {
 UNSEEN = {
     "X1 (X1 of unit key X1 from X1)": "a log",
     "X1, at the panel": "both of its texts are looked up by app.sets.drift",
-    "History: something that was kept was damaged; the events say what is missing, the rest is ": "a half",
-    "whole. Check the disk.": "the other half",
-    "no history is kept, everything else works": "said with its time and cause",
     "of a size that cannot be known now": "has a pattern of its own",
     "a worker says hello first": "said to a program",
     "this bus was connected to too often; wait a minute": "said to a program",

@@ -95,7 +95,7 @@ async def review_analog(
         raw = _whole_number(value)
         desk.commands(bus).check(person, WriteAnalogOutput(unit=unit, raw=raw), confirm=True)
     except (CallerError, Problem) as error:
-        return desk.not_so(error.text(desk.voice.t), "#analog-error")
+        return desk.not_so(desk.voice.t(error.message), "#analog-error")
     return desk.review(
         "unit/_review_analog.html",
         unit=desk.shown(bus, unit),

@@ -41,7 +41,7 @@ async def set_limits(
         if limits.lowest is not None and limits.highest is not None and limits.lowest > limits.highest:
             raise CallerError(Message("limits_reversed"))
     except (CallerError, Problem) as error:
-        return desk.not_so(error.text(desk.voice.t), "#limits-said")
+        return desk.not_so(desk.voice.t(error.message), "#limits-said")
     await desk.guards(bus).set_limits(person, unit, limits)
     return desk.render("unit/_limits_set.html")
 

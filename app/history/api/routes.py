@@ -36,7 +36,7 @@ from app.web.access import Viewer
 from app.web.api_route import ApiRoute
 from app.web.templating import templates_of
 from app.web.turns import DOWNLOAD, SEARCH
-from bus.messages import Message
+from bus.messages import Message, in_english
 
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
 SPARK_POINTS = 120
@@ -160,7 +160,9 @@ async def get_marks(
 async def get_status(_: Viewer, history: HistoryOf) -> StatusShown:
     """How history is: ``state`` ok, low or scarce (the disk is short), paused or failed; ``message`` says
     what to do. The rest of Lineside works in every state."""
-    return cast(StatusShown, asdict(history.status))
+    status = history.status
+    texts = {"message": in_english(status.message), "cause": in_english(status.cause)}
+    return cast(StatusShown, asdict(status) | texts)
 
 
 @router.get("/export", response_class=StreamingResponse, responses=EXPORT, dependencies=[DOWNLOAD])

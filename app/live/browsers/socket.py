@@ -18,6 +18,7 @@ from starlette.websockets import WebSocketDisconnect
 from app.errors import Problem
 from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
+from app.live.browsers.watched import MOST_VIEWS
 from app.server.addresses import source_of
 from app.server.frames import outlet_of
 from app.web.access import Person, Role, Viewer
@@ -36,8 +37,6 @@ SILENCE_ENDS_S = 30.0
 MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE = 2.0, 10
 SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE = 0.5, 3
 """Of one page. The whole state is a quarter of a megabyte for a large line."""
-MOST_VIEWS = 64
-"""Sets of units that pages show at a time."""
 
 
 class PageMessage(msgspec.Struct, forbid_unknown_fields=True):

@@ -7,7 +7,10 @@ from __future__ import annotations
 
 from bus.messages.texts import (
     accounts,
+    audit,
+    command_line,
     commands,
+    configuration,
     events,
     findings,
     frames,
@@ -28,7 +31,10 @@ from bus.messages.texts.plural import Plural as Plural
 
 GROUPS: tuple[dict[str, EnglishText], ...] = (
     accounts.TEXTS,
+    audit.TEXTS,
+    command_line.TEXTS,
     commands.TEXTS,
+    configuration.TEXTS,
     events.TEXTS,
     findings.TEXTS,
     frames.TEXTS,

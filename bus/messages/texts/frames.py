@@ -5,6 +5,7 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText
 
 TEXTS: dict[str, EnglishText] = {
+    "reply_does_not_fit": "{reply} does not fit a frame: {error}",
     "frame": "{unit}: {meaning}",
     "frame_unit": "unit {unit}",
     "frame_all_units": "all units",

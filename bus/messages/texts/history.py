@@ -2,18 +2,39 @@
 
 from __future__ import annotations
 
-from bus.messages.texts.plural import EnglishText
+from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {
     "history_disk_low": "the disk with the history is nearly full: free some space soon",
     "history_disk_scarce": "the disk with the history is nearly full: the oldest readings are being given up",
     "history_disk_full": "the disk is full: no readings are stored until some space is free",
     "history_failed": "no history is kept, everything else works",
+    "history_failed_since": ("Since {time} no history is kept, everything else works. The reason: {reason}"),
+    "history_paused_since": "Since {time} no history is kept: the disk is full. Free some space.",
+    "history_notice": "History: {notice}",
     "history_because": "{notice}: {cause}",
     "history_damaged": (
         "History: something that was kept was damaged; the events say what is missing, the rest "
         "is whole. Check the disk."
     ),
+    "event_history_block_lost": (
+        "a block of the history is damaged, it is missing: {what} of {unit} from {since} on"
+    ),
+    "event_history_block_rebuilt": (
+        "a block of the history was damaged, it was worked out again: {what} of {unit} from {since} on"
+    ),
+    "event_history_rebuilt": Plural(
+        "the store of the history was damaged and is written anew, 1 stretch of it is missing: "
+        "the damaged one is kept as {file}",
+        "the store of the history was damaged and is written anew, {n} stretches of it are missing: "
+        "the damaged one is kept as {file}",
+    ),
+    "event_history_tail_damaged": (
+        "the last minutes of the history were damaged before this start, some are missing"
+    ),
+    "history_readings": "every reading",
+    "history_minutes": "the minutes",
+    "history_hours": "the hours",
     "too_many_sparklines": "series: at most {most}, not {count}",
     "no_parquet": (
         "This server cannot write Parquet: pyarrow is not installed. Export CSV, or install "

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {
+    "http_refused": "{reason}",
     "no_such_bus": "there is no bus '{bus}'; there are: {known}",
     "no_such_unit": "bus '{bus}' has no unit {unit} in lineside.toml",
     "parameter_unknown_none": "{name}: there is no such parameter; there are none; nothing was sent",
