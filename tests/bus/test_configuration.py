@@ -70,6 +70,14 @@ def test_a_file_that_is_not_text(tmp_path: Path) -> None:
         load_bus(path, "dry-end")
 
 
+@pytest.mark.parametrize("value", ["9" * 5000, "[" * 5000])
+def test_a_value_beyond_what_the_parser_takes(tmp_path: Path, value: str) -> None:
+    path = tmp_path / "lineside.toml"
+    path.write_text(f"a = {value}")
+    with pytest.raises(ConfigurationError, match="too many digits"):
+        load_bus(path, "dry-end")
+
+
 @pytest.mark.parametrize(
     ("line", "written", "said"),
     [
