@@ -113,7 +113,7 @@ def test_every_fault_is_said_at_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[site]\nname = Mill\n", "FILE:2: this is not TOML: Invalid value; it says 'name = Mill'"),
+        ("[site]\nname = Mill\n", "FILE:2: this is not TOML: Invalid value; the line is 'name = Mill'"),
         ("[site\n", "FILE:1: this is not TOML: Expected ']'"),
         ('a = """\nnever closed\n', "FILE:2: this is not TOML"),
         ("", "there is no [[bus]] named 'dry-end'; it has none"),
