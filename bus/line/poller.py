@@ -28,7 +28,7 @@ from bus.line.statistics.figures import Figures
 from bus.line.statistics.trace import Interpreter, Trace
 from bus.messages import Message
 from bus.settings import BusSettings, wire_seconds
-from bus.wire.commands import Nak, ReadStatus, Request, WriteParameter
+from bus.wire.commands import Nak, ReadStatusRequest, Request, WriteParameterRequest
 from bus.wire.lengths import usual_reply_bytes
 
 CLOSED_TO_OFFLINE_S = 3.0
@@ -45,7 +45,7 @@ class Poller:
         self.baud: int = bus.baud
         self.trace = Trace()
         self.roster = Roster((unit.id for unit in bus.unit), clock.epoch(clock.now()))
-        self.schedule = PollSchedule(self.roster.configured, self._exchange_s(ReadStatus(1)), seed)
+        self.schedule = PollSchedule(self.roster.configured, self._exchange_s(ReadStatusRequest(1)), seed)
         self.link = Link(bus.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
         self.link.done = self._on_exchange_end
         self.state = self._port_is("closed", Message("port_not_opened"))
@@ -218,7 +218,7 @@ class Poller:
         )
         if self.roster.is_configured(request.unit):
             self.schedule.responded(request.unit, now)
-            if isinstance(request, WriteParameter) and not isinstance(reply, Nak):
+            if isinstance(request, WriteParameterRequest) and not isinstance(reply, Nak):
                 self.schedule.parameters.need(request.unit)
         return updates
 

@@ -24,14 +24,14 @@ from bus.line.statistics.unit_statistics import UnitStatistics
 from bus.messages import Message
 from bus.wire.commands import (
     Ack,
-    ExecuteSpeed,
+    ExecuteSpeedRequest,
     Nak,
     ParameterReply,
-    ReadParameter,
+    ReadParameterRequest,
     Reply,
     Request,
-    SetAndExecuteSpeed,
-    StageSpeed,
+    SetAndExecuteSpeedRequest,
+    StageSpeedRequest,
     StatusReply,
 )
 
@@ -124,16 +124,16 @@ class Roster:
         record = self[request.unit]
         updates = self._answered(record, at)
         match request, reply:
-            case ReadParameter(number=number), _ if is_probe or number not in PARAMETERS:
+            case ReadParameterRequest(number=number), _ if is_probe or number not in PARAMETERS:
                 pass
             case _, StatusReply():
                 record.reading = _reading(reply, at)
                 updates.append(record.reading)
-            case ReadParameter(), _:
+            case ReadParameterRequest(), _:
                 updates += self._learn(record, parameter_value(record.unit, request.number, reply, at, frame))
-            case StageSpeed(), Ack():
+            case StageSpeedRequest(), Ack():
                 updates += self._stage(record, request.raw, at)
-            case ((ExecuteSpeed() | SetAndExecuteSpeed()), Ack()):
+            case ((ExecuteSpeedRequest() | SetAndExecuteSpeedRequest()), Ack()):
                 updates += self._stage(record, None, at)
         return updates if self.is_configured(record.unit) else []
 

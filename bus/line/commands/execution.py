@@ -21,7 +21,7 @@ from bus.line.commands.writes import outcome_with_readback
 from bus.line.exchange.send import Send, SendResult
 from bus.line.roster import Roster
 from bus.messages import Message, joined
-from bus.wire.commands import ExecuteSpeed
+from bus.wire.commands import ExecuteSpeedRequest
 
 EXECUTED_SINGLY = Message("executed_singly")
 
@@ -64,7 +64,7 @@ def _not_shown(member: Member, readback: Readback) -> Message:
 
 def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[None]:
     """It acknowledged its stage and does not show it: it may have missed the one frame nobody answers."""
-    sent = yield from send(Send(ExecuteSpeed(member.unit)))
+    sent = yield from send(Send(ExecuteSpeedRequest(member.unit)))
     if not sent.may_have_acted:
         return
     yield from verify(member, sent, context)

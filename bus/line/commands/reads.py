@@ -12,7 +12,7 @@ from bus.line.commands.procedure import CommandContext, Procedure, ReportProgres
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import UnitRecord, parameter_value
 from bus.messages import Message, joined
-from bus.wire.commands import ReadParameter
+from bus.wire.commands import ReadParameterRequest
 
 MOMENT_S = 0.5
 """How long a unit that missed a question is left alone: its three tries pass in a tenth of a second."""
@@ -33,7 +33,7 @@ def read_parameters(record: UnitRecord, numbers: Sequence[int], context: Command
             return _partly(record, values, wanted, Message("canceled"))
         number = waiting.popleft()
         yield ReportProgress("sent", record.unit, len(values), len(wanted))
-        sent = yield from send(Send(ReadParameter(record.unit, number), fresh=True))
+        sent = yield from send(Send(ReadParameterRequest(record.unit, number), fresh=True))
         if sent.status is SendStatus.PORT_CLOSED:
             return _partly(record, values, wanted, Message("bus_link_lost"), closed=True)
         if sent.status is not SendStatus.RESPONDED:

@@ -33,7 +33,7 @@ from bus.line.commands.writes import not_sent, outcome_without_readback
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import Roster
 from bus.messages import Message
-from bus.wire.commands import ExecuteSpeed, StageSpeed
+from bus.wire.commands import ExecuteSpeedRequest, StageSpeedRequest
 
 ALL_UNITS = 0
 
@@ -50,7 +50,7 @@ def set_line(roster: Roster, setpoints: Mapping[int, int], context: CommandConte
     if failure is None:
         failure = yield from _stage_all(members, context)
     if failure is None:
-        sent = yield from send(Send(ExecuteSpeed(ALL_UNITS)))
+        sent = yield from send(Send(ExecuteSpeedRequest(ALL_UNITS)))
         if sent.status is SendStatus.SENT:
             result = yield from verify_all(members, sent, roster, context)
             yield from suspended.restore()
@@ -65,7 +65,7 @@ def execute_all(roster: Roster, context: CommandContext) -> Procedure:
     """83h to every unit, and what each shows afterwards."""
     members = [member_of(roster[unit], roster[unit].staged or 0) for unit in roster.configured]
     knew = {member.unit for member in members if member.record.staged is not None}
-    sent = yield from send(Send(ExecuteSpeed(ALL_UNITS)))
+    sent = yield from send(Send(ExecuteSpeedRequest(ALL_UNITS)))
     if sent.status is not SendStatus.SENT:
         outcome, message = not_sent(ALL_UNITS, sent)
         return Result(id="", at=0.0, outcome=outcome, message=message)
@@ -100,7 +100,7 @@ def _stage_all(
     """None when every unit acknowledged, else how the change ended and why."""
     for done, member in enumerate(members):
         yield ReportProgress("sent", member.unit, done, len(members))
-        member.sent = yield from send(Send(StageSpeed(member.unit, member.raw)))
+        member.sent = yield from send(Send(StageSpeedRequest(member.unit, member.raw)))
         if not member.staged:
             return _why_stopped(member)
         if context.cancelled:

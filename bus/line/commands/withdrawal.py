@@ -15,7 +15,7 @@ from bus.line.commands.readback import present_setpoint
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import Roster, UnitRecord
 from bus.messages import Message
-from bus.wire.commands import StageSpeed
+from bus.wire.commands import StageSpeedRequest
 
 
 def _stage_present(record: UnitRecord, context: CommandContext) -> Subprocedure[int | None]:
@@ -23,7 +23,7 @@ def _stage_present(record: UnitRecord, context: CommandContext) -> Subprocedure[
     present = yield from present_setpoint(record, context.dialect)
     if present is None:
         return None
-    sent = yield from send(Send(StageSpeed(record.unit, present), withdraws=True))
+    sent = yield from send(Send(StageSpeedRequest(record.unit, present), withdraws=True))
     if sent.status is not SendStatus.RESPONDED or sent.refusal is not None:
         return None
     yield Unstage(record.unit)
@@ -97,4 +97,4 @@ class SuspendedStages:
     def restore(self) -> Subprocedure[None]:
         """Give each its staged speed back."""
         for unit, staged in self._sheltered.items():
-            yield from send(Send(StageSpeed(unit, staged), withdraws=True))
+            yield from send(Send(StageSpeedRequest(unit, staged), withdraws=True))

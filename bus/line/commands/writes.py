@@ -19,13 +19,13 @@ from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import UnitRecord
 from bus.messages import Message
 from bus.wire.commands import (
-    ExecuteSpeed,
+    ExecuteSpeedRequest,
     Request,
-    SetAndExecuteSpeed,
-    StageSpeed,
-    WriteAnalogOutput,
-    WriteOutput,
-    WriteParameter,
+    SetAndExecuteSpeedRequest,
+    StageSpeedRequest,
+    WriteAnalogOutputRequest,
+    WriteOutputRequest,
+    WriteParameterRequest,
 )
 
 
@@ -34,14 +34,14 @@ def set_and_execute(record: UnitRecord, raw: int, context: CommandContext) -> Pr
     before = record.reading.commanded if record.reading is not None else None
     return write(
         record.unit,
-        SetAndExecuteSpeed(record.unit, raw),
+        SetAndExecuteSpeedRequest(record.unit, raw),
         lambda: verify_speed(record, raw, context.dialect, before=before),
     )
 
 
 def stage(record: UnitRecord, raw: int) -> Procedure:
     """82h: not visible until it is executed, so acknowledged at best."""
-    return write(record.unit, StageSpeed(record.unit, raw), None)
+    return write(record.unit, StageSpeedRequest(record.unit, raw), None)
 
 
 def execute(record: UnitRecord, context: CommandContext) -> Procedure:
@@ -49,27 +49,27 @@ def execute(record: UnitRecord, context: CommandContext) -> Procedure:
     staged = record.staged
     before = record.reading.commanded if record.reading is not None else None
     if staged is None:
-        return write(record.unit, ExecuteSpeed(record.unit), None)
+        return write(record.unit, ExecuteSpeedRequest(record.unit), None)
     return write(
         record.unit,
-        ExecuteSpeed(record.unit),
+        ExecuteSpeedRequest(record.unit),
         lambda: verify_speed(record, staged, context.dialect, before=before),
     )
 
 
 def write_parameter(unit: int, number: int, raw: int) -> Procedure:
     """86h, proven by 85h."""
-    return write(unit, WriteParameter(unit, number, raw), lambda: verify_parameter(unit, number, raw))
+    return write(unit, WriteParameterRequest(unit, number, raw), lambda: verify_parameter(unit, number, raw))
 
 
 def write_output(unit: int, number: int, on: bool) -> Procedure:
     """87h, proven by the bit in ST2."""
-    return write(unit, WriteOutput(unit, number, on), lambda: verify_output(unit, number, on))
+    return write(unit, WriteOutputRequest(unit, number, on), lambda: verify_output(unit, number, on))
 
 
 def write_analog_output(unit: int, raw: int) -> Procedure:
     """88h: nothing can be read back."""
-    return write(unit, WriteAnalogOutput(unit, raw), None)
+    return write(unit, WriteAnalogOutputRequest(unit, raw), None)
 
 
 def write(unit: int, request: Request, verify: Callable[[], Verification] | None) -> Procedure:

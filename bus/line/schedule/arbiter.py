@@ -13,7 +13,7 @@ from bus.line.exchange.send import Send
 from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
 from bus.line.schedule.command_queue import CommandQueue
 from bus.line.schedule.poll_schedule import PollSchedule, Task, TaskKind
-from bus.wire.commands import Nak, ReadParameter, ReadStatus, Request
+from bus.wire.commands import Nak, ReadParameterRequest, ReadStatusRequest, Request
 from bus.wire.fence import PendingResponses
 
 COMMANDS_AT_A_STRETCH_S = 0.5
@@ -196,5 +196,5 @@ class Arbiter:
 def _routine(task: Task) -> tuple[Task, SendAttempts]:
     tries = _TRIES.get(task.kind, 0)
     if task.kind is TaskKind.PARAMETER:
-        return task, SendAttempts(Send(ReadParameter(task.unit, task.number), max_attempts=tries))
-    return task, SendAttempts(Send(ReadStatus(task.unit), max_attempts=tries))
+        return task, SendAttempts(Send(ReadParameterRequest(task.unit, task.number), max_attempts=tries))
+    return task, SendAttempts(Send(ReadStatusRequest(task.unit), max_attempts=tries))

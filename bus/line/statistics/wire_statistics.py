@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.roster import Roster
-from bus.wire.commands import Nak, ReadStatus
+from bus.wire.commands import Nak, ReadStatusRequest
 from bus.wire.exchange import Doubled, Echo, Foreign, Late, Unexpected
 from bus.wire.fence import PendingByUnit
 from bus.wire.framing import Fault, Noise
@@ -63,7 +63,7 @@ class WireStatistics:
             self.wire.broadcasts += 1
             return
         statistics = self._roster[request.unit].statistics
-        statistics.counts.polls += isinstance(request, ReadStatus)
+        statistics.counts.polls += isinstance(request, ReadStatusRequest)
         if reply is None:
             statistics.counts.timeouts += 1
             return
