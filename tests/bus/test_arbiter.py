@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bus.contract import Result
 from bus.line.commands.command_run import CommandRun, Priority
 from bus.line.commands.procedure import CommandContext, Procedure
+from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send
 from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.schedule.arbiter import Arbiter
@@ -59,7 +59,7 @@ def _answer(request: Request) -> StatusReply:
 def _write(unit: int) -> CommandRun:
     def procedure() -> Procedure:
         yield Send(SetAndExecuteSpeedRequest(unit, 500))
-        return Result(id="", at=0.0, outcome="acknowledged")
+        return ProcedureResult("acknowledged")
 
     return CommandRun(
         "c1", Priority.WRITE, frozenset({unit}), 200.0, CommandContext(PLAIN), procedure, lambda _note: None
@@ -103,7 +103,7 @@ def test_an_errand_goes_first_and_what_was_foreseen_after_it() -> None:
     line.turns.commands.cancel("c1")
     line.turns.owner = None
     for run in line.turns.commands:
-        run.end(Result(id="c1", at=0.0, outcome="not_sent"))
+        run.end(ProcedureResult("not_sent"))
     line.turns.commands.take_finished()
     assert line.turns.next_request(line.time + POLL_S) == following
 

@@ -479,3 +479,16 @@ def test_a_port_that_takes_nothing_tells_so_at_the_next_request() -> None:
     assert not line.link.busy
     with pytest.raises(WireError):
         line.link.send(ReadStatusRequest(2))
+
+
+def test_an_overdue_response_of_another_unit_is_reported_once() -> None:
+    line = Wires()
+    line.link.send(ReadStatusRequest(2))
+    line.pass_time(1.0)
+    line.link.send(ReadStatusRequest(1))
+    line.answer(replace(STATUS, unit=2))
+    line.answer()
+    assert line.heard[-1][0].overdue == (2,)
+    line.link.send(ReadStatusRequest(1))
+    line.answer()
+    assert line.heard[-1][0].overdue == ()

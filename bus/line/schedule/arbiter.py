@@ -28,7 +28,7 @@ _TRIES = {TaskKind.FIRST: 1, TaskKind.PROBE: 1}
 class Arbiter:
     """``next_request``, then ``settle`` with what was heard.
 
-    ``doubt_of``: what a unit may still answer late. ``exchange_s``: what a read takes on the wire.
+    ``pending_of``: what a unit may still send late. ``exchange_s``: what a read takes on the wire.
     """
 
     def __init__(
