@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
 from bus.errors import LinesideError
@@ -73,6 +72,11 @@ class TooCostlyError(StoreError):
     """A read took longer than one may; it was ended."""
 
 
+def system_error(error: Exception) -> Message:
+    """What the system says of a failure, in its own words."""
+    return Message.of("system_error", error=getattr(error, "strerror", None) or str(error))
+
+
 class Problem(LinesideError):
     """A refusal that goes to the client: problem+json for programs, a page or a fragment for people.
 
@@ -84,12 +88,10 @@ class Problem(LinesideError):
         self,
         status: int,
         code: ProblemCode,
-        detail: Message | str,
-        *,
-        params: Mapping[str, object] | None = None,
+        message: Message,
         **extra: Any,
     ) -> None:
-        super().__init__(detail, params=params)
+        super().__init__(message)
         self.detail = str(self)
         self.status = status
         self.code = code

@@ -32,7 +32,7 @@ class HistoryFaults(Protocol):
     def on_clock_step(self, subscriber: Callable[[float, float], None]) -> None:
         """Call ``subscriber`` when the app's own clock was stepped: by how many seconds, and when."""
 
-    def on_damage(self, subscriber: Callable[[str, float], None]) -> None:
+    def on_damage(self, subscriber: Callable[[Message, float], None]) -> None:
         """Call ``subscriber`` when something stored cannot be read: what, and when that was found."""
 
 

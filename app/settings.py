@@ -23,6 +23,7 @@ from app.messages.languages import catalogs
 from app.time_zone import is_zone, machine_zone
 from bus import configuration
 from bus.configuration import ConfigurationError
+from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
 from bus.text import OneLine
 
@@ -210,8 +211,7 @@ def load(path: Path) -> Settings:
     key_file = _absolute(folder, audit.key_file)
     if key_file is not None and key_file.resolve().is_relative_to(data):
         raise ConfigurationError(
-            f"{path}: audit.key_file = {str(audit.key_file)!r} lies in the data folder: whoever writes the "
-            "log there could seal it; name a file elsewhere"
+            Message.of("configuration_key_in_data", file=str(path), path=str(audit.key_file))
         )
     absolute = {
         "server": settings.server.model_copy(update={"data": data}),

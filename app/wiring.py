@@ -51,12 +51,12 @@ from app.sets.restore_store import RestoreStore
 from app.sets.store import SetStore
 from app.sets.taking import Takings
 from app.settings import Settings
-from app.swap.desk import SwapService
+from app.swap.service import SwapService
 from app.swap.store import SwapStore
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from app.web.turns import Turns
-from bus.messages import Message
+from bus.messages import Message, in_english
 
 log = structlog.get_logger()
 
@@ -141,7 +141,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         drift={name: bus.drift for name, bus in buses.items()},
         recipes=recipes,
         notices=partial(_notices, history, anchoring),
-        history_fault=lambda: history.status.message,
+        history_fault=lambda: in_english(history.status.message),
     )
     hub = Hub(live, sources, templates, {name: bus.feed.watch for name, bus in buses.items()}, time)
     return Services(
@@ -181,10 +181,10 @@ def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
 def _notices(history: History, anchoring: Anchoring | None, voice: Translator, now: float) -> str:
     """What of the records is not well, in the reader's language; mostly nothing."""
     found = (
-        store_notice(history.status, voice.t, voice.formats, now),
-        anchor_notice(_anchor_status(anchoring), voice.t, voice.formats, now),
+        store_notice(history.status, voice.formats, now),
+        anchor_notice(_anchor_status(anchoring), voice.formats, now),
     )
-    return " ".join(filter(None, found))
+    return " ".join(voice.t(notice) for notice in found if notice is not None)
 
 
 @asynccontextmanager

@@ -5,11 +5,12 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from playwright.sync_api import Page
 
+from app.live.browsers.admission import MOST_OF_ACCOUNT
 from benchmarks.first_visit import show_first_visit
 from benchmarks.onlookers import onlookers
 from benchmarks.page import viewer_page
@@ -125,8 +126,9 @@ def _digits(text: str) -> int | None:
 
 @contextmanager
 def _onlookers(served: Site, count: int) -> Iterator[None]:
-    if not count:
-        yield
-        return
-    with onlookers(served.url, served.tokens["viewer"], count):
+    """Pages of as many accounts as it takes: each may have MOST_OF_ACCOUNT open."""
+    with ExitStack() as open_pages:
+        for token, first in zip(served.tokens.values(), range(0, count, MOST_OF_ACCOUNT), strict=False):
+            number = min(MOST_OF_ACCOUNT, count - first)
+            open_pages.enter_context(onlookers(served.url, token, number))
         yield

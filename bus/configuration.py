@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from bus.errors import LinesideError
+from bus.messages import Message
 from bus.settings import BusSettings
 
 KeyStep = str | int
@@ -26,7 +27,14 @@ _SYNTAX_PLACE = re.compile(r"\(at (?:line (\d+), column \d+|end of document)\)")
 
 
 class ConfigurationError(LinesideError):
-    """The configuration cannot be used as it stands; the text says where and what would be right."""
+    """The configuration cannot be used as it stands; each fault says where and what would be right."""
+
+    def __init__(self, *faults: Message) -> None:
+        super().__init__(Message.of("several", messages=list(faults)))
+        self.faults = faults
+
+    def __str__(self) -> str:
+        return "\n".join(dict.fromkeys(map(str, self.faults)))
 
 
 class _OnlyBuses(BaseModel):
@@ -47,14 +55,16 @@ def load(path: Path, model: type[Model]) -> Model:
     except ValidationError as error:
         lines = LineNumbers(text)
         faults = [_fault(path, lines, model, details) for details in error.errors()]
-        raise ConfigurationError("\n".join(dict.fromkeys(faults))) from error
+        raise ConfigurationError(*faults) from error
 
 
 def load_bus(path: Path, name: str) -> BusSettings:
     """One ``[[bus]]`` of the file, for its worker. Raises ConfigurationError."""
     buses = {bus.name: bus for bus in load(path, _OnlyBuses).bus}
     if name not in buses:
-        raise ConfigurationError(f"{path}: there is no [[bus]] named {name!r}; it has {_listed(buses)}")
+        raise ConfigurationError(
+            Message.of("configuration_lacks_bus", file=str(path), bus=name, known=_listed(buses))
+        )
     return buses[name]
 
 
@@ -62,25 +72,25 @@ def _read(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise ConfigurationError(f"{path}: there is no such file; name one with --config FILE") from None
+        raise ConfigurationError(Message.of("configuration_missing", file=str(path))) from None
     except UnicodeDecodeError as error:
-        raise ConfigurationError(f"{path}: this is not UTF-8 text; save it as that") from error
+        raise ConfigurationError(Message.of("configuration_not_utf8", file=str(path))) from error
     except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
+        raise ConfigurationError(
+            Message.of("configuration_unreadable", file=str(path), error=error.strerror or str(error))
+        ) from error
 
 
 def _listed(names: Mapping[str, object]) -> str:
     return ", ".join(names) or "none"
 
 
-def _syntax(path: Path, text: str, error: tomllib.TOMLDecodeError) -> str:
+def _syntax(path: Path, text: str, error: tomllib.TOMLDecodeError) -> Message:
     place = _SYNTAX_PLACE.search(str(error))
     line = int(place[1]) if place and place[1] else len(text.splitlines())
     said = _SYNTAX_PLACE.sub("", str(error)).strip()
     written = (text.splitlines() or [""])[max(0, line - 1)].strip()
-    return (
-        f'{path}:{line}: this is not TOML: {said}; it says {written!r}, write key = value, text in "quotes"'
-    )
+    return Message.of("configuration_not_toml", file=str(path), line=line, error=said, text=repr(written))
 
 
 class LineNumbers:
@@ -145,28 +155,29 @@ def _lines_of_value(lines: list[str]) -> int:
     return 0
 
 
-def _fault(path: Path, lines: LineNumbers, model: type[BaseModel], details: ErrorDetails) -> str:
+def _fault(path: Path, lines: LineNumbers, model: type[BaseModel], details: ErrorDetails) -> Message:
     place = tuple(details["loc"]) + tuple(details.get("ctx", {}).get("at", ()))
-    return f"{path}:{lines.of(place)}: {_error_text(model, place, details)}"
+    fault = _fault_message(model, place, details)
+    return Message.of("configuration_fault", file=str(path), line=lines.of(place), fault=fault)
 
 
-def _error_text(model: type[BaseModel], place: tuple[KeyStep, ...], details: ErrorDetails) -> str:
+def _fault_message(model: type[BaseModel], place: tuple[KeyStep, ...], details: ErrorDetails) -> Message:
     key = str(place[-1]) if place else "the file"
     if details["type"] == "extra_forbidden":
         return _unknown_key(model, place)
     if details["type"] == "missing":
-        return f"{_inside(place)} needs {key} = …"
+        return Message.of("configuration_needs_key", table=_inside(place), key=key)
     if "at" in details.get("ctx", {}):
-        return details["msg"]
+        return Message.of("configuration_refused", reason=details["msg"])
     names = ".".join(step for step in place if isinstance(step, str) and step != "[key]")
     if details["type"] == "tuple_type" and isinstance(details["input"], dict):
-        return f"write [[{names}]] instead of [{names}], as there may be several"
-    return f"{names} = {details['input']!r}: {_right(details)}"
+        return Message.of("configuration_needs_array", table=names)
+    return Message.of("configuration_value", key=names, value=repr(details["input"]), right=_right(details))
 
 
-def _right(details: ErrorDetails) -> str:
+def _right(details: ErrorDetails) -> str | Message:
     if details["type"] == "string_pattern_mismatch":
-        return "write small letters, digits and hyphens between them, like dry-end"
+        return Message("configuration_slug")
     said = details["msg"].removeprefix("Value error, ")
     said = said.replace("Input should be a valid tuple", "Input should be a list")
     return said.replace("Input should", "it must").replace("String should", "it must")
@@ -179,11 +190,15 @@ def _inside(place: tuple[KeyStep, ...]) -> str:
     return f"[[{names}]]" if isinstance(place[-2], int) else f"[{names}]"
 
 
-def _unknown_key(model: type[BaseModel], place: tuple[KeyStep, ...]) -> str:
+def _unknown_key(model: type[BaseModel], place: tuple[KeyStep, ...]) -> Message:
     known = _keys(model, place[:-1])
     near = difflib.get_close_matches(str(place[-1]), known, 1)
-    right = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
-    return f"unknown key {place[-1]} in {_inside(place)}; {right}"
+    right = (
+        Message.of("configuration_key_near", key=near[0])
+        if near
+        else Message.of("configuration_keys_known", keys=list(known))
+    )
+    return Message.of("configuration_key_unknown", key=str(place[-1]), table=_inside(place), right=right)
 
 
 def _keys(annotation: Any, place: tuple[KeyStep, ...]) -> list[str]:

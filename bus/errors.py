@@ -5,43 +5,17 @@ Each message is a sentence that tells a person what happened and what to do.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from enum import Enum, IntEnum
+from enum import IntEnum
 
-from bus.messages import TERM, Message, term
+from bus.messages import Message
 
 
 class LinesideError(Exception):
-    """Base of every error this project raises on purpose; its message is meant for people.
+    """Base of every error this project raises on purpose. ``str`` of it is ``message`` in English."""
 
-    With a text instead of a message: ``params`` fill in its ``{names}``.
-    """
-
-    def __init__(self, message: Message | str = "", *, params: Mapping[str, object] | None = None) -> None:
-        self.template = str(message)
-        text = self.template if params is None else self.template.format(**params)
-        self.message = message if isinstance(message, Message) else term(text)
-        self.params: Mapping[str, object] | None = message.params if isinstance(message, Message) else params
-        super().__init__(text)
-
-    def text(self, t: Callable[..., str]) -> str:
-        """The text in the language whose translation function is ``t``."""
-        if self.message.code != TERM:
-            return t(self.message)
-        if self.params is None:
-            return t(self.template)
-        return t(self.template, **{name: _translated(value, t) for name, value in self.params.items()})
-
-
-def _translated(value: object, t: Callable[..., str]) -> object:
-    """Another error and a fixed term are translated; text and numbers stay as they are."""
-    match value:
-        case LinesideError():
-            return value.text(t)
-        case Enum():
-            return t(str(value))
-        case _:
-            return value
+    def __init__(self, message: Message) -> None:
+        super().__init__(str(message))
+        self.message = message
 
 
 class CallerError(LinesideError):
@@ -59,9 +33,6 @@ class UnitError(LinesideError):
 
 class WireError(LinesideError):
     """The port, the cable or an answer failed; whether the unit acted is not known."""
-
-    def __init__(self, message: Message) -> None:
-        super().__init__(message)
 
 
 class UnitErrorCode(IntEnum):
@@ -91,7 +62,6 @@ _UNIT_ERRORS: dict[int, Message] = {
     UnitErrorCode.ILLEGAL_ANALOG_VALUE: Message("illegal_analog_value"),
     UnitErrorCode.ILLEGAL_COMMAND: Message("illegal_command"),
 }
-UNNAMED_UNIT_ERROR = "error {code}h, which the manual does not name"
 
 
 def unit_error(code: int) -> Message:

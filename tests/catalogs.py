@@ -7,37 +7,69 @@ import ast
 from functools import cache
 from io import BytesIO
 from pathlib import Path
+from typing import get_args
 
 from babel.messages.catalog import Catalog
-from babel.messages.extract import extract_from_dir
 from babel.messages.pofile import read_po, write_po
+from jinja2 import Environment, nodes
 
+from app.audit.kinds import EventKind
 from app.live.browsers.hub import STAGE_WORDS
 from app.live.screen.cause_text import CAUSE_TEXTS, CHECK_TEXTS, MOTION_TEXTS, STOPPED_WITH_RUN
-from app.live.screen.fields import STATE_WORDS
+from app.live.screen.fields import PORT_WORDS, STATE_WORDS
 from app.messages.languages import DEFAULT, catalogs
+from app.sets.model import SetOrigin
+from app.sets.restore_record import RestoreState
 from app.web.access import Role
 from app.web.assets import templates_dir
 from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.values import parameter_unit
+from bus.contract import Outcome
 from bus.errors import UnitErrorCode, unit_error_name
 from bus.messages import TEXTS, Plural
 
 APP = Path(__file__).resolve().parent.parent / "app"
-KEYWORDS = {"t": None, "tn": (1, 2)}
+BUS = APP.parent / "bus"
+REFUSED = ("blocked", "confirm_needed", "controlled", "dangerous", "late", "moved", "rights_withdrawn")
+"""The codes of the refusals that stand where an outcome does."""
 Key = tuple[str | None, str]
 """The code of a message, or None for a text of a page; the text in English."""
 
 
+@cache
 def in_templates() -> set[str | tuple[str, str]]:
     """The texts of ``t("…")`` and the pairs of ``tn("…", "…")`` in the templates."""
-    extracted = extract_from_dir(templates_dir(), [("**.html", "jinja2")], keywords=KEYWORDS)
-    return {text for _, _, text, _, _ in extracted if isinstance(text, str) or all(text)}
-
-
-def in_code() -> set[str | tuple[str, str]]:
-    """The same in the modules of the app."""
     found: set[str | tuple[str, str]] = set()
-    for path in APP.rglob("*.py"):
+    for path in templates_dir().rglob("*.html"):
+        for call in Environment().parse(path.read_text(encoding="utf-8")).find_all(nodes.Call):
+            match call:
+                case nodes.Call(node=nodes.Name(name="t"), args=[text, *_]):
+                    found |= _template_texts(text)
+                case nodes.Call(
+                    node=nodes.Name(name="tn"),
+                    args=[nodes.Const(value=str(one)), nodes.Const(value=str(many)), *_],
+                ):
+                    found.add((one, many))
+    return found
+
+
+def _template_texts(node: nodes.Node) -> set[str]:
+    """The texts that an expression of a template can be, as far as it names them."""
+    match node:
+        case nodes.Const(value=str(text)):
+            return {text} - {""}
+        case nodes.CondExpr(expr1=one, expr2=other) | nodes.Or(left=one, right=other):
+            return _template_texts(one) | (_template_texts(other) if other else set())
+        case nodes.Getitem(node=nodes.Dict(items=pairs)):
+            return {text for pair in pairs for text in _template_texts(pair.value)}
+    return set()
+
+
+@cache
+def in_code() -> set[str | tuple[str, str]]:
+    """The same in the modules of the app and of the worker, and the words of ``term("…")``."""
+    found: set[str | tuple[str, str]] = set()
+    for path in (each for folder in (APP, BUS) for each in folder.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             match node:
                 case ast.Call(
@@ -45,11 +77,18 @@ def in_code() -> set[str | tuple[str, str]]:
                     args=[ast.Constant(value=str(one)), ast.Constant(value=str(many)), *_],
                 ):
                     found.add((one, many))
-                case ast.Call(
-                    func=ast.Attribute(attr="t") | ast.Name(id="t"), args=[ast.Constant(value=str(text)), *_]
-                ):
-                    found.add(text)
+                case ast.Call(func=ast.Attribute(attr="t") | ast.Name(id="t" | "term"), args=[text, *_]):
+                    found |= _code_texts(text)
     return found
+
+
+def _code_texts(node: ast.expr) -> set[str]:
+    match node:
+        case ast.Constant(value=str(text)):
+            return {text} - {""}
+        case ast.IfExp(body=one, orelse=other):
+            return _code_texts(one) | _code_texts(other)
+    return set()
 
 
 def in_tables() -> set[str]:
@@ -57,6 +96,7 @@ def in_tables() -> set[str]:
     parameters = PARAMETERS.values()
     return {
         *STATE_WORDS.values(),
+        *PORT_WORDS.values(),
         *CAUSE_TEXTS.values(),
         *CHECK_TEXTS.values(),
         *MOTION_TEXTS.values(),
@@ -67,7 +107,13 @@ def in_tables() -> set[str]:
         *(parameter.group for parameter in parameters),
         *(parameter.dangerous for parameter in parameters if parameter.dangerous),
         *(word for parameter in parameters for word in parameter.choices.values()),
+        *(unit for parameter in parameters if (unit := parameter_unit(parameter))),
+        *get_args(SetOrigin),
+        *get_args(RestoreState),
         *(str(role) for role in Role),
+        *(kind.replace("_", " ") for kind in get_args(EventKind)),
+        *get_args(Outcome),
+        *REFUSED,
     }
 
 

@@ -8,14 +8,18 @@ from pathlib import Path
 
 import pytest
 import uvicorn
+from fastapi import FastAPI
+from fastapi.dependencies.utils import get_flat_params
+from fastapi.routing import APIRoute, iter_route_contexts
 from packaging.requirements import Requirement
+from serialx.platforms.serial_rfc2217 import RFC2217SerialTransport
 from starlette.types import Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from uvicorn.server import ServerState
 
 ROOT = Path(__file__).resolve().parents[1]
-BOUNDED = ("uvicorn", "httptools", "websockets", "serialx")
+BOUNDED = ("uvicorn", "httptools", "websockets", "fastapi", "serialx")
 HOW = "app/server overrides it: read what replaced it, then docs/decisions/0008-uvicorn-internals.md"
 
 METHODS: dict[type, str] = {
@@ -54,6 +58,27 @@ async def test_what_is_read_is_there(kind: type, names: str) -> None:
     protocol = made(kind)
     gone = [name for name in names.split() if not hasattr(protocol, name)]
     assert gone == [], f"{kind.__name__} has no {', '.join(gone)} any more. {HOW}"
+
+
+def test_what_is_read_of_fastapi_is_there() -> None:
+    """Used by app.web.routes and app.web.api_route: what a route declares, and the app that serves it."""
+    app = FastAPI()
+
+    @app.get("/units/{unit}")
+    async def unit(unit: int, decimals: int = 0) -> None: ...
+
+    route = next(route for route in app.routes if isinstance(route, APIRoute))
+    assert [parameter.alias for parameter in get_flat_params(route.dependant)] == ["unit", "decimals"]
+    assert [dependency.call for dependency in route.dependant.dependencies] == []
+    assert callable(route.app)
+    assert route.max_body_size is None
+    assert [context.path for context in iter_route_contexts([route])] == ["/units/{unit}"]
+
+
+def test_what_is_overridden_of_serialx_is_there() -> None:
+    names = ["_data_received", "_negotiate", "_send_and_wait", "_send_command"]
+    gone = [name for name in names if not callable(getattr(RFC2217SerialTransport, name, None))]
+    assert gone == [], f"RFC2217SerialTransport has no {', '.join(gone)} any more: bus/line/port/rfc2217.py"
 
 
 def test_they_have_upper_bounds() -> None:

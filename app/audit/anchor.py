@@ -21,18 +21,19 @@ import msgspec
 from app.audit.chain import Head
 from app.audit.keyring import KeyRing
 from app.database.private import restrict
-from app.errors import StoreError
+from app.errors import StoreError, system_error
+from bus.messages import Message
 
 _TAIL_BYTES, _TAIL_LINES = 4096, 5
 """Where the newest line of a file is, however long that is."""
 
 
 class AnchorError(StoreError):
-    """The anchor cannot be read or written; ``why`` in short."""
+    """The anchor cannot be read or written; ``reason`` in short."""
 
-    def __init__(self, path: Path, cause: OSError | str) -> None:
-        self.why = cause if isinstance(cause, str) else _reason(cause)
-        super().__init__(f"the anchor {path} cannot be used: {self.why}; check anchor in [audit]")
+    def __init__(self, path: Path, cause: OSError | Message) -> None:
+        self.reason = cause if isinstance(cause, Message) else _reason(cause)
+        super().__init__(Message.of("anchor_failed", path=str(path), reason=self.reason))
 
 
 class _AnchorLine(msgspec.Struct):
@@ -43,8 +44,8 @@ class _AnchorLine(msgspec.Struct):
     seal: str
 
 
-def _reason(error: OSError) -> str:
-    return "it is a link" if error.errno == errno.ELOOP else error.strerror or str(error)
+def _reason(error: OSError) -> Message:
+    return Message("anchor_is_link") if error.errno == errno.ELOOP else system_error(error)
 
 
 @dataclass(frozen=True)
@@ -117,17 +118,17 @@ def append_line(path: Path, line: bytes) -> None:
     try:
         descriptor = os.open(path, flags, 0o600)
         try:
-            _append(descriptor, line)
+            _append(path, descriptor, line)
         finally:
             os.close(descriptor)
     except OSError as error:
         raise AnchorError(path, error) from error
 
 
-def _append(descriptor: int, line: bytes) -> None:
+def _append(path: Path, descriptor: int, line: bytes) -> None:
     found = os.fstat(descriptor)
     if not stat.S_ISREG(found.st_mode):
-        raise OSError(errno.EINVAL, "it is not a file")
+        raise AnchorError(path, Message("anchor_no_file"))
     # What a power failure cut off must not take the new line with it.
     cut_off = found.st_size > 0 and os.pread(descriptor, 1, found.st_size - 1) != b"\n"
     data = b"\n" + line if cut_off else line

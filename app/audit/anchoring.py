@@ -18,6 +18,7 @@ from app.audit.detached import Detached
 from app.audit.log import EventLog
 from app.audit.walk import not_anchored
 from app.errors import StoreError
+from bus.messages import Message
 
 EVERY_S = 60.0
 WITHIN_S = 10.0
@@ -31,10 +32,10 @@ log = structlog.get_logger()
 @dataclass(frozen=True, slots=True)
 class AnchorStatus:
     """``altered``: how the log is not what was anchored, which stays said until the server starts again;
-    ``unwritten``: why the anchor is behind, ``since`` when (Unix time in seconds). Both mostly empty."""
+    ``unwritten``: why the anchor is behind, ``since`` when (Unix time in seconds). Both mostly None."""
 
-    altered: str = ""
-    unwritten: str = ""
+    altered: Message | None = None
+    unwritten: Message | None = None
     since: float = 0.0
 
 
@@ -63,7 +64,7 @@ class Anchoring:
             try:
                 await self._export(within_s)
             except AnchorError as error:
-                await self._failed(error.why)
+                await self._failed(error.reason)
             except StoreError as error:
                 log.error("audit log not anchored", why=str(error))
 
@@ -74,7 +75,7 @@ class Anchoring:
         if self.status.altered or (head.id, head.hash) == (self._exported.id, self._exported.hash):
             return
         verdict = await self._events.proof.since(self._exported)
-        if verdict.fault:
+        if verdict.fault is not None:
             await self._found_altered(verdict.fault)
             return
         line = anchor_line(head, self._clock(), self._events.keys.ring)
@@ -82,7 +83,7 @@ class Anchoring:
         self._exported = head
         if self.status.unwritten:
             self.status = AnchorStatus(self.status.altered)
-            await self._record("audit anchor written again")
+            await self._record(Message("event_anchor_written"))
 
     async def _begin(self, within_s: float) -> Head:
         """The head that the anchor names last, as the log has it; where it has another, that is said."""
@@ -96,19 +97,19 @@ class Anchoring:
             return anchored
         return there
 
-    async def _found_altered(self, fault: str) -> None:
+    async def _found_altered(self, fault: Message) -> None:
         self.status = AnchorStatus(fault, self.status.unwritten, self.status.since)
-        log.error("audit log altered", why=fault)
-        await self._record("audit log altered", "lineside audit verify names the entry")
+        log.error("audit log altered", why=str(fault))
+        await self._record(Message("event_audit_altered"), Message("audit_verify_names_entry"))
 
-    async def _failed(self, why: str) -> None:
+    async def _failed(self, reason: Message) -> None:
         if self.status.unwritten:
             return
-        self.status = AnchorStatus(self.status.altered, why, self._clock())
-        log.error("audit anchor not written", path=str(self._path), why=why)
-        await self._record("audit anchor not written", why)
+        self.status = AnchorStatus(self.status.altered, reason, self._clock())
+        log.error("audit anchor not written", path=str(self._path), why=str(reason))
+        await self._record(Message("event_anchor_not_written"), reason)
 
-    async def _record(self, what: str, message: str = "") -> None:
+    async def _record(self, what: Message, message: Message | str = "") -> None:
         with suppress(StoreError):
             await self._events.record(kind="audit", what=what, message=message)
 
@@ -116,4 +117,4 @@ class Anchoring:
         try:
             return await self._thread.run(work, within_s)
         except TimeoutError as error:
-            raise AnchorError(self._path, "it does not respond") from error
+            raise AnchorError(self._path, Message("anchor_no_response")) from error

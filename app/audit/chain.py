@@ -10,16 +10,20 @@ from dataclasses import dataclass
 from typing import Any
 
 from app.audit.keyring import BEGINNING, KeyRing
+from app.audit.reading import messages_of
+from bus.messages import Message
 
 FIELDS = (
     *("id", "time", "kind", "about", "who", "origin", "bus", "unit"),
     *("what", "old", "new", "old_raw", "new_raw", "outcome", "message", "frames"),
 )
 """What the hash of an entry without a key covers, as versions before the key wrote it."""
-SEALED_FROM_HERE = "the audit log is sealed with a key from here on"
-OTHER_KEY = "the audit log is sealed with another key from here on"
-END_ALTERED = "the end of the audit log was altered before this entry"
+SEALED_FROM_HERE = Message("event_audit_sealed")
+OTHER_KEY = Message("event_audit_other_key")
+END_ALTERED = Message("event_audit_end_altered")
 """No failure of the machine causes this: an entry and the seal of the end are written in one transaction."""
+_END_ALTERED_TEXT = "the end of the audit log was altered before this entry"
+"""The same in an entry of a version that kept texts alone."""
 _DERIVED = frozenset({"hash", "seal"})
 
 
@@ -64,10 +68,18 @@ def confirms_head(head: Head, ring: KeyRing) -> bool:
     return ring.confirms(head.seal, head.key, "head", str(head.id), head.hash)
 
 
-def remark_on(head: Head, ring: KeyRing) -> str:
+def remark_on(head: Head, ring: KeyRing) -> Message | None:
     """What an entry has to say of the log before anything is added to ``head``; mostly nothing."""
     if head.id == 0 or confirms_head(head, ring):
-        return ""
+        return None
     if not head.key:
         return SEALED_FROM_HERE
     return OTHER_KEY if ring.rank(head.key) is None else END_ALTERED
+
+
+def notes_altered_end(entry: Mapping[str, Any]) -> bool:
+    """Whether the entry is the remark :data:`END_ALTERED`."""
+    if entry["kind"] != "audit":
+        return False
+    what = (messages_of(entry.get("messages")) or {}).get("what")
+    return entry["what"] == _END_ALTERED_TEXT if what is None else what == END_ALTERED

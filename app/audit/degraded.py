@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from app.audit.anchoring import AnchorStatus
 from app.web.formats import Formats
+from bus.messages import Message
 
 
-def anchor_notice(status: AnchorStatus, t: Callable[..., str], formats: Formats, now: float) -> str:
-    """A sentence in the reader's language; empty while the log is anchored and whole. ``now``: Unix time in
-    seconds."""
-    if status.altered:
-        return t("The audit log was altered after it was anchored. Run lineside audit verify.")
-    if status.unwritten:
-        since, why = formats.since(status.since, now), t(status.unwritten)
-        return t("Since {time} the audit log is not anchored. The reason: {why}", time=since, why=why)
-    return ""
+def anchor_notice(status: AnchorStatus, formats: Formats, now: float) -> Message | None:
+    """None while the log is anchored and whole. ``now``: Unix time in seconds."""
+    if status.altered is not None:
+        return Message("audit_altered_after_anchor")
+    if status.unwritten is not None:
+        since = formats.since(status.since, now)
+        return Message.of("audit_anchor_missed", time=since, reason=status.unwritten)
+    return None

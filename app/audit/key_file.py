@@ -12,7 +12,8 @@ from typing import Annotated
 import msgspec
 
 from app.audit.keyring import KEY_BYTES, KeyOrigin, KeyRing
-from app.errors import StoreError
+from app.errors import StoreError, system_error
+from bus.messages import Message
 
 _MOST_BYTES = 65_536
 _Hex = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
@@ -41,10 +42,8 @@ def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        reason = "it is a link, name the file itself" if path.is_symlink() else error.strerror
-        raise KeyFileError(
-            f"the audit key {path} cannot be read: {reason}; run this as the server's user"
-        ) from error
+        reason = Message("audit_key_is_link") if path.is_symlink() else system_error(error)
+        raise KeyFileError(Message.of("audit_key_unreadable", path=str(path), reason=reason)) from error
     with os.fdopen(descriptor, "rb") as file:
         _check_access(path, os.fstat(descriptor), owners)
         return _ring(path, file.read(_MOST_BYTES))
@@ -65,10 +64,8 @@ def make_key_file(path: Path, origin: KeyOrigin) -> None:
     except FileExistsError:
         return
     except OSError as error:
-        raise KeyFileError(
-            f"the audit key {path} cannot be made: {error.strerror}; give the server's user write access to "
-            "that folder for the first start, or name another place as key_file in [audit]"
-        ) from error
+        failed = Message.of("audit_key_not_made", path=str(path), error=system_error(error))
+        raise KeyFileError(failed) from error
 
 
 def replace_key_file(path: Path, ring: KeyRing) -> None:
@@ -81,7 +78,8 @@ def replace_key_file(path: Path, ring: KeyRing) -> None:
         fresh.replace(path)
         _sync_folder(path)
     except OSError as error:
-        raise KeyFileError(f"the audit key {path} cannot be replaced: {error.strerror}") from error
+        failed = Message.of("audit_key_not_replaced", path=str(path), error=system_error(error))
+        raise KeyFileError(failed) from error
 
 
 def _written(path: Path, ring: KeyRing) -> Path:
@@ -112,32 +110,20 @@ def _sync_folder(path: Path) -> None:
 
 def _check_access(path: Path, found: os.stat_result, owners: frozenset[int]) -> None:
     if not stat.S_ISREG(found.st_mode):
-        raise KeyFileError(f"the audit key {path} is not a file; name one as key_file in [audit]")
+        raise KeyFileError(Message.of("audit_key_no_file", path=str(path)))
     if found.st_uid not in owners:
-        raise KeyFileError(
-            f"the audit key {path} belongs to another user, who can read and replace it; "
-            "move it away, then start again: a new one is made"
-        )
+        raise KeyFileError(Message.of("audit_key_of_other_user", path=str(path)))
     if found.st_mode & 0o077:
-        raise KeyFileError(
-            f"the audit key {path} can be read or written by others, who may know it now; "
-            f"chmod 600 {path}, then lineside audit rotate-key"
-        )
+        raise KeyFileError(Message.of("audit_key_open_to_others", path=str(path)))
     folder = path.parent.stat().st_mode
     if folder & stat.S_IWOTH and not folder & stat.S_ISVTX:
-        raise KeyFileError(
-            f"everybody can replace the audit key {path}; chmod o-w {path.parent}, "
-            "or name another place as key_file in [audit]"
-        )
+        raise KeyFileError(Message.of("audit_key_replaceable", path=str(path), folder=str(path.parent)))
 
 
 def _ring(path: Path, content: bytes) -> KeyRing:
     try:
         decoded = msgspec.json.decode(content, type=_Content)
     except msgspec.MsgspecError as error:
-        raise KeyFileError(
-            f"the audit key {path} is damaged ({error}); restore it from your backup of it, or move it away: "
-            "then a new one is made, and what was sealed with the old one is only as good as it is now"
-        ) from error
+        raise KeyFileError(Message.of("audit_key_damaged", path=str(path), error=str(error))) from error
     origin = KeyOrigin(decoded.log.id, decoded.log.hash)
     return KeyRing(tuple(bytes.fromhex(key) for key in decoded.keys), origin)

@@ -11,6 +11,7 @@ from pathlib import Path
 from app.audit.chain import Head
 from app.audit.key_file import KeyFileError, make_key_file, read_key_file, replace_key_file
 from app.audit.keyring import KEY_BYTES, KeyOrigin, KeyRing
+from bus.messages import Message
 
 
 class Keys:
@@ -53,7 +54,7 @@ def open_keys(paths: Sequence[Path], store: Path, head: Head) -> Keys:
     path = find_key_file(paths) or _made(paths, KeyOrigin(head.id, head.hash))
     ring = read_key_file(path, owners)
     if ring is None:
-        raise KeyFileError(f"the audit key {path} was removed while it was read; start again")
+        raise KeyFileError(Message.of("audit_key_removed", path=str(path)))
     return Keys(ring, path, owners)
 
 

@@ -34,7 +34,7 @@ Also = Callable[[sqlite3.Connection], None]
 CHUNK = 1000
 INDEX_PAUSE_S = 0.05
 """Between two transactions of the index, in which commands are written down."""
-ENDED_BEFORE = "the server stopped before the fate was known"
+ENDED_BEFORE = Message("server_stopped")
 
 
 def _nothing(_: sqlite3.Connection) -> None:
@@ -160,8 +160,9 @@ class EventLog:
     async def close_open_intents(self) -> int:
         """At start: what was open when the server ended is unverified. Returns how many there were."""
         left = await self._database.read(store.open_intents)
-        for intent in left:
-            await self.conclude(intent["id"], "unverified", ENDED_BEFORE)
+        for first in range(0, len(left), CHUNK):
+            chunk = left[first : first + CHUNK]
+            await self.conclude_together({intent["id"]: ("unverified", ENDED_BEFORE) for intent in chunk})
         return len(left)
 
     async def page(self, wanted: Filter, limit: int) -> tuple[list[Event], int | None]:

@@ -6,8 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from app.audit.chain import END_ALTERED, Head, confirms_head, entry_hash
+from app.audit.chain import Head, confirms_head, entry_hash, notes_altered_end
 from app.audit.keyring import KeyRing
+from bus.messages import Message
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Verdict:
 
     entries: int
     broken: int | None = None
-    fault: str = ""
+    fault: Message | None = None
     unsealed: int = 0
     anchored: int = 0
 
@@ -42,7 +43,7 @@ class Walk:
             if self.broken is not None:
                 return
             fault = self._fault(entry)
-            if fault:
+            if fault is not None:
                 self._break(self.last.id + 1, fault)
             else:
                 self.last = Head(entry["id"], entry["hash"], entry.get("key") or "")
@@ -56,61 +57,60 @@ class Walk:
         unsealed = min(self.last.id, self._ring.origin.id)
         return Verdict(self.last.id, unsealed=unsealed, anchored=max(self._anchors, default=0))
 
-    def _fault(self, entry: Mapping[str, Any]) -> str:
+    def _fault(self, entry: Mapping[str, Any]) -> Message | None:
         number = entry["id"]
         if number != self.last.id + 1:
-            return f"entry {self.last.id + 1} is missing; after {self.last.id} comes {number}"
+            return Message.of(
+                "audit_entry_missing", entry=self.last.id + 1, before=self.last.id, found=number
+            )
         if entry.get("previous") != self.last.hash:
-            return f"entry {number} does not continue the one before it"
+            return Message.of("audit_entry_apart", entry=number)
         if entry.get("hash") != entry_hash(self.last.hash, entry):
-            return f"entry {number} was changed after it was written"
+            return Message.of("audit_entry_changed", entry=number)
         if number in self._anchors and entry["hash"] != self._anchors[number]:
             return not_anchored(number)
         return self._fault_of_seal(entry)
 
-    def _fault_of_seal(self, entry: Mapping[str, Any]) -> str:
+    def _fault_of_seal(self, entry: Mapping[str, Any]) -> Message | None:
         number, key, origin = entry["id"], entry.get("key") or "", self._ring.origin
         if number < origin.id:
-            return ""
+            return None
         if number == origin.id:
-            noted = entry["hash"] == origin.hash
-            return "" if noted else f"entry {number} is not the one that was there when the key was made"
+            is_noted = entry["hash"] == origin.hash
+            return None if is_noted else Message.of("audit_entry_not_original", entry=number)
         rank, before = self._ring.rank(key), self._ring.rank(self.last.key)
         if rank is None:
-            return f"entry {number} is not sealed with a key of the key file"
+            return Message.of("audit_entry_without_key", entry=number)
         if before is not None and rank < before:
-            return f"entry {number} is sealed with an older key than the entry before it"
+            return Message.of("audit_entry_older_key", entry=number)
         if not self._ring.confirms(entry.get("seal") or "", key, "entry", entry["hash"]):
-            return f"the seal of entry {number} does not hold: it was not written with the key"
-        if (entry["kind"], entry["what"]) == ("audit", END_ALTERED):
-            return f"entry {number} notes that the end of the log was altered before it"
-        return ""
+            return Message.of("audit_entry_not_sealed", entry=number)
+        if notes_altered_end(entry):
+            return Message.of("audit_entry_notes_alteration", entry=number)
+        return None
 
     def _check_end(self, head: Head) -> None:
         last, origin = self.last, self._ring.origin
         if last.id < head.id:
-            self._break(last.id + 1, f"the log ends at entry {last.id}, but {head.id} were written")
+            self._break(last.id + 1, Message.of("audit_end_before_newest", entry=last.id, written=head.id))
         elif (last.id, last.hash) != (head.id, head.hash):
-            self._break(last.id, f"entry {last.id} is not the one that was noted as the newest")
+            self._break(last.id, Message.of("audit_entry_not_newest", entry=last.id))
         elif last.id < origin.id:
-            self._break(
-                last.id + 1,
-                f"the log ends at entry {last.id}, but {origin.id} were there when the key was made",
-            )
+            self._break(last.id + 1, Message.of("audit_end_before_key", entry=last.id, written=origin.id))
         elif (cut := max(self._anchors, default=0)) > last.id:
-            self._break(last.id + 1, f"the log ends at entry {last.id}, but the anchor names entry {cut}")
+            self._break(last.id + 1, Message.of("audit_end_before_anchor", entry=last.id, named=cut))
         elif last.id > origin.id and not confirms_head(head, self._ring):
-            self._break(last.id, f"the log ends at entry {last.id}, but what notes that end is not sealed")
+            self._break(last.id, Message.of("audit_end_not_sealed", entry=last.id))
         elif last.id > origin.id and last.key != self._ring.newest:
-            self._break(last.id + 1, "no entry is sealed with the newest key: the log ends before that key")
+            self._break(last.id + 1, Message("audit_newest_key_unused"))
 
-    def _break(self, number: int, fault: str) -> None:
+    def _break(self, number: int, fault: Message) -> None:
         self.broken = Verdict(self.last.id, number, fault)
 
 
-def not_anchored(number: int) -> str:
+def not_anchored(number: int) -> Message:
     """The fault of an entry that has another hash than the anchor names."""
-    return f"entry {number} is not the one that the anchor names"
+    return Message.of("audit_entry_not_anchored", entry=number)
 
 
 def verify(

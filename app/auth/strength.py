@@ -30,7 +30,21 @@ _WORDS = frozenset(
 )
 _ADORNMENTS = ("Mn", "Cf")
 """Unicode's categories of combining marks and of signs without a width."""
-_YEAR = re.compile(r"(?:19|20)\d\d")
+_DAY, _MONTH, _SHORT_YEAR, _FULL_YEAR = (
+    r"(?:0[1-9]|[12]\d|3[01])",
+    r"(?:0[1-9]|1[0-2])",
+    r"\d\d",
+    r"(?:19|20)\d\d",
+)
+_DATE = re.compile(
+    "|".join(
+        order
+        for year in (_SHORT_YEAR, _FULL_YEAR)
+        for order in (_DAY + _MONTH + year, _MONTH + _DAY + year, year + _MONTH + _DAY)
+    )
+)
+"""In the orders in which dates are written; a birthday is among the first PINs that are tried."""
+_YEAR = re.compile(_FULL_YEAR)
 _LONGEST_WORD = max(map(len, _WORDS))
 _SHORTEST_WORD = min(map(len, _WORDS))
 _ROWS = ((0.0, "1234567890-="), (0.5, "qwertyuiop[]"), (0.75, "asdfghjkl;'"), (1.25, "zxcvbnm,./"))
@@ -72,6 +86,7 @@ def is_easy_password(password: str) -> bool:
         len(set(text)) < FEWEST_SIGNS
         or (len(block) < len(text) and len(block) < SHORTEST_PASSWORD - LEAST_WALK)
         or _pieces(text, _KEYS, words=True) < FEWEST_PIECES
+        or _pieces(_plain(password), _KEYS, words=True) < FEWEST_PIECES
         or _pieces(text.translate(_SWAPPED), _KEYS, words=True) < FEWEST_PIECES
     )
 
@@ -81,6 +96,7 @@ def is_easy_pin(pin: str) -> bool:
     return (
         len(set(pin)) <= 2
         or len(_block_of(pin)) < len(pin)
+        or _DATE.fullmatch(pin) is not None
         or _pieces(pin, _PAD, words=False) < FEWEST_PIECES_OF_PIN
     )
 
@@ -134,11 +150,11 @@ def _word(text: str, place: int) -> int:
 
 
 def _run(text: str, place: int) -> int:
-    """Of one sign, or of signs each next to the one before in the alphabet or among the digits."""
+    """Of one sign, or of signs each next to the one before in the alphabet, or of evenly spaced digits."""
     if place + 1 >= len(text):
         return 0
     step = ord(text[place + 1]) - ord(text[place])
-    if abs(step) > 1:
+    if abs(step) > 1 and not text[place : place + 2].isdecimal():
         return 0
     end = place + 1
     while end < len(text) and ord(text[end]) - ord(text[end - 1]) == step:

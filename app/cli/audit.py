@@ -27,6 +27,7 @@ from app.database.private import make_private
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import Settings, load
+from bus.messages import Message, in_english
 
 audits = typer.Typer(help="The event log.", no_args_is_help=True)
 AnchorFile = Annotated[
@@ -41,30 +42,28 @@ def register(cli: typer.Typer) -> None:
 
 @audits.callback()
 def audit() -> None:
-    """The event log."""
+    """Verify the event log and manage its key."""
 
 
 @audits.command()
 def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
-    """Walk the whole log: chain, seals and anchors. Exit 0 when it is whole, 1 naming the first entry that is
-    not. Without an anchor it cannot be seen that an earlier copy of the whole store was put in its place."""
+    """Verify chain, seals and anchors of the log. Exit 0 when it is intact, 1 with the first altered entry.
+    Without an anchor, the replacement of the store by an earlier copy cannot be detected."""
     with ending():
         settings = load(config)
         verdict, anchors = _verdict(settings, anchor or settings.audit.anchor)
         if verdict.broken is not None:
-            raise StoreError(
-                f"the audit log is broken at entry {verdict.broken}: {verdict.fault}; compare a backup"
-            )
-    entries = "1 entry" if verdict.entries == 1 else f"{verdict.entries} entries"
-    typer.echo(f"the audit log is whole: {entries}")
+            fault = in_english(verdict.fault)
+            raise StoreError(Message.of("audit_broken", entry=verdict.broken, fault=fault))
+    typer.echo(str(Message.of("audit_whole", n=verdict.entries)))
     for remark in _remarks(verdict, anchors):
-        typer.echo(remark)
+        typer.echo(str(remark))
 
 
 @audits.command(name="rotate-key")
 def rotate_key(config: Config = LINESIDE_TOML) -> None:
-    """Seal what is written from now on with a newer key, also while the dashboard runs. The older keys stay
-    in the file: they prove what they have sealed."""
+    """Seal new entries with a new key, also while the dashboard runs. The older keys stay in the file: they
+    verify the entries that they sealed."""
     with ending():
         settings = load(config)
         make_private(settings.server.data)
@@ -81,7 +80,7 @@ async def _rotate(database: Database, settings: Settings) -> Path | None:
     keys.rotate()
     # Sealed with the newer key: from here on a log that ends before it is seen to have been cut off.
     await EventLog(database, keys=keys).record(
-        kind="audit", what="audit key rotated", who=who_calls(), origin=ORIGIN
+        kind="audit", what=Message("event_audit_key_rotated"), who=who_calls(), origin=ORIGIN
     )
     return keys.path
 
@@ -90,14 +89,12 @@ def _verdict(settings: Settings, anchor: Path | None) -> tuple[Verdict, Anchors]
     """From the files as they are: nothing is brought up to date, nothing is written."""
     store = settings.server.store
     if not store.exists():
-        raise StoreError(f"there is no store {store}; nothing was served with this configuration yet")
+        raise StoreError(Message.of("store_missing", path=str(store)))
     with in_words(store), closing(open_for_reading(store)) as connection:
         ring = _ring(settings.key_files, store, head_of(connection))
         anchors = read_anchor_file(anchor, ring) if anchor else Anchors()
         if anchors.forged is not None:
-            raise StoreError(
-                f"line {anchors.forged} of {anchor} was not written with the key; compare a copy"
-            )
+            raise StoreError(Message.of("anchor_line_forged", line=anchors.forged, path=str(anchor)))
         return prove(connection, ring, anchors.heads), anchors
 
 
@@ -105,23 +102,17 @@ def _ring(paths: Sequence[Path], store: Path, head: Head) -> KeyRing:
     path = find_key_file(paths)
     ring = read_key_file(path, owners_of(store)) if path else None
     if ring is None and head.key:
-        raise StoreError(f"there is no audit key {paths[0]}, and the log is sealed; restore your copy of it")
+        raise StoreError(Message.of("audit_key_missing", path=str(paths[0])))
     return ring or KeyRing((), KeyOrigin(head.id, head.hash))
 
 
-def _remarks(verdict: Verdict, anchors: Anchors) -> list[str]:
+def _remarks(verdict: Verdict, anchors: Anchors) -> list[Message]:
     """What the proof does not cover."""
     remarks = []
     if verdict.unsealed:
-        remarks.append(
-            f"entries 1 to {verdict.unsealed} are older than the key: they are as they were when it was "
-            "made, which proves nothing of the time before"
-        )
+        remarks.append(Message.of("audit_unsealed", last=verdict.unsealed))
     if anchors.heads:
-        remarks.append(
-            f"{len(anchors.heads)} anchors hold, the newest names entry {verdict.anchored}: of later entries "
-            "nothing proves that none was cut off"
-        )
+        remarks.append(Message.of("anchors_hold", n=len(anchors.heads), newest=verdict.anchored))
     if anchors.unreadable:
-        remarks.append(f"{anchors.unreadable} lines of the anchor cannot be read and prove nothing")
+        remarks.append(Message.of("anchor_lines_unreadable", n=anchors.unreadable))
     return remarks

@@ -20,6 +20,7 @@ from app.database.private import write_file
 from app.sets.document import write_document
 from app.sets.model import ParameterSet, UnitRows
 from bus.errors import CallerError
+from bus.messages import Message
 
 AT_ONCE = 4
 """Reads of several units take turns on the wire, which saves the fence between two reads of one."""
@@ -40,7 +41,7 @@ def backup(
     out: Annotated[Path, typer.Option(help="The TOML file to write.")],
     token: TokenOption = "",
     token_file: TokenFile = None,
-    unit: Annotated[int | None, typer.Option(help="One unit; without it the whole bus.")] = None,
+    unit: Annotated[int | None, typer.Option(help="One unit; without it, every unit of the bus.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Read all parameters from the units and write them to a file (#21 is masked)."""
@@ -59,9 +60,9 @@ def _check_place(out: Path) -> None:
     """Raises CallerError where no file can be put, or something else than a file would be replaced: for root
     /dev/null too."""
     if not out.parent.is_dir():
-        raise CallerError(f"there is no folder {out.parent} for {out.name}; nothing was read")
+        raise CallerError(Message.of("folder_missing", folder=str(out.parent), file=out.name))
     if os.path.lexists(out) and not stat.S_ISREG(out.lstat().st_mode):
-        raise CallerError(f"{out} is not a regular file; name another file; nothing was read")
+        raise CallerError(Message.of("file_not_regular", file=str(out)))
 
 
 def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows], dict[int, str]]:

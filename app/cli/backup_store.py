@@ -29,6 +29,7 @@ from app.database.private import make_file, make_private, restrict
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import load
+from bus.messages import Message
 
 MANIFEST = "manifest.json"
 ASIDE = ".before-restore"
@@ -45,19 +46,19 @@ def backup_store(
     file: Annotated[Path, typer.Argument(help="The file to write; it must not exist yet.")],
     config: Config = LINESIDE_TOML,
 ) -> None:
-    """Copy every store (events, people, sets, history) of this configuration into one file, while it runs."""
+    """Copy every store (events, users, sets, history) of this configuration into one file while it runs."""
     with ending():
         names = write_backup(load(config).server.data, file)
     typer.echo(f"{file}: {', '.join(names)}")
 
 
 def restore_store(
-    file: Annotated[Path, typer.Argument(help="What backup-store wrote.")],
+    file: Annotated[Path, typer.Argument(help="A file of backup-store.")],
     config: Config = LINESIDE_TOML,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Skip the confirmation.")] = False,
 ) -> None:
-    """Put the stores of a backup in the place of the present ones, which are kept beside. The dashboard must
-    not run. Every session ends, and what was revoked or disabled since the backup stays so."""
+    """Replace the current stores with those of a backup; the current ones are kept beside them. The dashboard
+    must not run. Every session ends. Tokens and users revoked or disabled since the backup stay so."""
     with ending():
         settings = load(config)
         server = settings.server
@@ -66,16 +67,16 @@ def restore_store(
         names, withheld = read_backup(file, server.data, settings.key_files, server.store.name)
     typer.echo(f"{server.data}: {', '.join(names)} restored; what was there ends in {ASIDE}")
     for consequence in consequences(withheld) if withheld is not None else ():
-        typer.echo(consequence)
+        typer.echo(str(consequence))
 
 
 def write_backup(data: Path, file: Path) -> list[str]:
     """Copy the stores of a data folder; gives their names. Raises StoreError; then there is no file."""
     stores = sorted(data.glob("*.db"))
     if not stores:
-        raise StoreError(f"there is no store in {data}; nothing was served with this configuration yet")
+        raise StoreError(Message.of("stores_missing", folder=str(data)))
     if file.exists():
-        raise StoreError(f"{file} exists already; name another file")
+        raise StoreError(Message.of("backup_exists", file=str(file)))
     with in_words(file), tempfile.TemporaryDirectory(dir=file.absolute().parent) as folder:
         copies = [_copy(store, Path(folder)) for store in stores]
         whole = Path(folder) / "whole.tar"
@@ -156,16 +157,16 @@ def _archive(file: Path) -> Iterator[tarfile.TarFile]:
         with tarfile.open(file, "r:") as archive:
             yield archive
     except (tarfile.TarError, KeyError, AssertionError, ValueError) as error:
-        raise StoreError(f"{file} is not a backup of Lineside's stores, or damaged: {error}") from error
+        raise StoreError(Message.of("backup_malformed", file=str(file), error=str(error))) from error
 
 
 def _prove(store: Path, digest: str, file: Path) -> None:
     if _digest(store) != digest:
-        raise StoreError(f"{file} is damaged: {store.name} is not what was backed up; take another backup")
+        raise StoreError(Message.of("backup_damaged", file=str(file), store=store.name))
     with in_words(store), closing(open_for_reading(store)) as connection:
         (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     if verdict != "ok":
-        raise StoreError(f"{file}: {store.name} is not sound ({verdict}); take another backup")
+        raise StoreError(Message.of("backup_unsound", file=str(file), store=store.name, verdict=str(verdict)))
 
 
 def _refuse_while_open(store: Path) -> None:
@@ -177,7 +178,7 @@ def _refuse_while_open(store: Path) -> None:
             connection.execute("BEGIN EXCLUSIVE")
     except sqlite3.DatabaseError as error:
         if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY:
-            raise StoreError(f"{store} is in use: end the dashboard, then restore") from error
+            raise StoreError(Message.of("store_in_use", store=str(store))) from error
 
 
 def _put(fresh: Path, place: Path) -> None:

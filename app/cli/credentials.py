@@ -13,7 +13,9 @@ from typing import Annotated
 
 import typer
 
+from app.errors import system_error
 from bus.errors import CallerError
+from bus.messages import Message
 
 TOKEN_VARIABLE = "LINESIDE_TOKEN"
 MOST_BYTES = 4096
@@ -22,7 +24,7 @@ TokenOption = Annotated[
     str,
     typer.Option(
         "--token",
-        help=f"A bearer token. Other users of this machine see it: better --token-file or {TOKEN_VARIABLE}.",
+        help=f"A bearer token. Other users of this machine can see it: use --token-file or {TOKEN_VARIABLE}.",
     ),
 ]
 TokenFile = Annotated[
@@ -34,10 +36,7 @@ def bearer_token(token: str, file: Path | None, *more_variables: str) -> str:
     """As :func:`token_if_given`. Raises CallerError for none, too."""
     found = token_if_given(token, file, *more_variables)
     if not found:
-        raise CallerError(
-            f"there is no token: give --token-file FILE, set {TOKEN_VARIABLE} or give --token TOKEN; "
-            "'lineside token create' makes one"
-        )
+        raise CallerError(Message.of("token_not_given", variable=TOKEN_VARIABLE))
     return found
 
 
@@ -45,10 +44,10 @@ def token_if_given(token: str, file: Path | None, *more_variables: str) -> str:
     """The token by ``--token``, else ``--token-file``, else the environment: ``LINESIDE_TOKEN`` or one of
     ``more_variables``; empty for none. Raises CallerError for both options and for a file without a token."""
     if token and file is not None:
-        raise CallerError("--token and --token-file are both given; give one of them")
+        raise CallerError(Message("token_given_twice"))
     found = token or (_token_in(file) if file is not None else _from_environment(more_variables))
     if not (found.isascii() and found.isprintable()) or " " in found:
-        raise CallerError("the token has a character that no token has; copy it again")
+        raise CallerError(Message("token_malformed"))
     return found
 
 
@@ -63,10 +62,12 @@ def _token_in(file: Path) -> str:
             _warn_if_shared(file, os.fstat(opened.fileno()).st_mode)
             text = opened.read(MOST_BYTES).decode("ascii", errors="replace")
     except OSError as error:
-        raise CallerError(f"the token file {file} cannot be read: {error.strerror}") from error
+        raise CallerError(
+            Message.of("token_file_unreadable", file=str(file), error=system_error(error))
+        ) from error
     lines = text.splitlines()
     if not lines or not lines[0].strip():
-        raise CallerError(f"the token file {file} has no token in its first line")
+        raise CallerError(Message.of("token_file_empty", file=str(file)))
     return lines[0].strip()
 
 

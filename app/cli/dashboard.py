@@ -11,8 +11,10 @@ from typing import Any
 
 import httpx
 
+from app.errors import system_error
 from app.sets.model import ParameterRow, UnitRows
 from bus.errors import CallerError, LinesideError
+from bus.messages import Message
 
 _AUTHORITIES = ("SSL_CERT_FILE", "SSL_CERT_DIR")
 _TIMEOUT_S = 600.0
@@ -42,7 +44,7 @@ class Dashboard:
         buses = {found["name"]: found for found in self.get("/line")["buses"]}
         if bus not in buses:
             raise CallerError(
-                f"there is no bus {bus!r}; this dashboard has {', '.join(sorted(buses)) or 'none'}"
+                Message.of("dashboard_lacks_bus", bus=bus, known=", ".join(sorted(buses)) or "none")
             )
         return {unit["id"]: unit["name"] for unit in buses[bus]["units"]}
 
@@ -51,7 +53,7 @@ class Dashboard:
         units = self.units(bus)
         if unit not in units:
             known = ", ".join(str(number) for number in units)
-            raise CallerError(f"bus {bus!r} has no unit {unit}; it has {known or 'none'}")
+            raise CallerError(Message.of("dashboard_lacks_unit", bus=bus, unit=unit, known=known or "none"))
         return units[unit]
 
     def read_unit(self, bus: str, unit: int, *, gaps: bool = False) -> UnitRows:
@@ -65,22 +67,24 @@ class Dashboard:
         try:
             response = self._client.request(method, f"/api/v1{path}", **request)
         except (httpx.HTTPError, UnicodeError) as error:
-            what_to_do = "is the dashboard running?"
+            advice = Message("is_dashboard_running")
             if _is_untrusted(error):
-                what_to_do = "name the certificate of its authority in SSL_CERT_FILE"
+                advice = Message("name_authority")
             raise DashboardError(
-                f"{self._client.base_url} cannot be reached: {error}; {what_to_do}"
+                Message.of(
+                    "dashboard_unreachable", url=str(self._client.base_url), error=str(error), advice=advice
+                )
             ) from error
         if response.is_success:
             return response.json()
-        raise DashboardError(_problem_text(response))
+        raise DashboardError(_problem_message(response))
 
 
 @contextmanager
 def dashboard(url: str, token: str) -> Iterator[Dashboard]:
     """Open a dashboard by its base URL; raises CallerError for a URL that is none."""
     if not url.startswith(("http://", "https://")):
-        raise CallerError(f"--url {url!r} is no address; give for example http://127.0.0.1:8000")
+        raise CallerError(Message.of("dashboard_url_malformed", url=url))
     client = httpx.Client(
         base_url=url.rstrip("/"),
         headers={"Authorization": f"Bearer {token}"},
@@ -99,8 +103,10 @@ def trusted_authorities() -> ssl.SSLContext:
     try:
         context = httpx.create_ssl_context()
     except OSError as error:
-        why = "it holds no certificate" if isinstance(error, ssl.SSLError) else error.strerror
-        raise CallerError(f"{named} {os.environ.get(named, '')!r} cannot be used: {why}") from error
+        why = Message("no_certificate") if isinstance(error, ssl.SSLError) else system_error(error)
+        raise CallerError(
+            Message.of("authorities_unusable", variable=named, value=os.environ.get(named, ""), reason=why)
+        ) from error
     if not named:
         context.load_default_certs()
     return context
@@ -119,10 +125,14 @@ def _row(given: Mapping[str, Any]) -> ParameterRow:
     return ParameterRow(given["number"], given["raw"], bool(given["available"]), at)
 
 
-def _problem_text(response: httpx.Response) -> str:
+def _problem_message(response: httpx.Response) -> Message:
     try:
         problem = response.json()
     except ValueError:
         problem = {}
-    asked = f"{response.request.method} {response.request.url.path}"
-    return str(problem.get("detail") or f"{asked} ended with status {response.status_code}")
+    if problem.get("detail"):
+        return Message.of("dashboard_refused", detail=str(problem["detail"]))
+    request = response.request
+    return Message.of(
+        "dashboard_failed", method=request.method, path=request.url.path, status=response.status_code
+    )

@@ -14,6 +14,7 @@ from app.cli.ending import ending
 from app.commands.api.trace_file import is_trace_line, parse_trace_line
 from bus.contract import Frame
 from bus.errors import CallerError
+from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.describe import Described, DescribedNoise, Describer, describe_bytes
 from bus.wire.framing import FrameDecoder
@@ -35,7 +36,7 @@ def decode(
     file: Annotated[Path | None, typer.Option(help="A trace file, or a file of hex.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="A list of frames as JSON.")] = False,
 ) -> None:
-    """Say what frames mean. Exit 0, or 1 when no frame is valid, or 2 when the bytes are not hex."""
+    """Decode frames. Exit 0, 1 when no frame is valid, 2 when the bytes are not hex."""
     with ending():
         found = decode_text(_given_text(hex_bytes or [], file))
     frames = [item for item in found if isinstance(item, Described)]
@@ -64,10 +65,10 @@ def parse_hex(text: str) -> bytes:
     """
     tokens = [token for token in _SEPARATORS.split(text) if token]
     if not tokens:
-        raise CallerError("no bytes given; write them as hex, for example 10 02 04 81 10 03 7B")
+        raise CallerError(Message("bytes_missing"))
     for token in tokens:
         if not _HEX.fullmatch(token):
-            raise CallerError(f"{token[:40]!r} is not hex in pairs of digits, like 10 02 04 81 10 03 7B")
+            raise CallerError(Message.of("bytes_malformed", text=token[:40]))
     return bytes.fromhex("".join(tokens))
 
 
@@ -87,7 +88,7 @@ def _decode_trace(traced: list[Frame]) -> list[Described | DescribedNoise]:
 def _given_text(hex_bytes: list[str], file: Path | None) -> str:
     if file is not None:
         if hex_bytes:
-            raise CallerError("give bytes or --file, not both")
+            raise CallerError(Message("bytes_and_file"))
         return file.read_text(encoding="utf-8", errors="replace")
     if hex_bytes == [_STANDARD_INPUT]:
         return sys.stdin.read()

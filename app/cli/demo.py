@@ -18,6 +18,7 @@ from app.cli.ending import ending
 from app.cli.listening import listen
 from app.errors import StoreError
 from app.settings import load
+from bus.messages import Message
 from bus.settings import UnitSettings
 from bus.worker.parent import tied_environment
 
@@ -31,10 +32,12 @@ def register(cli: typer.Typer) -> None:
 
 
 def demo(
-    units: Annotated[int, typer.Option(min=1, max=255, help="How many units.")] = 8,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Where to serve; 0 takes a free port.")] = 8000,
+    units: Annotated[int, typer.Option(min=1, max=255, help="Number of units.")] = 8,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the dashboard; 0 takes a free port.")
+    ] = 8000,
 ) -> None:
-    """A simulated line and its dashboard on this machine, until Ctrl-C. Nothing of it is kept."""
+    """Run a simulated line and its dashboard until Ctrl-C. Its data is deleted afterwards."""
     with (
         ending(),
         listen("127.0.0.1", port, CHOOSE) as listening,
@@ -64,7 +67,7 @@ def _simulator(units: int, link: Path) -> Iterator[Callable[[], None]]:
 
     def begun() -> None:
         if output is None or not output.readline():
-            raise StoreError("the simulated line could not begin; what stands above says why")
+            raise StoreError(Message("simulator_not_started"))
 
     with ended(process, END_WITHIN_S):
         yield begun

@@ -13,11 +13,13 @@ from app.cli.counted import counted
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import dashboard
 from app.cli.ending import ending
+from app.errors import system_error
 from app.sets.compare import Compared, differences
 from app.sets.document import LONGEST_DOCUMENT, read_document
 from app.sets.model import ParameterSet, UnitRows
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
+from bus.messages import Message, in_english
 
 Pair = tuple[UnitRows, UnitRows]
 
@@ -36,7 +38,7 @@ def diff(
     token_file: TokenFile = None,
     bus: Annotated[str, typer.Option(help="Name of the bus.")] = "",
     unit: Annotated[int | None, typer.Option(help="The unit to compare with.")] = None,
-    tolerance: Annotated[int, typer.Option(min=0, help="Raw counts that still pass as equal.")] = 0,
+    tolerance: Annotated[int, typer.Option(min=0, help="Difference in raw counts that counts as equal.")] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Show the rows that differ. Exit 0 when equal, 1 when different, 2 on wrong use."""
@@ -55,13 +57,14 @@ def load(path: Path) -> ParameterSet:
     """A parameter set from a file; raises CallerError (DocumentError) in words."""
     try:
         if path.stat().st_size > LONGEST_DOCUMENT:
-            raise CallerError(f"{path} is too long for a parameter set")
+            raise CallerError(Message.of("source_too_long", source=str(path)))
         return read_document(path.read_text(encoding="utf-8-sig"), str(path))
     except OSError as error:
-        raise CallerError(f"{path} cannot be read: {error.strerror or error}") from error
+        raise CallerError(Message.of("file_unreadable", file=str(path), error=system_error(error))) from error
     except UnicodeDecodeError as error:
-        why = f"{path} is no text in UTF-8: {error.reason} at byte {error.start}; save it as UTF-8"
-        raise CallerError(why) from error
+        raise CallerError(
+            Message.of("source_not_utf8", source=str(path), why=error.reason, n=error.start)
+        ) from error
 
 
 def rows_for(parameter_set: ParameterSet, unit: int, path: Path) -> UnitRows:
@@ -72,14 +75,14 @@ def rows_for(parameter_set: ParameterSet, unit: int, path: Path) -> UnitRows:
     if len(parameter_set.units) == 1:
         return parameter_set.units[0]
     held = ", ".join(str(rows.unit) for rows in parameter_set.units)
-    raise CallerError(f"{path} holds units {held}, not {unit}; back that unit up, or name one of these")
+    raise CallerError(Message.of("file_lacks_unit", file=str(path), held=held, unit=unit))
 
 
 def _with_live(
     files: list[Path], url: str, token: tuple[str, Path | None], bus: str, unit: int | None
 ) -> Pair:
     if len(files) != 1 or not url or not bus or unit is None:
-        raise CallerError("give two files, or one file with --url, --token-file, --bus and --unit")
+        raise CallerError(Message("diff_sides_missing"))
     wanted = rows_for(load(files[0]), unit, files[0])
     with dashboard(url, bearer_token(*token)) as there:
         return wanted, there.read_unit(bus, unit)
@@ -92,7 +95,7 @@ def _two_files(files: list[Path]) -> list[Pair]:
     lone = {rows.unit for rows in left.units} ^ {rows.unit for rows in right.units}
     if lone:
         numbers = ", ".join(str(unit) for unit in sorted(lone))
-        raise CallerError(f"the files do not hold the same units: {numbers} is in one of them only")
+        raise CallerError(Message.of("files_differ_in_units", units=numbers))
     return [(rows, other) for rows in left.units if (other := right.unit(rows.unit)) is not None]
 
 
@@ -104,9 +107,9 @@ def _as_json(left: UnitRows, right: UnitRows, row: Compared) -> dict[str, Any]:
         "name": parameter.name,
         "left_raw": None if parameter.secret else left.raw(row.number),
         "right_raw": None if parameter.secret else right.raw(row.number),
-        "left": row.old,
-        "right": row.new,
-        "meaning": row.sentence,
+        "left": str(row.old),
+        "right": str(row.new),
+        "meaning": in_english(row.meaning),
     }
 
 
@@ -119,4 +122,5 @@ def _table(found: list[tuple[UnitRows, UnitRows, Compared]]) -> str:
 
 def _line(unit: int, row: Compared) -> str:
     name = PARAMETERS[row.number].name
-    return f"unit {unit}  #{row.number:<3}{name:<32}{row.old:>14}  {row.new:>14}  {row.sentence}"
+    values = f"{row.old!s:>14}  {row.new!s:>14}"
+    return f"unit {unit}  #{row.number:<3}{name:<32}{values}  {in_english(row.meaning)}"

@@ -22,8 +22,10 @@ from app.cli.listening import url_of
 from app.cli.loading import loading
 from app.cli.workers import WorkerProcesses
 from app.database.private import make_folder
+from app.errors import system_error
 from app.settings import Settings
 from bus.errors import LinesideError
+from bus.messages import Message
 from bus.worker.log import configure_log
 
 SWITCH_S = 0.001
@@ -44,9 +46,7 @@ def only_one(data: Path) -> Iterator[None]:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     except BlockingIOError as error:
-        raise HostingError(
-            f"another Lineside server uses {data}; end it, or give this one its own"
-        ) from error
+        raise HostingError(Message.of("data_in_use", folder=str(data))) from error
     finally:
         os.close(lock)
 
@@ -57,8 +57,7 @@ def _lock_file(data: Path) -> int:
         return os.open(data / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     except OSError as error:
         raise HostingError(
-            f"nothing can be written to {data}: {error.strerror}; give the server's user write access to it, "
-            "or name another folder as data in [server]"
+            Message.of("data_not_writable", folder=str(data), error=system_error(error))
         ) from error
 
 
@@ -89,7 +88,7 @@ async def _host(settings: Settings, config: Path, listening: socket.socket, *, d
     server.end()
     await serving
     if not server.started:
-        raise HostingError("the dashboard could not begin; what stands above says why")
+        raise HostingError(Message("dashboard_not_started"))
 
 
 async def _server_module(asked: asyncio.Task[Any]) -> Any:

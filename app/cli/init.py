@@ -9,7 +9,9 @@ import typer
 
 from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
+from app.errors import system_error
 from bus.errors import LinesideError
+from bus.messages import Message
 
 BY_ID = Path("/dev/serial/by-id")
 STARTER = Path(__file__).with_name("starter.toml")
@@ -31,13 +33,10 @@ def init(config: Config = LINESIDE_TOML) -> None:
             with config.open("x", encoding="utf-8") as file:
                 file.write(starter(config, likely_port()))
         except FileExistsError as error:
-            raise InitError(
-                f"{config} exists and is kept. Name another file with --config, or move this one away."
-            ) from error
+            raise InitError(Message.of("configuration_exists", file=str(config))) from error
         except OSError as error:
             raise InitError(
-                f"{config} cannot be written: {error.strerror}. Create its folder, or name another file with "
-                "--config."
+                Message.of("configuration_not_writable", file=str(config), error=system_error(error))
             ) from error
         typer.echo(f"{config} is written. Set the port and the units, then: lineside check --config {config}")
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import errno
 import socket
 
+from app.errors import system_error
 from bus.errors import LinesideError
+from bus.messages import Message
 
 BACKLOG = 512
 """Browsers of a whole plant come back at once after a restart."""
@@ -25,22 +27,19 @@ def listen(host: str, port: int, choose: str) -> socket.socket:
         raise ListenError(_reason(host, port, choose, error)) from error
 
 
-def _reason(host: str, port: int, choose: str, error: Exception) -> str:
+def _reason(host: str, port: int, choose: str, error: Exception) -> Message:
     number = getattr(error, "errno", None)
     if number is not None and number < 0:  # EAI_…: create_server passes on what getaddrinfo(3) returned
-        return f"there is no host {host!r}. Set host in [server] to an address of this machine, or 0.0.0.0."
+        return Message.of("listen_no_host", host=host)
     match number:
         case errno.EADDRINUSE:
-            return f"port {port} of {host} is in use by another program. End that program, or {choose}."
+            return Message.of("listen_port_in_use", port=port, host=host, choose=choose)
         case errno.EACCES:
-            return f"port {port} of {host} is reserved for root. Take a port above 1023: {choose}."
+            return Message.of("listen_port_reserved", port=port, host=host, choose=choose)
         case errno.EADDRNOTAVAIL:
-            return (
-                f"{host} is no address of this machine. Set host in [server] to one that is, or to 0.0.0.0."
-            )
+            return Message.of("listen_foreign_address", host=host)
         case _:
-            words = getattr(error, "strerror", None) or error
-            return f"port {port} of {host} cannot be opened: {words}. Check host and port in [server]."
+            return Message.of("listen_failed", port=port, host=host, error=system_error(error))
 
 
 def url_of(host: str, port: int) -> str:

@@ -19,8 +19,9 @@ from app.cli.accounts import ORIGIN, who_calls
 from app.commands.safeguards.in_force import Protection, keep_in_force, read_protection
 from app.database import Database
 from app.database.connection import open_for_reading
+from bus.messages import Message, joined
 
-WHAT = "the stores were restored from a backup"
+WHAT = Message("event_stores_restored")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +32,11 @@ class Backup:
     taken_at: float
     digest: str
 
-    def __str__(self) -> str:
+    @property
+    def message(self) -> Message:
+        """All of it."""
         taken = datetime.fromtimestamp(self.taken_at, UTC).isoformat(timespec="seconds")
-        return f"{self.file} of {taken}, SHA-256 {self.digest}"
+        return Message.of("backup_of", file=self.file, time=taken, digest=self.digest)
 
 
 def make_ready(fresh: Path, present: Path, backup: Backup, key_files: Sequence[Path]) -> Withheld:
@@ -74,21 +77,20 @@ async def _bring_in(
         what=WHAT,
         who=who_calls(),
         origin=ORIGIN,
-        message="; ".join([str(backup), *consequences(withheld)]),
+        message=joined([backup.message, *consequences(withheld)]) or "",
     )
     return withheld
 
 
-def consequences(withheld: Withheld) -> list[str]:
-    """What does not come back, a sentence each."""
-    found = ["every session has ended"]
-    for names, words in (
-        (withheld.tokens, "tokens revoked"),
-        (withheld.disabled, "users disabled, as they are or were removed now"),
-        (withheld.lowered, "users with the lower role of now"),
-    ):
-        if names:
-            found.append(f"{words}: {', '.join(names)}")
+def consequences(withheld: Withheld) -> list[Message]:
+    """What does not come back."""
+    found = [Message("withheld_sessions")]
+    if withheld.tokens:
+        found.append(Message.of("withheld_tokens", names=list(withheld.tokens)))
+    if withheld.disabled:
+        found.append(Message.of("withheld_users", names=list(withheld.disabled)))
+    if withheld.lowered:
+        found.append(Message.of("withheld_roles", names=list(withheld.lowered)))
     if not withheld.admins:
-        found.append("no admin can sign in; add one with 'lineside user add'")
+        found.append(Message("withheld_no_admin"))
     return found

@@ -15,6 +15,7 @@ from app.cli.listening import url_of
 from app.cli.serve import LINESIDE_TOML, Config
 from app.settings import load
 from bus.errors import LinesideError
+from bus.messages import Message
 
 WITHIN_S = 5.0
 
@@ -34,7 +35,7 @@ def status(
     token_file: TokenFile = None,
     as_json: Annotated[bool, typer.Option("--json", help="The result as JSON.")] = False,
 ) -> None:
-    """Say whether the dashboard serves, and how each bus is with a token of any role but worker.
+    """Show whether the dashboard serves, and the state of each bus with a token of any role but worker.
 
     Exit 0 when it serves, else 1.
     """
@@ -48,10 +49,7 @@ def status(
         elif serves:
             typer.echo("\n".join([f"{settings.site.name}: serving at {url}", *map(_line, buses or ())]))
         if not serves:
-            raise NotServingError(
-                f"no dashboard answers at {url}. Start it with lineside serve --config {config}, or read the "
-                "log of its service."
-            )
+            raise NotServingError(Message.of("not_serving", url=url, config=str(config)))
 
 
 def is_serving(url: str) -> bool:

@@ -11,6 +11,7 @@ from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.ending import ending
 from bus.configuration import load_bus
 from bus.errors import CallerError
+from bus.messages import Message
 
 WORKER_TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
 
@@ -21,16 +22,16 @@ def register(cli: typer.Typer) -> None:
 
 
 def worker(
-    bus: Annotated[str, typer.Option(help="Name of the bus, as the configuration says it.")],
+    bus: Annotated[str, typer.Option(help="Name of the bus in the configuration.")],
     app: Annotated[str, typer.Option(help="Address of the dashboard, http://host:port.")],
     token: TokenOption = "",
     token_file: TokenFile = None,
     config: Annotated[Path, typer.Option(help="The configuration that has the bus.")] = Path("lineside.toml"),
 ) -> None:
-    """Work one bus for a dashboard elsewhere, until Ctrl-C or SIGTERM; reconnects indefinitely."""
+    """Run one bus worker for a dashboard elsewhere, until Ctrl-C or SIGTERM; reconnects indefinitely."""
     with ending():
         if not app.startswith(("http://", "https://", "ws://", "wss://")):
-            raise CallerError(f"--app {app!r} is no address; give for example http://192.168.1.10:8000")
+            raise CallerError(Message.of("app_url_malformed", url=app))
         bearer = bearer_token(token, token_file, WORKER_TOKEN_VARIABLE)
         settings = load_bus(config, bus)
         from bus.worker.process import run

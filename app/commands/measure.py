@@ -6,6 +6,14 @@ from app.live.api.view import setpoint_text
 from app.live.state.bus_live import UnitLive, follower
 from bus.catalogue.parameter import Parameter, Scale
 from bus.catalogue.values import parameter_unit
+from bus.messages import Message, number
+
+
+def in_measure(value: str, measure: str | Message) -> Message:
+    """A number with its measure: ``5.0 s``."""
+    if not measure:
+        return number(value)
+    return Message.of("value_in_measure", value=number(value), measure=measure)
 
 
 def measure_of_setpoint(unit: UnitLive) -> str:

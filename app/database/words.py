@@ -7,21 +7,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from app.errors import DamagedStoreError, StoreError, TooCostlyError
+from app.errors import DamagedStoreError, StoreError, TooCostlyError, system_error
 from bus.errors import CallerError
 from bus.messages import Message
 
 __all__ = ["StoreError", "in_words"]
 
-_MEANINGS: dict[int, str] = {
-    sqlite3.SQLITE_FULL: "the disk is full; free some space, nothing was stored",
-    sqlite3.SQLITE_READONLY: "it is read-only; give the server's user write access to it and its folder",
-    sqlite3.SQLITE_CORRUPT: "it is damaged; restore a backup of it (lineside backup-store) or move it away",
-    sqlite3.SQLITE_NOTADB: "it is not a Lineside store, or damaged; restore a backup of it or move it away",
-    sqlite3.SQLITE_CANTOPEN: "it cannot be opened; check that its folder exists and may be used",
-    sqlite3.SQLITE_IOERR: "the disk failed at it; check the disk",
-    sqlite3.SQLITE_BUSY: "another program holds it locked; end that program",
-    sqlite3.SQLITE_PERM: "access to it is refused; give the server's user access",
+_MEANINGS: dict[int, Message] = {
+    sqlite3.SQLITE_FULL: Message("store_disk_full"),
+    sqlite3.SQLITE_READONLY: Message("store_read_only"),
+    sqlite3.SQLITE_CORRUPT: Message("store_is_damaged"),
+    sqlite3.SQLITE_NOTADB: Message("store_foreign"),
+    sqlite3.SQLITE_CANTOPEN: Message("store_not_openable"),
+    sqlite3.SQLITE_IOERR: Message("store_disk_failed"),
+    sqlite3.SQLITE_BUSY: Message("store_locked"),
+    sqlite3.SQLITE_PERM: Message("store_access_refused"),
 }
 _PRIMARY = 0xFF
 """An extended result code holds the primary one in its low byte."""
@@ -47,8 +47,9 @@ def in_words(path: Path) -> Iterator[None]:
         meaning = _MEANINGS.get(code & _PRIMARY) if isinstance(code, int) else None
         damaged = isinstance(code, int) and code & _PRIMARY == sqlite3.SQLITE_CORRUPT
         kind = DamagedStoreError if damaged else StoreError
-        raise kind(f"the store {path}: {meaning or error}") from error
-    except OSError as error:
-        raise StoreError(
-            Message.of("store_folder_failed", path=str(path), error=error.strerror or str(error))
+        raise kind(
+            Message.of("store_failed", path=str(path), reason=meaning or system_error(error))
         ) from error
+    except OSError as error:
+        failed = Message.of("store_folder_failed", path=str(path), error=system_error(error))
+        raise StoreError(failed) from error

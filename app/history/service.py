@@ -32,7 +32,7 @@ log = structlog.get_logger()
 
 ClockStepSubscriber = Callable[[float, float], None]
 """Called with the seconds by which the clock was stepped, and the Unix time."""
-DamageSubscriber = Callable[[str, float], None]
+DamageSubscriber = Callable[[Message, float], None]
 """Called with what was damaged, in words, and the Unix time."""
 
 
@@ -62,7 +62,7 @@ class History:
         for subscriber in self._clock_step_subscribers:
             self._loop.call_soon_threadsafe(subscriber, step_s, at)
 
-    def _publish_damage(self, what: str) -> None:
+    def _publish_damage(self, what: Message) -> None:
         """Called on the writer's thread."""
         for subscriber in self._damage_subscribers:
             self._loop.call_soon_threadsafe(subscriber, what, time.time())

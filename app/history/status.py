@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,8 +17,8 @@ class Status:
     ``paused``: nothing is stored; ``failed``: the store cannot be used. Times in seconds."""
 
     state: StoreState = "ok"
-    message: str = ""
-    cause: str = ""
+    message: Message | None = None
+    cause: Message | None = None
     """Why the store cannot be used."""
     since: float = 0.0
     size_bytes: int = 0
@@ -28,7 +27,7 @@ class Status:
     waiting: int = 0
     """Updates that are not on disk yet."""
     lost: int = 0
-    """Updates given up because they could not be stored."""
+    """Updates that could not be stored."""
     damaged: int = 0
     """How often something that was kept turned out to be damaged, in the last seven days."""
 
@@ -42,23 +41,22 @@ NOTICES: dict[StoreState, Message] = {
 DAMAGED = Message("history_damaged")
 
 
-def store_message(state: StoreState, cause: str = "") -> str:
-    """How the store is, in English; empty while it is well."""
-    if state == "ok":
-        return ""
-    return str(Message.of("history_because", notice=NOTICES[state], cause=cause) if cause else NOTICES[state])
+def store_message(state: StoreState, cause: Message | None = None) -> Message | None:
+    """How the store is; None while it is well."""
+    if state == "ok" or cause is None:
+        return NOTICES.get(state)
+    return Message.of("history_because", notice=NOTICES[state], cause=cause)
 
 
-def store_notice(status: Status, t: Callable[..., str], formats: Formats, now: float) -> str:
-    """What people are told on the pages, in their language; empty while history is well."""
+def store_notice(status: Status, formats: Formats, now: float) -> Message | None:
+    """What people are told on the pages; None while history is well."""
     since = formats.since(status.since, now)
     match status.state:
         case "ok":
-            return t(DAMAGED) if status.damaged else ""
+            return DAMAGED if status.damaged else None
         case "failed":
-            text = "Since {time} no history is kept, everything else works. The reason: {why}"
-            return t(text, time=since, why=status.cause)
+            return Message.of("history_failed_since", time=since, reason=status.cause or NOTICES["failed"])
         case "paused":
-            return t("Since {time} no history is kept: the disk is full. Free some space.", time=since)
+            return Message.of("history_paused_since", time=since)
         case _:
-            return f"{t('History')}: {t(NOTICES[status.state])}"
+            return Message.of("history_notice", notice=NOTICES[status.state])

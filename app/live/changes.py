@@ -19,8 +19,7 @@ class LineEvent:
     kind: EventKind
     unit: int | None
     at: float
-    what: Message | str
-    """Of the history, what is damaged is still said in words."""
+    what: Message
     old: str
     new: str
     message: Message | None = None

@@ -25,7 +25,7 @@ from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person
 from app.web.deadline import Deadline, Instant
 from bus.contract import Result, SetLine, SetSpeed
-from bus.messages import Message, term
+from bus.messages import Message
 
 MOST_RECIPES = 1000
 """In use on one bus; a list of them is given whole."""
@@ -56,7 +56,7 @@ class RecipeBook:
         loaded = self._loaded.get(bus)
         return departures(loaded.recipe, self._state.buses[bus], loaded.at) if loaded is not None else []
 
-    def loaded_words(self, bus: str) -> tuple[str, list[str]] | None:
+    def loaded_words(self, bus: str) -> tuple[str, list[str | Message]] | None:
         """Name of the loaded recipe and of the units that have departed from it; None without one."""
         loaded = self._loaded.get(bus)
         return None if loaded is None else (loaded.recipe.name, [one.name for one in self.departed(bus)])
@@ -100,7 +100,7 @@ class RecipeBook:
         run = self.try_out(person, recipe)
         if not run.loadable:
             why: list[int | str | Message] = [
-                Message.of("of_unit", name=step.name, reason=term(step.obstacle))
+                Message.of("of_unit", name=step.name, reason=step.obstacle)
                 for step in run.steps
                 if step.obstacle
             ]
@@ -119,13 +119,13 @@ class RecipeBook:
             await self._mark(person, recipe)
         return result
 
-    def _refusal(self, person: Person, bus: str, unit: int, raw: int) -> str:
-        """Why this setpoint would be refused now, confirmed as it will be; empty when it would not."""
+    def _refusal(self, person: Person, bus: str, unit: int, raw: int) -> Message | None:
+        """Why this setpoint would be refused now, confirmed as it will be; None when it would not."""
         try:
             self._commands[bus].check(person, SetSpeed(unit=unit, raw=raw), confirm=True)
         except Problem as problem:
-            return problem.detail
-        return ""
+            return problem.message
+        return None
 
     async def _mark(self, person: Person, recipe: Recipe) -> None:
         now = time.time()

@@ -100,7 +100,7 @@ async def review(
         run=run,
         was=was,
         followers=followers_of(bus),
-        risks=by_remark((step.name, risk) for step in run.steps for risk in step.risks),
+        risks=by_remark((str(step.name), risk) for step in run.steps for risk in step.risks),
         left_out=by_remark(left_out),
         unchanged=unchanged,
         longest_s=longest_change_s(bus, len(run.steps)),
@@ -117,7 +117,7 @@ async def load(
     id: Annotated[str, Form(min_length=8)],
     reviewed_at: Annotated[float, Form()],
 ) -> Response:
-    """Stage every unit, broadcast once, prove each."""
+    """Stage every unit, broadcast once, read back each unit."""
     recipe = await recipe_or_404(book, recipe_id)
     bus, form = desk.bus(recipe.bus), await request.form()
     try:

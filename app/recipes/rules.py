@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from app.commands.measure import measure_of_setpoint
+from app.commands.measure import in_measure, measure_of_setpoint
 from app.commands.review.ramp import ramp_of
-from app.commands.review.risks import Remark, RiskInputs, facts_of, obstacle_of, risks_of
+from app.commands.review.risks import RiskInputs, facts_of, obstacle_of, risks_of
 from app.live.state.bus_live import BusLive, UnitLive
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
 from bus.catalogue.values import ratio_text, speed_text
 from bus.contract.durations import change_s
+from bus.messages import Message, number, term
 
 RecipeKind = Literal["speed", "ratio"]
+SetpointRefusal = Callable[[int, int], Message | None]
 
-NOT_CONFIGURED = "not in the configuration"
+NOT_CONFIGURED = Message("unit_not_configured")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,33 +46,23 @@ class Recipe:
 
 @dataclass(frozen=True, slots=True)
 class LoadStep:
-    """What loading does to one unit. Texts of values are in ``measure``. ``ramp_s`` None where not known.
+    """What loading does to one unit. ``old`` and ``new`` are in ``measure``; ``old`` is empty and ``ramp_s``
+    None where not known.
 
-    ``words``: what will happen, a template for ``old``, ``new`` and ``seconds``.
-    ``obstacle``: why it cannot be loaded now; empty when nothing stands in the way.
+    ``obstacle``: why it cannot be loaded now, None when nothing stands in the way; ``effect``: what will
+    happen, None for a unit that is not configured.
     """
 
     unit: int
-    name: str
+    name: str | Message
     raw: int
     old: str
     new: str
     ramp_s: float | None
-    obstacle: str = ""
-    words: str = ""
+    obstacle: Message | None
+    effect: Message | None = None
     measure: str = ""
-    risks: tuple[Remark, ...] = ()
-
-    @property
-    def is_configured(self) -> bool:
-        """Whether ``name`` is one that people have given."""
-        return self.obstacle != NOT_CONFIGURED
-
-    @property
-    def sentence(self) -> str:
-        """What will happen, in English."""
-        seconds = "" if self.ramp_s is None else f"{self.ramp_s:.1f}"
-        return self.words.format(old=self.old, new=self.new, seconds=seconds)
+    risks: tuple[Message, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,9 +84,9 @@ class RecipeDeparture:
     """A unit whose commanded value is no longer what the loaded recipe says, or that is gone."""
 
     unit: int
-    name: str
+    name: str | Message
     recipe: str
-    now: str
+    now: Message
 
 
 def setpoint_kind(unit: UnitLive) -> RecipeKind | None:
@@ -113,8 +105,8 @@ def setpoint_text(unit: UnitLive, setpoint: RecipeSetpoint) -> str:
     return str(setpoint.raw) if decimals is None else speed_text(setpoint.raw, decimals)
 
 
-def dry_run(recipe: Recipe, bus: BusLive, refusal: Callable[[int, int], str], now: float) -> DryRun:
-    """``refusal(unit, raw)`` says why the desk would refuse a setpoint now, empty when it would not.
+def dry_run(recipe: Recipe, bus: BusLive, refusal: SetpointRefusal, now: float) -> DryRun:
+    """``refusal(unit, raw)`` returns why a setpoint would be refused now, None when it would not.
     ``now``: seconds since the epoch."""
     steps = tuple(_step(setpoint, bus, refusal, now) for setpoint in recipe.setpoints)
     ramps = [step.ramp_s for step in steps if step.ramp_s is not None]
@@ -127,67 +119,65 @@ def departures(recipe: Recipe, bus: BusLive, since: float = 0.0) -> list[RecipeD
     return [departure for departure in found if departure is not None]
 
 
-def _step(setpoint: RecipeSetpoint, bus: BusLive, refusal: Callable[[int, int], str], now: float) -> LoadStep:
+def _step(setpoint: RecipeSetpoint, bus: BusLive, refusal: SetpointRefusal, now: float) -> LoadStep:
     unit = bus.units.get(setpoint.unit)
     if unit is None:
-        text = str(setpoint.raw)
-        return LoadStep(
-            setpoint.unit,
-            f"unit {setpoint.unit}",
-            setpoint.raw,
-            "unknown",
-            text,
-            None,
-            NOT_CONFIGURED,
-        )
+        name, new = Message.of("unit_address", unit=setpoint.unit), str(setpoint.raw)
+        return LoadStep(setpoint.unit, name, setpoint.raw, "", new, None, NOT_CONFIGURED)
     present = present_raw(unit, setpoint.kind)
     ramp = ramp_of(unit, present, setpoint.raw)
     ramp_s = 0.0 if present == setpoint.raw else None if ramp is None else ramp.seconds
     facts = facts_of(bus, unit, now, ramp=ramp, setpoint=setpoint.raw)
+    old = "" if unit.reading is None or present is None else _shown(unit, setpoint, present)
+    new, measure = setpoint_text(unit, setpoint), measure_of_setpoint(unit)
     return LoadStep(
         unit=setpoint.unit,
         name=unit.settings.name,
         raw=setpoint.raw,
-        old=_present_text(unit, setpoint.kind),
-        new=setpoint_text(unit, setpoint),
+        old=old,
+        new=new,
         ramp_s=ramp_s,
         obstacle=_obstacle(setpoint, unit, facts) or refusal(setpoint.unit, setpoint.raw),
-        words=_words(setpoint, present, ramp_s),
-        measure=measure_of_setpoint(unit),
+        effect=Message(
+            _effect(setpoint, present, ramp_s),
+            {
+                "old": in_measure(old, measure) if old else term("unknown"),
+                "new": in_measure(new, measure),
+                "seconds": number(f"{ramp_s or 0:.1f}"),
+            },
+        ),
+        measure=measure,
         risks=risks_of(facts),
     )
 
 
-def _words(setpoint: RecipeSetpoint, present: int | None, ramp_s: float | None) -> str:
-    """What will happen to a unit whose setpoint is ``present``."""
+def _effect(setpoint: RecipeSetpoint, present: int | None, ramp_s: float | None) -> str:
+    """The code of what will happen to a unit whose setpoint is ``present``."""
     if present is None:
-        return "becomes {new}; what it has now is not known"
+        return "recipe_sets"
     if present == setpoint.raw:
-        return "stays at {new}"
+        return "recipe_keeps"
     if setpoint.kind == "ratio":
-        return "follows at {new} of its master instead of {old}"
-    way = "speeds up" if setpoint.raw > present else "slows down"
-    return f"{way} from {{old}} to {{new}}" + ("" if ramp_s is None else " in {seconds} s")
+        return "recipe_changes_ratio"
+    if setpoint.raw > present:
+        return "recipe_speeds_up" if ramp_s is None else "recipe_speeds_up_within"
+    return "recipe_slows_down" if ramp_s is None else "recipe_slows_down_within"
 
 
-def _obstacle(setpoint: RecipeSetpoint, unit: UnitLive, facts: RiskInputs) -> str:
+def _obstacle(setpoint: RecipeSetpoint, unit: UnitLive, facts: RiskInputs) -> Message | None:
     if obstacle := obstacle_of(facts):
-        return obstacle.text
+        return obstacle
     kind = setpoint_kind(unit)
     if kind is None:
-        return "whether it follows by ratio (#8) has not been read yet"
+        return Message("recipe_mode_unread")
     if kind != setpoint.kind:
-        return f"the recipe holds a {setpoint.kind}, the unit now takes a {kind} (#8)"
-    return ""
+        return Message("recipe_holds_speed" if setpoint.kind == "speed" else "recipe_holds_ratio")
+    return None
 
 
-def _present_text(unit: UnitLive, kind: RecipeKind) -> str:
-    if unit.reading is None:
-        return "unknown"
-    present = present_raw(unit, kind)
-    return (
-        "unknown" if present is None else setpoint_text(unit, RecipeSetpoint(unit.settings.id, present, kind))
-    )
+def _shown(unit: UnitLive, setpoint: RecipeSetpoint, raw: int) -> str:
+    """Another value in the place of the setpoint, as the unit would show it."""
+    return setpoint_text(unit, replace(setpoint, raw=raw))
 
 
 def present_raw(unit: UnitLive, kind: RecipeKind) -> int | None:
@@ -199,13 +189,14 @@ def present_raw(unit: UnitLive, kind: RecipeKind) -> int | None:
 
 def _departure(setpoint: RecipeSetpoint, unit: UnitLive | None, since: float) -> RecipeDeparture | None:
     if unit is None:
-        return RecipeDeparture(setpoint.unit, f"unit {setpoint.unit}", str(setpoint.raw), NOT_CONFIGURED)
+        name = Message.of("unit_address", unit=setpoint.unit)
+        return RecipeDeparture(setpoint.unit, name, str(setpoint.raw), NOT_CONFIGURED)
     if not _told_since(unit, setpoint.kind, since):
         return None
     now = present_raw(unit, setpoint.kind)
     if now is None or now == setpoint.raw:
         return None
-    shown = setpoint_text(unit, RecipeSetpoint(setpoint.unit, now, setpoint.kind))
+    shown = number(_shown(unit, setpoint, now))
     return RecipeDeparture(setpoint.unit, unit.settings.name, setpoint_text(unit, setpoint), shown)
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
+from app.commands.api.schemas import MessageShown
 from app.live.api.schemas import Time, UnitAddress
 
 RampS = Annotated[float | None, Field(description="Duration of the ramp, seconds; null: not known.")]
@@ -44,8 +45,10 @@ class DryRunStepShown(TypedDict):
     old: Annotated[str, Field(description="Present setpoint, as displayed.")]
     new: Annotated[str, Field(description="Setpoint of the recipe, as displayed.")]
     ramp_s: RampS
-    obstacle: Annotated[str, Field(description="Why it cannot be set; empty: it can.")]
-    words: Annotated[str, Field(description="What happens, in a sentence.")]
+    obstacle: Annotated[str, Field(description="Why it cannot be set, English; empty: it can.")]
+    obstacle_message: Annotated[MessageShown | None, Field(description="obstacle as data.")]
+    words: Annotated[str, Field(description="What happens, English; empty: it is not configured.")]
+    words_message: Annotated[MessageShown | None, Field(description="words as data.")]
 
 
 class DryRunShown(TypedDict):

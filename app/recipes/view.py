@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from msgspec import to_builtins
+
 from app.live.state.bus_live import BusLive
 from app.recipes.rules import DryRun, Recipe, RecipeDeparture, setpoint_text
 from app.recipes.shown import DryRunShown, LoadedShown, RecipeShown
 from app.recipes.store import Loaded
 from app.web.shape import iso
+from bus.messages import in_english
 
 
 def recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
@@ -41,13 +44,15 @@ def dry_run_json(run: DryRun) -> DryRunShown:
         "units": [
             {
                 "id": step.unit,
-                "name": step.name,
+                "name": str(step.name),
                 "raw": step.raw,
-                "old": step.old,
+                "old": step.old or "unknown",
                 "new": step.new,
                 "ramp_s": None if step.ramp_s is None else round(step.ramp_s, 1),
-                "obstacle": step.obstacle,
-                "words": step.sentence,
+                "obstacle": in_english(step.obstacle),
+                "obstacle_message": to_builtins(step.obstacle),
+                "words": in_english(step.effect),
+                "words_message": to_builtins(step.effect),
             }
             for step in run.steps
         ],
@@ -63,6 +68,7 @@ def loaded_json(loaded: Loaded, departed: list[RecipeDeparture]) -> LoadedShown:
         "who": loaded.who,
         "loaded_at": iso(loaded.at),
         "departed": [
-            {"id": one.unit, "name": one.name, "recipe": one.recipe, "now": one.now} for one in departed
+            {"id": one.unit, "name": str(one.name), "recipe": one.recipe, "now": str(one.now)}
+            for one in departed
         ],
     }

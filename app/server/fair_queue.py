@@ -13,6 +13,8 @@ from typing import Generic, TypeVar
 
 K = TypeVar("K")
 
+MOST_REST_S = 0.05
+
 
 class TooManyWaitingError(Exception):
     """Nothing more is put into the queue."""
@@ -57,16 +59,23 @@ class FairQueue(Generic[K]):
     """``async with queue.turn(key):`` waits for its turn.
 
     ``at_once``: turns at a time, and ``at_once_of_key`` of one key. ``most_waiting_of_key`` may wait of one
-    key, ``most_waiting`` of all together, half of them known and half not.
+    key, ``most_waiting`` of all together, half of them known and half not. ``rest``: how many times as long
+    as a turn took its place then stays free, but at most MOST_REST_S.
     """
 
     def __init__(
-        self, at_once: float, at_once_of_key: int, most_waiting_of_key: int, most_waiting: float = inf
+        self,
+        at_once: float,
+        at_once_of_key: int,
+        most_waiting_of_key: int,
+        most_waiting: float = inf,
+        rest: float = 0.0,
     ) -> None:
         self._at_once = at_once
         self._at_once_of_key = at_once_of_key
         self._most_of_key = at_once_of_key + most_waiting_of_key
         self._most_waiting_of_class = most_waiting / 2
+        self._rest = rest
         self._waiting: dict[bool, _Waiting[K]] = {True: _Waiting(), False: _Waiting()}
         self._busy: Counter[K] = Counter()
         self._known_next = True
@@ -75,10 +84,15 @@ class FairQueue(Generic[K]):
     async def turn(self, key: K, *, known: bool = True) -> AsyncIterator[None]:
         """Raises TooManyWaitingError where this key, or all together, have enough waiting."""
         await self._wait(key, known)
+        loop = asyncio.get_running_loop()
+        begun = loop.time()
         try:
             yield
         finally:
-            self._end(key)
+            if self._rest:
+                loop.call_later(min(self._rest * (loop.time() - begun), MOST_REST_S), self._end, key)
+            else:
+                self._end(key)
 
     def count_of(self, key: K) -> int:
         """Its turns, and what waits for one."""

@@ -61,6 +61,10 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
         for start in range(0, len(data), SLICE_BYTES):
             if self.close_sent or self.transport.is_closing():
                 return
+            if self.handshake_initiated and not self.handshake_complete:
+                # A client waits for the response to its handshake (RFC 6455, 4.1).
+                self.transport.abort()
+                return
             super().data_received(data[start : start + SLICE_BYTES])
 
     def handle_connect(self, event: Request) -> None:

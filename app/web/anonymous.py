@@ -17,6 +17,9 @@ from bus.messages import Message
 
 AT_ONCE, AT_ONCE_OF_ADDRESS = 2, 1
 MOST_WAITING, MOST_WAITING_OF_ADDRESS = 512, 64
+REST = 4.0
+"""To render the login page takes the event loop milliseconds, and a command needs the loop some twenty times:
+without the rest it would wait for another page each time."""
 
 
 class AnonymousInTurn:
@@ -30,7 +33,7 @@ class AnonymousInTurn:
         self._bounded = BoundedBody(self._serve, MOST_PLAIN_BODY_BYTES)
         # Half of what may wait is for known keys, and no address is known.
         self._turns: FairQueue[str] = FairQueue(
-            AT_ONCE, AT_ONCE_OF_ADDRESS, MOST_WAITING_OF_ADDRESS, 2 * MOST_WAITING
+            AT_ONCE, AT_ONCE_OF_ADDRESS, MOST_WAITING_OF_ADDRESS, 2 * MOST_WAITING, REST
         )
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

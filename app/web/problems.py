@@ -23,7 +23,7 @@ from app.web.access import person_of
 from app.web.faults import fault_message
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
-from bus.messages import TERM, Message
+from bus.messages import Message
 
 log = structlog.get_logger()
 
@@ -79,9 +79,7 @@ def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
 
 def _message_members(problem: Problem) -> dict[str, Any]:
     """``params`` in English, one level deep; ``reason`` with the codes of all levels."""
-    members = {} if problem.params is None else {"params": _plain(problem.params)}
-    is_text = problem.message.code == TERM
-    return members if is_text else members | {"reason": msgspec.to_builtins(problem.message)}
+    return {"params": _plain(problem.message.params), "reason": msgspec.to_builtins(problem.message)}
 
 
 def _plain(params: Mapping[str, object]) -> dict[str, int | float | str]:
@@ -112,7 +110,7 @@ def _detail(request: Request, problem: Problem) -> str:
         return problem.detail
     templates = templates_of(request)
     language = templates.language_of(request)
-    return templates.formats(language.tag).sentence(problem.text(language.t))
+    return templates.formats(language.tag).sentence(language.t(problem.message))
 
 
 def _place(location: Sequence[int | str]) -> str:
@@ -156,7 +154,7 @@ async def _on_http(request: Request, error: Exception) -> Response:
     return respond(request, problem)
 
 
-def _http_message(request: Request, error: HTTPException) -> Message | str:
+def _http_message(request: Request, error: HTTPException) -> Message:
     path = request.url.path
     match error.status_code:
         case 404:
@@ -164,7 +162,7 @@ def _http_message(request: Request, error: HTTPException) -> Message | str:
         case 405:
             return Message.of("method_not_for_path", method=request.method, path=path)
         case _:
-            return str(error.detail)
+            return Message.of("http_refused", reason=str(error.detail))
 
 
 def _methods(request: Request) -> list[str]:

@@ -156,7 +156,7 @@ def encode_reply(reply: Reply, dialect: Dialect) -> bytes:
     try:
         return encode_frame(bytes((reply.unit, mark)) + _reply_data(reply, dialect), dialect)
     except (OverflowError, ValueError) as error:
-        raise CallerError(f"{reply} does not fit a frame: {error}") from error
+        raise CallerError(Message.of("reply_does_not_fit", reply=str(reply), error=str(error))) from error
 
 
 def _reply_data(reply: Reply, dialect: Dialect) -> bytes:

@@ -8,6 +8,10 @@ import { language, span, word } from "./words.js";
 
 const SILENCE_S = 1.9;
 const CHECK_MS = 200;
+/** Between two checks: after longer than this, the page itself stood still. */
+const STILL_MS = 2 * CHECK_MS;
+/** Time to handle the messages that arrived while the page stood still. */
+const CATCH_UP_MS = 50;
 const SPEAK_MS = 10_000;
 const RETRY_MS = [200, 500, 1000, 2000];
 
@@ -16,6 +20,7 @@ const url = body.dataset.liveUrl;
 let socket = null;
 let number = -1;
 let receivedAt = performance.now();
+let checkedAt = receivedAt;
 let lostSince = null;
 let cause = "closed";
 let tries = 0;
@@ -164,8 +169,16 @@ function noticeSleep() {
   }
 }
 
+/** A late check says nothing about the server: messages may be queued behind it, so handle them first. */
 function check() {
   noticeSleep();
+  const since = performance.now() - checkedAt;
+  checkedAt += since;
+  if (since > STILL_MS) setTimeout(judge, CATCH_UP_MS);
+  else judge();
+}
+
+function judge() {
   const silent = (performance.now() - receivedAt) / 1000;
   if (silent > SILENCE_S && body.dataset.link !== "lost") lose("silent");
   if (silent > SILENCE_S && socket?.readyState === WebSocket.OPEN) drop();

@@ -15,6 +15,7 @@ from app.history.query.query import QueryResult, SeriesQuery, answer
 from app.history.series.runs import micros
 from app.history.series.values import VALUES
 from bus.contract import ParameterValue, Reading, Update
+from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
 
 BUS = BusSettings(name="dry-end", port="/dev/null", unit=(UnitSettings(id=1, name="Unwind"),))
@@ -74,7 +75,7 @@ class Shelf:
 
 
 def opened(
-    folder: Path, keep: Keep | None = None, on_damage: Callable[[str], None] = lambda _words: None
+    folder: Path, keep: Keep | None = None, on_damage: Callable[[Message], None] = lambda _what: None
 ) -> Writer:
     """A writer with its thread."""
     writer = Writer(folder / "history.db", keep or Keep(), lambda _step, _at: None, on_damage)

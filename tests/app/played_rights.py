@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from app.errors import Problem
 from app.web.access import AccountSubscriber, Person
+from bus.messages import Message
 
 
 class PlayedRights:
@@ -16,7 +17,9 @@ class PlayedRights:
         """As the real ones."""
         reason = self.withdrawn.get(person.name)
         if reason is not None:
-            raise Problem(403, "rights_withdrawn", reason, outcome="rights_withdrawn")
+            raise Problem(
+                403, "rights_withdrawn", Message.of("system_error", error=reason), outcome="rights_withdrawn"
+            )
 
     def on_withdrawn(self, _subscriber: AccountSubscriber) -> None:
         """Nobody is told what a test withdraws."""

@@ -66,7 +66,7 @@ from bus.contract import (
     decode_from_app,
     encode,
 )
-from bus.messages import term
+from bus.messages import in_english, term
 from bus.settings import BusSettings, UnitSettings
 from tests.app.played_rights import PlayedRights
 from tests.app.played_sources import NoGoldenSets, NoRecipes
@@ -246,7 +246,7 @@ class Stage:
             {settings.name: NoGoldenSets()},
             NoRecipes(),
             lambda _voice, _now: "",
-            lambda: self.history.status.message,
+            lambda: in_english(self.history.status.message),
         )
         configuration = Settings(site=Site(name="Test line"), bus=(settings,))
         self.app.state.registry = Registry(
@@ -276,7 +276,10 @@ class Stage:
         key = f"{role}:{name or role}"
         if key not in self._people:
             self._people[key] = httpx.AsyncClient(
-                base_url=f"http://{self.url}", headers={"X-Role": role, "X-Name": name or role}, timeout=30
+                base_url=f"http://{self.url}",
+                headers={"X-Role": role, "X-Name": name or role},
+                timeout=30,
+                verify=False,  # Loading certificates takes longer than a call.
             )
         return self._people[key]
 

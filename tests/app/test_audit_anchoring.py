@@ -37,6 +37,7 @@ from app.settings import Audit
 from app.web.access import Role
 from app.web.formats import Formats
 from app.wiring import running
+from bus.messages import Message
 from tests.app.whole_app import settings_in
 
 RING = KeyRing((b"k" * 32,))
@@ -128,11 +129,11 @@ async def test_an_export_that_fails_is_said_once_and_made_up_for(scene: Scene) -
     scene.path.mkdir()
     for _ in range(3):
         await scene.anchoring.export()
-    assert scene.anchoring.status.unwritten == "Is a directory"
+    assert str(scene.anchoring.status.unwritten) == "Is a directory"
     assert await scene.said() == [("audit anchor not written", "Is a directory")]
     scene.path.rmdir()
     await scene.anchoring.export()
-    assert scene.anchoring.status.unwritten == ""
+    assert scene.anchoring.status.unwritten is None
     assert (await scene.said())[-1] == ("audit anchor written again", "")
     assert scene.lines()[-1]["id"] == 2
 
@@ -143,7 +144,7 @@ async def test_a_medium_that_hangs_holds_nothing_up(scene: Scene, monkeypatch: p
     await scene.happen()
     for _ in range(2):
         await asyncio.wait_for(scene.anchoring.export(within_s=0.01), 30)
-    assert scene.anchoring.status.unwritten == "it does not respond"
+    assert str(scene.anchoring.status.unwritten) == "it does not respond"
     released.set()
     monkeypatch.undo()
     while scene.anchoring.status.unwritten:
@@ -155,7 +156,7 @@ async def test_a_link_is_not_followed(scene: Scene, tmp_path: Path) -> None:
     scene.path.symlink_to(tmp_path / "elsewhere")
     await scene.happen()
     await scene.anchoring.export()
-    assert scene.anchoring.status.unwritten == "it is a link"
+    assert str(scene.anchoring.status.unwritten) == "it is a link"
     assert not (tmp_path / "elsewhere").exists()
 
 
@@ -188,7 +189,7 @@ async def test_a_server_that_starts_compares_the_log_with_its_anchor(scene: Scen
     await scene.attack("DELETE FROM events WHERE id = 5")
     again = scene.started()
     await again.export()
-    assert again.status.altered == "entry 5 is not the one that the anchor names"
+    assert str(again.status.altered) == "entry 5 is not the one that the anchor names"
 
 
 async def test_a_long_log_is_proved_without_holding_up_the_event_loop(scene: Scene) -> None:
@@ -245,7 +246,7 @@ async def test_the_server_anchors_its_last_entry_when_it_ends(tmp_path: Path) ->
     anchors = read_anchor_file(tmp_path / "anchor", ring)
     with closing(open_for_reading(settings.server.store)) as connection:
         what, last = connection.execute("SELECT what, id FROM events ORDER BY id DESC").fetchone()
-    assert (what, last) == ("server ended", anchors.newest)
+    assert (what, last) == ("server stopped", anchors.newest)
 
 
 async def test_a_running_server_anchors_its_head_every_minute(
@@ -277,12 +278,12 @@ async def test_what_is_not_well_is_on_the_page_and_in_the_metrics(tmp_path: Path
             metrics = (await client.get("/metrics")).text
             page = (await client.get("/", headers={"Accept-Language": "de"})).text
     assert "lineside_audit_degraded 1.0" in metrics
-    assert "ist das Audit-Protokoll nicht verankert. Der Grund: Is a directory" in page
+    assert "ist das Audit-Protokoll nicht verankert. Ursache: Is a directory" in page
 
 
 def test_a_log_that_was_altered_is_said_before_all_else() -> None:
     language = Languages()["en"]
     formats = Formats(language.locale, "UTC")
-    status = AnchorStatus("entry 5 was changed", "No space left on device", 1_700_000_000.0)
-    assert "was altered" in anchor_notice(status, language.t, formats, 1_700_000_100.0)
-    assert anchor_notice(AnchorStatus(), language.t, formats, 1_700_000_100.0) == ""
+    status = AnchorStatus(Message("anchor_is_link"), Message("anchor_no_file"), 1_700_000_000.0)
+    assert "was altered" in str(anchor_notice(status, formats, 1_700_000_100.0))
+    assert anchor_notice(AnchorStatus(), formats, 1_700_000_100.0) is None

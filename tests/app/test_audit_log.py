@@ -73,7 +73,7 @@ async def test_a_message_is_kept_as_its_text_and_as_what_it_says(log: EventLog) 
     await log.record(kind="user", what=what, old="typed")
     await log.conclude(number, "verified", Message("unit_not_remote"))
     later, first = await newest(log)
-    assert later["what"] == "user half \\ud800 is viewer now"
+    assert later["what"] == "user half \\ud800 is now viewer"
     assert later["messages"]["what"].params == {"name": "half \\ud800", "role": term("viewer")}
     assert (later["old"], "old" in later["messages"]) == ("typed", False)
     assert first["message"] == "unit is not in REMOTE mode"
@@ -92,12 +92,12 @@ async def test_a_command_has_one_fate(log: EventLog) -> None:
 async def test_what_a_dead_server_left_open_is_unverified(log: EventLog) -> None:
     done, left = await intent(log), await intent(log)
     await log.conclude(done, "acknowledged")
-    await log.record(kind="login", what="signed in", who="ann")
+    await log.record(kind="login", what="logged in", who="ann")
     assert await log.close_open_intents() == 1
     assert await log.close_open_intents() == 0
     events = {event["id"]: event for event in await newest(log, kind="command")}
     assert events[done]["outcome"] == "acknowledged"
-    assert (events[left]["outcome"], events[left]["message"]) == ("unverified", ENDED_BEFORE)
+    assert (events[left]["outcome"], events[left]["message"]) == ("unverified", str(ENDED_BEFORE))
 
 
 @pytest.mark.parametrize("change", ["UPDATE events SET what = 'x' WHERE id = 1", "DELETE FROM events"])
@@ -129,7 +129,7 @@ async def test_who_takes_the_guard_away_is_found_out(log: EventLog, database: Da
     assert (await log.prove()).entries == 5
     await database.write(tamper)
     verdict = await log.prove()
-    assert (verdict.broken, verdict.fault) == (3, "entry 3 was changed after it was written")
+    assert (verdict.broken, str(verdict.fault)) == (3, "entry 3 was changed after it was written")
 
 
 async def test_pages_go_back_to_the_beginning_without_a_gap(log: EventLog) -> None:

@@ -27,7 +27,7 @@ from bus.contract import (
     Update,
     WriteParameter,
 )
-from bus.messages import term
+from bus.messages import Message, term
 from tests.app.stage import PlayedWorker, Stage, answering, bus_settings, fate
 
 ANNA = Person("anna", Role.OPERATOR, "token")
@@ -57,7 +57,7 @@ async def test_what_cannot_be_written_down_is_not_sent(
     stage: Stage, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def full(*_: object) -> list[int]:
-        raise StoreError("the disk is full")
+        raise StoreError(Message.of("system_error", error="the disk is full"))
 
     monkeypatch.setattr(stage.events, "intend_together", full)
     answer = await stage.ask("POST", "/units/1/speed", {"raw": 5})
@@ -69,7 +69,7 @@ async def test_a_fate_that_cannot_be_written_down_is_told_all_the_same(
     stage: Stage, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def full(*_: object) -> None:
-        raise StoreError("the disk is full")
+        raise StoreError(Message.of("system_error", error="the disk is full"))
 
     worker.play = answering("verified")
     monkeypatch.setattr(stage.events, "conclude", full)
@@ -116,7 +116,7 @@ async def test_whoever_has_lost_the_right_sends_nothing(stage: Stage, worker: Pl
 
 async def block(stage: Stage) -> str:
     await stage.guards.block(ANNA, 2, "belt off")
-    return "unit 2 is blocked by anna: belt off"
+    return "commands to unit 2 are blocked by anna: belt off"
 
 
 async def withdraw(stage: Stage) -> str:
@@ -127,7 +127,7 @@ async def withdraw(stage: Stage) -> str:
 async def hand_over(stage: Stage) -> str:
     stage.guards.control.required = True
     stage.guards.control.hand_over("", "ben", time.time(), by_force=True)
-    return "ben holds control of this line"
+    return "ben has control of this line"
 
 
 @pytest.mark.parametrize("trouble", [block, withdraw, hand_over])

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 
 import pytest
 
-from app.server.fair_queue import FairQueue, TooManyWaitingError
+from app.server.fair_queue import MOST_REST_S, FairQueue, TooManyWaitingError
 
 MOST_OF_ONE, MOST_WAITING = 5, 200
 
@@ -115,3 +116,29 @@ async def test_who_goes_away_at_its_turn_gives_it_on() -> None:
     await scene.settle()
     assert "c" in scene.order
     await scene.all_end()
+
+
+@pytest.mark.parametrize(("turn_s", "rest_s"), [(0.003, 0.012), (1.0, MOST_REST_S)])
+async def test_a_place_rests_in_proportion_to_its_turn(
+    monkeypatch: pytest.MonkeyPatch, turn_s: float, rest_s: float
+) -> None:
+    loop = asyncio.get_running_loop()
+    now, ends = 0.0, list[tuple[float, Callable[..., None], str]]()
+    monkeypatch.setattr(loop, "time", lambda: now)
+    monkeypatch.setattr(loop, "call_later", lambda delay, end, key: ends.append((delay, end, key)))
+    turns: FairQueue[str] = FairQueue(2, 1, 5, rest=4.0)
+    async with turns.turn("a"):
+        now += turn_s
+
+    async def next_of_the_same() -> None:
+        async with turns.turn("a"):
+            pass
+
+    waiting = asyncio.create_task(next_of_the_same())
+    await asyncio.sleep(0)
+    async with turns.turn("b"):
+        assert not waiting.done()
+    delay, end, key = ends[0]
+    assert (round(delay, 6), key) == (rest_s, "a")
+    end(key)
+    await waiting

@@ -125,7 +125,7 @@ async def test_what_could_not_be_written_down_may_be_asked_again(
     stage: Stage, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def full(*_: object, **__: object) -> list[int]:
-        raise StoreError("the disk is full")
+        raise StoreError(Message.of("system_error", error="the disk is full"))
 
     worker.play = answering("verified")
     monkeypatch.setattr(stage.events, "intend_together", full)

@@ -40,32 +40,6 @@ def test_which_language(wished: str, accepted: str, otherwise: str, chosen: str)
     assert Languages().choose(wished, accepted, otherwise).tag == chosen
 
 
-@pytest.mark.parametrize(
-    ("english", "german"),
-    [
-        (
-            "nobody holds control of this line; take it first; nothing was sent",
-            "niemand hat die Bedienung dieser Linie; zuerst übernehmen; nichts wurde gesendet",
-        ),
-        ("operator holds control of this line", "operator hat die Bedienung dieser Linie"),
-        ("user operator added as operator", "Benutzer operator angelegt als Bediener"),
-        ("recipe at speed version 2 saved", "Rezept at speed, Fassung 2, gespeichert"),
-        ("unit 2 is blocked by user: ramping", "Regler 2 ist von user gesperrt: ramping"),
-        (
-            "unit 3: 25000 is outside 0 to 2000 (the limits set for this unit); the nearest is 2000; "
-            "nothing was sent",
-            "Regler 3: 25000 liegt außerhalb von 0 bis 2000 (die für diesen Regler gesetzten Grenzen); "
-            "am nächsten liegt 2000; nichts wurde gesendet",
-        ),
-        ("unit lost: a cause", "Regler verloren: a cause"),
-        ("nobody ever built this sentence", "nobody ever built this sentence"),
-    ],
-)
-def test_a_sentence_that_was_built_in_english_is_said_again(english: str, german: str) -> None:
-    assert Languages()["de"].t(english) == german
-    assert Languages()["en"].t(english) == english
-
-
 def test_a_pattern_has_the_names_of_its_sentence() -> None:
     for path in (Path(messages.__file__).parent).glob("*.toml"):
         for text, said in tomllib.loads(path.read_text(encoding="utf-8")).get("sentences", {}).items():
@@ -87,14 +61,3 @@ async def test_a_language_that_is_not_there(house: House) -> None:
     client = await house.signed_in(Role.VIEWER)
     answer: httpx.Response = await client.post("/account/language", data={"language": "../x"})
     assert answer.status_code == 422
-
-
-@pytest.mark.parametrize(
-    ("english", "german"),
-    [
-        ("write #12 Up to Speed Tolerance (86h)", "#12 Up to Speed Tolerance geschrieben (86h)"),
-        ("lowest 0, largest step 50", "niedrigster 0, größter Schritt 50"),
-    ],
-)
-def test_a_pattern_takes_no_more_than_its_own(english: str, german: str) -> None:
-    assert Languages()["de"].t(english) == german

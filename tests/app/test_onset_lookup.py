@@ -14,6 +14,7 @@ from app.live.state.onset import Onset, WordSpan
 from app.live.state.onset_lookup import DAY_S, HOUR_S, OnsetLookup
 from app.web.access import Role
 from bus.contract import BusLink, Reading, Snapshot, UnitLink, UnitState
+from bus.messages import Message
 from tests.app.stage import bus_settings, until
 from tests.app.whole_app import House, whole_app
 
@@ -47,7 +48,7 @@ class Scene:
         self.asked.append(end - start)
         if self.fails:
             self.fails -= 1
-            raise StoreError("the disk is away")
+            raise StoreError(Message.of("system_error", error="the disk is away"))
         return [span for span in self.spans if span[1] >= start and span[0] <= end]
 
     async def look(self, after_s: float) -> Onset:

@@ -11,7 +11,7 @@ from app.audit.store import Filter
 from app.errors import StoreError
 from app.live.change_recorder import FEW
 from bus.contract import Batch, BusLink
-from bus.messages import term
+from bus.messages import Message, term
 from tests.app.stage import HEALTHY, Stage, hello, reading, snapshot, until
 
 
@@ -83,7 +83,7 @@ async def test_events_that_cannot_be_written_now_are_written_later(
     async def full(**_: Any) -> int:
         nonlocal refused
         refused += 1
-        raise StoreError("the disk is full")
+        raise StoreError(Message.of("system_error", error="the disk is full"))
 
     monkeypatch.setattr("app.live.change_recorder.RETRY_AFTER_S", 0.01)
     monkeypatch.setattr(stage.events, "record", full)

@@ -11,6 +11,7 @@ import pytest
 from app.errors import StoreError
 from app.server.security_headers import HEADERS
 from app.web.access import Role
+from bus.messages import Message
 from tests.app.whole_app import House, whole_app
 
 SPEED = "/api/v1/buses/dry-end/units/1/speed"
@@ -106,7 +107,7 @@ async def test_a_page_for_people_and_a_fragment_for_htmx(house: House) -> None:
     page = await client.get("/nowhere", headers={"accept": "text/html"})
     assert page.status_code == 404
     assert "<!doctype html>" in page.text
-    assert "there is nothing at /nowhere" in page.text
+    assert "there is no page at /nowhere" in page.text
     part = await client.get("/nowhere", headers={"hx-request": "true"})
     assert part.status_code == 404
     assert "<!doctype" not in part.text
@@ -123,7 +124,11 @@ async def test_a_store_that_fails_is_said(
     house: House, engineer: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def fail(*_: object) -> None:
-        raise StoreError("the store x: the disk is full; free some space, nothing was stored")
+        raise StoreError(
+            Message.of(
+                "system_error", error="the store x: the disk is full; nothing was stored; free some space"
+            )
+        )
 
     monkeypatch.setattr(house.services.events, "page", fail)
     answer = await engineer.get("/api/v1/events")
@@ -135,7 +140,7 @@ async def test_a_store_that_fails_at_the_door_refuses(
     house: House, engineer: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def fail(*_: object) -> None:
-        raise StoreError("the store x: the disk failed at it; check the disk")
+        raise StoreError(Message.of("store_failed", path="x", reason=Message("store_disk_failed")))
 
     monkeypatch.setattr(house.services.identity, "by_token", fail)
     check_problem(await engineer.get("/api/v1/line"), 503, "store")

@@ -10,10 +10,11 @@ from app.database import Database
 from app.errors import Problem
 from app.live.state.live_state import LiveState
 from app.recipes.book import RecipeBook
-from app.recipes.rules import LoadStep, Recipe, RecipeSetpoint, dry_run, setpoints_now
+from app.recipes.rules import NOT_CONFIGURED, LoadStep, Recipe, RecipeSetpoint, dry_run, setpoints_now
 from app.recipes.store import RecipeStore
 from app.web.deadline import instant_now
 from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
+from bus.messages import Message, in_english
 from tests.app.played_desk import ANNA, HEALTHY, REMOTE, Noted, PlayedDesk, a_bus, answering, fresh
 
 
@@ -103,7 +104,7 @@ async def test_a_silent_line_cannot_be_loaded(scene: Scene) -> None:
     scene.live.buses["dry-end"].lose_worker(5.0)
     run = scene.book.try_out(ANNA, recipe)
     assert not run.loadable
-    assert run.steps[0].obstacle == "no link to the bus"
+    assert run.steps[0].obstacle == Message("obstacle_no_link")
 
 
 async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None:
@@ -115,7 +116,7 @@ async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None
     assert loaded is not None
     assert loaded.recipe.id == recipe.id
     answering(scene.live, commanded=1200)
-    assert [(one.unit, one.recipe, one.now) for one in scene.book.departed("dry-end")] == [
+    assert [(one.unit, one.recipe, str(one.now)) for one in scene.book.departed("dry-end")] == [
         (2, "121.0", "120.0")
     ]
     assert scene.book.loaded_words("dry-end") == ("Kraft 80", ["Nip"])
@@ -133,7 +134,7 @@ async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_de
     assert again.loaded_words("dry-end") == ("Kraft 80", ["Nip"])
     del live.buses["dry-end"].units[2]
     assert [(one.name, one.now) for one in again.departed("dry-end")] == [
-        ("unit 2", "not in the configuration")
+        (Message.of("unit_address", unit=2), NOT_CONFIGURED)
     ]
     assert not again.try_out(ANNA, recipe).loadable
 
@@ -144,7 +145,7 @@ async def test_the_dry_run_says_in_words_what_will_happen(scene: Scene) -> None:
         [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()],
     )
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 11000, 2: 10100})
-    said = [step.sentence for step in scene.book.try_out(ANNA, recipe).steps]
+    said = [in_english(step.effect) for step in scene.book.try_out(ANNA, recipe).steps]
     assert said == [
         "speeds up from 100.0 to 1100.0 in 5.0 s",
         "follows at 1.0100 of its master instead of 1.0000",
@@ -161,7 +162,7 @@ async def test_a_ratio_read_before_the_recipe_was_loaded_is_no_departure(scene: 
     loaded = scene.book.loaded("dry-end")
     assert loaded is not None
     scene.live.buses["dry-end"].apply([ParameterValue(unit=2, number=37, at=loaded.at + 60, raw=9900)])
-    assert [one.now for one in scene.book.departed("dry-end")] == ["0.9900"]
+    assert [str(one.now) for one in scene.book.departed("dry-end")] == ["0.9900"]
 
 
 FOLLOWER = {8: 1, 37: 10000}
@@ -172,18 +173,17 @@ def a_recipe(*setpoints: RecipeSetpoint) -> Recipe:
 
 
 def steps_of(live: LiveState, *setpoints: RecipeSetpoint) -> tuple[LoadStep, ...]:
-    return dry_run(a_recipe(*setpoints), live.buses["dry-end"], lambda _unit, _raw: "", instant_now()).steps
+    return dry_run(a_recipe(*setpoints), live.buses["dry-end"], lambda _unit, _raw: None, instant_now()).steps
 
 
 def test_a_unit_that_is_not_configured_is_named_by_its_address() -> None:
-    [known, unknown] = steps_of(a_bus(), RecipeSetpoint(1, 1200, "speed"), RecipeSetpoint(9, 1200, "speed"))
-    assert (known.is_configured, unknown.is_configured) == (True, False)
-    assert (unknown.name, unknown.obstacle) == ("unit 9", "not in the configuration")
+    [step] = steps_of(a_bus(), RecipeSetpoint(9, 1200, "speed"))
+    assert (step.name, step.obstacle) == (Message.of("unit_address", unit=9), NOT_CONFIGURED)
 
 
 def test_what_a_unit_has_now_is_unknown_until_it_was_read() -> None:
     [step] = steps_of(a_bus(), RecipeSetpoint(1, 1200, "speed"))
-    assert (step.old, step.sentence) == ("unknown", "becomes 1200; what it has now is not known")
+    assert (step.old, in_english(step.effect)) == ("", "becomes 1200; what it has now is not known")
 
 
 def test_a_unit_whose_mode_was_not_read_cannot_be_loaded() -> None:
@@ -191,7 +191,7 @@ def test_a_unit_whose_mode_was_not_read_cannot_be_loaded() -> None:
     live.buses["dry-end"].apply([BusLink(at=1.0, link="open"), UnitLink(unit=1, at=1.0, link="online")])
     live.buses["dry-end"].apply([Reading(1, fresh(), 1000, 1000, 0, REMOTE, HEALTHY)])
     [step] = steps_of(live, RecipeSetpoint(1, 1200, "speed"))
-    assert step.obstacle == "whether it follows by ratio (#8) has not been read yet"
+    assert step.obstacle == Message("recipe_mode_unread")
 
 
 def test_a_recipe_begins_from_the_setpoints_that_are_known() -> None:

@@ -91,22 +91,22 @@ async def test_a_unit_at_risk_is_named_by_every_review(house: House, way: str) -
             answer = await recipe(house, {1: 500, 2: 1500})
         case _:
             answer = await zero(house)
-    expected = [("estop_active", "Unwind"), ("run_off", "Unwind"), ("no_ramp", "Unwind")]
+    expected = [("risk_estop_active", "Unwind"), ("risk_run_off", "Unwind"), ("risk_no_ramp", "Unwind")]
     assert remarks(answer) == expected
     assert "data-review-act" in answer.text
 
 
 async def test_a_change_of_several_names_who_is_left_out_and_why(house: House) -> None:
     say(house, 2, outputs=0)
-    assert remarks(await group(house, **{"new-1": "50.0"})) == [("not_in_remote", "Nip")]
+    assert remarks(await group(house, **{"new-1": "50.0"})) == [("obstacle_not_in_remote", "Nip")]
 
 
 async def test_a_recipe_and_zero_name_who_is_left_out_too(house: House) -> None:
     say(house, 2, outputs=0)
-    assert remarks(await recipe(house, {1: 500})) == [("not_in_remote", "Nip")]
+    assert remarks(await recipe(house, {1: 500})) == [("obstacle_not_in_remote", "Nip")]
     await house.services.buses["dry-end"].safeguards.block(ANNA, 2, "belt off")
     answer = await zero(house)
-    assert remarks(answer) == [("blocked", "Nip")]
+    assert remarks(answer) == [("obstacle_blocked", "Nip")]
     assert "belt off" in answer.text
 
 
@@ -119,8 +119,8 @@ async def test_who_is_simply_not_part_of_it_is_named_without_alarm(house: House)
 async def test_a_unit_of_the_change_that_cannot_take_it_is_an_obstacle(house: House) -> None:
     say(house, 2, age=60)
     answer = await group(house, **{"new-1": "50.0", "new-2": "50.0"})
-    assert remarks(answer) == [("offline", "Nip")]
-    assert "All of them or none" in answer.text
+    assert remarks(answer) == [("obstacle_offline", "Nip")]
+    assert "All units change or none" in answer.text
 
 
 @pytest.mark.parametrize("what", ["outputs/3", "analog-output/review"])
@@ -134,26 +134,26 @@ async def test_an_output_that_the_unit_cannot_switch_now_is_an_obstacle(house: H
 
     assert await review() == []
     say(house, 1, outputs=0)
-    assert await review() == [("not_in_remote", "Unwind")]
+    assert await review() == [("obstacle_not_in_remote", "Unwind")]
     say(house, 1, age=60)
-    assert await review() == [("offline", "Unwind")]
+    assert await review() == [("obstacle_offline", "Unwind")]
 
 
 async def test_a_ramp_that_is_not_known_is_said(house: House) -> None:
     tell(house, 1, 6, None)
-    assert remarks(await single(house)) == [("ramp_unknown", "Unwind")]
+    assert remarks(await single(house)) == [("risk_ramp_unknown", "Unwind")]
 
 
 async def test_a_value_that_is_old_is_said_with_its_age(house: House) -> None:
     say(house, 1, age=4)
     answer = await single(house)
-    assert remarks(answer) == [("stale", "Unwind")]
+    assert remarks(answer) == [("risk_stale", "Unwind")]
     assert re.search(r"last response is \d s old", answer.text)
 
 
 async def test_above_the_maximum_by_an_engineers_leave_is_said(house: House) -> None:
     await house.services.buses["dry-end"].safeguards.set_limits(ANNA, 1, Limits(highest=25000))
-    assert remarks(await single(house, "2100.0")) == [("above_display", "Unwind")]
+    assert remarks(await single(house, "2100.0")) == [("risk_above_display", "Unwind")]
     assert remarks(await single(house, "2000.0")) == []
 
 
@@ -177,10 +177,10 @@ async def test_a_ramp_of_nothing_is_warned_of_where_it_is_written(house: House) 
     browser = await house.signed_in(Role.ENGINEER)
     tell(house, 1, 16, 1)
     answer = await browser.post("/units/dry-end/1/parameters/7/review", data={"value": "0.0"})
-    assert remarks(answer) == [("no_ramp", "Unwind")]
+    assert remarks(answer) == [("risk_no_ramp", "Unwind")]
     assert re.search(r"0\.0 <small>s</small>", answer.text)
     speed = await browser.post("/units/dry-end/1/parameters/20/review", data={"value": "50.0"})
-    assert remarks(speed) == [("setpoint", "Unwind")]
+    assert remarks(speed) == [("risk_is_setpoint", "Unwind")]
     assert "50.0 <small>m/min</small>" in speed.text
 
 

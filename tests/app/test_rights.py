@@ -144,7 +144,7 @@ async def test_a_store_that_cannot_be_read_permits_nothing_for_long(
     assert await scene.is_allowed(program)
 
     async def broken(_: object) -> None:
-        raise StoreError("the disk is gone")
+        raise StoreError(Message.of("system_error", error="the disk is gone"))
 
     monkeypatch.setattr(scene.database, "read", broken)
     scene.now += FRESH_S + 0.001

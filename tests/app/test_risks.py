@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from app.commands.review.ramp import Ramp
-from app.commands.review.risks import Remark, by_remark, facts_of, obstacle_of, risks_of, risks_of_writing
+from app.commands.review.risks import by_remark, facts_of, obstacle_of, risks_of, risks_of_writing
 from app.live.state.live_state import LiveState
 from bus.contract import BusLink, Update
+from bus.messages import Message
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading
 
 NOW = 100.0
@@ -34,21 +35,21 @@ def said(live: LiveState, *, block: str = "", ramp: Ramp | None = KNOWN) -> tupl
     [
         (after(), "", KNOWN, ("", [])),
         (after(), "", None, ("", [])),
-        (after(), "belt off", KNOWN, ("blocked", [])),
-        (after(BusLink(at=NOW, link="closed")), "", KNOWN, ("bus_closed", ["stale"])),
-        (after(reading(at=50.0)), "", KNOWN, ("offline", [])),
-        (after(reading(at=96.0)), "", KNOWN, ("", ["stale"])),
-        (after(reading(outputs=AT_SPEED)), "", KNOWN, ("not_in_remote", [])),
-        (after(reading(inputs=RUN)), "", KNOWN, ("", ["estop_active"])),
-        (after(reading(inputs=HEALTHY)), "", KNOWN, ("", ["run_off"])),
-        (after(), "", Ramp(7, 0, 0.0), ("", ["no_ramp"])),
-        (after(), "", Ramp(7, None, None), ("", ["ramp_unknown"])),
-        (after(), "", Ramp(7, 50, None), ("", ["ramp_unknown"])),
+        (after(), "belt off", KNOWN, ("obstacle_blocked", [])),
+        (after(BusLink(at=NOW, link="closed")), "", KNOWN, ("obstacle_no_link", ["risk_stale"])),
+        (after(reading(at=50.0)), "", KNOWN, ("obstacle_offline", [])),
+        (after(reading(at=96.0)), "", KNOWN, ("", ["risk_stale"])),
+        (after(reading(outputs=AT_SPEED)), "", KNOWN, ("obstacle_not_in_remote", [])),
+        (after(reading(inputs=RUN)), "", KNOWN, ("", ["risk_estop_active"])),
+        (after(reading(inputs=HEALTHY)), "", KNOWN, ("", ["risk_run_off"])),
+        (after(), "", Ramp(7, 0, 0.0), ("", ["risk_no_ramp"])),
+        (after(), "", Ramp(7, None, None), ("", ["risk_ramp_unknown"])),
+        (after(), "", Ramp(7, 50, None), ("", ["risk_ramp_unknown"])),
         (
             after(reading(at=96.0, inputs=0, outputs=0)),
             "belt off",
             Ramp(7, 0, 0.0),
-            ("blocked", ["stale", "estop_active", "run_off", "no_ramp"]),
+            ("obstacle_blocked", ["risk_stale", "risk_estop_active", "risk_run_off", "risk_no_ramp"]),
         ),
     ],
 )
@@ -61,7 +62,7 @@ def test_each_fact_has_its_remark(
 def test_a_unit_that_never_responded_says_nothing_but_that() -> None:
     live = line()
     live.buses["dry"].units[1].reading = None
-    assert said(live) == ("offline", [])
+    assert said(live) == ("obstacle_offline", [])
 
 
 def test_the_dialect_says_which_level_is_an_emergency_stop() -> None:
@@ -74,12 +75,12 @@ def test_the_dialect_says_which_level_is_an_emergency_stop() -> None:
 def test_the_numbers_are_params() -> None:
     bus = after(reading(at=96.4)).buses["dry"]
     facts = facts_of(bus, bus.units[1], NOW, block="{age}", ramp=Ramp(7, 0, 0.0))
-    assert obstacle_of(facts) == Remark("blocked", "blocked: {block}", (("block", "{age}"),))
-    assert [risk.params for risk in risks_of(facts)] == [(("age", "4"),), (("number", "7"),)]
+    assert obstacle_of(facts) == Message.of("obstacle_blocked", block="{age}")
+    assert [risk.params for risk in risks_of(facts)] == [{"age": 4}, {"number": 7}]
 
 
 def test_one_remark_names_all_its_units() -> None:
-    silent, local = Remark("offline", "does not respond"), Remark("not_in_remote", "not in REMOTE")
+    silent, local = Message("obstacle_offline"), Message("obstacle_not_in_remote")
     found = by_remark([("A", local), ("B", silent), ("C", local)])
     assert found == [(local, ["A", "C"]), (silent, ["B"])]
 
@@ -87,12 +88,12 @@ def test_one_remark_names_all_its_units() -> None:
 @pytest.mark.parametrize(
     ("number", "raw", "codes"),
     [
-        (6, 0, ["no_ramp"]),
-        (7, 0, ["no_ramp"]),
+        (6, 0, ["risk_no_ramp"]),
+        (7, 0, ["risk_no_ramp"]),
         (7, 1, []),
         (5, 0, []),
-        (20, 5, ["setpoint"]),
-        (37, 5, ["setpoint"]),
+        (20, 5, ["risk_is_setpoint"]),
+        (37, 5, ["risk_is_setpoint"]),
     ],
 )
 def test_what_a_write_to_a_parameter_may_surprise_with(number: int, raw: int, codes: list[str]) -> None:

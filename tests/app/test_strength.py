@@ -15,14 +15,14 @@ from bus.errors import CallerError
 FULL_WIDTH = "".join(chr(ord(sign) + 0xFEE0) for sign in "password1234")
 GOOD = (
     *(
-        "correct horse battery staple",
+        "collect house bakery stable",
         "dampf-walze-kiesel",
         "Tq8#fL2vXw0p",
         "blue-tiger-77",
         "kugelschreiber",
     ),
     *(
-        "The quick brown fox",
+        "The quiet brown fox",
         "another long one",
         "öl für die Walze",
         "4 Walzen, 2 Motoren",
@@ -41,6 +41,10 @@ EASY = (
         "manchesterunited",
         "trustno1trustno1",
         "lineside-test-2026",
+        "correcthorsebatterystaple",
+        "Correct Horse Battery Staple 1",
+        "c0rrect-h0rse-battery-staple",
+        "The quick brown fox",
     ),
     *("P a s s w o r d", "p-a-s-s-w-o-r-d", "pässwörter12", "pass\u200bword\u20601234", FULL_WIDTH),
 )
@@ -104,6 +108,12 @@ def test_what_is_no_pin(pin: str) -> None:
         "020202",
         "20262026",
         "1984719847",
+        "246810",
+        "135790",
+        "010190",
+        "19901231",
+        "12311990",
+        "900131",
     ],
 )
 def test_easy_pins(pin: str) -> None:

@@ -29,9 +29,9 @@ def test_each_that_cannot_take_it_has_its_reason() -> None:
     plan = plan_zero(live.buses["dry"], lambda unit: "belt off" if unit == 3 else "", 100.0)
     assert list(plan.units) == [4]
     assert [(name, reason.code) for name, reason in plan.left_out] == [
-        ("Unit 1", "not_in_remote"),
-        ("Unit 2", "offline"),
-        ("Unit 3", "blocked"),
+        ("Unit 1", "obstacle_not_in_remote"),
+        ("Unit 2", "obstacle_offline"),
+        ("Unit 3", "obstacle_blocked"),
     ]
 
 
@@ -45,4 +45,7 @@ def test_a_unit_without_a_ramp_and_one_that_does_not_run_are_named() -> None:
     live = line()
     live.buses["dry"].apply([ParameterValue(unit=1, number=7, at=1, raw=0), reading(2, inputs=HEALTHY)])
     plan = plan_zero(live.buses["dry"], nobody, 100.0)
-    assert [(name, risk.code) for name, risk in plan.risks] == [("Unit 1", "no_ramp"), ("Unit 2", "run_off")]
+    assert [(name, risk.code) for name, risk in plan.risks] == [
+        ("Unit 1", "risk_no_ramp"),
+        ("Unit 2", "risk_run_off"),
+    ]

@@ -219,8 +219,10 @@ async def live(target: Target, flood: bytes, every_s: float, *, reads: bool) -> 
     """A page that sends ``flood`` again and again."""
     origin = f"Origin: http://{target.host}:{target.port}\r\n"
     reader, writer = await target.open(target.head("GET /live", "viewer", origin + HANDSHAKE) + b"\r\n")
-    reading = asyncio.create_task(_read(reader)) if reads else None
+    reading = None
     try:
+        await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 60)
+        reading = asyncio.create_task(_read(reader)) if reads else None
         while target.goes_on and not writer.is_closing():
             writer.write(flood)
             await asyncio.wait_for(writer.drain(), 10)
@@ -291,6 +293,13 @@ async def frames_of_a_hundred_megabytes(target: Target) -> None:
 @attack
 async def fragments_without_end(target: Target) -> None:
     await many(target, 20, lambda _: live(target, frame(0x01) + frame(0x00) * 5000, 0.05, reads=True))
+
+
+@attack
+async def frames_before_the_response(target: Target) -> None:
+    head = target.head("GET /live", "viewer", f"Origin: http://{target.host}:{target.port}\r\n" + HANDSHAKE)
+    flood = head + b"\r\n" + frame(0x81, b"x" * 60_000, size=100_000_000)
+    await many(target, 20, lambda _: target.ask(flood))
 
 
 async def main(name: str, url: str, seconds: float, tokens: dict[str, str]) -> None:

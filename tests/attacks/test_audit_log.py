@@ -163,7 +163,7 @@ def test_the_newest_entries_are_cut_off_and_the_server_goes_on(plant: Plant) -> 
     plant.work(1)
     with closing(sqlite3.connect(plant.store)) as connection:
         (what,) = connection.execute("SELECT what FROM events WHERE id = 6").fetchone()
-    assert what == END_ALTERED
+    assert what == str(END_ALTERED)
     assert plant.broken_at(*WITHOUT_ANCHOR).startswith("6: ")
 
 
@@ -241,7 +241,7 @@ def test_a_new_key_vouches_for_the_log_from_then_on_only(plant: Plant) -> None:
     assert code == 0
     assert "entries 1 to 9 are older than the key" in said
     with closing(sqlite3.connect(plant.store)) as connection:
-        assert connection.execute("SELECT what FROM events WHERE id = 10").fetchone() == (OTHER_KEY,)
+        assert connection.execute("SELECT what FROM events WHERE id = 10").fetchone() == (str(OTHER_KEY),)
     plant.attack("UPDATE events SET what = 'nothing happened' WHERE id = 4")
     assert plant.broken_at().startswith("4: ")
 
@@ -257,7 +257,9 @@ def test_a_store_from_before_the_key_is_sealed_as_it_is(tmp_path: Path) -> None:
     code, said = plant.verify()
     assert (code, "entries 1 to 9 are older than the key" in said) == (0, True)
     with closing(sqlite3.connect(plant.store)) as connection:
-        assert connection.execute("SELECT what FROM events WHERE id = 10").fetchone() == (SEALED_FROM_HERE,)
+        assert connection.execute("SELECT what FROM events WHERE id = 10").fetchone() == (
+            str(SEALED_FROM_HERE),
+        )
     plant.rebuild(changed)
     assert plant.broken_at().startswith("9: ")
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import pytest
 import uvicorn
 from starlette.types import Receive, Scope, Send
-from starlette.websockets import WebSocket
+from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.server import ServerState
 
 from app.server.connections import EXTENSION, Connections
@@ -53,7 +53,10 @@ class Site:
     protocols: list[WebSocketProtocol] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
     reads: asyncio.Event = field(default_factory=asyncio.Event)
+    connected: asyncio.Event = field(default_factory=asyncio.Event)
+    accepts: asyncio.Event = field(default_factory=asyncio.Event)
     accepted: asyncio.Event = field(default_factory=asyncio.Event)
+    state: ServerState = field(default_factory=ServerState)
     writers: list[asyncio.StreamWriter] = field(default_factory=list)
     closed: int = 0
 
@@ -61,6 +64,12 @@ class Site:
         if scope["path"] == FEED_PATH:
             scope["extensions"][EXTENSION]("worker")
         socket = WebSocket(scope, receive, send)
+        self.connected.set()
+        await self.accepts.wait()
+        with suppress(WebSocketDisconnect):
+            await self._read(socket)
+
+    async def _read(self, socket: WebSocket) -> None:
         await socket.accept()
         self.accepted.set()
         await self.reads.wait()
@@ -83,8 +92,9 @@ class Site:
 
 @pytest.fixture
 async def site() -> AsyncIterator[Site]:
-    site, state = Site(), ServerState()
+    site = Site()
     site.reads.set()
+    site.accepts.set()
 
     class Known(WebSocketProtocol):
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -96,7 +106,7 @@ async def site() -> AsyncIterator[Site]:
     )
     loop = asyncio.get_running_loop()
     server = await loop.create_server(
-        lambda: HttpProtocol(config, state, {}, open_connections=site.connections), "127.0.0.1", 0
+        lambda: HttpProtocol(config, site.state, {}, open_connections=site.connections), "127.0.0.1", 0
     )
     site.port = server.sockets[0].getsockname()[1]
     yield site
@@ -105,7 +115,7 @@ async def site() -> AsyncIterator[Site]:
         with suppress(ConnectionError):
             await writer.wait_closed()
     server.close()
-    await until_gone(state)
+    await until_gone(site.state)
     assert site.connections._known == site.connections._strangers == {}
 
 
@@ -150,6 +160,24 @@ async def test_a_frame_larger_than_any_message_ends_its_socket_before_it_arrives
     site.writers[0].write(frame(FIN | TEXT, b"x", size=100_000_000))
     heard = await everything(reader)
     assert struct.pack("!H", 1009) in heard
+
+
+@pytest.mark.parametrize("early", [frame(FIN | TEXT, b"{}"), frame(FIN | TEXT, b"x", size=100_000_000)])
+async def test_frames_before_the_response_to_the_handshake_end_the_connection(
+    site: Site, early: bytes
+) -> None:
+    faults = list[object]()
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: faults.append(context))
+    site.accepts.clear()
+    reader, writer = await asyncio.open_connection("127.0.0.1", site.port)
+    site.writers.append(writer)
+    writer.write(HANDSHAKE.format(path="/live").encode())
+    await site.connected.wait()
+    writer.write(early)
+    assert await everything(reader) == b""
+    site.accepts.set()
+    await until_gone(site.state)
+    assert (site.messages, faults) == ([], [])
 
 
 async def test_fragments_count_together(site: Site) -> None:

@@ -14,8 +14,8 @@ from app.live.state.bus_live import BusLive
 from app.web.problems import respond
 from app.web.shape import iso
 from bus.contract import Frame, Result, UnitOutcome
-from bus.errors import unit_error_name
-from bus.messages import in_english
+from bus.errors import unit_error, unit_error_name
+from bus.messages import Message
 
 STATUS = {
     "verified": 200,
@@ -25,15 +25,6 @@ STATUS = {
     "unverified": 504,
     "bus_closed": 503,
     "not_sent": 503,
-}
-_WORDS = {
-    "verified": "read back and equal",
-    "acknowledged": "the unit acknowledged it",
-    "refused": "the unit refused",
-    "invalid": "nothing was sent",
-    "unverified": "no proof: whether the unit acted is not known",
-    "bus_closed": "no link to the bus; nothing was sent",
-    "not_sent": "the wire was not free in time; nothing was sent",
 }
 
 
@@ -45,8 +36,7 @@ def answer(
     status = STATUS[result.outcome]
     if status == 200:
         return JSONResponse(body)
-    detail = result.message or body["message"]
-    return respond(request, Problem(status, result.outcome, detail, **_members(body)))
+    return respond(request, Problem(status, result.outcome, outcome_message(result), **_members(body)))
 
 
 def fate_json(
@@ -61,19 +51,21 @@ def fate_json(
         "at": iso(result.at),
         "bus": bus.settings.name,
         "unit": unit,
-        **_told(result, in_words(result), secret),
+        **_outcome_json(result, secret),
         "skew_s": result.skew_s,
         "units": fates,
         "frames": [] if secret else [frame_json(frame) for frame in result.frames],
     }
 
 
-def in_words(result: Result) -> str:
-    """What became of it, as a sentence."""
+def outcome_message(result: Result | UnitOutcome) -> Message:
+    """What became of it."""
     if result.message:
-        return str(result.message)
-    name = _error_name(result.unit_error)
-    return f"{_WORDS[result.outcome]}: {name}" if name else _WORDS[result.outcome]
+        return result.message
+    outcome = Message(f"outcome_{result.outcome}")
+    if result.unit_error is None:
+        return outcome
+    return Message.of("outcome_because", outcome=outcome, reason=unit_error(result.unit_error))
 
 
 def frame_json(frame: Frame) -> FrameShown:
@@ -91,7 +83,7 @@ def frame_json(frame: Frame) -> FrameShown:
 def _unit_json(fate: UnitOutcome, secret: bool) -> dict[str, Any]:
     return {
         "unit": fate.unit,
-        **_told(fate, in_english(fate.message) or _WORDS[fate.outcome], secret),
+        **_outcome_json(fate, secret),
         "sent_at": _moment(fate.sent_at),
         "acknowledged_at": _moment(fate.acknowledged_at),
         "proven_at": _moment(fate.proven_at),
@@ -99,24 +91,20 @@ def _unit_json(fate: UnitOutcome, secret: bool) -> dict[str, Any]:
     }
 
 
-def _told(fate: Result | UnitOutcome, message: str, secret: bool) -> OutcomeMembers:
+def _outcome_json(fate: Result | UnitOutcome, secret: bool) -> OutcomeMembers:
     return {
         "outcome": fate.outcome,
         "code": fate.outcome,
-        "message": message,
+        "message": str(outcome_message(fate)),
         "reason": to_builtins(fate.message),
         "read_back": None if secret else fate.read_back,
         "unit_error": fate.unit_error,
-        "unit_error_name": _error_name(fate.unit_error),
+        "unit_error_name": None if fate.unit_error is None else unit_error_name(fate.unit_error),
     }
 
 
 def _moment(at: float | None) -> str | None:
     return None if at is None else iso(at)
-
-
-def _error_name(code: int | None) -> str | None:
-    return None if code is None else unit_error_name(code)
 
 
 def _members(body: dict[str, Any]) -> dict[str, Any]:

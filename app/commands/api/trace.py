@@ -24,6 +24,7 @@ from app.errors import Problem
 from app.web.access import Person
 from app.web.api_route import ApiRoute
 from bus.contract import Frame, ReadTrace
+from bus.messages import Message
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["trace"], route_class=ApiRoute)
 HOUR_S = 3600.0
@@ -65,7 +66,8 @@ async def _pieces(desk: CommandService, person: Person, since: float) -> AsyncIt
     for _ in range(MOST_PIECES):
         result = await desk.ask(person, ReadTrace(since=since, limit=PIECE))
         if result.outcome not in ("verified", "acknowledged"):
-            raise Problem(503, result.outcome, result.message or "", outcome=result.outcome)
+            reason = result.message or Message("worker_no_result")
+            raise Problem(503, result.outcome, reason, outcome=result.outcome)
         frames = [frame for frame in result.frames if frame.at > since]
         if frames:
             yield frames

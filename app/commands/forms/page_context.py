@@ -12,7 +12,6 @@ from starlette.responses import Response
 
 from app.commands.catalogue import kind_of_command
 from app.commands.forms.outcome import OutcomeText, outcome_text, problem_text
-from app.commands.review.risks import Remark
 from app.commands.rules.timeouts import timeout_s_for
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
@@ -89,10 +88,6 @@ class PageContext:
         response = self.render("unit/_not_so.html", reason=reason, nearest=nearest, status=status)
         response.headers["HX-Retarget"] = place
         return response
-
-    def remark(self, remark: Remark) -> str:
-        """What a review says of a unit, in the reader's language."""
-        return self.voice.t(remark.text, **dict(remark.params))
 
     def refuse_lapsed(self, reviewed_at: float) -> None:
         """Raises Problem 409 for a review that is over. Nothing is sent."""

@@ -9,13 +9,14 @@ from contextlib import suppress
 
 from app.commands.forms.page_context import PageContext
 from app.commands.review.ramp import ramp_parameters_missing
-from app.commands.review.risks import Remark, RiskInputs, facts_of, obstacle_of
+from app.commands.review.risks import RiskInputs, facts_of, obstacle_of
 from app.commands.review.setpoint_change import SetpointChange, change_of
 from app.commands.service.prior_read import read_first
 from app.errors import Problem
 from app.web.access import Person
 from app.web.deadline import Deadline
 from bus.contract import Action
+from bus.messages import Message
 
 
 async def judge(
@@ -56,7 +57,7 @@ def facts(desk: PageContext, bus: str, unit: int) -> RiskInputs:
 
 def keep_their_setpoint(
     desk: PageContext, bus: str, taking_part: Iterable[int]
-) -> tuple[list[tuple[str, Remark]], list[str]]:
+) -> tuple[list[tuple[str, Message]], list[str]]:
     """The units of a bus that are not part of a change: those that could take no setpoint now, each with the
     reason, and the names of the rest."""
     left_out, unchanged = [], []

@@ -117,7 +117,7 @@ async def control(
     try:
         await _move_control(desk, person, bus, do, to)
     except Problem as problem:
-        return _control_part(desk, person, bus, fault=problem.text(desk.voice.t))
+        return _control_part(desk, person, bus, fault=desk.voice.t(problem.message))
     return _control_part(desk, person, bus)
 
 

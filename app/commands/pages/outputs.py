@@ -67,7 +67,7 @@ async def set_output(
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[float, Form()],
 ) -> Response:
-    """87h, proven by the bit in ST2."""
+    """87h, verified by the bit in ST2."""
     live = desk.unit(bus, unit)
     try:
         desk.refuse_lapsed(reviewed_at)
@@ -95,7 +95,7 @@ async def review_analog(
         raw = _whole_number(value)
         desk.commands(bus).check(person, WriteAnalogOutput(unit=unit, raw=raw), confirm=True)
     except (CallerError, Problem) as error:
-        return desk.not_so(error.text(desk.voice.t), "#analog-error")
+        return desk.not_so(desk.voice.t(error.message), "#analog-error")
     return desk.review(
         "unit/_review_analog.html",
         unit=desk.shown(bus, unit),
@@ -115,7 +115,7 @@ async def set_analog(
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[float, Form()],
 ) -> Response:
-    """88h: acknowledged at best, for there is nothing to read back."""
+    """88h. The best outcome is acknowledged: there is nothing to read back."""
     live = desk.unit(bus, unit)
     try:
         desk.refuse_lapsed(reviewed_at)

@@ -161,10 +161,10 @@ def _not_so(
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     text = "" if nearest is None or parameter.secret else text_of(parameter, nearest, live)
     shown = desk.voice.formats.point(text)
-    reason = error.text(desk.voice.t)
+    reason = desk.voice.t(error.message)
     if text:
         # The rule speaks of raw values; what was typed here is what the unit shows.
         reason = desk.voice.t(
-            "out of range: the nearest that it takes is {value}; nothing was sent", value=shown
+            "out of range: the nearest allowed value is {value}; nothing was sent", value=shown
         )
     return desk.not_so(reason, f"#parameter-{parameter.number}-error", nearest=shown)

@@ -41,7 +41,7 @@ async def set_limits(
         if limits.lowest is not None and limits.highest is not None and limits.lowest > limits.highest:
             raise CallerError(Message("limits_reversed"))
     except (CallerError, Problem) as error:
-        return desk.not_so(error.text(desk.voice.t), "#limits-said")
+        return desk.not_so(desk.voice.t(error.message), "#limits-said")
     await desk.guards(bus).set_limits(person, unit, limits)
     return desk.render("unit/_limits_set.html")
 
@@ -79,7 +79,7 @@ async def block(
 
 @router.post("/units/{bus}/{unit:int}/unblock")
 async def unblock(person: Operator, desk: Page, bus: str, unit: int) -> Response:
-    """Free this unit; the events keep who did."""
+    """Lift the block of commands; the event records the user."""
     desk.unit(bus, unit)
     await desk.guards(bus).lift(person, unit)
     return RedirectResponse(f"/units/{bus}/{unit}", SEE_OTHER)

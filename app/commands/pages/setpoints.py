@@ -75,7 +75,7 @@ async def review_setpoints(
         deadline = desk.deadline(live, len(setpoints))
         await judge(desk, person, bus, SetLine(setpoints=setpoints), deadline)
     except (CallerError, Problem) as error:
-        return desk.not_so(error.text(desk.voice.t), f"#setpoints-error-{bus}")
+        return desk.not_so(desk.voice.t(error.message), f"#setpoints-error-{bus}")
     await know_ramps(desk, person, bus, setpoints)
     changes = [change(desk, bus, unit, raw) for unit, raw in setpoints.items()]
     left_out, unchanged = keep_their_setpoint(desk, bus, setpoints)

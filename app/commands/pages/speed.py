@@ -70,7 +70,7 @@ async def _review(
 def _not_so(desk: PageContext, live: UnitLive, error: CallerError | Problem) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     return desk.not_so(
-        error.text(desk.voice.t),
+        desk.voice.t(error.message),
         ERROR_PLACE,
         nearest="" if nearest is None else desk.voice.formats.point(shown_setpoint(nearest, live)),
         status=error.status if isinstance(error, Problem) else 422,

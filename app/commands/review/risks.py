@@ -18,15 +18,7 @@ from app.live.state.conditions import bits_of
 from bus.catalogue.numbers import ACCELERATION, DECELERATION
 from bus.catalogue.status import StatusBits
 from bus.contract import UnitLinkState
-
-
-@dataclass(frozen=True, slots=True)
-class Remark:
-    """``text`` is a template for ``params``."""
-
-    code: str
-    text: str
-    params: tuple[tuple[str, str], ...] = ()
+from bus.messages import Message, ParamValue
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,64 +36,41 @@ class RiskInputs:
     above_display: bool
 
     @property
-    def params(self) -> dict[str, str]:
-        """What the templates below may name."""
-        number = "" if self.ramp is None else f"{self.ramp.number}"
-        return {"age": f"{self.age_s:.0f}", "block": self.block, "number": number}
+    def params(self) -> dict[str, ParamValue]:
+        """What the messages below may name."""
+        number = 0 if self.ramp is None else self.ramp.number
+        return {"age": round(self.age_s), "block": self.block, "number": number}
 
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
     code: str
-    text: str
     holds: Callable[[RiskInputs], bool]
     names: tuple[str, ...] = ()
 
 
 _OBSTACLES = (
-    _Rule("blocked", "blocked: {block}", lambda unit: bool(unit.block), ("block",)),
-    _Rule("bus_closed", "no link to the bus", lambda unit: not unit.bus_is_open),
-    _Rule("offline", "does not respond", lambda unit: unit.bits is None or unit.link == "offline"),
-    _Rule("not_in_remote", "not in REMOTE", lambda unit: unit.bits is not None and not unit.bits.remote),
+    _Rule("obstacle_blocked", lambda unit: bool(unit.block), ("block",)),
+    _Rule("obstacle_no_link", lambda unit: not unit.bus_is_open),
+    _Rule("obstacle_offline", lambda unit: unit.bits is None or unit.link == "offline"),
+    _Rule("obstacle_not_in_remote", lambda unit: unit.bits is not None and not unit.bits.remote),
 )
-_NO_RAMP = "changes at once, without a ramp: #{number} is 0.0 s"
 _RISKS = (
-    _Rule(
-        "above_display",
-        "above its maximum display value (#2): it may refuse",
-        lambda unit: unit.above_display,
-    ),
-    _Rule("stale", "its last response is {age} s old", lambda unit: unit.link == "stale", ("age",)),
-    _Rule(
-        "estop_active",
-        "e-stop is active: the setpoint takes effect when it clears",
-        lambda unit: unit.bits is not None and unit.bits.estop_active,
-    ),
-    _Rule(
-        "run_off",
-        "run input is off: the setpoint takes effect when it is on",
-        lambda unit: unit.bits is not None and not unit.bits.run,
-    ),
-    _Rule(
-        "no_ramp",
-        _NO_RAMP,
-        lambda unit: unit.ramp is not None and unit.ramp.tenths == 0,
-        ("number",),
-    ),
-    _Rule(
-        "ramp_unknown",
-        "how long its ramp takes is not known",
-        lambda unit: unit.ramp is not None and unit.ramp.seconds is None,
-    ),
+    _Rule("risk_above_display", lambda unit: unit.above_display),
+    _Rule("risk_stale", lambda unit: unit.link == "stale", ("age",)),
+    _Rule("risk_estop_active", lambda unit: unit.bits is not None and unit.bits.estop_active),
+    _Rule("risk_run_off", lambda unit: unit.bits is not None and not unit.bits.run),
+    _Rule("risk_no_ramp", lambda unit: unit.ramp is not None and unit.ramp.tenths == 0, ("number",)),
+    _Rule("risk_ramp_unknown", lambda unit: unit.ramp is not None and unit.ramp.seconds is None),
 )
 
 
-def risks_of_writing(number: int, raw: int) -> tuple[Remark, ...]:
+def risks_of_writing(number: int, raw: int) -> tuple[Message, ...]:
     """What somebody might not expect of writing a parameter (86h)."""
     if number in (ACCELERATION, DECELERATION) and raw == 0:
-        return (Remark("no_ramp", _NO_RAMP, (("number", f"{number}"),)),)
+        return (Message.of("risk_no_ramp", number=number),)
     if number in KIND_OF_PARAMETER:
-        return (Remark("setpoint", "this is a setpoint: the machine may change its speed at once"),)
+        return (Message("risk_is_setpoint"),)
     return ()
 
 
@@ -127,26 +96,26 @@ def facts_of(
     )
 
 
-def obstacle_of(facts: RiskInputs) -> Remark | None:
+def obstacle_of(facts: RiskInputs) -> Message | None:
     """Why the unit cannot take a command now; None where nothing is known against it."""
     return next(_remarks(_OBSTACLES, facts), None)
 
 
-def risks_of(facts: RiskInputs) -> tuple[Remark, ...]:
+def risks_of(facts: RiskInputs) -> tuple[Message, ...]:
     """What somebody might not expect of the unit."""
     return tuple(_remarks(_RISKS, facts))
 
 
-def by_remark(said: Iterable[tuple[str, Remark]]) -> list[tuple[Remark, list[str]]]:
+def by_remark(remarks: Iterable[tuple[str, Message]]) -> list[tuple[Message, list[str]]]:
     """Each remark once, with the names of the units that it is about, in order."""
-    found: dict[Remark, list[str]] = {}
-    for name, remark in said:
+    found: dict[Message, list[str]] = {}
+    for name, remark in remarks:
         found.setdefault(remark, []).append(name)
     return list(found.items())
 
 
-def _remarks(rules: Iterable[_Rule], facts: RiskInputs) -> Iterator[Remark]:
+def _remarks(rules: Iterable[_Rule], facts: RiskInputs) -> Iterator[Message]:
     params = facts.params
     for rule in rules:
         if rule.holds(facts):
-            yield Remark(rule.code, rule.text, tuple((name, params[name]) for name in rule.names))
+            yield Message(rule.code, {name: params[name] for name in rule.names})

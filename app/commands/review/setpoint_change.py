@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 from app.commands.measure import measure_of_setpoint
 from app.commands.review.ramp import Ramp, present_setpoint, ramp_of
-from app.commands.review.risks import Remark, facts_of, obstacle_of, risks_of
+from app.commands.review.risks import facts_of, obstacle_of, risks_of
 from app.commands.rules.setpoint_range import setpoint_range
 from app.commands.safeguards.limits import Limits
 from app.commands.values import shown_setpoint
 from app.live.state.bus_live import BusLive, UnitLive
+from bus.messages import Message
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +28,8 @@ class SetpointChange:
     lowest: str
     highest: str
     ramp: Ramp | None
-    obstacle: Remark | None
-    risks: tuple[Remark, ...]
+    obstacle: Message | None
+    risks: tuple[Message, ...]
 
 
 def change_of(

@@ -10,8 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from app.commands.review.ramp import present_setpoint, ramp_of
-from app.commands.review.risks import Remark, facts_of, obstacle_of, risks_of
+from app.commands.review.risks import facts_of, obstacle_of, risks_of
 from app.live.state.bus_live import BusLive, follower
+from bus.messages import Message
 
 
 @dataclass(slots=True)
@@ -21,8 +22,8 @@ class ZeroPlan:
     bus: str
     units: dict[int, str] = field(default_factory=dict)
     followers: int = 0
-    left_out: list[tuple[str, Remark]] = field(default_factory=list)
-    risks: list[tuple[str, Remark]] = field(default_factory=list)
+    left_out: list[tuple[str, Message]] = field(default_factory=list)
+    risks: list[tuple[str, Message]] = field(default_factory=list)
     seconds: float = 0.0
     """The longest ramp, as far as #2 and #7 are known."""
 

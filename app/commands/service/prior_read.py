@@ -47,7 +47,9 @@ async def read_first(
     result = await ask(person, action, deadline=deadline)
     values: dict[int, int | None] = {value.number: value.raw for value in result.values}
     if result.outcome == "bus_closed":
-        raise UnreadError(503, "bus_closed", result.message or "", outcome="bus_closed")
+        raise UnreadError(
+            503, "bus_closed", result.message or Message("bus_not_linked"), outcome="bus_closed"
+        )
     if not values.keys() >= set(numbers):
         raise _unread(unit, numbers)
     return values

@@ -18,6 +18,7 @@ from app.history.series.runs import MINUTE, SECOND, Run
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock
 from app.history.store.repair import FoundDamage, Repair
+from bus.messages import Message
 
 GRACE = 2 * SECOND
 """How long after a minute its last readings are waited for."""
@@ -30,7 +31,7 @@ MOST_KEYS = 64
 _LOOK_EVERY = 64
 
 
-def _nobody(_words: str) -> None:
+def _nobody(_damage: Message) -> None:
     """Nobody wants to hear of damage."""
 
 
@@ -55,9 +56,7 @@ class Recorder:
         read = self._database.read_now(lambda c: list(tables.read_journal(c)))
         journal = [rows for rows in read if rows is not None]
         if len(journal) < len(read):
-            self._on_damage(
-                "the last minutes of the history were damaged before this start, some are missing"
-            )
+            self._on_damage(Message("event_history_tail_damaged"))
         oldest = min((run.at for rows in journal for _, run in rows), default=0)
         if journal:
             self._tail.silence(self._database.read_now(lambda c: tables.marks_since(c, oldest)))

@@ -15,7 +15,7 @@ from pathlib import Path
 import structlog
 
 from app.database.connection import Database
-from app.errors import DamagedStoreError, StoreError
+from app.errors import DamagedStoreError, StoreError, system_error
 from app.history.intake.clock_watch import ClockWatch
 from app.history.intake.disk import Space
 from app.history.intake.recorder import Recorder
@@ -28,6 +28,7 @@ from app.history.store import tables
 from app.history.store.damage import BlockKey
 from app.history.store.repair import FoundDamage, Repair
 from app.history.store.salvage import copies, put_aside
+from bus.messages import Message, in_english
 
 MIGRATIONS = Path(__file__).parents[1] / "migrations"
 COMMIT_EVERY_S = 0.5
@@ -121,7 +122,7 @@ class Writer:
     def status(self) -> Status:
         """How it is now."""
         said = self._status
-        message = said.message or (str(DAMAGED) if said.damaged else "")
+        message = said.message or (DAMAGED if said.damaged else None)
         return replace(said, message=message, waiting=self._waiting - self._taken, lost=self._lost)
 
     @property
@@ -148,12 +149,14 @@ class Writer:
         except DamagedStoreError as error:
             log.error("history", damaged=str(error))
             self._torn = True
-            self._fail(str(error))
-        except (StoreError, ValueError, OSError) as error:
-            self._fail(str(error))
+            self._fail(error.message)
+        except StoreError as error:
+            self._fail(error.message)
+        except (ValueError, OSError) as error:
+            self._fail(system_error(error))
         except Exception as error:
             log.exception("history")
-            self._fail(f"{type(error).__name__}: {error}")
+            self._fail(Message.of("system_error", error=f"{type(error).__name__}: {error}"))
 
     def _tick(self) -> None:
         self._watch_clock()
@@ -244,16 +247,13 @@ class Writer:
             for copy in copies(aside, database):
                 missing += database.write_now(copy)
         self._open_store()
-        self._on_damage(
-            f"the store of the history was damaged and is written anew, {missing} stretches of it are "
-            f"missing: the damaged one is kept as {aside.name}"
-        )
+        self._on_damage(Message.of("event_history_rebuilt", n=missing, file=aside.name))
 
-    def _fail(self, why: str) -> None:
+    def _fail(self, cause: Message) -> None:
         """What is there can still be read, until the store is opened anew."""
         self._writable = False
         self._retry_at = time.monotonic() + RETRY_S
-        self._set_state("failed", why)
+        self._set_state("failed", cause)
         with suppress(OSError):
             self._status = replace(self._status, free_bytes=shutil.disk_usage(self._path.parent).free)
 
@@ -287,9 +287,9 @@ class Writer:
             damaged=damaged,
         )
 
-    def _set_state(self, state: StoreState, cause: str = "") -> None:
+    def _set_state(self, state: StoreState, cause: Message | None = None) -> None:
         message = store_message(state, cause)
         since = self._status.since if state == self._status.state else time.time()
         if message != self._status.message:
-            log.log(30 if message else 20, "history", state=state, message=message)
+            log.log(30 if message else 20, "history", state=state, message=in_english(message))
         self._status = replace(self._status, state=state, message=message, cause=cause, since=since)

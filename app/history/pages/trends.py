@@ -34,7 +34,7 @@ async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
         catalogue=_catalogue(history),
         values=VALUES,
         has_parquet=parquet_file.is_available(),
-        memory=store_notice(history.status, language.t, templates.formats(language.tag), time.time()),
+        memory=store_notice(history.status, templates.formats(language.tag), time.time()),
         preload=preload_address(history, request.query_params, micros(time.time())),
     )
 

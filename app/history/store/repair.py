@@ -10,11 +10,16 @@ from app.database.connection import Database
 from app.history.series.rollup import Rollup, combine, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, SECOND, Run, micros
 from app.history.store import tables
-from app.history.store.damage import BlockKey, DamagedBlock
+from app.history.store.damage import BlockKey, DamagedBlock, StoredTier
+from bus.messages import Message
 
-FoundDamage = Callable[[str], None]
-"""Called from the writer's thread with a sentence for the events."""
-_HELD = {"raw": "every reading", "minutes": "the minutes", "hours": "the hours"}
+FoundDamage = Callable[[Message], None]
+"""Called from the writer's thread with what becomes an event."""
+_HELD: dict[StoredTier, Message] = {
+    "raw": Message("history_readings"),
+    "minutes": Message("history_minutes"),
+    "hours": Message("history_hours"),
+}
 
 
 class Repair:
@@ -27,24 +32,23 @@ class Repair:
     def set_aside(self, block: BlockKey) -> None:
         """Whatever is damaged of it and of what it is made from. Raises StoreError."""
         try:
-            words = self._database.write_now(lambda c: _set_aside_in_words(c, block))
+            event = self._database.write_now(lambda c: _event_of(c, block))
         except DamagedBlock as finer:
             self.set_aside(finer.block)
             self.set_aside(block)
             return
-        if words:
-            self._on_damage(words)
+        if event is not None:
+            self._on_damage(event)
 
 
-def _set_aside_in_words(connection: tables.StoreConnection, block: BlockKey) -> str:
+def _event_of(connection: tables.StoreConnection, block: BlockKey) -> Message | None:
+    """Set it aside where it is damaged, as an event."""
     if not tables.is_damaged(connection, block):
-        return ""
+        return None
     missing = set_aside(connection, block, micros(time.time()))
     since = datetime.fromtimestamp(block.start / SECOND, UTC).isoformat(timespec="minutes")
-    what = f"{_HELD[block.tier]} of {tables.name_of(connection, block.unit)} from {since} on"
-    if missing:
-        return f"a block of the history is damaged, it is missing: {what}"
-    return f"a block of the history was damaged, it was worked out again: {what}"
+    code = "event_history_block_lost" if missing else "event_history_block_rebuilt"
+    return Message.of(code, what=_HELD[block.tier], unit=tables.name_of(connection, block.unit), since=since)
 
 
 def set_aside(connection: tables.StoreConnection, block: BlockKey, now: int) -> bool:

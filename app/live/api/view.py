@@ -86,7 +86,7 @@ def bus_json(bus: BusLive, now: float, block: BlockReason, english: Translator) 
         "link_since": iso(bus.link_onset.at),
         "worker": bus.worker_connected,
         "scan_hz": figures.scan_hz if figures else None,
-        "scan_s": figures.scan_s if figures else None,
+        "scan_s": (figures.scan_s or None) if figures else None,
         "scan_s_with_one_more": figures.scan_s_with_one_more if figures else None,
         "wire_utilisation": figures.wire_utilisation if figures else None,
         "diagnosis": " ".join(map(str, figures.diagnosis)) if figures else "",

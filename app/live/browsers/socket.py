@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import time
 from contextlib import suppress
+from functools import lru_cache
 from typing import Annotated, Literal
 
 import msgspec
@@ -17,6 +18,7 @@ from starlette.websockets import WebSocketDisconnect
 from app.errors import Problem
 from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
+from app.live.browsers.watched import MOST_VIEWS
 from app.server.addresses import source_of
 from app.server.frames import outlet_of
 from app.web.access import Person, Role, Viewer
@@ -113,8 +115,14 @@ def _follow(hub: Hub, browser: Browser, text: str) -> bool:
     """Follow what a page asks for; whether it wants a snapshot too. Raises msgspec.DecodeError."""
     said = _decoder.decode(text)
     may_trace = Role(browser.role).includes(Role.ENGINEER)
-    hub.follow(browser, frozenset(_unit(key) for key in said.units), said.trace if may_trace else "")
+    hub.follow(browser, _units(tuple(said.units)), said.trace if may_trace else "")
     return said.want == "snapshot"
+
+
+@lru_cache(MOST_VIEWS)
+def _units(keys: tuple[str, ...]) -> frozenset[tuple[str, int]]:
+    """One set for all pages that show the same: for a long line it is fifty kilobytes."""
+    return frozenset(_unit(key) for key in keys)
 
 
 def _unit(key: str) -> tuple[str, int]:

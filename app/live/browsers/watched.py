@@ -7,7 +7,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping
+from functools import lru_cache
 
+MOST_VIEWS = 64
+"""Sets of units that pages show at a time."""
 ShownUnits = frozenset[tuple[str, int]]
 """Units, each as bus and address."""
 
@@ -19,9 +22,10 @@ class Watched:
         self._there_are = units
         self._units: dict[str, Counter[int]] = {bus: Counter() for bus in units}
         self._traces: Counter[str] = Counter()
+        self.known = lru_cache(MOST_VIEWS)(self._known)
+        """Returns those of the given units that exist; one set for all pages that show the same."""
 
-    def known(self, shown: ShownUnits) -> ShownUnits:
-        """Of these units those that there are."""
+    def _known(self, shown: ShownUnits) -> ShownUnits:
         return frozenset((bus, unit) for bus, unit in shown if unit in self._there_are.get(bus, ()))
 
     def turn(self, before: ShownUnits, after: ShownUnits, trace_before: str, trace_after: str) -> None:

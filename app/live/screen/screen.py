@@ -18,6 +18,7 @@ from app.live.screen.totals import AbnormalItem, entries_of, line_fields
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.live_state import LiveState
+from bus.messages import listed
 
 Groups = dict[str, Fields]
 WHOLE_LINE = "whole_line"
@@ -119,8 +120,8 @@ class Screen:
         if not departed:
             return name
         if len(departed) > MOST_DEPARTED:
-            return self.voice.t("{name}, {n} units departed", name=name, n=len(departed))
-        return self.voice.t("{name}, departed: {units}", name=name, units=", ".join(departed))
+            return self.voice.t("{name}, {n} units with drift", name=name, n=len(departed))
+        return self.voice.t("{name}, drift: {units}", name=name, units=self.voice.t(listed(departed)))
 
     def _line(self, now: float) -> Fields:
         self.entries = entries_of(self.live, self._views, self.voice, now)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from app.live.screen.fields import Translator
+from bus.messages import Message
 
 UnitSubscriber = Callable[[int], None]
 """Called with the address of a unit of a bus of which something changed."""
@@ -46,7 +47,7 @@ class GoldenDrift(Protocol):
 class LoadedRecipes(Protocol):
     """Which recipe each bus runs."""
 
-    def loaded_words(self, bus: str) -> tuple[str, list[str]] | None:
+    def loaded_words(self, bus: str) -> tuple[str, list[str | Message]] | None:
         """The recipe loaded last and the names of the units that differ from it since; None without one."""
 
 

@@ -7,7 +7,10 @@ from __future__ import annotations
 
 from bus.messages.texts import (
     accounts,
+    audit,
+    command_line,
     commands,
+    configuration,
     events,
     findings,
     frames,
@@ -16,6 +19,7 @@ from bus.messages.texts import (
     recipes,
     requests,
     results,
+    reviews,
     sets,
     stores,
     swaps,
@@ -27,7 +31,10 @@ from bus.messages.texts.plural import Plural as Plural
 
 GROUPS: tuple[dict[str, EnglishText], ...] = (
     accounts.TEXTS,
+    audit.TEXTS,
+    command_line.TEXTS,
     commands.TEXTS,
+    configuration.TEXTS,
     events.TEXTS,
     findings.TEXTS,
     frames.TEXTS,
@@ -36,6 +43,7 @@ GROUPS: tuple[dict[str, EnglishText], ...] = (
     recipes.TEXTS,
     requests.TEXTS,
     results.TEXTS,
+    reviews.TEXTS,
     sets.TEXTS,
     stores.TEXTS,
     swaps.TEXTS,
