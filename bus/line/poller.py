@@ -76,7 +76,7 @@ class Poller:
         """Nothing can be asked; whatever was under way ends as unknown. Nothing is sent later."""
         now = self.clock.now()
         self._settle_last(self.link.detach(), now)
-        self._arbiter.drop_routine()
+        self._arbiter.drop_routine(now)
         self._closed_at = now
         updates: list[LineEvent] = self.not_opened(cause)
         updates += self.roster.port_closed(self.clock.epoch(now), cause)

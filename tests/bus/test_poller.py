@@ -304,6 +304,18 @@ def test_a_port_that_opens_and_is_gone_at_once_is_not_hammered() -> None:
     run(scene, 2)
 
 
+def test_a_cable_pulled_during_the_first_request_costs_no_unit_its_polls() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await line.until(lambda: line.written)
+        line.unplug()
+        await asyncio.sleep(2)
+        assert not line.readings()
+        line.plug()
+        await line.until(lambda: all(line.readings(unit) for unit in line.units))
+
+    run(scene, 3)
+
+
 def test_a_flood_that_never_frames_holds_nothing_up() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
