@@ -31,6 +31,6 @@ class CommandFinished:
     frames: list[TracedFrame]
 
 
-LineEvent = UnitUpdate | BusLink | CommandProgressed | CommandFinished
-Report = Callable[[list[LineEvent]], None]
+LineUpdate = UnitUpdate | BusLink | CommandProgressed | CommandFinished
+Report = Callable[[list[LineUpdate]], None]
 """Receives the events of a line while the response to its next request is under way."""

@@ -17,7 +17,7 @@ from bus.line.clock import LineClock, Timer
 from bus.line.commands.command_run import CommandRun
 from bus.line.commands.procedure import ExpectBaud, LineEffect, ReportProgress, Retune, Unstage
 from bus.line.commands.result import ProcedureResult
-from bus.line.events import CommandFinished, CommandProgressed, LineEvent, Report
+from bus.line.events import CommandFinished, CommandProgressed, LineUpdate, Report
 from bus.line.exchange.link import Link
 from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.port.port import OpenPort, PartlySent
@@ -56,7 +56,7 @@ class Poller:
         self._arbiter = Arbiter(self.schedule, self.link.pending, self._exchange_s)
         self._baud_search = BaudSearch(clock.now())
         self._sending: Request | None = None
-        self._held: list[LineEvent] | None = None
+        self._held: list[LineUpdate] | None = None
         """What is told once the next request has left."""
         self._closed_at = clock.now()
         self._wake: Timer | None = None
@@ -78,7 +78,7 @@ class Poller:
         self._settle_last(self.link.detach(), now)
         self._arbiter.drop_routine(now)
         self._closed_at = now
-        updates: list[LineEvent] = self.not_opened(cause)
+        updates: list[LineUpdate] = self.not_opened(cause)
         updates += self.roster.port_closed(self.clock.epoch(now), cause)
         self._report(updates)
         for run in self.commands:
@@ -86,7 +86,7 @@ class Poller:
         self._sweep(now)
         self.lost(cause)
 
-    def not_opened(self, cause: Message) -> list[LineEvent]:
+    def not_opened(self, cause: Message) -> list[LineUpdate]:
         """The port is closed, and why; tells it when that is news."""
         if self.state.link == "closed" and self.state.cause == cause:
             return []
@@ -204,12 +204,12 @@ class Poller:
         self._sweep(ended)
         self._foresee(ended)
 
-    def _learn(self, result: ExchangeResult, now: float) -> list[LineEvent]:
+    def _learn(self, result: ExchangeResult, now: float) -> list[LineUpdate]:
         request, reply = result.request, result.reply
         if request.unit == 0:
             return []
         if reply is None:
-            updates: list[LineEvent] = [*self.roster.missed(request.unit, self.clock.epoch(now))]
+            updates: list[LineUpdate] = [*self.roster.missed(request.unit, self.clock.epoch(now))]
             if self.roster[request.unit].unresponsive and request.unit in self.schedule.poll_order:
                 self.schedule.stopped_responding(request.unit, now)
             return updates
@@ -306,7 +306,7 @@ class Poller:
             case ExpectBaud(baud=baud):
                 self._baud_search.expect(baud, self.baud)
 
-    def _report_in_order(self, updates: list[LineEvent]) -> None:
+    def _report_in_order(self, updates: list[LineUpdate]) -> None:
         """In the order of happening, but after the next request has left."""
         if self._held is not None:
             self._held += updates

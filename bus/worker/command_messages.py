@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from bus.contract import FoundUnit, Progress, Result, Update
-from bus.line.events import CommandFinished, CommandProgressed, LineEvent
+from bus.line.events import CommandFinished, CommandProgressed, LineUpdate
 from bus.line.scan.found import Found
 from bus.line.statistics.trace import Interpreter
 from bus.settings import Dialect
 
 
-def update_of(event: LineEvent, dialect: Dialect) -> Update:
+def update_of(event: LineUpdate, dialect: Dialect) -> Update:
     """The message for ``event``."""
     match event:
         case CommandProgressed():

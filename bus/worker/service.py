@@ -29,7 +29,7 @@ from bus.contract import (
 from bus.contract.clock_offset import ClockOffset
 from bus.line.clock import LineClock, RealClock
 from bus.line.commands.catalogue import command_run_of
-from bus.line.events import LineEvent
+from bus.line.events import LineUpdate
 from bus.line.opener import Opener, OpenFunction
 from bus.line.poller import Poller
 from bus.line.port.open_port import open_port
@@ -188,7 +188,7 @@ class BusWorker:
 
     # --- reports -------------------------------------------------------------------------------
 
-    def _take(self, events: list[LineEvent]) -> None:
+    def _take(self, events: list[LineUpdate]) -> None:
         self._emit([update_of(event, self.bus.dialect) for event in events])
 
     def _emit(self, updates: list[Update]) -> None:
