@@ -577,7 +577,7 @@ def test_a_nak_on_the_retry_does_not_speak_for_the_try_before() -> None:
         await line.until(lambda: line.fate_of(command))
         fate = _result_of(line, command)
         assert fate.outcome == "unverified"
-        assert "unit 2 refused" in str(fate.message)
+        assert "unit 2 rejected" in str(fate.message)
         assert "At the panel of unit 2: set #18 to 96" in str(fate.message)
         assert {each.unit: each.outcome for each in fate.units} == {
             1: "verified",
