@@ -24,7 +24,7 @@ BRACES = re.compile(r"\{(\w*)\}")
 MANY = re.compile(r"\{n\} (units|rows|addresses|values|parameters|followers|sets|events|frames|readings)\b")
 NEVER_ONE = {"{n} values differ from golden: {parts}", "{name}, {n} units departed"}
 """What is said of two at least."""
-MOST_LEFT = 110
+MOST_LEFT = 81
 """Texts that the sentences look up which are not messages yet: this may only shrink."""
 
 
