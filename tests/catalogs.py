@@ -14,11 +14,14 @@ from babel.messages.pofile import read_po, write_po
 from jinja2 import Environment, nodes
 
 from app.audit.kinds import EventKind
+from app.commands.catalogue import BAUD_DANGER
 from app.commands.service.command_request import CommandOrigin
 from app.live.browsers.hub import STAGE_WORDS
 from app.live.screen.cause_text import CAUSE_TEXTS, CHECK_TEXTS, MOTION_TEXTS, STOPPED_WITH_RUN
 from app.live.screen.fields import PORT_WORDS, STATE_WORDS
 from app.messages.languages import DEFAULT, catalogs
+from app.sets.model import SetOrigin
+from app.sets.restore_record import RestoreState
 from app.web.access import Role, Via
 from app.web.assets import templates_dir
 from bus.catalogue.parameters import PARAMETERS
@@ -106,6 +109,9 @@ def in_tables() -> set[str]:
         *(parameter.group for parameter in parameters),
         *(parameter.dangerous for parameter in parameters if parameter.dangerous),
         *(word for parameter in parameters for word in parameter.choices.values()),
+        *(unit for parameter in parameters if (unit := parameter_unit(parameter))),
+        *get_args(SetOrigin),
+        *get_args(RestoreState),
         *(str(role) for role in Role),
         *(kind.replace("_", " ") for kind in get_args(EventKind)),
         *get_args(Outcome),
@@ -113,8 +119,8 @@ def in_tables() -> set[str]:
         *get_args(Via),
         *get_args(BusLinkState),
         *get_args(UnitLinkState),
-        *(parameter_unit(parameter) for parameter in parameters if parameter_unit(parameter)),
         *REFUSED,
+        BAUD_DANGER,
     }
 
 
@@ -160,8 +166,6 @@ def bring_up_to_date(path: Path) -> None:
     catalog = catalog_at(path)
     there = {key_of(message): message for message in catalog if message.id}
     for key in leftovers(path):
-        if key[0] is None:
-            continue  # said by the sentences that are not messages yet
         message = there[key]
         catalog.delete(message.id, message.context)
     for (code, _), text in wanted().items():

@@ -86,7 +86,7 @@ def test_the_rate_of_a_bus_is_said_wherever_it_is_shown() -> None:
     live = line()
     live.buses["dry"].apply([BusLink(at=100.0, link="open", baud=4800)])
     shown = bus_fields(live.buses["dry"], voice("de"), 100.5)
-    assert (shown["baud"], shown["carries"]) == ("4800", "dessen, was 4800 Baud tragen")
+    assert (shown["baud"], shown["carries"]) == ("4800", "der Kapazität von 4800 Baud")
 
 
 def test_a_bus_s_figures_are_texts() -> None:
@@ -96,6 +96,15 @@ def test_a_bus_s_figures_are_texts() -> None:
     )
     shown = bus_fields(live.buses["dry"], voice("de"), 100.5)
     assert (shown["scan"], shown["wire"], shown["stale_after"]) == ("1,50 s", "98 %", "3.00")
+
+
+def test_without_a_response_there_is_no_scan_time() -> None:
+    live = line()
+    live.buses["dry"].apply(
+        [BusFigures(at=100.0, scan_hz=0.0, scan_s=0.0, wire_utilisation=0.3, scan_s_with_one_more=0.0)],
+    )
+    shown = bus_fields(live.buses["dry"], voice(), 100.5)
+    assert (shown["scan"], shown["wire"]) == ("–", "30 %")  # noqa: RUF001
 
 
 def test_health_names_each_refusal() -> None:

@@ -98,7 +98,7 @@ class Safeguards:
         return holding.holder if holding is not None else ""
 
     async def take(self, person: Person) -> Holding:
-        """Take control that nobody else holds. Raises Problem 409."""
+        """Take control, if it is free. Raises Problem 409."""
         await self._rights.check(person)
         before = self.holding()
         try:
@@ -133,7 +133,7 @@ class Safeguards:
         return account
 
     async def release(self, person: Person) -> None:
-        """Give control back. Raises Problem 409."""
+        """Release control. Raises Problem 409."""
         try:
             self.control.release(person.account, self._now())
         except ControlledError as error:

@@ -32,7 +32,7 @@ class UnitFiguresShown(TypedDict):
     retries: EventCount
     checksum_errors: EventCount
     foreign: Annotated[
-        int, Field(description="Responses that no DIGIMAX IV gives, since the worker started.")
+        int, Field(description="Responses that are not of a DIGIMAX IV, since the worker started.")
     ]
     late: Annotated[
         int, Field(description="Responses after their window, or twice, since the worker started.")
@@ -51,7 +51,9 @@ class BusFiguresShown(TypedDict):
     measured: Annotated[bool, Field(description="Whether a worker measures; without one all else is null.")]
     at: Annotated[float | None, Field(description="Seconds since 1970.")]
     scan_hz: Annotated[float | None, Field(description="Scans per second.")]
-    scan_s: Annotated[float | None, Field(description="Duration of one scan, seconds.")]
+    scan_s: Annotated[
+        float | None, Field(description="Duration of one scan, seconds; null while no unit responds.")
+    ]
     scan_s_with_one_more: Annotated[float | None, Field(description="The same with one unit more, seconds.")]
     wire_utilisation: Annotated[float | None, Field(description="Share of the wire's time in use, 0 to 1.")]
     noise_bytes: Annotated[
@@ -64,7 +66,7 @@ class BusFiguresShown(TypedDict):
     answers_for_all: Annotated[
         int | None, Field(description="Unit that seems to respond to every address, 1 to 255; 0: none.")
     ]
-    diagnosis: Annotated[str | None, Field(description="Likely cause of trouble on the bus; empty: none.")]
+    diagnosis: Annotated[str | None, Field(description="Likely cause of faults on the bus; empty: none.")]
     units: list[UnitFiguresShown]
 
 
@@ -75,7 +77,7 @@ def figures_json(bus: str, figures: BusFigures | None) -> BusFiguresShown:
         "measured": figures is not None,
         "at": figures.at if figures else None,
         "scan_hz": figures.scan_hz if figures else None,
-        "scan_s": figures.scan_s if figures else None,
+        "scan_s": (figures.scan_s or None) if figures else None,
         "scan_s_with_one_more": figures.scan_s_with_one_more if figures else None,
         "wire_utilisation": figures.wire_utilisation if figures else None,
         "noise_bytes": figures.noise_bytes if figures else None,

@@ -7,6 +7,7 @@ from typing import Any
 
 from app.live.diagnosis.cause import Cause
 from app.live.screen.fields import Translator
+from bus.messages import Message
 
 MINUTE_S, LONG_RAMP_S = 60, 120
 
@@ -23,7 +24,7 @@ CAUSE_TEXTS = {
     "port_lost": "port closed",
     "worker_lost": "bus worker not connected",
     "worker_silent": "bus worker does not respond",
-    "address_suspect": "address in doubt",
+    "address_suspect": "address uncertain",
     "blocked": "commands blocked",
 }
 """By code. What a unit does meanwhile stands before it (:data:`MOTION_TEXTS`), and why after it; a drift has
@@ -38,15 +39,15 @@ STOPPED_WITH_RUN = "stopped with run input on"
 CHECK_TEXTS = {
     "estop_active": "Check the e-stop chain of this unit",
     "run_off": "Check the run contact at the drive",
-    "running_without_run": "Check what turns this section, and keep away from it",
-    "not_in_remote": "Commands from here are refused; set REMOTE at the unit's panel",
+    "running_without_run": "Check what drives this section, and keep clear of it",
+    "not_in_remote": "The unit rejects commands from here; set it to REMOTE at its panel",
     "link_stale": "Check its power and the cable",
     "unit_offline": "Check its power and the cable",
     "unit_unknown": "Check its power, its address and the cable",
     "port_lost": "Check the adapter and its cable",
     "worker_lost": "Check that the bus worker runs and reaches this server",
     "worker_silent": "Check that the bus worker runs and reaches this server",
-    "address_suspect": "Check that every unit has an address of its own (#17)",
+    "address_suspect": "Check that every unit has a unique address (#17)",
     "not_at_speed": "Check the load and the speed feedback",
 }
 """What a person does about it, by code; nothing where only time or a decision helps."""
@@ -106,7 +107,7 @@ def _named(cause: Cause) -> dict[str, Any]:
 
 def _why(cause: Cause, voice: Translator) -> str:
     why = cause.params.get("why")
-    return voice.t(why) if why else ""
+    return voice.t(why) if isinstance(why, Message) else why or ""
 
 
 def _ramp(params: Mapping[str, Any], voice: Translator) -> str:

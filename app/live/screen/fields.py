@@ -102,7 +102,7 @@ def bus_fields(bus: BusLive, voice: Translator, now: float) -> Fields:
         "link": bus.link.link,
         "link_text": voice.t(PORT_WORDS[bus.link.link]),
         "baud": f"{bus.baud}",
-        "carries": voice.t("of what {baud} baud can carry", baud=bus.baud),
+        "carries": voice.t("of the capacity of {baud} baud", baud=bus.baud),
         "cause": cause,
         "worker": "1" if bus.worker_connected else "0",
         "stale_after": f"{stale_after_s(scan_s):.2f}",
@@ -120,7 +120,7 @@ def bus_fields(bus: BusLive, voice: Translator, now: float) -> Fields:
         return fields
     number = voice.formats.number
     return fields | {
-        "scan": f"{number(figures.scan_s, 2)} s",
+        "scan": scan_text(voice, figures.scan_s),
         "rate": number(figures.scan_hz, 1),
         "wire": f"{number(100 * figures.wire_utilisation)} %",
         "wire_fill": f"{min(1.0, figures.wire_utilisation):.3f}",
@@ -128,6 +128,11 @@ def bus_fields(bus: BusLive, voice: Translator, now: float) -> Fields:
         "noise": f"{figures.noise_bytes}",
         "diagnosis": " ".join(map(voice.t, figures.diagnosis)),
     }
+
+
+def scan_text(voice: Translator, scan_s: float) -> str:
+    """A scan time; unknown where it is 0 because no unit responds."""
+    return f"{voice.formats.number(scan_s, 2)} s" if scan_s > 0 else UNKNOWN
 
 
 def health_fields(figures: UnitFigures, voice: Translator) -> Fields:

@@ -9,7 +9,7 @@ from app.live.diagnosis.abnormal import LEVELS, StateCounts, UnitView, all_offli
 from app.live.diagnosis.cause import Cause, bus_cause
 from app.live.diagnosis.rungs import Level
 from app.live.screen.cause_text import cause_line, cause_text, since_text
-from app.live.screen.fields import Fields, Translator, unit_key
+from app.live.screen.fields import Fields, Translator, scan_text, unit_key
 from app.live.state.age import figures_now
 from app.live.state.live_state import LiveState
 from app.web.formats import UNKNOWN
@@ -119,7 +119,7 @@ def holders(held_by: Mapping[str, str], voice: Translator) -> str:
     held = {bus: holder for bus, holder in held_by.items() if holder}
     if not held:
         return ""
-    nobody, free = voice.t("nobody"), len(held_by) - len(held)
+    nobody, free = voice.t("free"), len(held_by) - len(held)
     if not free and len(set(held.values())) == 1:
         [holder] = set(held.values())
         return holder if len(held) == 1 else voice.t("{name}, every bus", name=holder)
@@ -149,6 +149,6 @@ def _figures(live: LiveState, voice: Translator, now: float) -> Fields:
         return {"scan": UNKNOWN, "wire": UNKNOWN}
     number = voice.formats.number
     return {
-        "scan": f"{number(max(figures.scan_s for figures in known), 2)} s",
+        "scan": scan_text(voice, max(figures.scan_s for figures in known)),
         "wire": f"{number(100 * max(figures.wire_utilisation for figures in known))} %",
     }

@@ -1,0 +1,44 @@
+"""Moments on the two clocks, apart from each other and from durations for the type checker.
+
+A moment and a duration are both floats at run time, and one in the place of the other is a command that
+acts an hour late or never. For mypy a moment is no float: a duration added to it gives a moment, the
+difference of two is a duration. ``float(moment)`` is the number for a library that wants one.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from typing import Any, Self, overload
+
+    class _Instant:
+        def __new__(cls, seconds: float) -> Self: ...
+        def __add__(self, duration: float) -> Self: ...
+        @overload
+        def __sub__(self, other: Self) -> float: ...
+        @overload
+        def __sub__(self, other: float) -> Self: ...
+        def __sub__(self, other: Any) -> Any: ...
+        def __lt__(self, other: Self) -> bool: ...
+        def __le__(self, other: Self) -> bool: ...
+        def __gt__(self, other: Self) -> bool: ...
+        def __ge__(self, other: Self) -> bool: ...
+        def __float__(self) -> float: ...
+
+    class UnixTime(_Instant):
+        """A moment on the wall clock: seconds since 1970, UTC."""
+
+    class Monotonic(_Instant):
+        """A moment on the clock of this machine that is never set: seconds since an unknown one."""
+
+    def unix_now() -> UnixTime: ...
+    def monotonic_now() -> Monotonic: ...
+else:
+    UnixTime = Monotonic = float
+    unix_now, monotonic_now = time.time, time.monotonic
+
+Clock = Callable[[], UnixTime]
+MonotonicClock = Callable[[], Monotonic]
