@@ -20,6 +20,12 @@ def test_no_text_has_a_word_to_avoid(texts: Texts) -> None:
     assert [(where, text) for where, text in texts() if ENGLISH.search(text)] == []
 
 
+def test_no_document_has_a_word_to_avoid() -> None:
+    """The words for screens alone are not among them: a document of the audit log is about proofs."""
+    words = in_text(avoided_words())
+    assert [(where, line) for where, line in read_texts.documents() if words.search(line)] == []
+
+
 def test_no_german_text_has_a_word_to_avoid() -> None:
     assert [text for text in read_texts.translations("de") if GERMAN.search(text[1])] == []
 

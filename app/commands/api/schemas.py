@@ -39,7 +39,7 @@ class OutcomeMembers(TypedDict):
     outcome: OutcomeShown
     code: Annotated[OutcomeShown, Field(description="As outcome; problems have it too.")]
     message: Annotated[str, Field(description="The outcome in words, English.")]
-    reason: Annotated[MessageShown | None, Field(description="message as data; null: no message.")]
+    reason: Annotated[MessageShown | None, Field(description="message as data; null: only the outcome.")]
     read_back: Annotated[
         int | None,
         Field(description="Raw value that the unit was read to have; null: not read, or a secret."),

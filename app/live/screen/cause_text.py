@@ -12,7 +12,7 @@ from bus.messages import Message
 MINUTE_S, LONG_RAMP_S = 60, 120
 
 CAUSE_TEXTS = {
-    "estop_active": "e-stop input active",
+    "estop_active": "emergency stop active",
     "run_off": "run input off",
     "running_without_run": "turning without run",
     "not_in_remote": "in {mode}",
@@ -37,7 +37,7 @@ MOTION_TEXTS = {
 }
 STOPPED_WITH_RUN = "stopped with run input on"
 CHECK_TEXTS = {
-    "estop_active": "Check the e-stop chain of this unit",
+    "estop_active": "Check the emergency stop chain of this unit",
     "run_off": "Check the run contact at the drive",
     "running_without_run": "Check what drives this section, and keep clear of it",
     "not_in_remote": "The unit rejects commands from here; set it to REMOTE at its panel",

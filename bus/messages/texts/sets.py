@@ -125,7 +125,7 @@ TEXTS: dict[str, EnglishText] = {
     "restore_wrote_nothing": "no row differed; nothing was written",
     "rows_done": "done: {rows}",
     "rows_in_doubt": "not verified: {rows}",
-    "rows_refused": "refused: {rows}",
+    "rows_refused": "rejected: {rows}",
     "rows_not_written": "not written: {rows}",
     "rows_left_out": "left out: {rows}",
 }
