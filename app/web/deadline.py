@@ -52,7 +52,7 @@ class Deadline:
             Message.of(
                 "came_too_late",
                 age=number(f"{self.timeout_s - left_s:.1f}"),
-                allowed=number(f"{self.timeout_s:g}"),
+                allowed=number(f"{self.timeout_s:.3g}"),
             ),
             outcome="not_sent",
         )
