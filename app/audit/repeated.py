@@ -9,9 +9,10 @@ from app.audit.kinds import EventKind
 from app.audit.tally import WINDOW_S, Counted, Tally
 from bus.messages import Message
 
-MANY = "several addresses"
+MANY = Message("many_addresses")
 """The origin of events that are counted for more places than are kept apart."""
-_RepeatedEvent = tuple[EventKind, str | Message, str, str, str | Message]
+_Text = str | Message
+_RepeatedEvent = tuple[EventKind, _Text, _Text, _Text, _Text]
 """Kind, what, who, origin and message."""
 
 
@@ -26,9 +27,7 @@ class RepeatedEvents:
         self._clock = clock
         self._tally: Tally[_RepeatedEvent] = Tally()
 
-    async def count(
-        self, kind: EventKind, what: str | Message, *, who: str, origin: str, message: str | Message
-    ) -> None:
+    async def count(self, kind: EventKind, what: _Text, *, who: _Text, origin: _Text, message: _Text) -> None:
         """Count one repetition."""
         counted = self._tally.note(f"{kind} {who}", (kind, what, who, origin, message), self._clock())
         if counted is not None:

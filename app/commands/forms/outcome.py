@@ -57,7 +57,7 @@ def outcome_text(result: Result | UnitOutcome, shown: ValueFormat, translator: T
 
 def problem_text(problem: Problem, translator: Translator) -> OutcomeText:
     """What was refused before anything was sent."""
-    return OutcomeText("bad", translator.formats.localized(translator.t(problem.message)))
+    return OutcomeText("bad", translator.t(problem.message))
 
 
 def _reason(result: Result | UnitOutcome, translator: Translator) -> str:
