@@ -84,14 +84,7 @@ class Problem(LinesideError):
     ``extra`` are members of the answer (RFC 9457, 3.2); one of them may be called ``message``, too.
     """
 
-    def __init__(
-        self,
-        status: int,
-        code: ProblemCode,
-        message: Message,
-        /,
-        **extra: Any,
-    ) -> None:
+    def __init__(self, status: int, code: ProblemCode, message: Message, /, **extra: Any) -> None:
         super().__init__(message)
         self.detail = str(self)
         self.status = status

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import NewType
 
 from app.errors import Problem
-from bus.messages import Message
+from bus.messages import Message, number
 
 Instant = NewType("Instant", float)
 """A moment on this process's monotonic clock, seconds."""
@@ -50,7 +50,9 @@ class Deadline:
             503,
             "not_sent",
             Message.of(
-                "came_too_late", age=f"{self.timeout_s - left_s:.1f}", allowed=f"{self.timeout_s:.3g}"
+                "came_too_late",
+                age=number(f"{self.timeout_s - left_s:.1f}"),
+                allowed=number(f"{self.timeout_s:.3g}"),
             ),
             outcome="not_sent",
         )

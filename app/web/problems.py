@@ -111,9 +111,7 @@ def _detail(request: Request, problem: Problem) -> str:
     person = person_of(request)
     if person is None or person.via != "session":
         return problem.detail
-    templates = templates_of(request)
-    language = templates.language_of(request)
-    return templates.formats(language.tag).sentence(language.t(problem.message))
+    return templates_of(request).language_of(request).t(problem.message)
 
 
 def _place(location: Sequence[int | str]) -> str:

@@ -5,6 +5,11 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText
 
 TEXTS: dict[str, EnglishText] = {
+    "holder_signed_out": "logged out, or rights changed",
+    "unknown_name": "unknown name",
+    "unknown_token": "unknown token",
+    "many_addresses": "several addresses",
+    "command_line": "command line",
     "account_of_token": "{name} (token)",
     "token_exists": "a token {name} exists already; revoke it or choose another name",
     "no_such_token": "there is no token {name}",
