@@ -10,7 +10,6 @@ whoever waits is told so at once: it drops what comes to it late by its own look
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -18,6 +17,7 @@ from typing import Protocol
 from app.feed.plausibility import result_for
 from app.live.state.bus_live import NO_WORKER
 from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, ReserveTurn, Result, Watch
+from bus.instants import Monotonic, monotonic_now, unix_now
 from bus.messages import Message
 
 REASK_WITHIN_S = 10.0
@@ -46,9 +46,9 @@ class _OpenCommand:
     command: Command
     worker: str
     fate: asyncio.Future[Result]
-    due_at: float
+    due_at: Monotonic
     """Its deadline, on the monotonic clock like ``give_up_at``."""
-    give_up_at: float
+    give_up_at: Monotonic
     listener: ProgressListener | None
     sent_to: MessageSink | None = None
     """Only what this connection reports of it counts."""
@@ -89,7 +89,7 @@ class Channel:
             return
         self._connection = None
         for asked in self._asked.values():
-            asked.give_up_at = min(asked.give_up_at, time.monotonic() + self._reask_s)
+            asked.give_up_at = min(asked.give_up_at, monotonic_now() + self._reask_s)
 
     def on_message(self) -> None:
         """Any message shows that the worker lives."""
@@ -98,7 +98,7 @@ class Channel:
     async def ask(self, command: Command, listener: ProgressListener | None = None) -> Result:
         """Send ``command`` and wait for its fate. Never raises for what happens on the way."""
         if self._connection is None:
-            return Result(id=command.id, at=time.time(), outcome="bus_closed", message=NO_WORKER)
+            return Result(id=command.id, at=unix_now(), outcome="bus_closed", message=NO_WORKER)
         fate: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
         asked = _OpenCommand(
             command, self._worker, fate, _due_at(command), self._last_moment(command), listener
@@ -135,11 +135,11 @@ class Channel:
         if isinstance(update, Result):
             asked.fate.set_result(result_for(update, asked.command.action))
             return
-        asked.give_up_at = max(asked.give_up_at, time.monotonic() + self._patience_s)
+        asked.give_up_at = max(asked.give_up_at, monotonic_now() + self._patience_s)
         if asked.listener is not None:
             asked.listener(update)
 
-    def _last_moment(self, command: Command) -> float:
+    def _last_moment(self, command: Command) -> Monotonic:
         return _due_at(command) + self._patience_s
 
     async def _send_command(self, asked: _OpenCommand) -> None:
@@ -168,7 +168,7 @@ class Channel:
     def _time_left(self, asked: _OpenCommand, silent_looks: int) -> float:
         """Seconds for which its fate is still waited for, as things are now."""
         stuck = silent_looks >= (SILENT_LOOKS if self.connected else AWAY_LOOKS)
-        return (min(asked.due_at, asked.give_up_at) if stuck else asked.give_up_at) - time.monotonic()
+        return (min(asked.due_at, asked.give_up_at) if stuck else asked.give_up_at) - monotonic_now()
 
     def _why_no_fate(self, silent_looks: int) -> Message:
         if not self.connected:
@@ -178,10 +178,10 @@ class Channel:
         return Message("worker_no_result")
 
 
-def _due_at(command: Command) -> float:
-    return time.monotonic() + max(0.0, command.deadline - time.time())
+def _due_at(command: Command) -> Monotonic:
+    return monotonic_now() + max(0.0, command.deadline - unix_now())
 
 
 def _end(asked: _OpenCommand, outcome: Outcome, message: Message) -> None:
     if not asked.fate.done():
-        asked.fate.set_result(Result(id=asked.command.id, at=time.time(), outcome=outcome, message=message))
+        asked.fate.set_result(Result(id=asked.command.id, at=unix_now(), outcome=outcome, message=message))

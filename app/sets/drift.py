@@ -17,6 +17,7 @@ from app.sets.reading import known_rows
 from app.sets.store import SetStore
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, Update
+from bus.instants import UnixTime
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,7 @@ class BusDrift:
         known = self._live.units[unit].parameters
         return sum(number not in known for number in PARAMETERS)
 
-    def summary(self, unit: int, voice: Translator, now: float) -> Drifted:
+    def summary(self, unit: int, voice: Translator, now: UnixTime) -> Drifted:
         """The same for the line, and what the list of them on the unit's page depends on."""
         if unit not in self._golden:
             return Drifted()
@@ -141,7 +142,7 @@ def _known_before(departure: DriftedParameter, before: dict[int, DriftedParamete
     return DriftedParameter(departure.row, earlier.change, earlier.traced)
 
 
-def _sentence(found: list[DriftedParameter], voice: Translator, now: float) -> str:
+def _sentence(found: list[DriftedParameter], voice: Translator, now: UnixTime) -> str:
     head = {"number": found[0].row.number, "n": len(found)}
     text = "#{number} differs from golden" if len(found) == 1 else "{n} values differ from golden"
     if not all(one.traced for one in found):
@@ -171,5 +172,5 @@ def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
     return sorted(latest, key=lambda each: -float(each[0]["time"]))
 
 
-def _by(change: Event, voice: Translator, now: float) -> dict[str, str]:
+def _by(change: Event, voice: Translator, now: UnixTime) -> dict[str, str]:
     return {"who": change["who"], "when": voice.formats.since(change["time"], now)}

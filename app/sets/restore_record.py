@@ -12,6 +12,7 @@ from app.sets.plan import CHOSEN, LeftOut, RestorePlan
 from app.sets.remarks import remarks
 from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from bus.contract import Outcome
+from bus.instants import UnixTime
 
 RestoreState = Literal["planned", "running", "proving", "equal", "different", "stopped"]
 ENDS: frozenset[RestoreState] = frozenset({"equal", "different", "stopped"})
@@ -42,7 +43,7 @@ class Restore:
     before: UnitRows
     plan: RestorePlan
     rows: list[RowResult]
-    planned_at: float
+    planned_at: UnixTime
     state: RestoreState = "planned"
     cause: str = ""
     cause_code: str | None = None

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from app.sets.restore_record import Restore
 from app.swap.rules import SwapState, seen_words
+from bus.instants import UnixTime
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +32,7 @@ class Swap:
     unit: int
     who: str
     source: SwapSource | None
-    began_at: float
+    began_at: UnixTime
     is_new: bool = False
     seen: list[str] = field(default_factory=list)
     restore: Restore | None = None

@@ -13,6 +13,7 @@ import msgspec
 
 from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Result, Update, Watch
 from bus.errors import CallerError, WireError
+from bus.instants import UnixTime
 from bus.line.clock import LineClock, Timer
 from bus.line.commands.command_run import CommandRun
 from bus.line.commands.procedure import ExpectBaud, LineEffect, ReportProgress, Retune, Unstage
@@ -260,7 +261,7 @@ class Poller:
             self._arbiter.owner = None
             if run is None:
                 raise
-            run.end(Result(id="", at=0.0, outcome="invalid", message=error.message))
+            run.end(Result(id="", at=UnixTime(0.0), outcome="invalid", message=error.message))
             self._go(self.clock.now())
         else:
             if run is not None and attempts is not None and attempts.reports(request):

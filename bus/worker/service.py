@@ -26,6 +26,7 @@ from bus.contract import (
     Watch,
 )
 from bus.contract.clock_offset import ClockOffset
+from bus.instants import UnixTime
 from bus.line.clock import LineClock, RealClock
 from bus.line.commands.catalogue import command_run_of
 from bus.line.opener import Opener, OpenFunction
@@ -144,11 +145,11 @@ class BusWorker:
 
     def _begin(self, command: Command) -> None:
         now = self.clock.now()
-        deadline = now + self.app_clock.here(command.deadline) - self.clock.epoch(now)
+        deadline = now + (self.app_clock.here(command.deadline) - self.clock.epoch(now))
         why = self._why_not(command, deadline - now)
         run = command_run_of(self.poller, command.id, command.action, deadline)
         if why is None and run is None:
-            why = Result(command.id, 0.0, "invalid", Message("unknown_command"))
+            why = Result(command.id, UnixTime(0.0), "invalid", Message("unknown_command"))
         if why is not None:
             self._emit([msgspec.structs.replace(why, id=command.id, at=self._epoch())])
             return
@@ -169,14 +170,14 @@ class BusWorker:
     def _why_not(self, command: Command, time_left_s: float) -> Result | None:
         """Why nothing is sent for it, when that is plain at once."""
         if self._leaving:
-            return Result("", 0.0, "not_sent", Message("worker_stopping"))
+            return Result("", UnixTime(0.0), "not_sent", Message("worker_stopping"))
         if len(self.poller.commands) >= MOST_COMMANDS:
-            return Result("", 0.0, "not_sent", TOO_MANY)
+            return Result("", UnixTime(0.0), "not_sent", TOO_MANY)
         if not self.poller.link.open:
-            return Result("", 0.0, "bus_closed", self.poller.state.refusal)
+            return Result("", UnixTime(0.0), "bus_closed", self.poller.state.refusal)
         if time_left_s < 0 and command.action.writes:
             message = Message.of("arrived_late", seconds=round(-time_left_s, 1))
-            return Result("", 0.0, "not_sent", message)
+            return Result("", UnixTime(0.0), "not_sent", message)
         return None
 
     def _remember(self, command_id: str, result: Result | None) -> None:
@@ -231,7 +232,7 @@ class BusWorker:
                 await asyncio.sleep(0)
         self._emit([Result(command_id, self._epoch(), "verified", frames=frames)])
 
-    def _epoch(self) -> float:
+    def _epoch(self) -> UnixTime:
         return self.clock.epoch(self.clock.now())
 
 

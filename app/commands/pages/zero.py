@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from typing import Annotated
 
 from fastapi import APIRouter, Form
@@ -22,6 +21,7 @@ from app.live.state.bus_live import BusLive
 from app.web.access import Person, Viewer
 from app.web.deadline import Deadline
 from bus.contract import Result, SetLine, SetSpeed, UnitOutcome
+from bus.instants import UnixTime, unix_now
 
 router = APIRouter(prefix="/line/zero", include_in_schema=False)
 
@@ -32,7 +32,7 @@ async def review_zero(person: Viewer, desk: Page) -> Response:
     only look is told so: the button stands in the same place of every page for everybody."""
     if not person.role.includes(SET_LINE.role):
         return desk.render("line/_zero_not_yours.html")
-    now = time.time()
+    now = unix_now()
     objections = {bus: desk.guards(bus).control.objection(person.account, now) for bus in desk.live.buses}
     plans = [plan for plan in _plans(desk) if not objections[plan.bus]]
     return desk.review(
@@ -56,7 +56,7 @@ def _longest_s(bus: BusLive, units: int) -> float:
 
 
 def _plans(desk: PageContext) -> list[ZeroPlan]:
-    now = time.time()
+    now = unix_now()
     return [plan_zero(bus, desk.guards(name).block_reason, now) for name, bus in desk.live.buses.items()]
 
 
@@ -65,7 +65,7 @@ async def set_zero(
     person: Annotated[Person, permitted(SET_LINE)],
     desk: Page,
     id: Annotated[str, Form(max_length=64)],
-    reviewed_at: Annotated[float, Form()],
+    reviewed_at: Annotated[UnixTime, Form()],
 ) -> Response:
     """Speed 0 to every unit that can be told, all at once where all acknowledge, else one by one.
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from app.live.diagnosis.cause import Cause
 from app.live.screen.fields import Translator
+from bus.instants import UnixTime
 
 MINUTE_S, LONG_RAMP_S = 60, 120
 
@@ -57,13 +58,13 @@ def cause_text(cause: Cause, voice: Translator) -> str:
     return sentence(_motion(cause, voice), _what(cause, voice), _why(cause, voice))
 
 
-def cause_line(cause: Cause, voice: Translator, now: float) -> str:
+def cause_line(cause: Cause, voice: Translator, now: UnixTime) -> str:
     """What is so and since when: ``Stopped: run input off since 02:22``."""
     what = f"{_what(cause, voice)} {since_text(cause, voice, now)}".rstrip()
     return sentence(_motion(cause, voice), what, _why(cause, voice))
 
 
-def since_text(cause: Cause, voice: Translator, now: float) -> str:
+def since_text(cause: Cause, voice: Translator, now: UnixTime) -> str:
     """``since 02:22``; empty where no time is known. A ramp says how long it still takes instead."""
     onset = cause.onset
     if onset is None or cause.code == "ramping":

@@ -18,6 +18,7 @@ from app.live.screen.totals import AbnormalItem, entries_of, line_fields
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.live_state import LiveState
+from bus.instants import UnixTime
 from bus.messages import listed
 
 Groups = dict[str, Fields]
@@ -40,7 +41,7 @@ class Screen:
     entries: list[AbnormalItem] = field(default_factory=list)
     _views: dict[str, UnitView] = field(default_factory=dict)
 
-    def see(self, bus_name: str, units: Iterable[int], now: float, *, whole_bus: bool) -> Groups:
+    def see(self, bus_name: str, units: Iterable[int], now: UnixTime, *, whole_bus: bool) -> Groups:
         """Render what a report touched; gives what is different now."""
         bus = self.live.buses[bus_name]
         changed: Groups = {}
@@ -53,7 +54,7 @@ class Screen:
             self._put(changed, WHOLE_LINE, self._line(now))
         return changed
 
-    def settle(self, now: float) -> Groups:
+    def settle(self, now: UnixTime) -> Groups:
         """Render everything whose quality has changed by time alone."""
         changed: Groups = {}
         for name, bus in self.live.buses.items():
@@ -67,7 +68,7 @@ class Screen:
                 changed.setdefault(group, {}).update(fields)
         return changed
 
-    def refresh(self, now: float) -> Groups:
+    def refresh(self, now: UnixTime) -> Groups:
         """Render everything anew."""
         changed: Groups = {}
         for name, bus in self.live.buses.items():
@@ -94,7 +95,7 @@ class Screen:
             shown.update(different)
             changed.setdefault(group, {}).update(different)
 
-    def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: float) -> Fields:
+    def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: UnixTime) -> Fields:
         number = unit.settings.id
         blocked = self.sources.guards[bus_name].block_reason(number)
         drifted = self.sources.drift[bus_name].summary(number, self.voice, now)
@@ -123,6 +124,6 @@ class Screen:
             return self.voice.t("{name}, {n} units departed", name=name, n=len(departed))
         return self.voice.t("{name}, departed: {units}", name=name, units=self.voice.t(listed(departed)))
 
-    def _line(self, now: float) -> Fields:
+    def _line(self, now: UnixTime) -> Fields:
         self.entries = entries_of(self.live, self._views, self.voice, now)
         return line_fields(self.live, self._views, self.entries, self.voice, now)

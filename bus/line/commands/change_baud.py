@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from bus.catalogue.numbers import BAUD_RATE
 from bus.contract import Outcome, Result, UnitOutcome
 from bus.errors import unit_refused
+from bus.instants import UnixTime
 from bus.line.commands.procedure import (
     CommandContext,
     ExpectBaud,
@@ -179,7 +180,7 @@ class _Change:
 
 
 def _result(outcome: Outcome, message: Message, units: list[UnitOutcome] | None = None) -> Result:
-    return Result(id="", at=0.0, outcome=outcome, message=message, units=units or [])
+    return Result(id="", at=UnixTime(0.0), outcome=outcome, message=message, units=units or [])
 
 
 def _listed(units: Sequence[int]) -> list[int | str | Message]:

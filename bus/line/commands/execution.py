@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 
 from bus.contract import Result, UnitOutcome
+from bus.instants import UnixTime
 from bus.line.commands.member import Member
 from bus.line.commands.procedure import (
     CommandContext,
@@ -104,7 +105,7 @@ def executed(members: list[Member], broadcast: SendResult, remarks: Sequence[Mes
     about = bad or [outcome for outcome in outcomes if outcome.message == EXECUTED_SINGLY]
     return Result(
         id="",
-        at=0.0,
+        at=UnixTime(0.0),
         outcome="unverified" if bad else "verified",
         message=joined([*(outcome.message for outcome in about), *remarks]),
         units=sorted(outcomes, key=lambda outcome: outcome.unit),

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, Result
 from bus.errors import unit_error
+from bus.instants import UnixTime
 from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, Wait, send
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import UnitRecord, parameter_value
@@ -52,7 +53,7 @@ def read_parameters(record: UnitRecord, numbers: Sequence[int], context: Command
             refused.append(Message.of("parameter_refused", number=number, error=error))
     if (reason := joined(refused)) is not None:
         return _partly(record, values, wanted, reason)
-    return Result(id="", at=0.0, outcome="verified", values=values)
+    return Result(id="", at=UnixTime(0.0), outcome="verified", values=values)
 
 
 def _partly(
@@ -66,7 +67,7 @@ def _partly(
     nothing = closed and not values
     return Result(
         id="",
-        at=0.0,
+        at=UnixTime(0.0),
         outcome="bus_closed" if nothing else "unverified",
         message=Message.of(
             "parameters_partly_read", unit=record.unit, count=len(values), all=len(wanted), reason=reason

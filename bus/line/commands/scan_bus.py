@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from bus.contract import Result
+from bus.instants import UnixTime
 from bus.line.commands.procedure import (
     CommandContext,
     Procedure,
@@ -98,7 +99,7 @@ def _result(found: list[Found], fault: Message | None) -> Result:
     found.sort(key=lambda one: one.unit)
     return Result(
         id="",
-        at=0.0,
+        at=UnixTime(0.0),
         outcome="unverified" if fault else "verified",
         message=joined([*conclude(found), fault]),
         found=[one.for_contract() for one in found],

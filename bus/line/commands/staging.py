@@ -18,6 +18,7 @@ from collections.abc import Mapping
 from bus.catalogue.status import status_bits
 from bus.contract import Outcome, Result
 from bus.errors import unit_refused
+from bus.instants import UnixTime
 from bus.line.commands.execution import executed, unchanged, verify, verify_all
 from bus.line.commands.member import Member, member_of
 from bus.line.commands.procedure import (
@@ -68,7 +69,7 @@ def execute_all(roster: Roster, context: CommandContext) -> Procedure:
     sent = yield from send(Send(ExecuteSpeed(ALL_UNITS)))
     if sent.status is not SendStatus.SENT:
         outcome, message = not_sent(ALL_UNITS, sent)
-        return Result(id="", at=0.0, outcome=outcome, message=message)
+        return Result(id="", at=UnixTime(0.0), outcome=outcome, message=message)
     for done, member in enumerate(members):
         yield ReportProgress("proving", member.unit, done, len(members))
         if member.unit in knew:
@@ -130,4 +131,4 @@ def _no_time(members: list[Member], context: CommandContext) -> Result:
         seconds=round(seconds, 1),
         allowed=round(max(context.time_left_s, 0), 1),
     )
-    return Result(id="", at=0.0, outcome="not_sent", message=message)
+    return Result(id="", at=UnixTime(0.0), outcome="not_sent", message=message)

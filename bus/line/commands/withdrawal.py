@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from bus.contract import Outcome, Result, UnitOutcome
+from bus.instants import UnixTime
 from bus.line.commands.member import Member
 from bus.line.commands.procedure import CommandContext, Subprocedure, Unstage, send
 from bus.line.commands.readback import present_setpoint
@@ -62,7 +63,7 @@ def stopped(members: list[Member], outcome: Outcome, reason: Message) -> Result:
     refusals = [each.unit_error for each in units if each.unit_error is not None]
     return Result(
         id="",
-        at=0.0,
+        at=UnixTime(0.0),
         outcome=outcome,
         message=Message.of("no_unit_changed_staged_left", reason=reason, units=left)
         if left

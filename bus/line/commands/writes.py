@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from bus.contract import Outcome, Result, UnitOutcome
 from bus.errors import unit_error, unit_refused
+from bus.instants import UnixTime
 from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, send
 from bus.line.commands.readback import (
     REREADS,
@@ -158,7 +159,7 @@ def result_of_one(outcome: UnitOutcome) -> Result:
     """The result of a command to one unit; id, time and frames are the poller's to add."""
     return Result(
         id="",
-        at=0.0,
+        at=UnixTime(0.0),
         outcome=outcome.outcome,
         message=outcome.message,
         unit_error=outcome.unit_error,

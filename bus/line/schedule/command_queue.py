@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from bus.contract import Result
+from bus.instants import UnixTime
 from bus.line.commands.command_run import CommandRun, Priority
 from bus.messages import Message
 from bus.wire.commands import Request
@@ -100,4 +101,4 @@ class CommandQueue:
 
 
 def _never_begun(message: Message) -> Result:
-    return Result(id="", at=0.0, outcome="not_sent", message=message)
+    return Result(id="", at=UnixTime(0.0), outcome="not_sent", message=message)
