@@ -7,11 +7,14 @@ BIN := $(VENV)/bin
 VENDOR := static/vendor/made-from.sha256
 CHROMIUM := /usr/bin/chromium-headless-shell
 NODE_TOOLS := node_modules/.package-lock.json
+COVERAGE := COVERAGE_RCFILE=tests/coverage.toml $(BIN)/coverage
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
 	--custom-compile-command "make lock" --extra rfc2217
 
-.PHONY: demo free-port test soak flaky coverage setup bench check screenshots lock clean development
+.PHONY: demo free-port test browser-tests other-tests soak flaky coverage setup bench check screenshots lock clean development
 .DEFAULT_GOAL := demo
+# Without its cache of compiled modules, each of hundreds of processes in the tests compiles the whole program.
+unexport PYTHONDONTWRITEBYTECODE
 
 demo: free-port setup
 	$(BIN)/lineside demo --port $(PORT)
@@ -23,10 +26,16 @@ free-port:
 
 setup: $(VENV)/.lineside
 
-# Twice as many at a time as the machine has cores: half its time a test of a whole site waits.
-test: check
+# All at once, each with its output in one piece. The browser tests come before the others in the use of the cores.
+test: development
+	$(MAKE) --no-print-directory --jobs=3 --keep-going --output-sync=target browser-tests other-tests check
+
+browser-tests: development
+	$(BIN)/pytest tests/e2e
+
+other-tests: development
 	node --test tests/js/*.test.js
-	$(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder
+	nice -n 5 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/e2e
 
 # What takes long, alone on the machine: it measures.
 soak: development
@@ -36,9 +45,12 @@ soak: development
 flaky: development
 	$(BIN)/python -m tests.flaky $(N)
 
-# Every line and branch of the pure modules, each by its own tests.
+# Every line and branch of the pure modules, each by its own tests, and 90 % of all the rest.
 coverage: development
 	$(BIN)/python -m tests.covered
+	$(COVERAGE) run -m pytest -q -n 2 --dist loadfile --ignore tests/e2e
+	$(COVERAGE) combine --quiet
+	$(COVERAGE) report
 
 bench: development
 	$(BIN)/python -m benchmarks

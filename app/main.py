@@ -103,7 +103,7 @@ def create_app(
     services = build(settings, demo=demo, worker_tokens=worker_tokens or {})
     app = FastAPI(
         title="Lineside",
-        summary="Watch and set a line of DIGIMAX IV drives",
+        summary="Monitor and command a line of DIGIMAX IV drives",
         version=version("lineside"),
         lifespan=_lifespan,
         openapi_url=None,

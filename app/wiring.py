@@ -50,7 +50,7 @@ from app.sets.restore_store import RestoreStore
 from app.sets.store import SetStore
 from app.sets.taking import Takings
 from app.settings import Settings
-from app.swap.desk import SwapService
+from app.swap.service import SwapService
 from app.swap.store import SwapStore
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates

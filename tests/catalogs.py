@@ -18,9 +18,12 @@ from app.live.browsers.hub import STAGE_WORDS
 from app.live.screen.cause_text import CAUSE_TEXTS, CHECK_TEXTS, MOTION_TEXTS, STOPPED_WITH_RUN
 from app.live.screen.fields import PORT_WORDS, STATE_WORDS
 from app.messages.languages import DEFAULT, catalogs
+from app.sets.model import SetOrigin
+from app.sets.restore_record import RestoreState
 from app.web.access import Role
 from app.web.assets import templates_dir
 from bus.catalogue.parameters import PARAMETERS
+from bus.catalogue.values import parameter_unit
 from bus.contract import Outcome
 from bus.errors import UnitErrorCode, unit_error_name
 from bus.messages import TEXTS, Plural
@@ -104,6 +107,9 @@ def in_tables() -> set[str]:
         *(parameter.group for parameter in parameters),
         *(parameter.dangerous for parameter in parameters if parameter.dangerous),
         *(word for parameter in parameters for word in parameter.choices.values()),
+        *(unit for parameter in parameters if (unit := parameter_unit(parameter))),
+        *get_args(SetOrigin),
+        *get_args(RestoreState),
         *(str(role) for role in Role),
         *(kind.replace("_", " ") for kind in get_args(EventKind)),
         *get_args(Outcome),

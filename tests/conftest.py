@@ -3,12 +3,18 @@ The tests of whole sites come first: the many small ones fill the time in which 
 
 from __future__ import annotations
 
+import gc
+import sqlite3
 from collections.abc import Iterator
+from pathlib import Path
 from types import CodeType
 
 import pytest
 from hypothesis import settings
 from jinja2 import Environment
+
+import app.database.connection
+from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
 
 settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=60)
 settings.load_profile("lineside")
@@ -20,6 +26,12 @@ WHOLE_SITES = {"e2e", "path"}
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """With ``--no-loadscope-reorder``, xdist hands out files in this order."""
     items.sort(key=lambda item: item.path.parent.name not in WHOLE_SITES)
+
+
+def pytest_collection_finish() -> None:
+    """What thousands of test functions hold stays: the garbage collector need not visit it in each test."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -39,3 +51,22 @@ def templates_compiled_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Environment, "compile", compile_once)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def stores_made_once() -> Iterator[None]:
+    """A new store is a copy of one that has taken all its steps, each of which waits for the disk."""
+    model = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+    taken = bring_up_to_date(model, Path("model"), MIGRATIONS)
+
+    def copy_if_new(connection: sqlite3.Connection, path: Path, folder: Path) -> list[Migration]:
+        is_new = connection.execute("SELECT 1 FROM sqlite_master").fetchone() is None
+        if not is_new or folder != MIGRATIONS:
+            return bring_up_to_date(connection, path, folder)
+        model.backup(connection)
+        return taken
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(app.database.connection, "bring_up_to_date", copy_if_new)
+        yield
+    model.close()

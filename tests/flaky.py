@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
-BROWSER_TESTS = ("-n", "2", "--dist", "loadfile", "tests/e2e")
+BROWSER_TESTS = ("tests/e2e",)
 PASSED, FAILED = 0, 1
 """Exit codes of pytest; any other means that a run did not reach its end."""
 

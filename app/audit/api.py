@@ -49,14 +49,14 @@ class EventFrameShown(BaseModel):
 
 
 class EventMessage(BaseModel):
-    """A text as data: a value that is a text of its own has code and params too."""
+    """A text as data. A value that is a message has code and params too."""
 
     code: str
     params: dict[str, Any]
 
 
 class EventShown(BaseModel):
-    """One event; ``outcome`` of a command is null until its fate is known. ``count``: how often it happened.
+    """One event; ``outcome`` of a command is null until it is known. ``count``: how often it happened.
     ``unreadable``: its time (then null), frames or messages are not what the server wrote."""
 
     id: int
@@ -80,9 +80,7 @@ class EventShown(BaseModel):
     ]
     messages: Annotated[
         dict[str, EventMessage],
-        Field(
-            description="What the texts of what, old, new and message say, by field; none in older events."
-        ),
+        Field(description="The texts of what, old, new and message as data, by field; none in older events."),
     ]
 
 
@@ -135,7 +133,7 @@ def shown(event: Event) -> dict[str, Any]:
 async def list_events(
     _: Viewer, events: Events, wanted: Wanted, limit: Annotated[int, Query(ge=1, le=MOST)] = 100
 ) -> Response:
-    """Events newest first: at most 1000 a page; ask on with ``before`` = ``next``. Times with zone."""
+    """Events newest first: at most 1000 a page; ``next`` is ``before`` of the next page. Times with zone."""
     found, after = await events.page(wanted, limit)
     body = await asyncio.to_thread(_page_json, found, after)
     return Response(body, media_type="application/json")
@@ -146,7 +144,7 @@ def _page_json(found: list[Event], after: int | None) -> bytes:
 
 
 class AuditVerification(BaseModel):
-    """Whether the log is whole; ``broken`` is the first entry that is not, ``fault`` says how."""
+    """Whether the log is intact; ``broken``: the first altered entry; ``fault``: the cause."""
 
     entries: int
     broken: Annotated[int | None, Field(description="Number of the first broken entry; null: none.")]
@@ -157,7 +155,7 @@ class AuditVerification(BaseModel):
 
 @router.get("/events/proof", dependencies=[DOWNLOAD])
 async def prove_events(_: Admin, events: Events) -> AuditVerification:
-    """Walk the whole log as ``lineside audit verify`` does, without the anchor."""
+    """Verify the complete log like ``lineside audit verify``, without the anchor."""
     verdict = await events.prove()
     return AuditVerification.model_validate(vars(verdict) | {"fault": in_english(verdict.fault)})
 

@@ -10,7 +10,7 @@ from app.audit.tally import WINDOW_S, Counted, Tally
 from bus.instants import Clock
 from bus.messages import Message
 
-MANY = "many addresses"
+MANY = "several addresses"
 """The origin of what is counted for more places than are told apart."""
 _Said = tuple[EventKind, str | Message, str, str, str | Message]
 """Kind, what, who, origin and message."""

@@ -12,7 +12,7 @@ router = APIRouter(prefix="/api/v1", tags=["who"], route_class=ApiRoute)
 
 
 class MeShown(TypedDict):
-    """Who asks."""
+    """The current user."""
 
     name: str
     role: Role
@@ -21,5 +21,5 @@ class MeShown(TypedDict):
 
 @router.get("/me")
 async def me(person: Viewer) -> MeShown:
-    """Who asks, by name and role."""
+    """The current user: name and role."""
     return {"name": person.name, "role": person.role, "via": person.via}

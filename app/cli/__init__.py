@@ -14,22 +14,22 @@ from app.cli.loading import loading
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "init": ("init", "Write a commented lineside.toml to start from."),
-    "serve": ("serve", "The dashboard and one bus worker for each [[bus]]."),
-    "demo": ("demo", "A simulated line and its dashboard, nothing to configure."),
-    "worker": ("worker", "One bus worker alone, near the port, for a dashboard elsewhere."),
-    "simulate": ("simulate", "Simulated units alone: prints the port to open."),
-    "scan": ("scan", "Which addresses answer, at which baud, what they are."),
-    "decode": ("decode", "What the frames in some bytes say."),
-    "check": ("check", "Read the configuration and say what is wrong."),
-    "status": ("status", "Whether the dashboard of a configuration runs."),
-    "user": ("user", "Who may sign in: add, list, password, remove."),
-    "token": ("token", "Keys for programs: create, list, revoke."),
-    "audit": ("audit", "Prove that the audit log is whole: audit verify."),
-    "backup": ("backup", "The parameters of a unit or of a bus into a file."),
-    "diff": ("diff", "What differs between a unit and a file, or two files."),
-    "restore": ("restore", "Write to a unit what a file says and it does not."),
-    "backup-store": ("backup_store", "A copy of the whole store of a running dashboard."),
-    "restore-store": ("backup_store", "Put such a copy in the place of the present store."),
+    "serve": ("serve", "Serve the dashboard and run one bus worker for each [[bus]]."),
+    "demo": ("demo", "Run a simulated line and its dashboard; no configuration needed."),
+    "worker": ("worker", "Run one bus worker near the port, for a dashboard on another machine."),
+    "simulate": ("simulate", "Run simulated units only and print the port to open."),
+    "scan": ("scan", "Find the addresses that respond, their baud rate and device."),
+    "decode": ("decode", "Decode the frames in some bytes."),
+    "check": ("check", "Check the configuration and list its faults."),
+    "status": ("status", "Show whether the dashboard of a configuration runs."),
+    "user": ("user", "Manage users: add, list, password, remove."),
+    "token": ("token", "Manage tokens of programs: create, list, revoke."),
+    "audit": ("audit", "Verify the audit log: audit verify."),
+    "backup": ("backup", "Write the parameters of a unit or a bus to a file."),
+    "diff": ("diff", "Show the differences of a unit and a file, or of two files."),
+    "restore": ("restore", "Write the rows of a file that differ to a unit."),
+    "backup-store": ("backup_store", "Copy the stores of a running dashboard into one file."),
+    "restore-store": ("backup_store", "Replace the current stores with a backup."),
 }
 """Name → module in this package, and its line in the help."""
 
@@ -76,10 +76,10 @@ def _say_version(is_asked: bool) -> None:
 @cli.callback()
 def lineside(
     _: Annotated[
-        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Which version this is.")
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
-    """Watch and set a line of DIGIMAX IV drives. Exit codes: 0 done, 1 it did not hold, 2 wrong use."""
+    """Monitor and command a line of DIGIMAX IV drives. Exit codes: 0 done, 1 failed, 2 wrong use."""
 
 
 def main() -> None:

@@ -42,13 +42,13 @@ def register(cli: typer.Typer) -> None:
 
 @audits.callback()
 def audit() -> None:
-    """The event log."""
+    """Verify the event log and manage its key."""
 
 
 @audits.command()
 def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
-    """Walk the whole log: chain, seals and anchors. Exit 0 when it is whole, 1 naming the first entry that is
-    not. Without an anchor it cannot be seen that an earlier copy of the whole store was put in its place."""
+    """Verify chain, seals and anchors of the log. Exit 0 when it is intact, 1 with the first altered entry.
+    Without an anchor, the replacement of the store by an earlier copy cannot be detected."""
     with ending():
         settings = load(config)
         verdict, anchors = _verdict(settings, anchor or settings.audit.anchor)
@@ -62,8 +62,8 @@ def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
 
 @audits.command(name="rotate-key")
 def rotate_key(config: Config = LINESIDE_TOML) -> None:
-    """Seal what is written from now on with a newer key, also while the dashboard runs. The older keys stay
-    in the file: they prove what they have sealed."""
+    """Seal new entries with a new key, also while the dashboard runs. The older keys stay in the file: they
+    verify the entries that they sealed."""
     with ending():
         settings = load(config)
         make_private(settings.server.data)

@@ -41,7 +41,7 @@ def backup(
     out: Annotated[Path, typer.Option(help="The TOML file to write.")],
     token: TokenOption = "",
     token_file: TokenFile = None,
-    unit: Annotated[int | None, typer.Option(help="One unit; without it the whole bus.")] = None,
+    unit: Annotated[int | None, typer.Option(help="One unit; without it, every unit of the bus.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Read all parameters from the units and write them to a file (#21 is masked)."""

@@ -46,19 +46,19 @@ def backup_store(
     file: Annotated[Path, typer.Argument(help="The file to write; it must not exist yet.")],
     config: Config = LINESIDE_TOML,
 ) -> None:
-    """Copy every store (events, people, sets, history) of this configuration into one file, while it runs."""
+    """Copy every store (events, users, sets, history) of this configuration into one file while it runs."""
     with ending():
         names = write_backup(load(config).server.data, file)
     typer.echo(f"{file}: {', '.join(names)}")
 
 
 def restore_store(
-    file: Annotated[Path, typer.Argument(help="What backup-store wrote.")],
+    file: Annotated[Path, typer.Argument(help="A file of backup-store.")],
     config: Config = LINESIDE_TOML,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Skip the confirmation.")] = False,
 ) -> None:
-    """Put the stores of a backup in the place of the present ones, which are kept beside. The dashboard must
-    not run. Every session ends, and what was revoked or disabled since the backup stays so."""
+    """Replace the current stores with those of a backup; the current ones are kept beside them. The dashboard
+    must not run. Every session ends. Tokens and users revoked or disabled since the backup stay so."""
     with ending():
         settings = load(config)
         server = settings.server

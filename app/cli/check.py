@@ -16,7 +16,7 @@ def register(cli: typer.Typer) -> None:
 
 
 def check(config: Config = LINESIDE_TOML) -> None:
-    """Say what is wrong in the configuration, by file and line, and on this machine. Exit 0 or 1."""
+    """Check the configuration and this machine; faults are listed by file and line. Exit 0 or 1."""
     with ending():
         settings = load(config)
         typer.echo(f"{config}: {settings.site.name}")

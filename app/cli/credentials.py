@@ -24,7 +24,7 @@ TokenOption = Annotated[
     str,
     typer.Option(
         "--token",
-        help=f"A bearer token. Other users of this machine see it: better --token-file or {TOKEN_VARIABLE}.",
+        help=f"A bearer token. Other users of this machine can see it: use --token-file or {TOKEN_VARIABLE}.",
     ),
 ]
 TokenFile = Annotated[

@@ -36,7 +36,7 @@ def decode(
     file: Annotated[Path | None, typer.Option(help="A trace file, or a file of hex.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="A list of frames as JSON.")] = False,
 ) -> None:
-    """Say what frames mean. Exit 0, or 1 when no frame is valid, or 2 when the bytes are not hex."""
+    """Decode frames. Exit 0, 1 when no frame is valid, 2 when the bytes are not hex."""
     with ending():
         found = decode_text(_given_text(hex_bytes or [], file))
     frames = [item for item in found if isinstance(item, Described)]

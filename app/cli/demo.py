@@ -32,10 +32,12 @@ def register(cli: typer.Typer) -> None:
 
 
 def demo(
-    units: Annotated[int, typer.Option(min=1, max=255, help="How many units.")] = 8,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Where to serve; 0 takes a free port.")] = 8000,
+    units: Annotated[int, typer.Option(min=1, max=255, help="Number of units.")] = 8,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the dashboard; 0 takes a free port.")
+    ] = 8000,
 ) -> None:
-    """A simulated line and its dashboard on this machine, until Ctrl-C. Nothing of it is kept."""
+    """Run a simulated line and its dashboard until Ctrl-C. Its data is deleted afterwards."""
     with (
         ending(),
         listen("127.0.0.1", port, CHOOSE) as listening,

@@ -19,7 +19,7 @@ from app.sets.document import LONGEST_DOCUMENT, read_document
 from app.sets.model import ParameterSet, UnitRows
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
-from bus.messages import Message
+from bus.messages import Message, in_english
 
 Pair = tuple[UnitRows, UnitRows]
 
@@ -38,7 +38,7 @@ def diff(
     token_file: TokenFile = None,
     bus: Annotated[str, typer.Option(help="Name of the bus.")] = "",
     unit: Annotated[int | None, typer.Option(help="The unit to compare with.")] = None,
-    tolerance: Annotated[int, typer.Option(min=0, help="Raw counts that still pass as equal.")] = 0,
+    tolerance: Annotated[int, typer.Option(min=0, help="Difference in raw counts that counts as equal.")] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Show the rows that differ. Exit 0 when equal, 1 when different, 2 on wrong use."""
@@ -107,9 +107,9 @@ def _as_json(left: UnitRows, right: UnitRows, row: Compared) -> dict[str, Any]:
         "name": parameter.name,
         "left_raw": None if parameter.secret else left.raw(row.number),
         "right_raw": None if parameter.secret else right.raw(row.number),
-        "left": row.old,
-        "right": row.new,
-        "meaning": row.sentence,
+        "left": str(row.old),
+        "right": str(row.new),
+        "meaning": in_english(row.meaning),
     }
 
 
@@ -122,4 +122,5 @@ def _table(found: list[tuple[UnitRows, UnitRows, Compared]]) -> str:
 
 def _line(unit: int, row: Compared) -> str:
     name = PARAMETERS[row.number].name
-    return f"unit {unit}  #{row.number:<3}{name:<32}{row.old:>14}  {row.new:>14}  {row.sentence}"
+    values = f"{row.old!s:>14}  {row.new!s:>14}"
+    return f"unit {unit}  #{row.number:<3}{name:<32}{values}  {in_english(row.meaning)}"

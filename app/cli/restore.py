@@ -28,30 +28,26 @@ def register(cli: typer.Typer) -> None:
 
 
 def restore(
-    file: Annotated[Path, typer.Argument(help="A file by lineside backup.", metavar="FILE")],
+    file: Annotated[Path, typer.Argument(help="A file of lineside backup.", metavar="FILE")],
     url: Url,
     bus: Bus,
     unit: Annotated[int, typer.Option(min=1, max=255, help="The unit to write to.")],
     token: TokenOption = "",
     token_file: TokenFile = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Skip the confirmation.")] = False,
     include: Annotated[
         list[int] | None,
-        typer.Option(
-            help="A setpoint (20 or 37) to write as well: the machine changes its speed. Repeatable."
-        ),
+        typer.Option(help="A setpoint (20 or 37) to write too: the machine changes its speed. Repeatable."),
     ] = None,
-    exclude: Annotated[
-        list[int] | None, typer.Option(help="A parameter to leave as it is. Repeatable.")
-    ] = None,
+    exclude: Annotated[list[int] | None, typer.Option(help="A parameter to leave out. Repeatable.")] = None,
     tick: Annotated[
-        list[int] | None, typer.Option(help="A dangerous parameter to write as well. Repeatable.")
+        list[int] | None, typer.Option(help="A dangerous parameter to write too. Repeatable.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show the difference, ask, write only what differs, verify each row, read all again.
+    """Show the differences, confirm, write the rows that differ, verify each row, read all parameters back.
 
-    Exit 0 only when the unit equals the file in every row that was to be written; what was left out is named.
+    Exit 0 only when the unit equals the file in every row that was to be written; rows left out are listed.
     """
     with ending(), dashboard(url, bearer_token(token, token_file)) as there:
         chosen = {"include": include or [], "exclude": exclude or [], "ticked": tick or []}

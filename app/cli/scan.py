@@ -33,21 +33,22 @@ def register(cli: typer.Typer) -> None:
 def scan(
     port: Annotated[str, typer.Option(help="A device path, socket://host:port or rfc2217://host:port.")],
     baud: Annotated[
-        int | None, typer.Option(help="Only this one; else all six, fastest first, until one answers.")
+        int | None,
+        typer.Option(help="Only this baud rate; else all six, fastest first, until a unit responds."),
     ] = None,
-    first: Annotated[int, typer.Option(min=1, max=255, help="The first address to ask.")] = 1,
-    last: Annotated[int, typer.Option(min=1, max=255, help="The last address to ask.")] = 255,
+    first: Annotated[int, typer.Option(min=1, max=255, help="The first address to poll.")] = 1,
+    last: Annotated[int, typer.Option(min=1, max=255, help="The last address to poll.")] = 255,
     turnaround_ms: Annotated[
-        float, typer.Option(min=0, max=5000, help="What a unit may take to begin its answer.")
+        float, typer.Option(min=0, max=5000, help="Milliseconds that a unit may take to start its response.")
     ] = 50.0,
     every_baud: Annotated[
-        bool, typer.Option("--every-baud", help="Go on through all six although one has answered.")
+        bool, typer.Option("--every-baud", help="Scan at all six baud rates, even after a response.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="The result as JSON.")] = False,
 ) -> None:
-    """Ask every address, a silent one twice; nothing is written to any unit.
+    """Poll every address, twice without a response; nothing is written to any unit.
 
-    Exit 0 when something answered, 1 when nothing did, 130 when it was interrupted by Ctrl-C.
+    Exit 0 when a unit responded, 1 when none did, 130 when interrupted by Ctrl-C.
     """
     try:
         check_port(port)

@@ -21,7 +21,7 @@ def register(cli: typer.Typer) -> None:
 
 
 def serve(config: Config = LINESIDE_TOML) -> None:
-    """Serve the dashboard and work every bus, until Ctrl-C or SIGTERM."""
+    """Serve the dashboard and every bus, until Ctrl-C or SIGTERM."""
     with ending():
         settings = load(config)
         with listen(settings.server.host, settings.server.port, f"set port in [server] of {config}") as port:

@@ -26,44 +26,44 @@ def register(cli: typer.Typer) -> None:
 
 
 def simulate(
-    units: Annotated[int, typer.Option(min=1, max=255, help="How many units, at addresses 1, 2, …")] = 8,
-    baud: Annotated[int, typer.Option(help="Their speed (#18): 300 to 9600.")] = 9600,
+    units: Annotated[int, typer.Option(min=1, max=255, help="Number of units, at addresses 1, 2, …")] = 8,
+    baud: Annotated[int, typer.Option(help="Baud rate (#18): 300 to 9600.")] = 9600,
     tcp: Annotated[
         int | None, typer.Option(min=0, max=65535, help="Serve a TCP port instead; 0 takes a free one.")
     ] = None,
     seed: Annotated[int, typer.Option(help="The same seed gives the same line.")] = 1,
-    link: Annotated[
-        Path | None, typer.Option(help="A path that always leads to the pseudo-terminal.")
-    ] = None,
+    link: Annotated[Path | None, typer.Option(help="A symbolic link to the pseudo-terminal.")] = None,
     turnaround_ms: Annotated[
-        float, typer.Option(min=0, max=5000, help="What a unit takes to begin its answer.")
+        float, typer.Option(min=0, max=5000, help="Milliseconds until a unit starts its response.")
     ] = 0.0,
     checksum_10h: Annotated[
-        str, typer.Option("--checksum-10h", help="A checksum of 10h comes and is taken: once or twice.")
+        str, typer.Option("--checksum-10h", help="How a checksum of 10h is sent and accepted: once or twice.")
     ] = "once",
     parameter_reply_bytes: Annotated[
-        int, typer.Option(help="Bytes of an answer to 85h: 1, 2 or 4; 0 as wide as the parameter's type.")
+        int,
+        typer.Option(help="Bytes of a response to 85h: 1, 2 or 4; 0 uses the width of the parameter's type."),
     ] = 0,
     parameter_numbers: Annotated[
-        str, typer.Option(help="How parameters are numbered on the wire: binary or bcd.")
+        str, typer.Option(help="Parameter numbers on the wire: binary or bcd.")
     ] = "binary",
     estop_healthy: Annotated[
         int, typer.Option(help="The e-stop bit while no emergency stop is active: 0 or 1.")
     ] = 1,
     last_parameter: Annotated[
-        int, typer.Option(min=1, max=40, help="The last one that the firmware knows: 20 in the older list.")
+        int, typer.Option(min=1, max=40, help="Last parameter of the firmware: 20 in the older list.")
     ] = 40,
     speedup: Annotated[
-        float, typer.Option(min=1, max=1000, help="Shorten byte times and turnarounds so many times.")
+        float, typer.Option(min=1, max=1000, help="Factor by which byte times and turnarounds are shortened.")
     ] = 1.0,
     script: Annotated[
-        bool, typer.Option(help="Somebody works run, preset, jog and emergency stop now and then.")
+        bool, typer.Option(help="Operate run, preset, jog and emergency stop from time to time.")
     ] = True,
     control: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="Take wishes as JSON lines at this TCP port.")
+        int | None,
+        typer.Option(min=0, max=65535, help="Accept control requests as JSON lines at this TCP port."),
     ] = None,
 ) -> None:
-    """Simulated units alone: the first line printed is the port to open. Ends with Ctrl-C or SIGTERM."""
+    """Run simulated units only. The first line printed is the port to open. Ends with Ctrl-C or SIGTERM."""
     if baud not in BAUDS:
         raise typer.BadParameter(
             f"{baud} is none of {', '.join(map(str, get_args(Baud)))}", param_hint="--baud"

@@ -35,7 +35,7 @@ def status(
     token_file: TokenFile = None,
     as_json: Annotated[bool, typer.Option("--json", help="The result as JSON.")] = False,
 ) -> None:
-    """Say whether the dashboard serves, and how each bus is with a token of any role but worker.
+    """Show whether the dashboard serves, and the state of each bus with a token of any role but worker.
 
     Exit 0 when it serves, else 1.
     """

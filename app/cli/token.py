@@ -14,9 +14,9 @@ from app.cli.serve import LINESIDE_TOML, Config
 from app.web.access import Role, role_named
 from bus.instants import UnixTime
 
-tokens = typer.Typer(help="Keys for programs.", no_args_is_help=True)
+tokens = typer.Typer(help="Manage tokens of programs.", no_args_is_help=True)
 
-TokenName = Annotated[str, typer.Argument(help="What the token is for; unique.")]
+TokenName = Annotated[str, typer.Argument(help="Name of the token; unique.")]
 
 
 def register(cli: typer.Typer) -> None:
@@ -28,13 +28,14 @@ def register(cli: typer.Typer) -> None:
 def create(
     name: TokenName,
     role: Annotated[str, typer.Option(help=f"One of {', '.join(Role)}.")],
-    bus: Annotated[str, typer.Option(help="The one bus that a token of role worker is for.")] = "",
+    bus: Annotated[str, typer.Option(help="Bus of a token with the role worker.")] = "",
     expires: Annotated[
-        int | None, typer.Option(metavar="DAYS", help="Days until it expires; without it, it does not.")
+        int | None,
+        typer.Option(metavar="DAYS", help="Days until it expires; without it, the token does not expire."),
     ] = None,
     config: Config = LINESIDE_TOML,
 ) -> None:
-    """Create a bearer token and print it, this once."""
+    """Create a bearer token and print it once."""
     with ending():
         chosen = role_named(role, Role)
 
@@ -48,7 +49,7 @@ def create(
 
 @tokens.command(name="list")
 def list_all(config: Config = LINESIDE_TOML) -> None:
-    """Every token: name, role, who created it, a worker's bus, the day on which it expires."""
+    """List every token: name, role, creator, bus of a worker, day on which it expires."""
     with ending():
         for token in with_accounts(config, lambda accounts: accounts.tokens()):
             expires = "" if token.expires_at is None else f"expires {_day(token.expires_at)}"
@@ -58,7 +59,7 @@ def list_all(config: Config = LINESIDE_TOML) -> None:
 
 @tokens.command()
 def revoke(name: TokenName, config: Config = LINESIDE_TOML) -> None:
-    """Refuse a token from now on."""
+    """Revoke a token."""
     with ending():
         with_accounts(config, lambda accounts: accounts.revoke_token(name, by=who_calls(), origin=ORIGIN))
 

@@ -14,9 +14,9 @@ from app.web.access import PEOPLE_ROLES, role_named
 
 LONGEST_LINE = 10_000
 
-users = typer.Typer(help="Who may sign in.", no_args_is_help=True)
+users = typer.Typer(help="Manage users.", no_args_is_help=True)
 
-UserName = Annotated[str, typer.Argument(help="The name to sign in with.")]
+UserName = Annotated[str, typer.Argument(help="The name to log in with.")]
 FromInput = Annotated[bool, typer.Option("--password-stdin", help="Read the password from standard input.")]
 
 
@@ -32,7 +32,7 @@ def add(
     password_stdin: FromInput = False,
     config: Config = LINESIDE_TOML,
 ) -> None:
-    """Add somebody."""
+    """Add a user."""
     with ending():
         chosen, password = role_named(role), _password(password_stdin)
         with_accounts(
@@ -42,7 +42,7 @@ def add(
 
 @users.command(name="list")
 def list_all(config: Config = LINESIDE_TOML) -> None:
-    """Everybody: name, role, and whether it is a panel or disabled."""
+    """List every user: name, role, and whether it is a panel or disabled."""
     with ending():
         for user in with_accounts(config, lambda accounts: accounts.users()):
             marks = [word for word, is_so in (("panel", user.panel), ("disabled", user.disabled)) if is_so]
@@ -51,7 +51,7 @@ def list_all(config: Config = LINESIDE_TOML) -> None:
 
 @users.command()
 def password(name: UserName, password_stdin: FromInput = False, config: Config = LINESIDE_TOML) -> None:
-    """Give somebody a new password; every session of theirs ends."""
+    """Set a new password of a user; every session of that user ends."""
     with ending():
         new = _password(password_stdin)
         with_accounts(
@@ -61,7 +61,7 @@ def password(name: UserName, password_stdin: FromInput = False, config: Config =
 
 @users.command()
 def remove(name: UserName, config: Config = LINESIDE_TOML) -> None:
-    """Remove somebody; what they did stays in the events."""
+    """Remove a user; the events of that user are kept."""
     with ending():
         with_accounts(config, lambda accounts: accounts.remove_user(name, by=who_calls(), origin=ORIGIN))
 

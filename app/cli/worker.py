@@ -22,13 +22,13 @@ def register(cli: typer.Typer) -> None:
 
 
 def worker(
-    bus: Annotated[str, typer.Option(help="Name of the bus, as the configuration says it.")],
+    bus: Annotated[str, typer.Option(help="Name of the bus in the configuration.")],
     app: Annotated[str, typer.Option(help="Address of the dashboard, http://host:port.")],
     token: TokenOption = "",
     token_file: TokenFile = None,
     config: Annotated[Path, typer.Option(help="The configuration that has the bus.")] = Path("lineside.toml"),
 ) -> None:
-    """Work one bus for a dashboard elsewhere, until Ctrl-C or SIGTERM; reconnects indefinitely."""
+    """Run one bus worker for a dashboard elsewhere, until Ctrl-C or SIGTERM; reconnects indefinitely."""
     with ending():
         if not app.startswith(("http://", "https://", "ws://", "wss://")):
             raise CallerError(Message.of("app_url_malformed", url=app))

@@ -138,7 +138,7 @@ CHANGE_BAUD = CommandKind(
     wording=lambda action, bus: Wording(Message("event_change_baud"), str(bus.baud), str(action.baud)),
     units_written=lambda _, bus: list(bus.units),
     check=action_checks.check_baud,
-    danger=lambda _: "every unit changes its baud; one that does not follow is cut off",
+    danger=lambda _: "every unit changes its baud rate; a unit that does not follow cannot be reached",
     writes_parameters=True,
 )
 READ_PARAMETERS = CommandKind(

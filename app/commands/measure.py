@@ -9,7 +9,7 @@ from bus.catalogue.values import parameter_unit
 from bus.messages import Message, number
 
 
-def in_measure(value: str, measure: str) -> Message:
+def in_measure(value: str, measure: str | Message) -> Message:
     """A number with its measure: ``5.0 s``."""
     if not measure:
         return number(value)

@@ -39,7 +39,7 @@ class WorkerSocket:
             async with asyncio.timeout(SEND_WITHIN_S):
                 await self._websocket.send_bytes(encode(message))
         except (WebSocketDisconnect, RuntimeError, TimeoutError) as error:
-            raise ConnectionError("the worker is gone") from error
+            raise ConnectionError("the bus worker disconnected") from error
 
     async def receive(self) -> bytes:
         """Raises ConnectionError at the end (WorkerLeft where the worker announced it), MalformedMessageError
@@ -48,7 +48,11 @@ class WorkerSocket:
             raise ConnectionError("the connection was closed")
         message = await self._websocket.receive()
         if message["type"] == "websocket.disconnect":
-            raise WorkerLeft() if message.get("code") == GOING_AWAY else ConnectionError("the worker is gone")
+            raise (
+                WorkerLeft()
+                if message.get("code") == GOING_AWAY
+                else ConnectionError("the bus worker disconnected")
+            )
         data = message.get("bytes")
         if not isinstance(data, bytes):
             raise MalformedMessageError("a worker speaks in binary messages")

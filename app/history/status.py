@@ -28,7 +28,7 @@ class Status:
     waiting: int = 0
     """Updates that are not on disk yet."""
     lost: int = 0
-    """Updates given up because they could not be stored."""
+    """Updates that could not be stored."""
     damaged: int = 0
     """How often something that was kept turned out to be damaged, in the last seven days."""
 

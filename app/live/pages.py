@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter
+from pydantic import BeforeValidator
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -23,8 +24,13 @@ from bus.settings import UnitLabels
 
 router = APIRouter(include_in_schema=False)
 
-View = Literal["tiles", "rows", "board"]
-ViewSize = Literal["auto", "tiles", "rows", "board"]
+View = Literal["tiles", "rows", "matrix"]
+FORMER_VIEWS = {"board": "matrix"}
+"""Former name of a view → its name; a stored home page or cookie may have it."""
+ViewSize = Annotated[
+    Literal["auto", "tiles", "rows", "matrix"],
+    BeforeValidator(lambda view: FORMER_VIEWS.get(view, view)),
+]
 MOST_TILES = 12
 MOST_ROWS = 40
 VIEW_COOKIE = "lineside_view"
@@ -98,7 +104,7 @@ def view_for(units: int) -> View:
     """As generous as the number of units allows."""
     if units <= MOST_TILES:
         return "tiles"
-    return "rows" if units <= MOST_ROWS else "board"
+    return "rows" if units <= MOST_ROWS else "matrix"
 
 
 def unit_on_line(bus: str, unit: UnitLive, most_decimals: int = 0) -> UnitOnLine:
@@ -124,8 +130,9 @@ def digits_of(unit: UnitLive) -> int:
 
 
 def _remembered(request: Request) -> ViewSize:
-    match request.cookies.get(VIEW_COOKIE):
-        case ("tiles" | "rows" | "board") as view:
+    stored = request.cookies.get(VIEW_COOKIE, "")
+    match FORMER_VIEWS.get(stored, stored):
+        case ("tiles" | "rows" | "matrix") as view:
             return view
     return "auto"
 

@@ -90,7 +90,7 @@ async def load_recipe(
     wanted: LoadRecipe,
     idempotency_key: Annotated[str | None, Header()] = None,
 ) -> Response:
-    """Stage every unit, broadcast once, prove each."""
+    """Stage every unit, broadcast once, read back each unit."""
     recipe = await recipe_or_404(book, recipe_id)
     sent_at = made_at(request)
     result = await book.load(person, recipe, sent_at, confirm=wanted.confirm, command_id=idempotency_key)
@@ -99,7 +99,7 @@ async def load_recipe(
 
 @router.get("/buses/{bus}/recipe")
 async def loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> LoadedShown | None:
-    """The recipe that the bus was loaded with last, and what has departed from it since."""
+    """The last loaded recipe of the bus, and the units that drifted from it since."""
     bus_or_404(live, bus)
     loaded = book.loaded(bus)
     return None if loaded is None else loaded_json(loaded, book.departed(bus))

@@ -118,7 +118,7 @@ async def load(
     id: Annotated[str, Form(min_length=8)],
     reviewed_at: Annotated[UnixTime, Form()],
 ) -> Response:
-    """Stage every unit, broadcast once, prove each."""
+    """Stage every unit, broadcast once, read back each unit."""
     recipe = await recipe_or_404(book, recipe_id)
     bus, form = desk.bus(recipe.bus), await request.form()
     try:

@@ -46,9 +46,9 @@ class DryRunStepShown(TypedDict):
     new: Annotated[str, Field(description="Setpoint of the recipe, as displayed.")]
     ramp_s: RampS
     obstacle: Annotated[str, Field(description="Why it cannot be set, English; empty: it can.")]
-    obstacle_reason: Annotated[MessageShown | None, Field(description="What obstacle says.")]
+    obstacle_message: Annotated[MessageShown | None, Field(description="obstacle as data.")]
     words: Annotated[str, Field(description="What happens, English; empty: it is not configured.")]
-    effect: Annotated[MessageShown | None, Field(description="What words says.")]
+    words_message: Annotated[MessageShown | None, Field(description="words as data.")]
 
 
 class DryRunShown(TypedDict):

@@ -50,9 +50,9 @@ def dry_run_json(run: DryRun) -> DryRunShown:
                 "new": step.new,
                 "ramp_s": None if step.ramp_s is None else round(step.ramp_s, 1),
                 "obstacle": in_english(step.obstacle),
-                "obstacle_reason": to_builtins(step.obstacle),
+                "obstacle_message": to_builtins(step.obstacle),
                 "words": in_english(step.effect),
-                "effect": to_builtins(step.effect),
+                "words_message": to_builtins(step.effect),
             }
             for step in run.steps
         ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
+from msgspec import to_builtins
 from pydantic import Field
 
 from app.audit.api import Events
@@ -35,7 +36,7 @@ from app.web.api_route import ApiRoute
 from app.web.schema_problem import problems
 from app.web.services import bus_service, bus_service_of, service
 from app.web.shape import StrictBody, UnitAddresses
-from bus.messages import Message
+from bus.messages import Message, in_english
 from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
@@ -81,7 +82,7 @@ async def list_sets(
     before: int | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST)] = MOST,
 ) -> list[SummaryShown]:
-    """Stored sets, newest first: at most 1000; ask on with ``before`` = the last ``id``."""
+    """Stored sets, newest first: at most 1000; the last ``id`` is ``before`` of the next page."""
     found = await sets.summaries(bus, unit, before=before, most=limit)
     return [summary_json(summary) for summary in found]
 
@@ -90,7 +91,7 @@ async def list_sets(
 async def take_set(
     person: Engineer, keeper: ParameterSets, live: Live, bus: str, wanted: TakeSet
 ) -> SetShown:
-    """Read the units now and keep what they say; nothing is kept when one does not answer."""
+    """Read the units now and save the values; nothing is saved if a unit does not respond."""
     known = bus_or_404(live, bus).units
     units = wanted.units or list(known)
     for unit in units:
@@ -100,7 +101,7 @@ async def take_set(
 
 @router.get("/sets/{set_id}")
 async def one_set(_: Viewer, sets: Sets, set_id: int) -> SetShown:
-    """A whole set with the evidence of each value; #21 masked."""
+    """A set with the evidence of each value; #21 is masked."""
     return set_json(await set_or_404(sets, set_id))
 
 
@@ -108,7 +109,7 @@ async def one_set(_: Viewer, sets: Sets, set_id: int) -> SetShown:
 async def set_document(
     person: Viewer, sets: Sets, events: Events, set_id: int, secrets: bool = False
 ) -> Response:
-    """The set as a TOML file. With ``secrets`` (engineer) #21 is in it, and the asking is an event."""
+    """The set as a TOML file. With ``secrets`` (engineer) it contains #21, and the export is an event."""
     stored = await set_or_404(sets, set_id)
     if secrets:
         await _ask_for_secrets(person, events, stored)
@@ -122,7 +123,7 @@ async def set_document(
 async def mark_golden(
     request: Request, person: Engineer, sets: Sets, set_id: int, mark: GoldenMark
 ) -> GoldenShown:
-    """From now on the unit ought to be as this set says."""
+    """Make this set the golden set of the unit."""
     stored = await set_or_404(sets, set_id)
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, mark.unit)
     return {"set": set_id, "unit": mark.unit, "golden": True}
@@ -146,8 +147,8 @@ async def compare_sets(
 
 @router.get("/buses/{bus}/units/{unit}/drift")
 async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -> DriftShown:
-    """Where the unit as last read departs from its golden set, and who changed it: ``changed_by`` null is
-    somebody at the panel. ``unread``: parameters that could not be compared yet."""
+    """Drift of the unit, as last read, from its golden set, and who changed it: ``changed_by`` null is a
+    change at the panel. ``unread``: parameters that could not be compared yet."""
     unit_or_404(live, bus, unit)
     return {
         "golden": drift.has_golden(unit),
@@ -158,9 +159,10 @@ async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -
 
 @router.get("/buses/{bus}/set-schedule")
 async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> ScheduleShown:
-    """At which minute of the day the units of the bus are read, and which are owed since, with why."""
+    """Minute of the day at which the units of the bus are read, and overdue units with the reason."""
     overdue: list[OverdueShown] = [
-        {"unit": unit, "why": each.why} for unit, each in schedule.overdue().items()
+        {"unit": unit, "why": in_english(each.why), "why_message": to_builtins(each.why)}
+        for unit, each in schedule.overdue().items()
     ]
     return {"minute_of_day": (await sets.schedule()).get(bus), "owed": overdue}
 
@@ -169,7 +171,7 @@ async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str
 async def write_schedule(
     person: Engineer, schedule: ScheduleOfBus, wanted: SaveScheduleRequest
 ) -> ScheduleShown:
-    """Read all units of the bus daily, or no longer."""
+    """Read all units of the bus daily, or end the schedule."""
     await schedule.set(person, wanted.minute_of_day)
     return {"minute_of_day": wanted.minute_of_day, "owed": []}
 
@@ -177,5 +179,5 @@ async def write_schedule(
 async def _ask_for_secrets(person: Person, events: EventLog, stored: ParameterSet) -> None:
     if not person.role.includes(Role.ENGINEER):
         raise Problem(403, "forbidden", Message("secret_for_engineer"))
-    what = f"set {stored.id} was taken out with the operator password (#21) in clear"
+    what = Message.of("event_secret_exported", set=stored.id)
     await events.record(kind="secret", who=person.name, origin=person.via, bus=stored.bus, what=what)

@@ -12,6 +12,7 @@ from app.errors import Problem
 from app.live.state.bus_live import BusLive, UnitLive
 from app.sets.compare import with_unit
 from app.sets.effects import warning_of
+from app.sets.model import UnitRows
 from app.sets.reading import known_rows, status_of
 from app.web.access import Person
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
@@ -21,7 +22,7 @@ from bus.catalogue.status import StatusBits
 from bus.catalogue.values import is_follower, parameter_raw
 from bus.contract import ReadParameters, WriteParameter
 from bus.errors import CallerError
-from bus.messages import Message, in_english
+from bus.messages import Message
 
 _OF_THE_PERSON = frozenset({"rights_withdrawn", "controlled"})
 """Refusals that hold for every other unit too."""
@@ -36,15 +37,15 @@ class BatchRow:
 
     unit: int
     name: str
-    present: str
+    present: Message
     present_raw: int | None
     reviewed: str = ""
     """What a form holds of the present value, to see whether it moves: raw, empty where secret or unknown."""
     typed: str = ""
     wanted: int | None = None
-    shown: str = ""
-    fault: CallerError | None = None
-    warning: str = ""
+    shown: Message | None = None
+    fault: Message | None = None
+    warning: Message | None = None
 
     @property
     def changes(self) -> bool:
@@ -59,7 +60,7 @@ class BatchResult:
     unit: int
     name: str
     outcome: str
-    message: str
+    message: Message | None
 
 
 def rows_of_batch(bus: BusLive, number: int, typed: Mapping[int, str]) -> list[BatchRow]:
@@ -99,23 +100,21 @@ async def write_batch(
     """Write the rows that change something, one after another. A refusal of one unit does not end the rest, a
     refusal of the person does."""
     results: list[BatchResult] = []
-    stopped_by = ""
+    stopped_by: Message | None = None
     for row in rows:
         if row.changes and stopped_by:
             results.append(BatchResult(row.unit, row.name, "not_sent", stopped_by))
         elif row.changes:
             result = await _write(desk, person, number, row, confirm=confirm)
             results.append(result)
-            stopped_by = result.message if result.outcome in _OF_THE_PERSON else ""
+            stopped_by = result.message if result.outcome in _OF_THE_PERSON else None
     return results
 
 
 def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | None) -> BatchRow:
     known = known_rows(unit)
     raw = unit.parameter_raw(parameter.number)
-    present = (
-        "not known" if raw is None else "hidden" if parameter.secret else with_unit(parameter, raw, known)
-    )
+    present = Message("value_not_known") if raw is None else _shown(parameter, raw, known)
     reviewed = "" if raw is None or parameter.secret else str(raw)
     row = BatchRow(unit.settings.id, unit.settings.name, present, raw, reviewed, typed)
     if not typed:
@@ -129,10 +128,14 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
         )
         check_writable_value(parameter, wanted)
     except CallerError as error:
-        return replace(row, fault=error)
-    shown = "hidden" if parameter.secret else with_unit(parameter, wanted, known)
+        return replace(row, fault=error.message)
+    shown = _shown(parameter, wanted, known)
     warning = warning_of(parameter.number, wanted, running=None if status is None else status.run)
     return replace(row, wanted=wanted, shown=shown, warning=warning)
+
+
+def _shown(parameter: Parameter, raw: int, known: UnitRows) -> Message:
+    return Message("value_hidden") if parameter.secret else with_unit(parameter, raw, known)
 
 
 async def _write(
@@ -142,5 +145,5 @@ async def _write(
     try:
         result = await desk.ask(person, action, confirm=confirm, origin="batch edit")
     except Problem as problem:
-        return BatchResult(row.unit, row.name, problem.code, problem.detail)
-    return BatchResult(row.unit, row.name, result.outcome, in_english(result.message))
+        return BatchResult(row.unit, row.name, problem.code, problem.message)
+    return BatchResult(row.unit, row.name, result.outcome, result.message)

@@ -10,7 +10,7 @@ from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.sets.batch import learn, refuse_moved, rows_of_batch, write_batch
-from app.sets.effects import EFFECT_TEXTS, OPERATING_VALUES
+from app.sets.effects import OPERATING_VALUES, effect_message
 from app.web.access import Engineer
 from app.web.numbers import whole_number
 from app.web.templating import render
@@ -39,7 +39,7 @@ async def batch_review(request: Request, _: Engineer, live: Live, bus: str) -> R
     number, typed = await _typed(request)
     parameter = _writable_or_404(number)
     rows = rows_of_batch(bus_or_404(live, bus), number, typed)
-    danger = EFFECT_TEXTS["setpoint"] if number in OPERATING_VALUES else parameter.dangerous
+    danger = effect_message("setpoint") if number in OPERATING_VALUES else parameter.dangerous
     return render(request, "sets/_batch_review.html", bus=bus, parameter=parameter, rows=rows, danger=danger)
 
 

@@ -5,49 +5,45 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from app.commands.measure import in_measure
 from app.sets.effects import OPERATING_VALUES
 from app.sets.model import ParameterRow, UnitRows
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.parameters import PARAMETERS, Parameter
 from bus.catalogue.values import is_follower, parameter_text, parameter_unit
+from bus.messages import Message, term
 
 Comparison = Literal["equal", "differs", "unavailable", "unknown"]
 
-_MEANINGS: dict[int, str] = {
-    1: "full scale is {new} instead of {old}",
-    2: "shows {new} at full scale instead of {old}",
-    3: "shows {new} decimals instead of {old}",
-    4: "base ratio {new} instead of {old}",
-    5: "its encoder gives {new} instead of {old}",
-    6: "accelerates in {new} instead of {old}",
-    7: "decelerates in {new} instead of {old}",
-    8: "runs as {new} instead of {old}",
-    12: "is at speed within {new} instead of {old}",
-    17: "has the address {new} instead of {old}",
-    18: "talks at {new} instead of {old}",
-    31: "follows at {new} at most instead of {old}",
-    38: "follows at {new} at least instead of {old}",
+_DIFFERENCES: dict[int, str] = {
+    1: "differs_max_rpm",
+    2: "differs_max_display",
+    3: "differs_decimals",
+    4: "differs_base_ratio",
+    5: "differs_encoder",
+    6: "differs_acceleration",
+    7: "differs_deceleration",
+    8: "differs_mode",
+    12: "differs_window",
+    17: "differs_address",
+    18: "differs_baud",
+    31: "differs_max_ratio",
+    38: "differs_min_ratio",
 }
-_ANY_MEANING = "{new} instead of {old}"
-_SECRET_MEANING = "it differs; a secret is not shown"
 
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """One row of a comparison. ``meaning`` is a template for ``old`` (left) and ``new`` (right) text."""
+    """One row of a comparison. ``old`` is the left value, ``new`` the right one. ``meaning``: what the
+    difference means; None for rows that do not differ."""
 
     number: int
     left: ParameterRow | None
     right: ParameterRow | None
     kind: Comparison
-    old: str
-    new: str
-    meaning: str
-
-    @property
-    def sentence(self) -> str:
-        """What the difference means, in English; empty for rows that do not differ."""
-        return self.meaning.format(new=self.new, old=self.old)
+    old: Message
+    new: Message
+    meaning: Message | None
 
 
 def compare(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[Compared]:
@@ -66,30 +62,24 @@ def drift(golden: UnitRows, live: UnitRows) -> list[Compared]:
 
 
 def _compare_row(parameter: Parameter, left: UnitRows, right: UnitRows, tolerance: int) -> Compared:
-    old, new = left.rows.get(parameter.number), right.rows.get(parameter.number)
-    kind = _kind(old, new, tolerance)
-    return Compared(
-        number=parameter.number,
-        left=old,
-        right=new,
-        kind=kind,
-        old=row_text(parameter, left),
-        new=row_text(parameter, right),
-        meaning=_words(parameter.number, kind),
-    )
+    number = parameter.number
+    before, after = left.rows.get(number), right.rows.get(number)
+    kind = _kind(before, after, tolerance)
+    old, new = row_message(parameter, left), row_message(parameter, right)
+    return Compared(number, before, after, kind, old, new, _meaning(number, kind, old, new))
 
 
-def _words(number: int, kind: Comparison) -> str:
+def _meaning(number: int, kind: Comparison, old: Message, new: Message) -> Message | None:
     if kind == "differs":
-        return meaning(number)
-    return _ANY_MEANING if kind == "unavailable" else ""
+        return meaning(number, old, new)
+    return Message.of("differs", old=old, new=new) if kind == "unavailable" else None
 
 
-def meaning(number: int) -> str:
-    """What it means that a parameter differs: a template for the texts ``old`` and ``new``."""
+def meaning(number: int, old: Message, new: Message) -> Message:
+    """What it means that a parameter is ``new`` instead of ``old``."""
     if PARAMETERS[number].secret:
-        return _SECRET_MEANING
-    return _MEANINGS.get(number, _ANY_MEANING)
+        return Message("differs_secret")
+    return Message(_DIFFERENCES.get(number, "differs"), {"old": old, "new": new})
 
 
 def _kind(left: ParameterRow | None, right: ParameterRow | None, tolerance: int) -> Comparison:
@@ -102,22 +92,25 @@ def _kind(left: ParameterRow | None, right: ParameterRow | None, tolerance: int)
     return "unknown" if left.available and right.available else "unavailable"
 
 
-def row_text(parameter: Parameter, rows: UnitRows) -> str:
+def row_message(parameter: Parameter, rows: UnitRows) -> Message:
     """A row as shown to people: in its unit, a secret masked, a missing one said."""
     row = rows.rows.get(parameter.number)
     if row is not None and not row.available:
-        return "not in this unit"
+        return Message("value_not_in_unit")
     if parameter.secret:
-        return "secret"
+        return Message("value_secret")
     if row is None or row.raw is None:
-        return "not known"
+        return Message("value_not_known")
     return with_unit(parameter, row.raw, rows)
 
 
-def with_unit(parameter: Parameter, raw: int, rows: UnitRows) -> str:
+def with_unit(parameter: Parameter, raw: int, rows: UnitRows) -> Message:
     """``50`` of #6 → ``5.0 s``, by the decimals (#3) and the mode (#8) that ``rows`` hold."""
     if raw in parameter.choices:
-        return parameter.choices[raw]
+        return term(parameter.choices[raw])
     follower = is_follower(rows.raw(FOLLOWER_MODE))
-    text = parameter_text(parameter, raw, rows.raw(DECIMALS), follower=follower)
-    return f"{text} {parameter_unit(parameter)}".strip()
+    text, unit = (
+        parameter_text(parameter, raw, rows.raw(DECIMALS), follower=follower),
+        parameter_unit(parameter),
+    )
+    return in_measure(text, term(unit) if unit else "")

@@ -94,7 +94,7 @@ def _row_line(row: ParameterRow, unit: UnitRows, with_secrets: bool) -> str:
     elif parameter.secret and not with_secrets:
         fields.append("masked = true")
     elif row.raw is not None:
-        shown = with_unit(parameter, row.raw, unit)
+        shown = str(with_unit(parameter, row.raw, unit))
         fields += [f"raw = {row.raw}", f"value = {_quoted(shown)}"]
     return f"{row.number} = {{ {', '.join(fields)} }}"
 

@@ -15,6 +15,7 @@ from app.sets.compare import Compared, drift
 from app.sets.model import UnitRows
 from app.sets.reading import known_rows
 from app.sets.store import SetStore
+from app.web.formats import Formats
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, Update
 from bus.instants import UnixTime
@@ -143,21 +144,36 @@ def _known_before(departure: DriftedParameter, before: dict[int, DriftedParamete
 
 
 def _sentence(found: list[DriftedParameter], voice: Translator, now: UnixTime) -> str:
-    head = {"number": found[0].row.number, "n": len(found)}
-    text = "#{number} differs from golden" if len(found) == 1 else "{n} values differ from golden"
+    number, n, tn = found[0].row.number, len(found), voice.tn
     if not all(one.traced for one in found):
-        return voice.t(text, **head)
+        return tn(
+            "#{number} differs from the golden set", "{n} values differ from the golden set", n, number=number
+        )
     people = _latest_of_each(found)
     at_panel = sum(one.change is None for one in found)
     if not people:
-        return voice.t(f"{text}, at the panel", **head)
+        return tn(
+            "#{number} differs from the golden set, changed at the panel",
+            "{n} values differ from the golden set, changed at the panel",
+            n,
+            number=number,
+        )
     if len(people) == 1 and not at_panel:
         ((change, _),) = people
-        return voice.t(f"{text}: by {{who}} {{when}}", **head, **_by(change, voice, now))
-    parts = [voice.t("{m} by {who} {when}", m=rows, **_by(change, voice, now)) for change, rows in people]
+        return tn(
+            "#{number} differs from the golden set: changed by {who} {when}",
+            "{n} values differ from the golden set: changed by {who} {when}",
+            n,
+            number=number,
+            **_by(change, voice.formats, now),
+        )
+    formats = voice.formats
+    parts = [
+        voice.t("{m} changed by {who} {when}", m=rows, **_by(change, formats, now)) for change, rows in people
+    ]
     if at_panel:
-        parts.append(voice.t("{m} at the panel", m=at_panel))
-    return voice.t("{n} values differ from golden: {parts}", n=len(found), parts=", ".join(parts))
+        parts.append(voice.t("{m} changed at the panel", m=at_panel))
+    return voice.t("{n} values differ from the golden set: {parts}", n=n, parts=", ".join(parts))
 
 
 def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
@@ -172,5 +188,5 @@ def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
     return sorted(latest, key=lambda each: -float(each[0]["time"]))
 
 
-def _by(change: Event, voice: Translator, now: UnixTime) -> dict[str, str]:
-    return {"who": change["who"], "when": voice.formats.since(change["time"], now)}
+def _by(change: Event, formats: Formats, now: UnixTime) -> dict[str, str]:
+    return {"who": change["who"], "when": formats.since(change["time"], now)}

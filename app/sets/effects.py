@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 from typing import Literal
 
 from bus.catalogue import numbers
+from bus.messages import Message
 
 Effect = Literal[
     "setpoint", "speed_scale", "ramp", "contact", "ratio_limit", "meaning", "analog_output", "unknown"
@@ -36,21 +37,16 @@ EFFECTS: Mapping[int, Effect] = {
 }
 """By number the effect on a running unit; a parameter that is not listed changes nothing at the machine."""
 
-EFFECT_TEXTS: Mapping[Effect, str] = {
-    "setpoint": "Changes the machine's speed now",
-    "speed_scale": "Changes the speed of the running unit at once",
-    "ramp": "Changes how fast the running unit changes its speed",
-    "contact": "Changes the speed at once while the preset, up or down input is on",
-    "ratio_limit": "Changes the speed of a running follower whose ratio is outside the new limits",
-    "meaning": "Changes what the setpoints of the unit mean",
-    "analog_output": "Changes the analog output at once, and the speed of what it drives",
-    "unknown": "May change the running unit: the manual does not explain this parameter",
-}
-NO_RAMP = "Takes the ramp away: from then on the unit changes its speed at once"
+NO_RAMP = Message("effect_no_ramp")
 
 
-def warning_of(number: int, raw: int, *, running: bool | None) -> str:
-    """What a person must know before ``raw`` is written; empty where there is nothing to fear at the machine.
+def effect_message(effect: Effect) -> Message:
+    """What it does."""
+    return Message(f"effect_{effect}")
+
+
+def warning_of(number: int, raw: int, *, running: bool | None) -> Message | None:
+    """What a person must know before ``raw`` is written; None where there is nothing to fear at the machine.
 
     ``running``: the Run input of the unit (None: not known, taken as running).
     """
@@ -58,5 +54,5 @@ def warning_of(number: int, raw: int, *, running: bool | None) -> str:
     if effect == "ramp" and raw == 0:
         return NO_RAMP
     if effect is None or (running is False and effect != "setpoint"):
-        return ""
-    return EFFECT_TEXTS[effect]
+        return None
+    return effect_message(effect)

@@ -83,7 +83,7 @@ class FirstWrites:
             self._kept[rows.unit] = now.date()
         try:
             origin: SetOrigin = "before the first write of the day"
-            await self._keeper.keep(person, fresh, "", _gaps(fresh), origin)
+            await self._keeper.keep(person, fresh, "", "", origin)
         except (Problem, StoreError):
             for rows in fresh:
                 del self._kept[rows.unit]
@@ -108,13 +108,3 @@ class FirstWrites:
             await self._keeper.take(person, [unit], "", "", "after the first write of the day")
         except (Problem, StoreError) as error:
             _log.info("the rest of a unit was not read", bus=self._bus, unit=unit, why=str(error))
-
-
-def _gaps(known: Sequence[UnitRows]) -> str:
-    """Which units had not told all, in words; empty where every one had."""
-    parts = [
-        f"unit {rows.unit}: {len(rows.rows)} of {len(PARAMETERS)} parameters were known"
-        for rows in known
-        if len(rows.rows) < len(PARAMETERS)
-    ]
-    return "; ".join(parts)

@@ -64,7 +64,7 @@ class SetKeeper:
         return await self._reader.read_unit(person, unit)
 
     async def mark_golden(self, person: Person, stored: ParameterSet, unit: int) -> None:
-        """From now on the unit ought to be as this set says. Raises Problem 404 where it does not hold it."""
+        """Make this set the golden set of the unit. Raises Problem 404 where it does not hold it."""
         if stored.unit(unit) is None:
             raise Problem(404, "unknown_set", Message.of("set_lacks_unit", set=stored.id, unit=unit))
         await self.store.mark_golden(self.bus, unit, stored.id, person.name, unix_now())

@@ -14,6 +14,8 @@ SetOrigin = Literal[
     "before the first write of the day",
     "after the first write of the day",
     "from a file",
+    "from the sheet",
+    "for a unit swap",
 ]
 
 

@@ -10,13 +10,12 @@ from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.sets.api import Drift, Sets
-from app.sets.compare import compare
+from app.sets.compare import compare, row_message
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404
 from app.sets.schedule import SetSchedule
 from app.sets.sides import choices, side
 from app.sets.taking import Taking, Takings
-from app.sets.view import set_json
 from app.web.access import Engineer, Viewer
 from app.web.services import bus_service_of, service
 from app.web.shape import UnitAddresses
@@ -139,9 +138,9 @@ async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, set_id: 
     return render(
         request,
         "sets/one.html",
-        stored=set_json(stored),
-        times={row.number: row.read_at for unit in stored.units for row in unit.rows.values()},
-        taken_at=stored.taken_at,
+        stored=stored,
+        row_message=row_message,
+        PARAMETERS=PARAMETERS,
         others=[summary for summary in others if summary.id != set_id],
         configured=live.buses[stored.bus].units if stored.bus in live.buses else {},
     )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from app.errors import Problem
-from app.sets.effects import EFFECT_TEXTS, OPERATING_VALUES
+from app.sets.effects import OPERATING_VALUES, effect_message
 from app.sets.model import UnitRows
 from app.sets.order import Write, in_order
 from app.sets.selection import EVERYTHING_HARMLESS, Selection
@@ -17,10 +17,6 @@ from bus.messages import Message, term
 
 _REMOTE = 1
 """#19 of a unit that takes writes (manual, 4.0)."""
-NOT_IN_REMOTE = (
-    "the unit is not in REMOTE and refuses every write; set #19 to 1 at its keypad, then plan again"
-)
-DESELECTED = "left out by choice"
 
 Reason = Literal[
     "address",
@@ -47,7 +43,7 @@ class LeftOut:
 
     number: int
     reason: Reason | None
-    text: str
+    text: Message
 
     @property
     def later(self) -> bool:
@@ -88,7 +84,7 @@ def plan_restore(
         why = _why_not(number, wanted, present, running=running is not False)
         why = why or _why_not_chosen(number, new or 0, selection)
         if why is None and refuses:
-            why = LeftOut(number, "not_in_remote", NOT_IN_REMOTE)
+            why = LeftOut(number, "not_in_remote", Message("row_not_in_remote"))
         if why is not None:
             left_out.append(why)
         elif new is not None and old is not None:
@@ -103,12 +99,9 @@ def refuse_unwritable(plan: RestorePlan, selection: Selection) -> None:
         if left.number not in selection.include or left.later:
             continue
         if left.reason == "dangerous":
-            raise Problem(
-                409,
-                "dangerous",
-                Message.of("row_needs_confirmation", number=left.number, why=term(left.text)),
-            )
-        raise Problem(422, "invalid", Message.of("row_not_writable", number=left.number, why=term(left.text)))
+            message = Message.of("row_needs_confirmation", number=left.number, why=left.text)
+            raise Problem(409, "dangerous", message)
+        raise Problem(422, "invalid", Message.of("row_not_writable", number=left.number, why=left.text))
 
 
 def _why_not(number: int, wanted: UnitRows, present: UnitRows, *, running: bool) -> LeftOut | None:
@@ -116,38 +109,37 @@ def _why_not(number: int, wanted: UnitRows, present: UnitRows, *, running: bool)
     parameter = PARAMETERS[number]
     there, asked = present.rows.get(number), wanted.rows.get(number)
     if parameter.never_writable:
-        text = "the address is set at the keypad only; the link cannot write it"
-        return LeftOut(number, "address", text)
+        return LeftOut(number, "address", Message("row_address"))
     if asked is None or asked.raw is None:
         return _not_held(number, wanted)
     if there is not None and not there.available:
-        return LeftOut(number, "not_in_unit", "this unit does not have it")
+        return LeftOut(number, "not_in_unit", Message("row_not_in_unit"))
     if there is None or there.raw is None:
-        return LeftOut(number, "not_read", "it could not be read from the unit")
+        return LeftOut(number, "not_read", Message("row_not_read"))
     if number == FOLLOWER_MODE and running:
-        return LeftOut(number, "running", "no change while Run is on")
+        return LeftOut(number, "running", Message("row_running"))
     try:
         check_writable_value(parameter, asked.raw)
     except CallerError as error:
-        return LeftOut(number, "illegal_value", str(error))
+        return LeftOut(number, "illegal_value", error.message)
     return None
 
 
 def _why_not_chosen(number: int, raw: int, selection: Selection) -> LeftOut | None:
     danger = danger_of_writing(PARAMETERS[number], raw)
     if number in selection.exclude:
-        return LeftOut(number, "deselected", DESELECTED)
+        return LeftOut(number, "deselected", Message("row_deselected"))
     if danger and number not in selection.confirmed:
-        return LeftOut(number, "dangerous", danger)
+        return LeftOut(number, "dangerous", term(danger))
     if number in OPERATING_VALUES - selection.include:
-        return LeftOut(number, "operating_value", EFFECT_TEXTS["setpoint"])
+        return LeftOut(number, "operating_value", effect_message("setpoint"))
     return None
 
 
 def _not_held(number: int, wanted: UnitRows) -> LeftOut:
     row = wanted.rows.get(number)
     if row is not None and not row.available:
-        return LeftOut(number, "not_in_set", "the unit of the set did not have it")
+        return LeftOut(number, "not_in_set", Message("row_lacked_by_source"))
     if PARAMETERS[number].secret:
-        return LeftOut(number, "secret", "secret, not held in the set")
-    return LeftOut(number, "not_in_set", "the set does not hold it")
+        return LeftOut(number, "secret", Message("row_secret"))
+    return LeftOut(number, "not_in_set", Message("row_not_in_set"))

@@ -9,42 +9,39 @@ from app.sets.model import UnitRows
 from app.sets.order import Write
 from bus.catalogue.numbers import FOLLOWER_MODE
 from bus.catalogue.parameters import PARAMETERS
+from bus.messages import Message
 
-RUNS = "the unit runs: the marked rows change what the machine does at once"
-MAY_RUN = "it is not known whether the unit runs: the marked rows may change what the machine does at once"
+RUNS = Message("restore_runs")
+MAY_RUN = Message("restore_may_run")
 
 
 def remarks(
     wanted: UnitRows, present: UnitRows, *, running: bool | None, writes: Iterable[Write]
-) -> list[str]:
+) -> list[Message]:
     """Whether the machine runs, whose set it is, and of what kind. ``running``: the Run input of the unit,
     None where not known."""
     return [*_motion(running, writes), *_origin(wanted, present), *_kind(wanted, present)]
 
 
-def _motion(running: bool | None, writes: Iterable[Write]) -> list[str]:
+def _motion(running: bool | None, writes: Iterable[Write]) -> list[Message]:
     if not any(warning_of(write.number, write.wanted, running=running) for write in writes):
         return []
     return [] if running is False else [MAY_RUN if running is None else RUNS]
 
 
-def _origin(wanted: UnitRows, present: UnitRows) -> list[str]:
+def _origin(wanted: UnitRows, present: UnitRows) -> list[Message]:
     if wanted.unit == present.unit:
         return []
-    return [f"the set is of unit {wanted.unit}, this is unit {present.unit}: read every row"]
+    return [Message.of("restore_of_other_unit", unit=wanted.unit, present=present.unit)]
 
 
-def _kind(wanted: UnitRows, present: UnitRows) -> list[str]:
-    found: list[str] = []
+def _kind(wanted: UnitRows, present: UnitRows) -> list[Message]:
+    found: list[Message] = []
     kinds = [rows.raw(FOLLOWER_MODE) for rows in (wanted, present)]
     if None not in kinds and (kinds[0] == 0) != (kinds[1] == 0):
-        found.append(
-            "the set is of a master, this unit follows by ratio (#8): another type of section"
-            if kinds[0] == 0
-            else "the set is of a follower by ratio, this unit is a master (#8): another type of section"
-        )
-    for rows, text in ((wanted, "the unit of the set"), (present, "this unit")):
+        found.append(Message("restore_of_master" if kinds[0] == 0 else "restore_of_follower"))
+    for rows, code in ((wanted, "restore_source_lacks"), (present, "restore_unit_lacks")):
         lacks = sum(not row.available for row in rows.rows.values())
         if lacks:
-            found.append(f"{text} has {len(rows.rows) - lacks} of {len(PARAMETERS)} parameters only")
+            found.append(Message(code, {"count": len(rows.rows) - lacks, "all": len(PARAMETERS)}))
     return found

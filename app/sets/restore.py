@@ -25,14 +25,13 @@ from app.sets.restore_store import RestoreStore
 from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from app.web.access import Person
 from bus.instants import unix_now
-from bus.messages import Message, term
+from bus.messages import Message, joined, term
 
 EndSubscriber = Callable[[Restore], Awaitable[None]]
 
 _log = structlog.get_logger(__name__)
 
 _KEEP_FINISHED = 50
-_UNDER_WAY_AT_END = "the server ended while it was under way"
 
 
 class RestoreService:
@@ -68,7 +67,7 @@ class RestoreService:
     async def load(self) -> None:
         """Once at start: what was under way when the server ended is stopped, and says what was done."""
         for restore in await self._store.under_way():
-            restore.stop("server_ended", _UNDER_WAY_AT_END)
+            restore.stop("server_ended", Message("restore_under_way_at_end"))
             await self._store.end(restore)
             await self._record(restore)
 
@@ -138,15 +137,15 @@ class RestoreService:
             reader, commands = self._readers[restore.bus], self._commands[restore.bus]
             await RestoreRun(reader, commands, self._store, person, restore).run()
         except Problem as problem:
-            restore.stop(problem.code, problem.detail)
+            restore.stop(problem.code, problem.message)
         except StoreError as error:
-            restore.stop("store", str(error))
+            restore.stop("store", error.message)
         except asyncio.CancelledError:
-            restore.stop("server_ended", "the server was shut down")
+            restore.stop("server_ended", Message("restore_shut_down"))
             raise
         except Exception:
             _log.exception("a restore failed", restore=restore.id)
-            restore.stop("failed", "an error in the server; its log says more")
+            restore.stop("failed", Message("restore_failed"))
         finally:
             await self._end(restore)
 
@@ -157,7 +156,7 @@ class RestoreService:
             for subscriber in self._end_subscribers:
                 await subscriber(restore)
         except StoreError as error:
-            restore.cause = f"{restore.cause}; {error}" if restore.cause else str(error)
+            restore.cause = joined([restore.cause, error.message])
 
     async def _record(self, restore: Restore) -> None:
         verified = sum(row.outcome == "verified" for row in restore.rows)
@@ -168,7 +167,7 @@ class RestoreService:
             unit=restore.unit,
             what=Message.of("event_restored", verified=verified, n=len(restore.rows)),
             outcome=restore.state,
-            message="; ".join(part for part in (restore.cause, restore.account()) if part),
+            message=joined([restore.cause, restore.account()]) or "",
         )
 
     def _remember(self, restore: Restore) -> None:

@@ -32,7 +32,7 @@ Excluded = Annotated[Numbers, Field(description="rows not to write")]
 
 
 class PlanRestore(StrictBody):
-    """What a unit shall become: a stored set, or a TOML document with one unit (or with this one).
+    """The source of a restore: a stored set, or a TOML document with one unit (or with this one).
     ``ticked``: dangerous rows (#18, #19, #27) to write, each confirmed by its number."""
 
     set: int | None = None
@@ -59,7 +59,7 @@ class StartRestore(StrictBody):
 async def plan_unit_restore(
     person: Engineer, sets: Sets, restores: Restores, live: Live, bus: str, unit: int, wanted: PlanRestore
 ) -> RestoreShown:
-    """Read the unit and say what a restore would write. Nothing is written."""
+    """Read the unit and list the rows that a restore would write. Nothing is written."""
     unit_or_404(live, bus, unit)
     selection = Selection(frozenset(wanted.include), frozenset(wanted.exclude), frozenset(wanted.ticked))
     rows = await wanted_rows(sets, unit, wanted.set, wanted.document, wanted.from_unit)
@@ -83,7 +83,7 @@ async def start_restore(
 
 @router.post("/restores/{restore_id}/cancel", status_code=202)
 async def cancel_restore(person: Engineer, restores: Restores, restore_id: str) -> RestoreShown:
-    """Stop after the row in hand."""
+    """Stop after the current row."""
     restore = await restore_or_404(restores, restore_id)
     restore.cancel(person.name)
     return restore_json(restore)
@@ -91,5 +91,5 @@ async def cancel_restore(person: Engineer, restores: Restores, restore_id: str) 
 
 @router.get("/restores/{restore_id}")
 async def one_restore(_: Viewer, restores: Restores, restore_id: str) -> RestoreShown:
-    """How far it is, row by row."""
+    """Progress of the restore, row by row."""
     return restore_json(await restore_or_404(restores, restore_id))

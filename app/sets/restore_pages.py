@@ -20,13 +20,11 @@ from app.sets.offers import offers
 from app.sets.pages import go_to
 from app.sets.restore_api import Restores
 from app.sets.restore_record import Restore
-from app.sets.restore_view import restore_json
+from app.sets.restore_view import rows_left_out, rows_to_write
 from app.sets.selection import Selection
-from app.sets.shown import ComparedShown
 from app.sets.sides import side
 from app.sets.store import SetStore
-from app.sets.view import compared_json
-from app.swap.desk import SwapService
+from app.swap.service import SwapService
 from app.web.access import Engineer
 from app.web.services import service_of
 from app.web.templating import render
@@ -74,12 +72,15 @@ async def restore_progress(request: Request, _: Engineer, restores: Restores, re
     response = render(
         request,
         template,
-        restore=restore_json(restore),
+        restore=restore,
+        rows=rows_to_write(restore),
+        left_out=rows_left_out(restore),
         planned_at=restore.planned_at,
         name=restore.before.name,
         tickable=dangerous,
         swap=service_of(request, SwapService).of(restore.bus, restore.unit),
-        proven=_proof(restore.wanted, restore.proven),
+        proven=compare(restore.wanted, restore.proven) if restore.proven else [],
+        PARAMETERS=PARAMETERS,
     )
     if restore.state != "running":
         # The state has changed: so do the buttons, and the whole is drawn anew.
@@ -120,7 +121,7 @@ async def start(person: Engineer, restores: Restores, restore_id: str, row: Tick
 
 @router.post("/restores/{restore_id}/cancel")
 async def cancel(person: Engineer, restores: Restores, restore_id: str) -> Response:
-    """Stop after the row in hand."""
+    """Stop after the current row."""
     (await restore_or_404(restores, restore_id)).cancel(person.name)
     return go_to(f"/restores/{restore_id}")
 
@@ -141,8 +142,3 @@ def _ticked(restore: Restore, rows: frozenset[int]) -> Selection:
     if rows - reviewed:
         raise Problem(422, "invalid", Message("not_what_was_reviewed"))
     return restore.selection.choosing(rows, reviewed - rows - OPERATING_VALUES)
-
-
-def _proof(wanted: UnitRows, proven: UnitRows | None) -> list[ComparedShown]:
-    """All 40 rows as wanted and as read afterwards."""
-    return [compared_json(row) for row in compare(wanted, proven)] if proven is not None else []

@@ -13,10 +13,17 @@ from app.sets.remarks import remarks
 from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from bus.contract import Outcome
 from bus.instants import UnixTime
+from bus.messages import Message, joined, listed
 
 RestoreState = Literal["planned", "running", "proving", "equal", "different", "stopped"]
 ENDS: frozenset[RestoreState] = frozenset({"equal", "different", "stopped"})
 UNDER_WAY: frozenset[RestoreState] = frozenset({"running", "proving"})
+_ACCOUNT: dict[str, tuple[Outcome | None, ...]] = {
+    "rows_done": ("verified",),
+    "rows_in_doubt": ("unverified", "acknowledged"),
+    "rows_refused": ("refused", "invalid"),
+    "rows_not_written": (None, "not_sent", "bus_closed"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +32,7 @@ class RowResult:
 
     write: Write
     outcome: Outcome | None = None
-    message: str = ""
+    message: Message | None = None
     read_back: int | None = None
 
 
@@ -45,7 +52,7 @@ class Restore:
     rows: list[RowResult]
     planned_at: UnixTime
     state: RestoreState = "planned"
-    cause: str = ""
+    cause: Message | None = None
     cause_code: str | None = None
     proven: UnitRows | None = None
     selection: Selection = EVERYTHING_HARMLESS
@@ -71,7 +78,7 @@ class Restore:
         ]
 
     @property
-    def remarks(self) -> list[str]:
+    def remarks(self) -> list[Message]:
         """What is to be known of the set and the unit before anything is written."""
         return remarks(self.wanted, self.before, running=self.running, writes=self.plan.writes)
 
@@ -98,25 +105,19 @@ class Restore:
         self.plan, self.selection = plan, selection
         self.rows = [RowResult(write) for write in plan.writes]
 
-    def stop(self, code: str, cause: str) -> None:
+    def stop(self, code: str, cause: Message) -> None:
         """End it before its time: every row without an outcome was not sent."""
         self.state, self.cause_code, self.cause = "stopped", code, cause
         self.rows = [row if row.outcome else replace(row, outcome="not_sent") for row in self.rows]
 
     def cancel(self, who: str) -> None:
-        """Stop after the row in hand."""
+        """Stop after the current row."""
         self.cancelled_by = who
 
-    def account(self) -> str:
+    def account(self) -> Message | None:
         """Which rows were written and proven, which are in doubt or refused, which were not tried."""
-        fates = {
-            "done": [row for row in self.rows if row.outcome == "verified"],
-            "in doubt": [row for row in self.rows if row.outcome in ("unverified", "acknowledged")],
-            "refused": [row for row in self.rows if row.outcome in ("refused", "invalid")],
-            "not written": [row for row in self.rows if row.outcome in (None, "not_sent", "bus_closed")],
-        }
-        return "; ".join(f"{fate}: {_numbers(rows)}" for fate, rows in fates.items() if rows)
-
-
-def _numbers(rows: list[RowResult]) -> str:
-    return ", ".join(f"#{row.write.number}" for row in rows)
+        return joined(
+            Message(code, {"rows": listed([f"#{number}" for number in numbers])})
+            for code, outcomes in _ACCOUNT.items()
+            if (numbers := [row.write.number for row in self.rows if row.outcome in outcomes])
+        )

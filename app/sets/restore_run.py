@@ -14,8 +14,8 @@ from app.sets.restore_record import Restore, RowResult
 from app.sets.restore_store import ENDED_MEANWHILE, RestoreStore
 from app.web.access import Person
 from bus.contract import WriteParameter
-from bus.errors import unit_error_name
-from bus.messages import Message, in_english, term
+from bus.errors import unit_error
+from bus.messages import Message
 
 _OF_ITS_ROW = frozenset({"invalid"})
 """Refusals that say something of one row only."""
@@ -75,7 +75,7 @@ class RestoreRun:
                 restore.rows[place] = replace(row, outcome="unverified", message=ENDED_MEANWHILE)
                 raise
             except Problem as problem:
-                restore.rows[place] = replace(row, outcome="not_sent", message=problem.detail)
+                restore.rows[place] = replace(row, outcome="not_sent", message=problem.message)
                 raise
             finally:
                 await self._store.row(restore, place)
@@ -89,10 +89,10 @@ class RestoreRun:
         except Problem as problem:
             if problem.code not in _OF_ITS_ROW:
                 raise
-            return replace(row, outcome="invalid", message=problem.detail)
-        message = in_english(result.message)
+            return replace(row, outcome="invalid", message=problem.message)
+        message = result.message
         if result.outcome == "refused" and result.unit_error is not None:
-            message = f"refused: {unit_error_name(result.unit_error)}"
+            message = Message.of("row_refused", error=unit_error(result.unit_error))
         return replace(row, outcome=result.outcome, message=message, read_back=result.read_back)
 
     async def _prove(self) -> None:
@@ -108,17 +108,17 @@ class RestoreRun:
         runs = status is not None and status.run
         if not runs or restore.running is not False:
             return False
-        return bool(warning_of(row.write.number, row.write.wanted, running=True))
+        return warning_of(row.write.number, row.write.wanted, running=True) is not None
 
 
 def _cancelled(restore: Restore) -> Problem:
     who, done, rows = restore.cancelled_by, restore.done, len(restore.rows)
-    return Problem(409, "cancelled", Message.of("restore_left_off", who=str(who), done=done, n=rows))
+    return Problem(409, "cancelled", Message.of("restore_left_off", who=who, done=done, n=rows))
 
 
 def _go_on_or_raise(row: RowResult) -> None:
     if row.outcome is None or row.outcome not in _STOPS:
         return
     status = 504 if row.outcome == "unverified" else 503
-    why = term(row.message) if row.message else Message("nothing_more_sent")
+    why = row.message or Message("nothing_more_sent")
     raise Problem(status, row.outcome, Message.of("at_row", number=row.write.number, why=why))

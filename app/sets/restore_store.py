@@ -6,15 +6,17 @@ import sqlite3
 from collections.abc import Mapping
 
 from app.database import Database
+from app.database.messages import UNREADABLE, message_of, stored_message
 from app.sets.model import ParameterRow, UnitRows
 from app.sets.order import Write
 from app.sets.plan import LeftOut, RestorePlan
 from app.sets.restore_record import UNDER_WAY, Restore, RowResult
 from bus.catalogue.parameters import PARAMETERS
+from bus.messages import Message
 
 NOT_KEPT = -1
 """Stands for a secret (#21), which is kept in parameter sets alone: no raw value is negative."""
-ENDED_MEANWHILE = "the server ended before its fate was known; it may have been written"
+ENDED_MEANWHILE = Message("row_in_doubt")
 
 
 class RestoreStore:
@@ -82,7 +84,7 @@ def _insert(connection: sqlite3.Connection, restore: Restore) -> None:
             restore.planned_at,
             restore.plan.equal,
             restore.state,
-            restore.cause,
+            stored_message(restore.cause),
             restore.cause_code,
         ),
     )
@@ -95,7 +97,10 @@ def _insert(connection: sqlite3.Connection, restore: Restore) -> None:
     )
     connection.executemany(
         "INSERT INTO restore_left_out VALUES (?, ?, ?, ?, ?)",
-        [(restore.id, left.number, left.text, left.later, left.reason) for left in restore.left_out],
+        [
+            (restore.id, left.number, stored_message(left.text), left.later, left.reason)
+            for left in restore.left_out
+        ],
     )
     _insert_values(connection, restore.id, "wanted", restore.wanted.rows)
     _insert_values(connection, restore.id, "before", restore.before.rows)
@@ -124,7 +129,7 @@ def _unless_secret(number: int, raw: int | None) -> int | None:
 
 
 def _fate(row: RowResult) -> tuple[str | None, str, int | None]:
-    return row.outcome, row.message, _unless_secret(row.write.number, row.read_back)
+    return row.outcome, stored_message(row.message), _unless_secret(row.write.number, row.read_back)
 
 
 def _update_row(connection: sqlite3.Connection, restore_id: str, place: int, row: RowResult) -> None:
@@ -137,7 +142,7 @@ def _update_row(connection: sqlite3.Connection, restore_id: str, place: int, row
 def _end(connection: sqlite3.Connection, restore: Restore) -> None:
     connection.execute(
         "UPDATE restore SET state = ?, cause = ?, cause_code = ? WHERE id = ?",
-        (restore.state, restore.cause, restore.cause_code, restore.id),
+        (restore.state, stored_message(restore.cause), restore.cause_code, restore.id),
     )
     for place, row in enumerate(restore.rows):
         _update_row(connection, restore.id, place, row)
@@ -167,7 +172,7 @@ def _load(connection: sqlite3.Connection, restore_id: str) -> Restore | None:
         rows=rows,
         planned_at=planned_at,
         state=state,
-        cause=cause,
+        cause=message_of(cause),
         cause_code=cause_code,
         proven=UnitRows(unit, name, proven) if proven else None,
     )
@@ -179,7 +184,10 @@ def _rows(connection: sqlite3.Connection, restore_id: str) -> list[RowResult]:
         " WHERE restore_id = ? ORDER BY place",
         (restore_id,),
     )
-    return [RowResult(Write(number, present, wanted), *fate) for number, present, wanted, *fate in found]
+    return [
+        RowResult(Write(number, present, wanted), outcome, message_of(message), read_back)
+        for number, present, wanted, outcome, message, read_back in found
+    ]
 
 
 def _left_out(connection: sqlite3.Connection, restore_id: str) -> tuple[LeftOut, ...]:
@@ -188,7 +196,7 @@ def _left_out(connection: sqlite3.Connection, restore_id: str) -> tuple[LeftOut,
         (restore_id,),
     )
     return tuple(
-        LeftOut(number, code or ("not_in_remote" if later else None), text)
+        LeftOut(number, code or ("not_in_remote" if later else None), message_of(text) or UNREADABLE)
         for number, code, text, later in found
     )
 

@@ -1,83 +1,156 @@
-"""Restores as JSON. #21 never leaves here."""
+"""Restores as pages and programs see them. #21 never leaves here."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from msgspec import to_builtins
+
 from app.sets.compare import meaning, with_unit
-from app.sets.effects import EFFECTS, warning_of
+from app.sets.effects import EFFECTS, Effect, warning_of
 from app.sets.model import UnitRows
 from app.sets.plan import LeftOut
 from app.sets.restore_record import Restore, RowResult
 from app.sets.restore_shown import LeftOutShown, RestoreRowShown, RestoreShown, RestoreValues
 from app.sets.view import compared_json
 from bus.catalogue.parameters import PARAMETERS
+from bus.messages import Message, in_english
+
+
+@dataclass(frozen=True, slots=True)
+class RestoreRow:
+    """A row as the unit has it and as the set has it; None where a value is not known. ``left``: why it is
+    not written, None: it is. ``result``: what became of it, None where it cannot be chosen."""
+
+    number: int
+    present_raw: int | None
+    wanted_raw: int | None
+    present: Message | None
+    wanted: Message | None
+    left: LeftOut | None
+    result: RowResult | None = None
+    warning: Message | None = None
+
+    @property
+    def name(self) -> str:
+        """Of its parameter."""
+        return PARAMETERS[self.number].name
+
+    @property
+    def effect(self) -> Effect | None:
+        """What writing it does to a running unit."""
+        return EFFECTS.get(self.number)
+
+    @property
+    def meaning(self) -> Message:
+        """Effect of the change."""
+        unknown = Message("value_not_known")
+        return meaning(self.number, self.present or unknown, self.wanted or unknown)
+
+
+def rows_to_write(restore: Restore) -> list[RestoreRow]:
+    """The rows that are written; of a plan those that can still be chosen too."""
+    offered = restore.offered if restore.state == "planned" else []
+    chosen = [_chosen(restore, row, None) for row in restore.rows]
+    return chosen + [_chosen(restore, RowResult(write), left) for write, left in offered]
+
+
+def rows_left_out(restore: Restore) -> list[RestoreRow]:
+    """The rows that are not written."""
+    return [
+        _row(restore, left.number, restore.before.raw(left.number), restore.wanted.raw(left.number), left)
+        for left in restore.left_out
+    ]
 
 
 def restore_json(restore: Restore) -> RestoreShown:
-    """As programs and the page see it. ``rows`` of a plan holds the rows that can still be chosen too."""
-    offered = restore.offered if restore.state == "planned" else []
-    chosen = [_row_json(restore, row, None) for row in restore.rows]
+    """As programs see it."""
     return {
         "id": restore.id,
         "bus": restore.bus,
         "unit": restore.unit,
         "who": restore.who,
         "state": restore.state,
-        "cause": restore.cause,
+        "cause": in_english(restore.cause),
         "cause_code": restore.cause_code,
+        "cause_message": to_builtins(restore.cause),
         "running": restore.running,
         "done": restore.done,
         "equal": restore.plan.equal,
-        "remarks": restore.remarks,
-        "rows": chosen + [_row_json(restore, RowResult(write), left) for write, left in offered],
-        "left_out": [_left_out_json(restore, left) for left in restore.left_out],
+        "remarks": [str(remark) for remark in restore.remarks],
+        "remark_messages": to_builtins(restore.remarks),
+        "rows": [_row_json(row, row.result) for row in rows_to_write(restore) if row.result],
+        "left_out": [_left_out_json(row, row.left) for row in rows_left_out(restore) if row.left],
         "remaining": None if restore.remaining is None else [compared_json(row) for row in restore.remaining],
     }
 
 
-def _row_json(restore: Restore, row: RowResult, left: LeftOut | None) -> RestoreRowShown:
-    number = row.write.number
-    values = _values(restore, number, row.write.present, row.write.wanted)
-    words = meaning(number)
-    return {
-        **values,
-        "selected": left is None,
-        "reason": None if left is None else left.text,
-        "reason_code": None if left is None else left.reason,
-        "effect": EFFECTS.get(number),
-        "warning": warning_of(number, row.write.wanted, running=restore.running) or None,
-        "words": words,
-        "meaning": words.format(new=values["wanted"], old=values["present"]),
-        "outcome": row.outcome,
-        "message": row.message,
-        "read_back": None if PARAMETERS[number].secret else row.read_back,
-    }
+def _chosen(restore: Restore, row: RowResult, left: LeftOut | None) -> RestoreRow:
+    write = row.write
+    warning = warning_of(write.number, write.wanted, running=restore.running)
+    return _row(restore, write.number, write.present, write.wanted, left, row, warning)
 
 
-def _left_out_json(restore: Restore, left: LeftOut) -> LeftOutShown:
-    present, wanted = restore.before.raw(left.number), restore.wanted.raw(left.number)
-    return {
-        **_values(restore, left.number, present, wanted),
-        "reason": left.text,
-        "reason_code": left.reason,
-        "later": left.later,
-        "differs": None if present is None or wanted is None else present != wanted,
-    }
+def _row(
+    restore: Restore,
+    number: int,
+    present: int | None,
+    wanted: int | None,
+    left: LeftOut | None,
+    result: RowResult | None = None,
+    warning: Message | None = None,
+) -> RestoreRow:
+    texts = _shown(restore.before, number, present), _shown(restore.wanted, number, wanted)
+    return RestoreRow(number, present, wanted, *texts, left, result, warning)
 
 
-def _values(restore: Restore, number: int, present: int | None, wanted: int | None) -> RestoreValues:
-    parameter = PARAMETERS[number]
-    return {
-        "number": number,
-        "name": parameter.name,
-        "present_raw": None if parameter.secret else present,
-        "wanted_raw": None if parameter.secret else wanted,
-        "present": _shown(restore.before, number, present),
-        "wanted": _shown(restore.wanted, number, wanted),
-    }
-
-
-def _shown(rows: UnitRows, number: int, raw: int | None) -> str | None:
+def _shown(rows: UnitRows, number: int, raw: int | None) -> Message | None:
     parameter = PARAMETERS[number]
     if parameter.secret:
-        return "secret"
+        return Message("value_secret")
     return None if raw is None else with_unit(parameter, raw, rows)
+
+
+def _row_json(row: RestoreRow, result: RowResult) -> RestoreRowShown:
+    left = row.left
+    return {
+        **_values_json(row),
+        "selected": left is None,
+        "reason": None if left is None else str(left.text),
+        "reason_code": None if left is None else left.reason,
+        "reason_message": None if left is None else to_builtins(left.text),
+        "effect": row.effect,
+        "warning": None if row.warning is None else str(row.warning),
+        "warning_message": to_builtins(row.warning),
+        "words": str(Message(row.meaning.code)),
+        "meaning": str(row.meaning),
+        "meaning_message": to_builtins(row.meaning),
+        "outcome": result.outcome,
+        "message": in_english(result.message),
+        "outcome_message": to_builtins(result.message),
+        "read_back": None if PARAMETERS[row.number].secret else result.read_back,
+    }
+
+
+def _left_out_json(row: RestoreRow, left: LeftOut) -> LeftOutShown:
+    unknown = row.present_raw is None or row.wanted_raw is None
+    return {
+        **_values_json(row),
+        "reason": str(left.text),
+        "reason_code": left.reason,
+        "reason_message": to_builtins(left.text),
+        "later": left.later,
+        "differs": None if unknown else row.present_raw != row.wanted_raw,
+    }
+
+
+def _values_json(row: RestoreRow) -> RestoreValues:
+    secret = PARAMETERS[row.number].secret
+    return {
+        "number": row.number,
+        "name": row.name,
+        "present_raw": None if secret else row.present_raw,
+        "wanted_raw": None if secret else row.wanted_raw,
+        "present": None if row.present is None else str(row.present),
+        "wanted": None if row.wanted is None else str(row.wanted),
+    }

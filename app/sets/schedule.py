@@ -30,10 +30,10 @@ SAID_AFTER = timedelta(seconds=15)
 @dataclass(slots=True)
 class OverdueSet:
     """A unit whose set of the day is not taken yet. ``since``: when that was noticed; ``why``: what was in
-    the way at the last try, empty before one."""
+    the way at the last try, None before one."""
 
     since: datetime
-    why: str = ""
+    why: Message | None = None
 
 
 class SetSchedule:
@@ -83,7 +83,7 @@ class SetSchedule:
             await self._take(person, heard, overdue)
         for unit, one in tuple(overdue.items()):
             if not one.why and not self._is_heard(unit) and now - one.since >= SAID_AFTER:
-                await self._not_taken(person, unit, one, "the unit does not answer")
+                await self._not_taken(person, unit, one, Message("unit_unread"))
 
     def _is_heard(self, unit: int) -> bool:
         return self._live.units[unit].link.link == "online"
@@ -112,7 +112,7 @@ class SetSchedule:
             return False
         return True
 
-    async def _not_taken(self, person: Person, unit: int, overdue: OverdueSet, why: str) -> None:
+    async def _not_taken(self, person: Person, unit: int, overdue: OverdueSet, why: Message) -> None:
         """Said once; tried again as long as it is owed."""
         first, overdue.why = not overdue.why, why
         if first:
@@ -120,7 +120,7 @@ class SetSchedule:
             await self._record(person, what, unit, why)
 
     async def _record(
-        self, person: Person, what: Message, unit: int | None = None, message: str = ""
+        self, person: Person, what: Message, unit: int | None = None, message: Message | str = ""
     ) -> None:
         await self._events.record(
             kind="parameter_set",

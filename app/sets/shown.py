@@ -7,10 +7,14 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
+from app.commands.api.schemas import MessageShown
 from app.live.api.schemas import MaybeTime, Time, UnitAddress
 from app.sets.compare import Comparison
 
 Number = Annotated[int, Field(description="Number of the parameter, 1 to 40.")]
+MaybeMessage = Annotated[
+    MessageShown | None, Field(description="The field before it as data; null: it is empty.")
+]
 StoredRaw = Annotated[
     int | None, Field(description="Integer on the wire; null: not known, or a secret (#21).")
 ]
@@ -25,7 +29,7 @@ class SetHead(TypedDict):
     comment: str
     taken_at: Time
     who: str
-    origin: Annotated[str, Field(description="What made it: by hand, on schedule, before the first write …")]
+    origin: Annotated[str, Field(description="Origin: by hand, on schedule, before the first write …")]
     golden_for: Annotated[list[int], Field(description="Addresses of the units whose golden set it is.")]
 
 
@@ -44,7 +48,9 @@ class SetParameterShown(TypedDict):
     value: Annotated[str | None, Field(description="As shown to people; null: not known, or a secret.")]
     available: Annotated[bool, Field(description="Whether the unit has it.")]
     read_at: MaybeTime
-    frame: Annotated[str | None, Field(description="The response that said so, hexadecimal; null: a secret.")]
+    frame: Annotated[
+        str | None, Field(description="The response with the value, hexadecimal; null: a secret.")
+    ]
 
 
 class SetUnitShown(TypedDict):
@@ -79,13 +85,14 @@ class ComparedShown(TypedDict):
     right: Annotated[str, Field(description="Value of the second.")]
     left_raw: StoredRaw
     right_raw: StoredRaw
-    meaning: Annotated[str, Field(description="What the difference means; empty: none.")]
+    meaning: Annotated[str, Field(description="What the difference means, English; empty: none.")]
+    meaning_message: MaybeMessage
 
 
 class DepartureShown(ComparedShown):
     """A row in which a unit differs from its golden set, and whose change it is."""
 
-    changed_by: Annotated[str | None, Field(description="User or token; null: somebody at the panel.")]
+    changed_by: Annotated[str | None, Field(description="User or token; null: changed at the panel.")]
     changed_at: MaybeTime
     changed: str
 
@@ -102,7 +109,8 @@ class OverdueShown(TypedDict):
     """A unit whose set of the day could not be saved yet."""
 
     unit: UnitAddress
-    why: str
+    why: Annotated[str, Field(description="Why, English.")]
+    why_message: MaybeMessage
 
 
 class ScheduleShown(TypedDict):

@@ -13,6 +13,7 @@ from app.sets.background import Background
 from app.sets.keeper import SetKeeper
 from app.sets.model import UnitRows
 from app.web.access import Person
+from bus.messages import Message
 
 _KEEP = 20
 AT_ONCE = 4
@@ -31,9 +32,9 @@ class Taking:
     comment: str
     state: Literal["reading", "kept", "failed"] = "reading"
     read: list[UnitRows] = field(default_factory=list)
-    silent: dict[int, str] = field(default_factory=dict)
+    silent: dict[int, Message] = field(default_factory=dict)
     set_id: int | None = None
-    cause: str = ""
+    cause: Message | None = None
 
     @property
     def done(self) -> int:
@@ -75,7 +76,7 @@ class Takings:
         try:
             kept = await keeper.keep(person, taking.read, taking.name, taking.comment, "by hand")
         except Problem as problem:
-            taking.state, taking.cause = "failed", problem.detail
+            taking.state, taking.cause = "failed", problem.message
             return
         taking.set_id, taking.state = kept.id, "kept"
 
@@ -85,8 +86,8 @@ async def read_together(
     person: Person,
     units: Sequence[int],
     read: list[UnitRows] | None = None,
-    silent: dict[int, str] | None = None,
-) -> tuple[list[UnitRows], dict[int, str]]:
+    silent: dict[int, Message] | None = None,
+) -> tuple[list[UnitRows], dict[int, Message]]:
     """Read units whole, a few at once. Gives those that answered, and why the others did not; ``read`` and
     ``silent`` are filled on the way where somebody watches."""
     at_once = asyncio.Semaphore(AT_ONCE)
@@ -98,7 +99,7 @@ async def read_together(
             try:
                 read.append(await keeper.read(person, unit))
             except Problem as problem:
-                silent[unit] = problem.detail
+                silent[unit] = problem.message
 
     await asyncio.gather(*(read_one(unit) for unit in units))
     read.sort(key=lambda rows: units.index(rows.unit))

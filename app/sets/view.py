@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from msgspec import to_builtins
+
 from app.sets.compare import Compared, with_unit
 from app.sets.drift import DriftedParameter
 from app.sets.model import ParameterSet, UnitRows
@@ -17,6 +19,7 @@ from app.sets.shown import (
 from app.sets.store import SetSummary
 from app.web.shape import iso
 from bus.catalogue.parameters import PARAMETERS
+from bus.messages import in_english
 
 
 def summary_json(summary: SetSummary) -> SummaryShown:
@@ -58,7 +61,7 @@ def _unit_json(rows: UnitRows) -> SetUnitShown:
                 "number": number,
                 "name": parameter.name,
                 "raw": None if parameter.secret else row.raw,
-                "value": None if shown or row.raw is None else with_unit(parameter, row.raw, rows),
+                "value": None if shown or row.raw is None else str(with_unit(parameter, row.raw, rows)),
                 "available": row.available,
                 "read_at": None if row.read_at is None else iso(row.read_at),
                 "frame": None if parameter.secret else row.frame.hex(" "),
@@ -74,11 +77,12 @@ def compared_json(row: Compared) -> ComparedShown:
         "number": row.number,
         "name": PARAMETERS[row.number].name,
         "kind": row.kind,
-        "left": row.old,
-        "right": row.new,
+        "left": str(row.old),
+        "right": str(row.new),
         "left_raw": None if secret or row.left is None else row.left.raw,
         "right_raw": None if secret or row.right is None else row.right.raw,
-        "meaning": row.sentence,
+        "meaning": in_english(row.meaning),
+        "meaning_message": to_builtins(row.meaning),
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from app.commands.api.responses import outcome_message
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.live_state import LiveState
@@ -10,7 +11,6 @@ from app.swap.rules import FACTORY_ADDRESS, ProbeFinding, SwapState
 from app.web.access import Person
 from bus.catalogue.status import status_bits
 from bus.contract import ScanBus
-from bus.messages import Message
 
 LOOK_TIMEOUT_S = 30.0
 LOOKS = 4
@@ -51,7 +51,7 @@ async def _answers(desk: CommandService, person: Person, address: int) -> ProbeF
     action = ScanBus(first=address, last=address)
     result = await desk.ask(person, action, timeout_s=LOOK_TIMEOUT_S, origin="unit swap")
     if result.outcome != "verified":
-        raise Problem(503, "not_looked", result.message or Message("worker_no_result"))
+        raise Problem(503, "not_looked", outcome_message(result))
     return next((found.kind for found in result.found if found.unit == address), "silent")
 
 

@@ -19,12 +19,11 @@ from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.offers import offers
 from app.sets.restore_api import Restores
-from app.sets.restore_shown import LeftOutShown
-from app.sets.restore_view import restore_json
-from app.swap.desk import SwapService, step_text
+from app.sets.restore_view import RestoreRow, rows_left_out
 from app.swap.looking import look
 from app.swap.record import Swap
-from app.swap.rules import FACTORY_ADDRESS, PROVEN, STEPS, Advice, advice, done_steps
+from app.swap.rules import PROVEN, STEPS, Advice, advice, done_steps
+from app.swap.service import SwapService, step_text
 from app.swap.sources import source_of
 from app.web.access import Engineer, Person
 from app.web.services import bus_service_of, service
@@ -76,7 +75,6 @@ async def look_again(
     unit_or_404(live, bus, unit)
     swap = swaps.of_or_404(bus, unit)
     now = PROVEN if swap.proven else await _advice(person, live, swaps, desk, swap)
-    baud = live.buses[bus].baud
     return render(
         request,
         "swap/_steps.html",
@@ -86,7 +84,6 @@ async def look_again(
         swap=swap,
         setpoints=_setpoints_left(swap),
         text=step_text(now, swap),
-        words={"target": unit, "factory": FACTORY_ADDRESS, "baud": baud, "hundreds": baud // 100},
         steps=STEPS,
         done=done_steps(now.step),
         at=time(),
@@ -97,8 +94,8 @@ async def _advice(person: Person, live: Live, swaps: SwapService, desk: CommandS
     try:
         state = await swaps.look(swap, lambda: look(desk, live, person, swap))
     except Problem as problem:
-        return Advice("find", problem.detail, at_panel=False)
-    return Advice("find", "reading the wire", at_panel=False) if state is None else advice(state)
+        return Advice("find", problem.message, at_panel=False)
+    return Advice("find", Message("swap_reading"), at_panel=False) if state is None else advice(state)
 
 
 @router.post("/swap/{bus}/{unit}/spare")
@@ -130,7 +127,7 @@ async def entered(
     """All is entered from the sheet: read the unit whole and keep it as a set."""
     unit_or_404(live, bus, unit)
     swap = swaps.of_or_404(bus, unit)
-    kept = await keeper.take(person, [unit], "entered from the sheet", "")
+    kept = await keeper.take(person, [unit], "", "", "from the sheet")
     await swaps.entered(person, swap, kept)
     return Response(status_code=303, headers={"Location": f"/sets/{kept.id}"})
 
@@ -142,13 +139,11 @@ async def give_up(person: Engineer, swaps: Swaps, bus: str, unit: int) -> Respon
     return Response(status_code=303, headers={"Location": f"/units/{bus}/{unit}"})
 
 
-def _setpoints_left(swap: Swap) -> list[LeftOutShown]:
+def _setpoints_left(swap: Swap) -> list[RestoreRow]:
     """The setpoints that the spare does not have from the old unit, for nobody chose to write them."""
     if swap.restore is None or not swap.proven:
         return []
-    return [
-        left for left in restore_json(swap.restore)["left_out"] if left["reason_code"] == "operating_value"
-    ]
+    return [row for row in rows_left_out(swap.restore) if row.left and row.left.reason == "operating_value"]
 
 
 def _to_swap(bus: str, unit: int) -> Response:

@@ -6,8 +6,9 @@ import asyncio
 from dataclasses import dataclass, field
 
 from app.sets.restore_record import Restore
-from app.swap.rules import SwapState, seen_words
+from app.swap.rules import SwapState, finding
 from bus.instants import UnixTime
+from bus.messages import Message, listed
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,9 +18,11 @@ class SwapSource:
     set: int
     unit: int
 
-    def words(self, unit: int) -> str:
-        """``set 7``, and of which unit where that is another than ``unit``."""
-        return f"set {self.set}" if self.unit == unit else f"set {self.set} of unit {self.unit}"
+    def message(self, unit: int) -> Message:
+        """Which set, and of which unit where that is another than ``unit``."""
+        if self.unit == unit:
+            return Message.of("set_numbered", set=self.set)
+        return Message.of("set_of_unit", set=self.set, unit=self.unit)
 
 
 @dataclass(slots=True)
@@ -34,7 +37,7 @@ class Swap:
     source: SwapSource | None
     began_at: UnixTime
     is_new: bool = False
-    seen: list[str] = field(default_factory=list)
+    seen: list[Message] = field(default_factory=list)
     restore: Restore | None = None
     proven: bool = False
     state: SwapState | None = None
@@ -47,9 +50,9 @@ class Swap:
         before = self.is_new, len(self.seen)
         if state.at_target == "silent":
             self.is_new = True
-        words = seen_words(state)
-        if not self.seen or self.seen[-1] != words:
-            self.seen.append(words)
+        found = finding(state)
+        if not self.seen or self.seen[-1] != found:
+            self.seen.append(found)
         return before != (self.is_new, len(self.seen))
 
     @property
@@ -62,6 +65,11 @@ class Swap:
         return self.restore.state == "equal"
 
     @property
-    def source_words(self) -> str:
+    def source_message(self) -> Message:
         """Where its parameters come from."""
-        return "the sheet" if self.source is None else self.source.words(self.unit)
+        return Message("swap_sheet") if self.source is None else self.source.message(self.unit)
+
+    @property
+    def story(self) -> Message:
+        """What was seen, in order."""
+        return Message.of("swap_seen", findings=listed(self.seen))

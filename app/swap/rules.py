@@ -6,6 +6,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Literal
 
+from bus.messages import Message, ParamValue
+
 FACTORY_ADDRESS = 1
 """#17 of a unit as it comes out of its box (manual, 1.0)."""
 FACTORY_BAUD = 9600
@@ -38,19 +40,18 @@ class SwapState:
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """The step at hand, and in words (a template for ``target``, ``factory``, ``baud`` and ``hundreds``)
-    what to do now.
+    """The step at hand, and what to do now.
 
     ``at_panel``: only a person at the unit can do it. ``asks``: whether the unit there is the spare.
     """
 
     step: StepName
-    text: str
+    text: Message
     at_panel: bool
     asks: bool = False
 
 
-PROVEN = Advice("proven", "The new unit is what the old one was, proven by a full read.", at_panel=False)
+PROVEN = Advice("proven", Message("swap_proven"), at_panel=False)
 
 
 def advice(state: SwapState) -> Advice:
@@ -60,83 +61,42 @@ def advice(state: SwapState) -> Advice:
     if state.at_target == "silent":
         return _nothing_at_target(state)
     if not state.is_new:
-        text = (
-            "A unit answers at address {target}. If it is the old one, switch it off and take it off the "
-            "cable; this page goes on when the address is silent. If it is the spare already, say so."
-        )
-        return Advice("find", text, at_panel=True, asks=True)
+        return Advice("find", Message.of("swap_old_or_new", target=state.target), at_panel=True, asks=True)
     if state.remote is not True:
-        text = (
-            "At the keypad of the new unit set parameter 19 to 1 (REMOTE). In LOCAL it refuses every write, "
-            "and the link cannot change that."
-        )
-        return Advice("remote", text, at_panel=True)
+        return Advice("remote", Message("swap_set_remote"), at_panel=True)
     if state.equal is not True:
-        return Advice("restore", "The unit answers in REMOTE. Restore its parameters now.", at_panel=False)
+        return Advice("restore", Message("swap_restore_now"), at_panel=False)
     return PROVEN
 
 
 def _at_target_wrong(state: SwapState) -> Advice:
-    if state.at_target == "foreign":
-        text = "Something that is no DIGIMAX IV answers at address {target}. Take it off the cable."
-    elif state.at_target == "late":
-        text = (
-            "Responses from address {target} come too late to be identified. Increase turnaround_ms for this "
-            "bus in lineside.toml and restart Lineside."
-        )
-        return Advice("find", text, at_panel=False)
-    else:
-        text = (
-            "Two units answer at address {target} at once. Take the old one off the cable, or give the other "
-            "its own address at its keypad (parameter 17)."
-        )
-    return Advice("address", text, at_panel=True)
+    if state.at_target == "late":
+        return Advice("find", Message.of("swap_late", target=state.target), at_panel=False)
+    code = "swap_foreign" if state.at_target == "foreign" else "swap_two_units"
+    return Advice("address", Message.of(code, target=state.target), at_panel=True)
 
 
 def _nothing_at_target(state: SwapState) -> Advice:
+    addresses: dict[str, ParamValue] = {"target": state.target, "factory": FACTORY_ADDRESS}
     if state.at_factory == "garbled":
-        text = (
-            "Two units answer at address {factory}: the spare still has its factory address, which another "
-            "section uses. At the keypad of the spare set parameter 17 to {target}."
-        )
-        return Advice("address", text, at_panel=True)
+        return Advice("address", Message("swap_two_at_factory", addresses), at_panel=True)
     if state.at_factory == "digimax" and FACTORY_ADDRESS not in state.configured:
-        text = (
-            "The spare answers at its factory address {factory}. At its keypad set parameter 17 to {target}."
-        )
-        return Advice("address", text, at_panel=True)
-    if state.baud != FACTORY_BAUD:
-        text = (
-            "Nothing new answers yet. Connect and power the spare. Out of its box it speaks at 9600 baud, "
-            "and this line goes at {baud}: at its keypad set parameter 17 to {target} and parameter 18 to "
-            "{hundreds}, then switch it off and on."
-        )
-    else:
-        text = (
-            "Nothing new answers yet. Connect and power the spare; at its keypad set parameter 17 to "
-            "{target}. If it was used elsewhere before, set parameter 18 to {hundreds} ({baud} baud) as "
-            "well, then switch it off and on."
-        )
+        return Advice("address", Message("swap_at_factory", addresses), at_panel=True)
+    code = "swap_nothing_new" if state.baud == FACTORY_BAUD else "swap_nothing_new_other_baud"
+    text = Message.of(code, target=state.target, baud=state.baud, hundreds=state.baud // 100)
     return Advice("find", text, at_panel=True)
 
 
-_KIND_WORDS: dict[ProbeFinding, str] = {
-    "silent": "nothing answers",
-    "digimax": "a unit answers",
-    "garbled": "two units answer",
-    "foreign": "something that is no unit answers",
-    "late": "responses come too late",
-}
-
-
-def seen_words(state: SwapState) -> str:
+def finding(state: SwapState) -> Message:
     """What the wire shows, for the record of the swap."""
-    words = f"{_KIND_WORDS[state.at_target]} at address {state.target}"
-    if state.at_target == "silent" and state.at_factory != "silent":
-        words += f" and {_KIND_WORDS[state.at_factory]} at {FACTORY_ADDRESS}"
-    if state.at_target == "digimax":
-        words += " in REMOTE" if state.remote else "" if state.remote is None else ", not in REMOTE"
-    return words
+    if state.at_target == "digimax" and state.remote is not None:
+        code = "swap_found_remote" if state.remote else "swap_found_local"
+        return Message.of(code, address=state.target)
+    target = Message.of(f"swap_found_{state.at_target}", address=state.target)
+    if state.at_target != "silent" or state.at_factory == "silent":
+        return target
+    factory = Message.of(f"swap_found_{state.at_factory}", address=FACTORY_ADDRESS)
+    return Message.of("swap_found_both", target=target, factory=factory)
 
 
 def done_steps(now: StepName) -> Collection[StepName]:

@@ -41,5 +41,5 @@ async def source_of(
     chosen = await side(form.text, sets, live)
     if chosen.kind == "set":
         return SwapSource(int(chosen.of), chosen.unit)
-    name = f"for the swap of unit {unit}"
-    return SwapSource((await keepers(chosen.of).take(person, [chosen.unit], name, "")).id, chosen.unit)
+    kept = await keepers(chosen.of).take(person, [chosen.unit], "", "", "for a unit swap")
+    return SwapSource(kept.id, chosen.unit)

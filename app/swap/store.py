@@ -6,6 +6,7 @@ import sqlite3
 from collections.abc import Awaitable, Callable
 
 from app.database import Database
+from app.database.messages import messages_of, stored_messages
 from app.sets.restore_record import Restore
 from app.swap.record import Swap, SwapSource
 
@@ -53,7 +54,7 @@ def _row(swap: Swap) -> tuple[object, ...]:
         swap.is_new,
         swap.proven,
         swap.restore.id if swap.restore else None,
-        "\n".join(swap.seen),
+        stored_messages(swap.seen),
     )
 
 
@@ -71,7 +72,7 @@ def _select(connection: sqlite3.Connection) -> list[tuple[Swap, str | None]]:
                 began_at,
                 is_new=bool(is_new),
                 proven=bool(proven),
-                seen=seen.split("\n") if seen else [],
+                seen=messages_of(seen),
             ),
             restore_id,
         )

@@ -26,8 +26,8 @@ AccountSubscriber = Callable[[str], Awaitable[None]]
 
 
 class Role(StrEnum):
-    """What someone may do. The first four each include the ones before; ``worker`` opens /feed and nothing
-    else, and nothing else opens /feed: what a worker reports is what commands are verified by."""
+    """Permissions. Each of the first four includes those before it; ``worker`` opens /feed and nothing else,
+    and no other role opens /feed: commands are verified by the reports of a worker."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"

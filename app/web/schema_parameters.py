@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 DESCRIPTIONS = {
-    "idempotency-key": "Names this command, 1 to 200 characters: sent again, it is carried out once.",
+    "idempotency-key": "Id of this command, 1 to 200 characters: sent twice, the command is executed once.",
     "before": "Only entries before this id: next of the page before.",
     "bus": "Name of a bus in lineside.toml.",
     "format": "Of the times or of the file.",
@@ -13,15 +13,15 @@ DESCRIPTIONS = {
     "from_unit": "Address of a unit of the document, 1 to 255.",
     "gaps": "Read in the gaps of the scan only: slower, and the scan keeps its rate.",
     "kind": "Only events of this kind.",
-    "limit": "Entries of one answer.",
+    "limit": "Entries per response.",
     "name": "Name of the recipe.",
     "number": "Number of the output (1 to 6) or of the parameter (1 to 40).",
     "other_id": "Id of the other parameter set.",
     "other_unit": "Address of the unit in the other set, 1 to 255; the same when left out.",
-    "points": "Points of the answer, 1 to 20000.",
+    "points": "Points of the response, 1 to 20000.",
     "recipe_id": "Id of a version of a recipe.",
     "refresh": "Read all parameters from the unit now.",
-    "resolution": "auto: readings where the whole span has them, else minutes.",
+    "resolution": "auto: values if they are stored for the complete span, else minutes.",
     "restore_id": "Id of a restore.",
     "search": "Only events with this text.",
     "seconds": "As text, this many seconds back, up to 3600.",

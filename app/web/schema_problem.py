@@ -25,7 +25,7 @@ STATUSES = {
 _MEMBERS: dict[str, Any] = {
     "type": {
         "type": "string",
-        "description": "about:blank (RFC 9457, 4.2.1): code says which problem it is.",
+        "description": "about:blank (RFC 9457, 4.2.1): code identifies the problem.",
     },
     "title": {"type": "string", "description": "The phrase of the HTTP status."},
     "status": {"type": "integer", "description": "The HTTP status, 400 to 599."},
@@ -55,7 +55,7 @@ _MEMBERS: dict[str, Any] = {
 _MESSAGE = {
     "type": "object",
     "title": "Message",
-    "description": "What detail says, for programs: a value that is a text of its own is a message too.",
+    "description": "detail as data, for programs. A value that is a message has code and params too.",
     "required": ["code", "params"],
     "properties": {
         "code": {"type": "string", "description": "Which text it is."},
@@ -86,7 +86,7 @@ def usual_problems(path: str, methods: Iterable[str]) -> dict[int | str, dict[st
     statuses |= {409} if set(methods) - {"GET", "HEAD"} else set()
     return {
         **problems(*sorted(statuses)),
-        "default": _response("Refused. Nothing was done that is not said."),
+        "default": _response("Any other refusal. detail states what was done."),
     }
 
 

@@ -98,7 +98,7 @@ class PlayedDesk:
 
     def _read(self, action: ReadParameters) -> Result:
         if self._silent:
-            return Result(id="r", at=time.time(), outcome="unverified", message=term("no answer"))
+            return Result(id="r", at=time.time(), outcome="unverified", message=term("no response"))
         values = [self._value(action.unit, number) for number in action.numbers]
         return Result(id="r", at=time.time(), outcome="verified", values=values)
 

@@ -31,14 +31,14 @@ async def accounts(tmp_path: Path) -> AsyncIterator[Accounts]:
 
 async def test_a_name_is_given_once(accounts: Accounts) -> None:
     await accounts.add_user("ann", Role.VIEWER, PASSWORD, **BY)
-    with pytest.raises(CallerError, match="there is a user ann already"):
+    with pytest.raises(CallerError, match="a user ann exists already"):
         await accounts.add_user("ann", Role.ADMIN, PASSWORD, **BY)
     assert [(user.name, user.role) for user in await accounts.users()] == [("ann", Role.VIEWER)]
 
 
 async def test_a_token_is_named_once(accounts: Accounts) -> None:
     await accounts.create_token("plc", Role.VIEWER, **BY)
-    with pytest.raises(CallerError, match="there is a token plc already"):
+    with pytest.raises(CallerError, match="a token plc exists already"):
         await accounts.create_token("plc", Role.VIEWER, **BY)
 
 
@@ -102,8 +102,8 @@ async def test_every_change_is_an_event_with_its_author(accounts: Accounts) -> N
     found, _ = await accounts._events.page(Filter(kind="user"), 10)
     assert [event["what"] for event in reversed(found)] == [
         "user ann added as viewer",
-        "user ann is operator now",
-        "user ann is refused from now on",
+        "user ann is now operator",
+        "user ann disabled",
         "user ann removed",
     ]
     assert {event["who"] for event in found} == {"root"}
@@ -140,9 +140,9 @@ async def test_every_way_to_a_password_or_pin_has_the_same_rules(accounts: Accou
 
 @pytest.mark.parametrize("role", [Role.ENGINEER, Role.ADMIN])
 async def test_a_panel_is_operator_at_most(accounts: Accounts, role: Role) -> None:
-    with pytest.raises(CallerError, match="a panel is operator at most"):
+    with pytest.raises(CallerError, match="a panel is an operator at most"):
         await accounts.add_panel("p1", role, "471193", "/", **BY)
     await accounts.add_panel("p1", Role.OPERATOR, "471193", "/", **BY)
-    with pytest.raises(CallerError, match="a panel is operator at most"):
+    with pytest.raises(CallerError, match="a panel is an operator at most"):
         await accounts.set_role("p1", role, **BY)
     assert (await accounts.users())[0].role is Role.OPERATOR

@@ -246,7 +246,7 @@ async def test_the_server_anchors_its_last_entry_when_it_ends(tmp_path: Path) ->
     anchors = read_anchor_file(tmp_path / "anchor", ring)
     with closing(open_for_reading(settings.server.store)) as connection:
         what, last = connection.execute("SELECT what, id FROM events ORDER BY id DESC").fetchone()
-    assert (what, last) == ("server ended", anchors.newest)
+    assert (what, last) == ("server stopped", anchors.newest)
 
 
 async def test_a_running_server_anchors_its_head_every_minute(
@@ -278,7 +278,7 @@ async def test_what_is_not_well_is_on_the_page_and_in_the_metrics(tmp_path: Path
             metrics = (await client.get("/metrics")).text
             page = (await client.get("/", headers={"Accept-Language": "de"})).text
     assert "lineside_audit_degraded 1.0" in metrics
-    assert "ist das Audit-Protokoll nicht verankert. Der Grund: Is a directory" in page
+    assert "ist das Audit-Protokoll nicht verankert. Ursache: Is a directory" in page
 
 
 def test_a_log_that_was_altered_is_said_before_all_else() -> None:

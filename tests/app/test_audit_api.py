@@ -190,7 +190,7 @@ async def test_what_people_have_named_and_written_is_not_translated(house: House
     await house.services.events.record(
         kind="control", what="control handed over", old="operator", new="user", **said
     )
-    await house.services.events.record(kind="block", what="unit blocked", new="ramping", **said)
+    await house.services.events.record(kind="block", what="commands blocked", new="ramping", **said)
     page = (await viewer.get("/events", headers={"Accept-Language": "de"})).text
     assert '<td class="event__old number">operator</td>' in page
     assert '<td class="event__new number">user</td>' in page

@@ -176,7 +176,7 @@ def test_a_service_that_can_write_to_its_data_folder_alone_has_its_key_there(sto
 def test_a_key_in_the_data_folder_is_refused(tmp_path: Path, key_file: str) -> None:
     (tmp_path / "data").mkdir()
     (tmp_path / "here").symlink_to(tmp_path / "data")
-    with pytest.raises(ConfigurationError, match=r"lies in the data folder: .*name a file elsewhere"):
+    with pytest.raises(ConfigurationError, match=r"is in the data folder: .*name a file in another folder"):
         load(written(tmp_path, f'[audit]\nkey_file = "{key_file}"\n'))
 
 

@@ -73,7 +73,7 @@ async def test_a_message_is_kept_as_its_text_and_as_what_it_says(log: EventLog) 
     await log.record(kind="user", what=what, old="typed")
     await log.conclude(number, "verified", Message("unit_not_remote"))
     later, first = await newest(log)
-    assert later["what"] == "user half \\ud800 is viewer now"
+    assert later["what"] == "user half \\ud800 is now viewer"
     assert later["messages"]["what"].params == {"name": "half \\ud800", "role": term("viewer")}
     assert (later["old"], "old" in later["messages"]) == ("typed", False)
     assert first["message"] == "unit is not in REMOTE mode"
@@ -92,7 +92,7 @@ async def test_a_command_has_one_fate(log: EventLog) -> None:
 async def test_what_a_dead_server_left_open_is_unverified(log: EventLog) -> None:
     done, left = await intent(log), await intent(log)
     await log.conclude(done, "acknowledged")
-    await log.record(kind="login", what="signed in", who="ann")
+    await log.record(kind="login", what="logged in", who="ann")
     assert await log.close_open_intents() == 1
     assert await log.close_open_intents() == 0
     events = {event["id"]: event for event in await newest(log, kind="command")}

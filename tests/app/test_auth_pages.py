@@ -71,7 +71,7 @@ async def test_a_wrong_password_keeps_the_name_but_not_the_password(house: House
     assert answer.status_code == 401
     assert 'value="ann"' in answer.text
     assert "my-wrong-one" not in answer.text
-    assert "the name or the password is not right" in answer.text
+    assert "wrong name or password" in answer.text
 
 
 async def test_too_many_failures_are_said_with_the_time_to_wait(house: House) -> None:
@@ -99,7 +99,7 @@ async def test_a_panel_begins_at_its_home_page(house: House) -> None:
         (PASSWORD, "short", "short", "12 to 256 characters"),
         (PASSWORD, "passwordpassword", "passwordpassword", "easy to guess"),
         (PASSWORD, "a good new one", "but different", "the two new passwords differ"),
-        ("not mine", "a good new one", "a good new one", "the present password is not right"),
+        ("not mine", "a good new one", "a good new one", "wrong current password"),
     ],
 )
 async def test_ones_own_password_is_not_changed_for_nothing(
@@ -125,9 +125,9 @@ async def test_ones_own_password_is_changed_and_every_other_device_is_out(house:
 async def test_a_password_that_is_too_weak_is_told_to_the_admin(
     house: House, admin: httpx.AsyncClient
 ) -> None:
-    assert "still works" not in (await admin.get("/users")).text
+    assert "still in use" not in (await admin.get("/users")).text
     await house.services.database.write(lambda c: c.execute("UPDATE users SET weak_secret = 1"))
-    assert "Have it changed: ada." in (await admin.get("/users")).text
+    assert "must change theirs: ada." in (await admin.get("/users")).text
 
 
 async def test_a_browser_that_signed_in_is_known_again(house: House) -> None:
@@ -180,12 +180,16 @@ async def test_an_admin_adds_changes_and_removes_people(house: House, admin: htt
     [
         ("/users", {"name": "a b", "password": "a good new one"}, "1 to 40 letters"),
         ("/users", {"name": "bob", "password": "short"}, "12 to 256 characters"),
-        ("/users", {"name": "ada", "password": "a good new one"}, "there is a user ada already"),
+        ("/users", {"name": "ada", "password": "a good new one"}, "a user ada exists already"),
         ("/users", {"name": "bob", "role": "king", "password": "a good new one"}, "there is no role"),
         ("/users", {"name": "bob", "role": "worker", "password": "a good new one"}, "there is no role"),
         ("/users/panels", {"panel": "p1", "pin": "12"}, "6 to 12 digits"),
         ("/users/panels", {"panel": "p1", "pin": "000000"}, "easy to guess"),
-        ("/users/panels", {"panel": "p1", "pin": PIN, "panel_role": "admin"}, "a panel is operator at most"),
+        (
+            "/users/panels",
+            {"panel": "p1", "pin": PIN, "panel_role": "admin"},
+            "a panel is an operator at most",
+        ),
         ("/users/panels", {"panel": "p1", "pin": PIN, "home": "//evil"}, "a path on this server"),
         ("/users", {"name": "bernd", "password": "bernd-is-the-best"}, "contains the user name"),
         ("/users", {"name": "bob", "password": "at-mill-7-we-go"}, "contains the name of the site"),
@@ -194,8 +198,8 @@ async def test_an_admin_adds_changes_and_removes_people(house: House, admin: htt
         ("/users/ada/password", {"password": "short"}, "12 to 256 characters"),
         ("/users/tokens", {"token": "a b"}, "1 to 40 letters"),
         ("/users/tokens", {"token": "t", "token_role": "king"}, "there is no role"),
-        ("/users/tokens", {"token": "t", "token_role": "worker"}, "is for one bus; name it: dry-end"),
-        ("/users/tokens", {"token": "t", "expires": "soon"}, "a whole number, or empty"),
+        ("/users/tokens", {"token": "t", "token_role": "worker"}, "is for one bus; give one of dry-end"),
+        ("/users/tokens", {"token": "t", "expires": "soon"}, "an integer, or empty"),
         ("/users/tokens", {"token": "t", "expires": "9999"}, "after 1 to 3650 days"),
         ("/users/tokens/none/revoke", {}, "there is no token none"),
     ],
@@ -234,7 +238,7 @@ async def test_what_cannot_be_undone_is_asked_first_and_answers_in_the_dialog(
 ) -> None:
     await admin.post("/users/tokens", data={"token": "plc"})
     asked = await admin.get("/users/tokens/plc/revoke", headers=HTML)
-    assert "refused from its next request on" in asked.text
+    assert "are refused from now on" in asked.text
     assert 'hx-post="/users/tokens/plc/revoke"' in asked.text
     fragment = HTML | {"hx-request": "true"}
     refused = await admin.post("/users/tokens/none/revoke", headers=fragment)

@@ -82,7 +82,7 @@ def test_a_panel_is_operator_at_most(role: Role) -> None:
     [
         (Role.WORKER, "dry", ""),
         (Role.ADMIN, "", ""),
-        (Role.ADMIN, "dry", "a token of role admin is not for one bus"),
+        (Role.ADMIN, "dry", "a token with the role admin has no bus"),
         (Role.WORKER, "", "name it: dry, wet"),
         (Role.WORKER, "west", "there is no bus 'west'; there are: dry, wet"),
     ],

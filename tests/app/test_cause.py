@@ -52,20 +52,20 @@ def test_a_unit_at_speed_in_remote_has_none() -> None:
         (
             STOPPED | {"inputs": RUN},
             "urgent",
-            "Stopped: e-stop input active since 02:22",
-            "Steht: Not-Halt-Eingang aktiv seit 02:22",
+            "Stopped: emergency stop active since 02:22",
+            "Steht: Not\u2011Halt aktiv seit 02:22",
         ),
         (
             {"commanded": 0, "actual": 0, "inputs": RUN},
             "urgent",
-            "Stopped: e-stop input active since 02:22",
-            "Steht: Not-Halt-Eingang aktiv seit 02:22",
+            "Stopped: emergency stop active since 02:22",
+            "Steht: Not\u2011Halt aktiv seit 02:22",
         ),
         (
             {"inputs": RUN},
             "urgent",
-            "Turning: e-stop input active since 02:22",
-            "Dreht: Not-Halt-Eingang aktiv seit 02:22",
+            "Turning: emergency stop active since 02:22",
+            "Dreht: Not\u2011Halt aktiv seit 02:22",
         ),
         (
             STOPPED | {"inputs": HEALTHY},

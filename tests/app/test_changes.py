@@ -20,7 +20,7 @@ def seen(*updates: Update, **settings: object) -> list[tuple[str, int | None, st
 
 
 def link(state: str, unit: int = 1) -> UnitLink:
-    return UnitLink(unit=unit, at=1.0, link=state, cause=term("no answer"))  # type: ignore[arg-type]
+    return UnitLink(unit=unit, at=1.0, link=state, cause=term("no response"))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -103,7 +103,7 @@ def test_users(lineside: Shell) -> None:
     assert lineside("user", "list")[1] == "ann\toperator\n"
     assert lineside("user", "password", "ann", "--password-stdin", typed="another good one") == (0, "", "")
     code, _, err = lineside(*add, typed="correct horse")
-    assert (code, err) == (2, "lineside: there is a user ann already; choose another name\n")
+    assert (code, err) == (2, "lineside: a user ann exists already; choose another name\n")
     assert lineside("user", "remove", "ann")[0] == 0
     assert lineside("user", "list")[1] == ""
 
@@ -152,14 +152,14 @@ def test_a_terminal_is_asked_for_the_password_and_shows_nothing_of_it(lineside: 
         (
             ["token", "create", "t", "--role", "worker"],
             "",
-            "a worker's token is for one bus; name it: dry-end",
+            "a token with the role worker is for one bus; give one of dry-end",
         ),
         (
             ["token", "create", "t", "--role", "worker", "--bus", "x"],
             "",
             "there is no bus 'x'; there are: dry-end",
         ),
-        (["token", "create", "t", "--role", "viewer", "--bus", "dry-end"], "", "is not for one bus"),
+        (["token", "create", "t", "--role", "viewer", "--bus", "dry-end"], "", "has no bus"),
         (["token", "create", "t", "--role", "viewer", "--expires", "0"], "", "after 1 to 3650 days"),
     ],
 )
@@ -192,7 +192,7 @@ def tamper(store: Path, sql: str) -> None:
 def test_the_log_is_proved_whole(lineside: Shell) -> None:
     for name in ("a", "b", "c"):
         lineside("token", "create", name, "--role", "viewer")
-    assert lineside("audit", "verify") == (0, "the audit log is whole: 3 entries\n", "")
+    assert lineside("audit", "verify") == (0, "the audit log is intact: 3 entries\n", "")
 
 
 @pytest.mark.parametrize(
@@ -227,12 +227,12 @@ def test_a_store_that_is_none(lineside: Shell) -> None:
     for words in (("audit", "verify"), ("user", "list")):
         code, _, err = lineside(*words)
         assert code == 1, words
-        assert "it is not a Lineside store, or damaged" in err
+        assert "it is not a Lineside store, or it is damaged" in err
     call = [sys.executable, "-m", "app.cli", "serve", "--config", str(lineside.config)]
     lineside.config.write_text("[server]\nport = 0\n" + CONFIG)
     served = subprocess.run(call, capture_output=True, text=True)
     assert (served.returncode, served.stdout) == (1, "")
-    assert "it is not a Lineside store, or damaged" in served.stderr
+    assert "it is not a Lineside store, or it is damaged" in served.stderr
 
 
 def test_a_worker_without_its_bus(lineside: Shell) -> None:

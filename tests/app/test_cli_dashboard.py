@@ -226,7 +226,7 @@ PLAN = {
     ],
     "left_out": [
         left_out(20, "Speed Setpoint", reason="Changes the machine's speed now"),
-        left_out(21, "Operator Password", reason="secret, not held in the set", differs=None),
+        left_out(21, "Operator Password", reason="secret, not stored in the set", differs=None),
     ],
 }
 
@@ -252,7 +252,7 @@ def test_a_restore_names_what_it_leaves_out(file: Path) -> None:
     assert lines[2].endswith("5.0 s instead of 10.0 s  (Changes how fast it is)")
     assert lines[3].startswith("#20 Speed Setpoint")
     assert lines[3].endswith("left out: 10.0 s → 5.0 s  Changes the machine's speed now")
-    assert "#21 Operator Password               left out: secret, not held in the set" in lines
+    assert "#21 Operator Password               left out: secret, not stored in the set" in lines
     assert "1 of 1 row verified; read again as a whole: equal" in lines
     assert lines[-1] == lines[3]
 

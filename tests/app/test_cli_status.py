@@ -27,7 +27,7 @@ def config(tmp_path: Path) -> Path:
 def test_a_dashboard_that_is_not_there(config: Path) -> None:
     result = CliRunner().invoke(cli, ["status", "--config", str(config)])
     assert (result.exit_code, result.stdout) == (1, "")
-    assert "lineside: no dashboard answers at http://127.0.0.1:" in result.stderr
+    assert "lineside: no dashboard responds at http://127.0.0.1:" in result.stderr
     as_json = CliRunner().invoke(cli, ["status", "--config", str(config), "--json"])
     assert as_json.exit_code == 1
     assert json.loads(as_json.stdout)["serving"] is False

@@ -116,7 +116,7 @@ async def test_whoever_has_lost_the_right_sends_nothing(stage: Stage, worker: Pl
 
 async def block(stage: Stage) -> str:
     await stage.guards.block(ANNA, 2, "belt off")
-    return "unit 2 is blocked by anna: belt off"
+    return "commands to unit 2 are blocked by anna: belt off"
 
 
 async def withdraw(stage: Stage) -> str:
@@ -127,7 +127,7 @@ async def withdraw(stage: Stage) -> str:
 async def hand_over(stage: Stage) -> str:
     stage.guards.control.required = True
     stage.guards.control.hand_over("", "ben", time.time(), by_force=True)
-    return "ben holds control of this line"
+    return "ben has control of this line"
 
 
 @pytest.mark.parametrize("trouble", [block, withdraw, hand_over])

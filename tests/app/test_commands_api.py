@@ -212,7 +212,7 @@ async def test_a_refusal_names_the_units_error(stage: Stage, worker: PlayedWorke
 async def test_a_line_action_answers_for_each_unit_with_frames(stage: Stage, worker: PlayedWorker) -> None:
     units = [
         UnitOutcome(unit=1, outcome="verified", read_back=100, sent_at=1.0, proven_at=2.0),
-        UnitOutcome(unit=2, outcome="unverified", message=term("no answer")),
+        UnitOutcome(unit=2, outcome="unverified", message=term("no response")),
     ]
     frame = Frame(
         at=time.time(),
@@ -226,7 +226,7 @@ async def test_a_line_action_answers_for_each_unit_with_frames(stage: Stage, wor
     assert answer.status_code == 504
     assert said["units"]["1"]["outcome"] == "verified"
     assert said["units"]["1"]["read_back"] == 100
-    assert said["units"]["2"]["message"] == "no answer"
+    assert said["units"]["2"]["message"] == "no response"
     assert said["skew_s"] == 0.02
     assert said["frames"][0]["hex"] == "10 02 00 83 10 03 7D"
 
@@ -292,7 +292,7 @@ async def test_a_value_reads_the_decimals_first_where_they_are_not_known(stage: 
 
 async def test_a_value_for_a_silent_unit_is_unverified_and_not_sent(stage: Stage) -> None:
     worker = await stage.worker(state=snapshot(units=[unit_state(1, {}), unit_state(2), unit_state(16)]))
-    worker.play = answering("unverified", message=term("no answer"))
+    worker.play = answering("unverified", message=term("no response"))
     answer = await stage.ask("POST", "/units/1/speed", {"value": "12.3"})
     assert answer.status_code == 504
     assert "nothing was sent" in answer.json()["detail"]
@@ -327,7 +327,7 @@ async def test_parameters_as_last_read_and_read_anew(stage: Stage, worker: Playe
 
 
 async def test_a_refresh_that_breaks_off_is_no_list(stage: Stage, worker: PlayedWorker) -> None:
-    worker.play = answering("unverified", message=term("no answer"))
+    worker.play = answering("unverified", message=term("no response"))
     answer = await stage.ask("GET", "/units/1/parameters?refresh=true")
     assert answer.status_code == 504
     assert answer.json()["code"] == "unverified"
@@ -363,7 +363,7 @@ async def test_a_change_of_several_is_an_event_for_the_line_and_one_for_each_uni
     stage: Stage, worker: PlayedWorker
 ) -> None:
     units = [UnitOutcome(unit=1, outcome="verified"), UnitOutcome(unit=2, outcome="unverified")]
-    worker.play = answering("unverified", units=units, message=term("unit 2 did not answer"))
+    worker.play = answering("unverified", units=units, message=term("unit 2 did not respond"))
     await stage.ask("POST", "/speeds", {"setpoints": {"1": {"raw": 1100}, "2": {"raw": 1200}}})
     events = (await stage.http().get("/api/v1/events?kind=command")).json()["events"]
     said = [(event["unit"], event["old"], event["new"], event["outcome"]) for event in reversed(events)]

@@ -63,7 +63,7 @@ async def test_a_broken_rule_is_for_the_caller(database: Database) -> None:
 
 
 async def test_a_number_that_no_column_holds_is_the_askers_fault(database: Database) -> None:
-    with pytest.raises(CallerError, match="a number is larger than any that is stored"):
+    with pytest.raises(CallerError, match="a number is too large"):
         await database.read(lambda c: c.execute("SELECT ?", (2**63,)).fetchone())
 
 
@@ -81,7 +81,7 @@ def test_it_is_durable_and_lets_readers_read_on(database: Database) -> None:
 async def test_closed_says_so(tmp_path: Path, steps: Path) -> None:
     database = Database(tmp_path / "x.db", steps)
     database.close()
-    with pytest.raises(StoreError, match="is closed; the server is ending"):
+    with pytest.raises(StoreError, match="is closed; the server is stopping"):
         await database.read(names)
 
 
@@ -105,7 +105,7 @@ async def test_a_full_disk_is_said_and_survived(database: Database) -> None:
         for number in range(10_000):
             insert(connection, f"{number:0100}")
 
-    with pytest.raises(StoreError, match="the disk is full; free some space, nothing was stored"):
+    with pytest.raises(StoreError, match="the disk is full; nothing was stored; free some space"):
         await database.write(much)
     database._connection.execute("PRAGMA max_page_count = 100000")
     await database.write(lambda c: insert(c, "after"))

@@ -45,7 +45,7 @@ async def change(house: House, units: int, *, failed: int | None = None, who: st
     outcome = "verified" if failed is None else "unverified"
     fates = dict.fromkeys(numbers, ("verified", ""))
     if failed is not None:
-        fates[numbers[failed - 1]] = ("unverified", f"unit {failed} did not answer")
+        fates[numbers[failed - 1]] = ("unverified", f"unit {failed} did not respond")
     await log.conclude_together(fates)  # type: ignore[arg-type]
     await log.conclude(event, outcome)
     return event
@@ -140,9 +140,9 @@ async def test_the_page_has_one_row_and_each_units_values_and_result_in_it(house
     spans = re.findall(r'<td class="event__\w+[^"]*"(?: colspan="(\d)")?', row)
     assert sum(int(span or 1) for span in spans) == 7, "each cell stands under its heading"
     text = re.sub(r"\s+", " ", re.sub("<[^>]+>", " ", row))
-    assert "2 units: 1 verified, 1 unverified" in text
+    assert "2 units: 1 verified, 1 not verified" in text
     assert "1 Unwind 10.0 → 11.0 verified" in text
-    assert "2 Nip 20.0 → 21.0 unverified unit 2 did not answer" in text
+    assert "2 Nip 20.0 → 21.0 not verified unit 2 did not respond" in text
     assert "1: 10.0" not in text, "what stands in the parts is not said again in one long line"
     german = await house.signed_in(Role.VIEWER, "jo")
     page = (await german.get("/events", params={"kind": "command"}, headers={"Accept-Language": "de"})).text

@@ -86,7 +86,7 @@ def test_the_rate_of_a_bus_is_said_wherever_it_is_shown() -> None:
     live = line()
     live.buses["dry"].apply([BusLink(at=100.0, link="open", baud=4800)])
     shown = bus_fields(live.buses["dry"], voice("de"), 100.5)
-    assert (shown["baud"], shown["carries"]) == ("4800", "dessen, was 4800 Baud tragen")
+    assert (shown["baud"], shown["carries"]) == ("4800", "der Kapazität von 4800 Baud")
 
 
 def test_a_bus_s_figures_are_texts() -> None:

@@ -66,7 +66,7 @@ async def client(history: History, tmp_path: Path) -> AsyncIterator[httpx.AsyncC
     events = EventLog(database, clock=lambda: NOON + 5)
     await events.record(kind="mode", what="mode", bus="dry-end", unit=1, old="LOCAL", new="REMOTE")
     await events.record(kind="mode", what="mode", bus="dry-end", unit=2, old="LOCAL", new="REMOTE")
-    await events.record(kind="login", what="signed in", who="anna")
+    await events.record(kind="login", what="logged in", who="anna")
     app = FastAPI()
     templates = Templates(templates_dir(), Assets(static_dir()), Site())
     app.state.registry = Registry((history, events, templates, Turns()))
@@ -141,8 +141,8 @@ async def test_a_unit_that_was_never_heard_has_empty_columns(client: httpx.Async
 @pytest.mark.parametrize(
     ("changes", "status", "word"),
     [
-        ({"from": at(20), "to": at(0)}, 422, "begin before it ends"),
-        ({"to": at(0)}, 422, "begin before it ends"),
+        ({"from": at(20), "to": at(0)}, 422, "be before its end"),
+        ({"to": at(0)}, 422, "be before its end"),
         ({"from": "2026-11-21T12:00:00"}, 422, "zone"),
         ({"to": "yesterday"}, 422, "ISO 8601"),
         ({"from": "0001-01-01T00:00:00+23:59"}, 422, "from 1970 to 9998"),
@@ -300,7 +300,7 @@ async def test_a_store_that_fails_is_said_and_the_rest_goes_on(tmp_path: Path) -
         assert status["state"] == "failed"
         answer = await client.get("/history", params=query())
         assert answer.status_code == 503
-        assert "no history is kept" in json.loads(answer.content)["detail"]
+        assert "no history is stored" in json.loads(answer.content)["detail"]
     history.append("dry-end", polls(NOON, NOON + 1))
     history.close()
 

@@ -131,14 +131,14 @@ async def test_the_daily_look_finds_it_and_it_is_said_once(
     try:
         await history.inspect()
         until(lambda: history.status.damaged == 1)
-        assert "something that was kept was damaged" in str(history.status.message)
+        assert "stored values were damaged" in str(history.status.message)
         await history.inspect()
         until(lambda: history.status.state == "ok")
     finally:
         history.close()
     await asyncio.sleep(0)
     assert len(words) == 1
-    assert "it is missing: every reading of dry-end/1 from 2026-11-21T12:00+00:00" in words[0]
+    assert "it is missing: every value of dry-end/1 from 2026-11-21T12:00+00:00" in words[0]
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -196,7 +196,7 @@ def test_what_is_readable_of_a_torn_store_goes_over_into_the_new_one(tmp_path: P
     until(lambda: bool(words) and writer.status.state == "ok")
     kept = readings_of(writer)
     writer.close()
-    assert "is written anew" in words[0]
+    assert "was rebuilt" in words[0]
     assert 4_000 < kept < 9_000
     assert len(list(tmp_path.glob(f"{FILE}.damaged-*"))) >= 1
 

@@ -118,7 +118,7 @@ def test_a_damaged_store_is_said_and_nothing_else_fails(tmp_path: Path, rubbish:
     assert writer.status.state == "failed"
     assert "history.db" in str(writer.status.message)
     writer.take((BUS.name, polls(NOON, NOON + 10)))
-    with pytest.raises(StoreError, match="no history is kept"):
+    with pytest.raises(StoreError, match="no history is stored"):
         _ = writer.database
     writer.close()
     assert (tmp_path / "history.db").read_bytes() == rubbish

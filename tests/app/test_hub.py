@@ -146,7 +146,7 @@ async def test_how_far_a_search_is_goes_to_whoever_looks_at_the_bus(world: World
     await told(browser)
     world.live.buses["dry"].apply([Progress(id="x1", at=100.1, stage="searching", done=17, of=255)])
     (diff,) = await told(browser)
-    assert diff["f"] == {"dry": {"searched": "gefragte Adressen: 17/255"}}
+    assert diff["f"] == {"dry": {"searched": "abgesuchte Adressen: 17/255"}}
     assert "searched" not in world.hub.screen("de").shown["dry"]
 
 

@@ -11,7 +11,9 @@ import pytest
 
 from app.commands.service import idempotency
 from app.database import Database, StoreError
+from app.database.messages import UNREADABLE, messages_of, stored_messages
 from app.database.migrating import MIGRATIONS, migrations_in
+from bus.messages import Message
 
 FIRST = "CREATE TABLE a (x INTEGER);\nINSERT INTO a VALUES (1);\n"
 SECOND = "ALTER TABLE a ADD COLUMN y INTEGER NOT NULL DEFAULT 7;\n"
@@ -103,3 +105,39 @@ def test_what_was_kept_of_a_secret_is_overwritten(tmp_path: Path) -> None:
     assert known is not None
     assert (known.command, known.result.outcome) == ("", "unverified")
     assert b"73195" not in path.read_bytes(), "nor in a free page"
+
+
+def test_the_texts_of_an_earlier_version_stay_as_they_were(tmp_path: Path) -> None:
+    before = tmp_path / "before"
+    before.mkdir()
+    for step in MIGRATIONS.glob("00[0-5]*.sql"):
+        shutil.copy(step, before)
+    path, texts = tmp_path / "lineside.db", ['it said "no"', "nothing answers\na unit answers", ""]
+    with closing(Database(path, before)) as old:
+        for row in (
+            "restore VALUES ('r', 'b', 1, 'u', 'w', 1.0, 0, 'stopped', :0, NULL)",
+            "restore_row VALUES ('r', 0, 6, 50, 51, 'refused', :0, 51)",
+            "restore_row VALUES ('r', 1, 7, 50, 51, 'verified', :2, 51)",
+            "restore_left_out VALUES ('r', 8, :0, 0, NULL)",
+            "swap VALUES ('b', 1, 'w', 1.0, NULL, NULL, 1, 0, NULL, :1)",
+            "swap VALUES ('b', 2, 'w', 1.0, NULL, NULL, 1, 0, NULL, :2)",
+        ):
+            values = {str(place): text for place, text in enumerate(texts)}
+            old.write_now(lambda c, row=row, values=values: c.execute(f"INSERT INTO {row}", values))  # type: ignore[misc]
+
+    def stored(table: str, column: str) -> list[list[str]]:
+        query = f"SELECT {column} FROM {table}"
+        found = new.read_now(lambda c: [row[0] for row in c.execute(query)])
+        return [[str(message) for message in messages_of(text)] for text in found]
+
+    with closing(Database(path)) as new:
+        assert stored("restore", "cause") == [[texts[0]]]
+        assert stored("restore_row", "message") == [[texts[0]], []]
+        assert stored("restore_left_out", "reason") == [[texts[0]]]
+        assert stored("swap", "seen") == [texts[1].split("\n"), []]
+
+
+def test_a_stored_text_that_is_no_message_is_shown_as_that() -> None:
+    assert messages_of("{") == messages_of('[{"code": 7}]') == [UNREADABLE]
+    kept = [Message.of("at_row", number=3, why=Message("row_secret"))]
+    assert messages_of(stored_messages(kept)) == kept

@@ -19,15 +19,15 @@ from tests.app.screens import voice
         (
             Result(id="1", at=0, outcome="refused", unit_error=0x80),
             "bad",
-            "refused: unit is not in REMOTE mode",
+            "rejected by the unit: unit is not in REMOTE mode",
         ),
         (Result(id="1", at=0, outcome="unverified", read_back=1198), "unknown", "reads 1198 instead"),
         (
             Result(id="1", at=0, outcome="unverified"),
             "unknown",
-            "no answer: whether it was done is not known",
+            "no response: the result is not known",
         ),
-        (Result(id="1", at=0, outcome="not_sent"), "bad", "not sent: the wire was not free in time"),
+        (Result(id="1", at=0, outcome="not_sent"), "bad", ("not sent: the bus was busy until the deadline")),
         (Result(id="1", at=0, outcome="bus_closed"), "bad", "not sent: there is no link to the bus"),
         (Result(id="1", at=0, outcome="invalid", message=term("no")), "bad", "no"),
     ],
@@ -41,11 +41,11 @@ def test_a_part_of_a_change_that_was_taken_back_says_so_in_the_reader_s_language
     taken_back = Message.of("staged_withdrawn", present=1200)
     part = UnitOutcome(unit=3, outcome="not_sent", message=taken_back)
     assert outcome_text(part, str, voice()).text == str(taken_back)
-    assert "zurückgenommen; nicht ausgeführt" in outcome_text(part, str, voice("de")).text
+    assert "vorbereitet; nicht ausgeführt" in outcome_text(part, str, voice("de")).text
 
 
 def test_a_refusal_before_sending_is_said_in_the_reader_s_language() -> None:
     with pytest.raises(Problem) as late:
         Deadline(Instant(instant_now() - 4), 2.0).refuse_passed()
     text = problem_text(late.value, voice("de")).text
-    assert text.startswith("zu spät: der Befehl ist 4,0 s alt, erlaubt waren 2 s")
+    assert text.startswith("der Befehl kam zu spät: er ist 4,0 s alt, erlaubt waren 2 s")

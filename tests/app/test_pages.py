@@ -27,7 +27,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 
 @pytest.mark.parametrize(
     ("units", "view"),
-    [(0, "tiles"), (12, "tiles"), (13, "rows"), (40, "rows"), (41, "board"), (255, "board")],
+    [(0, "tiles"), (12, "tiles"), (13, "rows"), (40, "rows"), (41, "matrix"), (255, "matrix")],
 )
 def test_the_view_follows_the_number_of_units(units: int, view: str) -> None:
     assert view_for(units) == view
@@ -78,9 +78,17 @@ async def test_a_unit_that_is_not_there_is_said_in_words(house: House) -> None:
 
 async def test_the_view_is_remembered(house: House) -> None:
     client = await house.program(Role.VIEWER)
-    answer = await client.get("/?view=board")
-    assert answer.cookies["lineside_view"] == "board"
+    answer = await client.get("/?view=matrix")
+    assert answer.cookies["lineside_view"] == "matrix"
     assert (await client.get("/?view=nonsense")).status_code == 422
+
+
+async def test_the_matrix_has_a_former_name_in_stored_home_pages_and_cookies(house: House) -> None:
+    client = await house.program(Role.VIEWER)
+    answer = await client.get("/?view=board")
+    assert (answer.status_code, answer.cookies["lineside_view"]) == (200, "matrix")
+    client.cookies.set("lineside_view", "board")
+    assert '<ul class="matrix' in (await client.get("/")).text
 
 
 async def test_the_manifest_names_the_app(house: House) -> None:
@@ -109,8 +117,8 @@ async def test_an_old_press_sends_nothing_and_says_so(house: House) -> None:
     form = {"raw": "100", "id": "a1", "how": "now", "reviewed_at": "1.0", "was": ""}
     late = await client.post("/units/dry-end/1/speed", data=form, headers={"Lineside-Asked-At": "1.0"})
     assert (late.status_code, "too late" in late.text) == (503, True)
-    lapsed = await client.post("/units/dry-end/1/speed", data=form)
-    assert (lapsed.status_code, "lapsed" in lapsed.text) == (409, True)
+    expired = await client.post("/units/dry-end/1/speed", data=form)
+    assert (expired.status_code, "expired" in expired.text) == (409, True)
 
 
 async def test_who_may_only_look_is_told_so_where_the_line_is_set_to_zero(house: House) -> None:
@@ -118,7 +126,7 @@ async def test_who_may_only_look_is_told_so_where_the_line_is_set_to_zero(house:
     for path in ("/", "/units/dry-end/1", "/trends", "/account"):
         assert 'hx-get="/line/zero"' in (await viewer.get(path)).text, path
     said = await viewer.get("/line/zero")
-    assert "An operator may set the line to zero" in said.text
+    assert "Setting the line to zero needs the role operator" in said.text
     assert "data-review-act" not in said.text
     assert (await viewer.post("/line/zero", data={"id": "a", "reviewed_at": "1"})).status_code == 403
 

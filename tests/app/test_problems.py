@@ -107,7 +107,7 @@ async def test_a_page_for_people_and_a_fragment_for_htmx(house: House) -> None:
     page = await client.get("/nowhere", headers={"accept": "text/html"})
     assert page.status_code == 404
     assert "<!doctype html>" in page.text
-    assert "there is nothing at /nowhere" in page.text
+    assert "there is no page at /nowhere" in page.text
     part = await client.get("/nowhere", headers={"hx-request": "true"})
     assert part.status_code == 404
     assert "<!doctype" not in part.text
@@ -126,7 +126,7 @@ async def test_a_store_that_fails_is_said(
     async def fail(*_: object) -> None:
         raise StoreError(
             Message.of(
-                "system_error", error="the store x: the disk is full; free some space, nothing was stored"
+                "system_error", error="the store x: the disk is full; nothing was stored; free some space"
             )
         )
 

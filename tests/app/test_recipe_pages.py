@@ -29,11 +29,11 @@ async def load(client: httpx.AsyncClient, **changed: str) -> httpx.Response:
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"reviewed_at": "1"}, "lapsed"),
-        ({"reviewed_at": "nan"}, "lapsed"),
-        ({"was-1": "690"}, "moved since it was reviewed"),
-        ({"raw-1": "710"}, "not what was reviewed"),
-        ({"raw-1": ""}, "not what was reviewed"),
+        ({"reviewed_at": "1"}, "expired"),
+        ({"reviewed_at": "nan"}, "expired"),
+        ({"was-1": "690"}, "changed since the review"),
+        ({"raw-1": "710"}, "differs from the review"),
+        ({"raw-1": ""}, "differs from the review"),
         ({}, "cannot be loaded now"),
     ],
 )

@@ -62,7 +62,7 @@ async def test_many_addresses_are_told_as_many(house: House) -> None:
         await house.client(Authorization="Bearer guess").get("/api/v1/line")
     events = await recorded(house)
     assert len(events) < 30
-    assert events[-1] == ("token refused", "unknown token", "many addresses", "", 79)
+    assert events[-1] == ("token refused", "unknown token", "several addresses", "", 79)
 
 
 async def test_a_subnet_of_ipv6_is_one_sender(house: House) -> None:
@@ -74,7 +74,7 @@ async def test_a_subnet_of_ipv6_is_one_sender(house: House) -> None:
 
 async def test_a_foreign_page_is_on_record(house: House) -> None:
     await house.client(origin="http://evil.example").post("/login", data={"name": "ann"})
-    assert await recorded(house) == [("request of a foreign page refused", "", "192.0.2.7", "", 1)]
+    assert await recorded(house) == [("request from a page of another site refused", "", "192.0.2.7", "", 1)]
 
 
 async def test_who_is_not_signed_in_is_not(house: House) -> None:

@@ -159,7 +159,7 @@ async def test_the_page_chooses_the_golden_set_and_writes_what_is_ticked(
     page = (await client.get(path)).text
     assert re.findall(r'name="row" value="(\d+)" checked', page) == ["6", "7"]
     assert re.findall(r'name="row" value="(\d+)" aria', page) == ["20", "37"]
-    for rows, words in (([], "no row was chosen"), (["5"], "not what was reviewed")):
+    for rows, words in (([], "no row was chosen"), (["5"], "differs from the review")):
         refused = await client.post(f"{path}/start", data={"row": rows})
         assert (refused.status_code, words in refused.text) == (422, True)
     assert (await client.post(f"{path}/start", data={"row": ["6", "20"]})).status_code == 303

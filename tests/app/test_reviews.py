@@ -120,7 +120,7 @@ async def test_a_unit_of_the_change_that_cannot_take_it_is_an_obstacle(house: Ho
     say(house, 2, age=60)
     answer = await group(house, **{"new-1": "50.0", "new-2": "50.0"})
     assert remarks(answer) == [("obstacle_offline", "Nip")]
-    assert "All of them or none" in answer.text
+    assert "All units change or none" in answer.text
 
 
 @pytest.mark.parametrize("what", ["outputs/3", "analog-output/review"])

@@ -116,7 +116,7 @@ async def test_a_block_is_refused_shown_recorded_and_lifted(stage: Stage) -> Non
     assert await speed(stage, 5) == (200, "verified")
     assert told == [1, 1]
     events = (await stage.http().get("/api/v1/events?kind=block")).json()["events"]
-    assert [event["what"] for event in events] == ["block lifted", "unit blocked"]
+    assert [event["what"] for event in events] == ["command block lifted", "commands blocked"]
 
 
 async def test_a_block_needs_a_reason(stage: Stage) -> None:
@@ -186,7 +186,7 @@ async def test_control_is_handed_over_released_and_taken_by_an_admin(controlled:
     assert (await controlled.ask("DELETE", "/control", role="admin", name="chef")).json()["holder"] is None
     events = (await controlled.http().get("/api/v1/events?kind=control")).json()["events"]
     assert [event["what"] for event in events] == [
-        *("control given back", "control handed over", "control handed over", "control taken"),
+        *("control released", "control handed over", "control handed over", "control taken"),
     ]
 
 
@@ -201,6 +201,6 @@ async def test_whoever_is_gone_gives_control_back_and_the_events_say_so(controll
     await controlled.guards.revoke_control("operator")
     assert controlled.guards.holder() == ""
     newest = (await controlled.events.page(Filter(kind="control"), 1))[0][0]
-    assert (newest["what"], newest["old"], newest["who"]) == ("control given back", "operator", "operator")
+    assert (newest["what"], newest["old"], newest["who"]) == ("control released", "operator", "operator")
     await controlled.guards.revoke_control("operator")
     assert len((await controlled.events.page(Filter(kind="control"), 9))[0]) == 2

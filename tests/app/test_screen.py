@@ -31,10 +31,10 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     assert {name: changed["whole_line"][name] for name in ("at", "level", "verdict", "counts")} == {
         "at": "/units/dry/2",
         "level": "urgent",
-        "verdict": "Unit 2 · Still turning: e-stop input active since 00:01",
+        "verdict": "Unit 2 · Still turning: emergency stop active since 00:01",
         "counts": "1 abnormal",
     }
-    assert changed["dry/2"]["status"] == "Still turning: e-stop input active since 00:01"
+    assert changed["dry/2"]["status"] == "Still turning: emergency stop active since 00:01"
     live.buses["dry"].apply([reading(2, at=100.4)])
     well = shown.see("dry", [2], 100.4, whole_bus=False)["whole_line"]
     assert (well["verdict"], well["at"], well["counts"]) == ("All 2 units at speed", "", "")
@@ -49,7 +49,7 @@ def test_the_strip_has_what_is_abnormal_beside_the_worst() -> None:
         [reading(unit, at=150.2, inputs=inputs, actual=0) for unit, inputs in ((1, 2), (2, 1))]
     )
     changed = shown.see("dry", [1, 2, 3], 150.2, whole_bus=False)["whole_line"]
-    assert changed["verdict"] == "Unit 2 · Stopped: e-stop input active since 00:02"
+    assert changed["verdict"] == "Unit 2 · Stopped: emergency stop active since 00:02"
     assert changed["strip"].split("\n") == [
         "dry/1\thigh\tUnit 1\tStopped: run input off\tsince 00:01",
         "dry/3\thigh\tUnit 3\tStopped: run input off\tsince 00:02",

@@ -259,7 +259,7 @@ async def test_what_cannot_be_read_is_not_taken_for_unlimited(stage: Stage) -> N
         answer = await stage.ask("PUT" if "parameters" in path else "POST", path, body)
         said = answer.json()
         assert (answer.status_code, said["code"], said["outcome"]) == (504, "unverified", "unverified")
-        assert "unit 1 did not give #" in said["detail"]
+        assert "could not be read from unit 1" in said["detail"]
         assert {unit["outcome"] for unit in said["units"].values()} == {"not_sent"}
         assert set(said["units"]) == ({"1", "2"} if path == "/speeds" else {"1"})
     assert all(isinstance(command.action, ReadParameters) for command in worker.commands)

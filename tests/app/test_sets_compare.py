@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from app.messages import Languages
 from app.sets.compare import compare, differences, drift
 from app.sets.model import ParameterRow, UnitRows
 from bus.catalogue.parameters import PARAMETERS
+from bus.messages import Message, number
 
 
 def unit(values: dict[int, int | None]) -> UnitRows:
@@ -15,17 +17,20 @@ def test_all_forty_rows_are_there_and_the_unread_ones_say_so() -> None:
     compared = compare(unit({6: 50}), unit({}))
     assert [row.number for row in compared] == list(PARAMETERS)
     assert {row.kind for row in compared} == {"unknown"}
-    assert next(row for row in compared if row.number == 6).new == "not known"
+    assert next(row for row in compared if row.number == 6).new == Message("value_not_known")
 
 
 def test_a_ramp_says_what_the_machine_will_do() -> None:
     (row,) = differences(unit({6: 50}), unit({6: 30}))
-    assert row.sentence == "accelerates in 3.0 s instead of 5.0 s"
+    assert row.meaning is not None
+    assert row.meaning.code == "differs_acceleration"
+    assert str(row.meaning) == "accelerates in 3.0 s instead of 5.0 s"
+    assert Languages()["de"].t(row.meaning) == "beschleunigt in 3,0 s statt 5,0 s"
 
 
 def test_speeds_are_shown_with_the_decimals_of_their_own_side() -> None:
     row = next(row for row in differences(unit({3: 1, 9: 1000}), unit({3: 2, 9: 2000})) if row.number == 9)
-    assert (row.old, row.new) == ("100.0", "20.00")
+    assert (row.old, row.new) == (number("100.0"), number("20.00"))
 
 
 def test_tolerance_in_raw_counts() -> None:
@@ -35,14 +40,14 @@ def test_tolerance_in_raw_counts() -> None:
 
 def test_the_password_is_compared_but_never_shown() -> None:
     (row,) = differences(unit({21: 4711}), unit({21: 815}))
-    assert "4711" not in f"{row.old}{row.new}{row.sentence}"
-    assert "815" not in f"{row.old}{row.new}{row.sentence}"
+    assert "4711" not in f"{row.old}{row.new}{row.meaning}"
+    assert "815" not in f"{row.old}{row.new}{row.meaning}"
 
 
 def test_a_parameter_that_only_one_of_them_has_is_a_difference() -> None:
     lacking = UnitRows(1, "Nip", {40: ParameterRow(40, None, available=False)})
     (row,) = differences(unit({40: 1}), lacking)
-    assert (row.kind, row.new) == ("unavailable", "not in this unit")
+    assert (row.kind, row.new) == ("unavailable", Message("value_not_in_unit"))
     assert differences(lacking, lacking) == []
 
 

@@ -67,13 +67,16 @@ async def test_a_command_is_named_with_its_hour_and_a_hand_at_the_panel_too(scen
     assert await scene.says() == ""
     await scene.asked("anna", 12, 21)
     scene.reads(12, 21)
-    assert await scene.says() == "#12 differs from golden: by anna 14:20"
-    assert await scene.says("de") == "#12 weicht vom goldenen Satz ab: von anna 14:20"
+    assert await scene.says() == "#12 differs from the golden set: changed by anna 14:20"
+    assert await scene.says("de") == "#12 weicht vom Referenzsatz ab: geändert von anna 14:20"
     scene.reads(6, 33)
     scene.reads(7, 34)
-    assert await scene.says() == "3 values differ from golden: 1 by anna 14:20, 2 at the panel"
+    assert (
+        await scene.says()
+        == "3 values differ from the golden set: 1 changed by anna 14:20, 2 changed at the panel"
+    )
     scene.reads(12, 0)
-    assert await scene.says() == "2 values differ from golden, at the panel"
+    assert await scene.says() == "2 values differ from the golden set, changed at the panel"
     assert 1 in scene.told
 
 
@@ -81,10 +84,10 @@ async def test_the_hand_that_came_after_the_command_is_the_one(scene: Scene) -> 
     await scene.asked("anna", 12, 21)
     scene.reads(12, 21)
     scene.reads(12, 22)
-    assert await scene.says() == "#12 differs from golden, at the panel"
+    assert await scene.says() == "#12 differs from the golden set, changed at the panel"
     await scene.asked("berta", 12, 22)
     scene.reads(12, 22)
-    assert await scene.says() == "#12 differs from golden: by berta 14:20"
+    assert await scene.says() == "#12 differs from the golden set: changed by berta 14:20"
 
 
 @pytest.mark.parametrize("outcome", ["refused", "invalid", "not_sent"])
@@ -94,7 +97,7 @@ async def test_a_wish_that_came_to_nothing_changed_nothing(scene: Scene, outcome
     scene.reads(12, 21)
     assert "by anna" in await scene.says()
     scene.reads(12, 99)
-    assert await scene.says() == "#12 differs from golden, at the panel"
+    assert await scene.says() == "#12 differs from the golden set, changed at the panel"
 
 
 async def test_number_1_is_not_number_12_and_a_command_older_than_the_set_is_none(scene: Scene) -> None:
@@ -102,14 +105,14 @@ async def test_number_1_is_not_number_12_and_a_command_older_than_the_set_is_non
     scene.now = GOLDEN_READ - 1
     await scene.asked("anna", 1, 21)
     scene.reads(1, 21)
-    assert await scene.says() == "#1 differs from golden, at the panel"
+    assert await scene.says() == "#1 differs from the golden set, changed at the panel"
 
 
 async def test_the_last_write_of_the_operator_password_is_named_unseen(
     scene: Scene,
 ) -> None:
     scene.reads(21, 4711)
-    assert await scene.says() == "#21 differs from golden, at the panel"
+    assert await scene.says() == "#21 differs from the golden set, changed at the panel"
     said: dict[str, Any] = {"who": "anna", "origin": "api", "bus": "dry-end", "unit": 1}
     await scene.events.record(
         kind="command", what="write #21 Operator Password (86h)", outcome="verified", **said

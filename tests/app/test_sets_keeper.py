@@ -72,7 +72,7 @@ async def test_drift_is_what_departs_from_the_golden_set(scene: Scene) -> None:
     scene.tells(1, 20, raw=500)
     assert [one.row.number for one in drift.of(1)] == [6]
     assert drift.of(2) == []
-    assert scene.line_says(1) == "#6 differs from golden"
+    assert scene.line_says(1) == "#6 differs from the golden set"
     scene.tells(1, 6, raw=0)
     assert (drift.of(1), scene.line_says(1)) == ([], "")
     with pytest.raises(Problem):

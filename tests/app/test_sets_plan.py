@@ -13,6 +13,7 @@ from app.sets.plan import plan_restore, refuse_unwritable
 from app.sets.remarks import MAY_RUN, RUNS, remarks
 from app.sets.selection import Selection
 from bus.catalogue.parameters import PARAMETERS
+from bus.messages import Message
 
 
 def rows(values: dict[int, int | None], **marks: bool) -> UnitRows:
@@ -93,7 +94,7 @@ def test_every_row_can_be_deselected(
     [
         (17, False, 422, "invalid", "#17 cannot be written: the address is set at the keypad only"),
         (8, True, 422, "invalid", "#8 cannot be written: no change while Run is on"),
-        (18, False, 409, "dangerous", "#18: The unit answers at the new baud rate only"),
+        (18, False, 409, "dangerous", "#18: The unit responds only at the new baud rate"),
     ],
 )
 def test_a_row_that_was_named_is_never_left_out_in_silence(
@@ -117,7 +118,7 @@ def test_who_changes_a_running_machine_is_told_so() -> None:
         assert warning_of(number, 5, running=None) == warning_of(number, 5, running=True)
     assert not any(warning_of(number, 5, running=True) for number in (12, 15, 17, 21, 39))
     assert not any(warning_of(number, 5, running=False) for number in PARAMETERS if number not in (20, 37))
-    assert warning_of(20, 5, running=False) == "Changes the machine's speed now"
+    assert warning_of(20, 5, running=False) == Message("effect_setpoint")
     ramp, window = ({number: 50} for number in (6, 12))
     for running, values, told in (
         (True, ramp, [RUNS]),
@@ -156,8 +157,8 @@ def test_what_a_unit_does_not_have_and_what_the_set_does_not_hold_is_named() -> 
     plan = plan_restore(rows({6: 50, 40: 1, 21: None}), present, running=False)
     reasons = {left.number: (left.reason, left.text) for left in plan.left_out}
     assert [write.number for write in plan.writes] == [6]
-    assert reasons[40] == ("not_in_unit", "this unit does not have it")
-    assert reasons[21] == ("secret", "secret, not held in the set")
+    assert reasons[40] == ("not_in_unit", Message("row_not_in_unit"))
+    assert reasons[21] == ("secret", Message("row_secret"))
 
 
 def test_local_is_named_beforehand_and_may_be_written_later() -> None:
@@ -172,7 +173,7 @@ def test_local_is_named_beforehand_and_may_be_written_later() -> None:
             17: False,
             19: True,
         }
-        assert "REMOTE" in plan.left_out[0].text
+        assert plan.left_out[0].text == Message("row_not_in_remote")
     told_by_status = plan_restore(wanted, local, running=False, remote=True)
     assert 6 in {write.number for write in told_by_status.writes}
 
@@ -182,4 +183,4 @@ def test_a_value_that_no_unit_takes_is_named_and_not_sent() -> None:
     plan = plan_restore(rows(every({18: 7})), rows(every({18: 96})), running=False, selection=confirmed)
     assert plan.writes == ()
     assert plan.left_out[0].reason == "illegal_value"
-    assert "it takes 3, 6, 12, 24, 48 or 96" in plan.left_out[0].text
+    assert "it takes 3, 6, 12, 24, 48 or 96" in str(plan.left_out[0].text)

@@ -49,7 +49,7 @@ async def test_the_api_gives_them(stage: Stage) -> None:
     worker = await stage.worker()
 
     async def silent(command: Command) -> list[Update]:
-        return [fate(command, "unverified", message=term("no answer"))]
+        return [fate(command, "unverified", message=term("no response"))]
 
     worker.play = silent
     for path in ("/units/1", "", "/units/1/parameters"):

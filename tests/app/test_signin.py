@@ -41,7 +41,13 @@ class House:
         self.accounts = Accounts(database, self.passwords, self.log, lambda: self.now, buses=OWN)
         lifetimes = Lifetimes.of(Sessions())
         self.sign_in = SignIn(
-            database, self.passwords, self.log, lifetimes, lambda: self.now, lambda: self.running, site="Mill 7"
+            database,
+            self.passwords,
+            self.log,
+            lifetimes,
+            lambda: self.now,
+            lambda: self.running,
+            site="Mill 7",
         )
         self.identity = Identity(database, self.sign_in, OWN, lambda: self.now)
 
@@ -102,7 +108,7 @@ async def test_a_wrong_one_is_refused_without_saying_which(house: House, name: s
     await house.add()
     with pytest.raises(Problem) as caught:
         await house.enter(name, password)
-    assert (caught.value.status, caught.value.detail) == (401, "the name or the password is not right")
+    assert (caught.value.status, caught.value.detail) == (401, "wrong name or password")
 
 
 async def test_refusals_are_events_and_never_hold_what_may_be_a_password(house: House) -> None:
@@ -165,7 +171,7 @@ async def test_a_browser_is_known_for_the_names_that_signed_in_with_it(house: Ho
 async def test_the_present_password_is_guessed_no_faster(house: House) -> None:
     await house.add()
     for _ in range(FREE):
-        with pytest.raises(CallerError, match="the present password is not right"):
+        with pytest.raises(CallerError, match="wrong current password"):
             await house.sign_in.check_present("ann", "wrong", "a")
     with pytest.raises(Problem) as caught:
         await house.sign_in.check_present("ann", PASSWORD, "a")
@@ -322,7 +328,7 @@ async def test_a_panel_from_before_that_may_too_much_is_refused(house: House) ->
     with pytest.raises(Problem) as caught:
         await house.sign_in.sign_in("p1", PIN, "a", panel=True)
     assert caught.value.status == 403
-    assert "a panel is operator at most" in caught.value.detail
+    assert "a panel is an operator at most" in caught.value.detail
 
 
 async def test_a_changed_password_ends_the_other_sessions_only(house: House) -> None:

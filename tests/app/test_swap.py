@@ -20,14 +20,14 @@ from app.sets.plan import LeftOut, RestorePlan
 from app.sets.restore import EndSubscriber
 from app.sets.restore_record import Restore, RestoreState, RowResult
 from app.sets.store import SetStore, SetSummary
-from app.swap.desk import SwapService, step_text
 from app.swap.looking import LOOKS, look
 from app.swap.record import Swap, SwapSource
 from app.swap.rules import STEPS, ProbeFinding, SwapState, advice, done_steps
+from app.swap.service import SwapService, step_text
 from app.swap.store import SwapStore
 from app.web.access import Person
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
-from bus.messages import term
+from bus.messages import Message, term
 from bus.settings import BusSettings
 from tests.app.played_desk import ANNA, Noted
 from tests.app.screens import line
@@ -39,37 +39,37 @@ def state(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: 
 
 
 @pytest.mark.parametrize(
-    ("seen", "step", "at_panel", "says"),
+    ("seen", "step", "at_panel", "code"),
     [
-        (state("silent"), "find", True, "Connect and power"),
-        (state("silent", "digimax"), "address", True, "factory address"),
-        (state("silent", "digimax", configured=frozenset({1, 5})), "find", True, "Connect and power"),
-        (state("silent", "garbled"), "address", True, "Two units answer at address {factory}"),
-        (state("garbled"), "address", True, "Two units answer at address {target}"),
-        (state("foreign"), "address", True, "no DIGIMAX IV"),
-        (state("late"), "find", False, "Increase turnaround_ms"),
-        (state("digimax", remote=None), "remote", True, "REMOTE"),
-        (state("digimax", remote=False), "remote", True, "REMOTE"),
-        (state("digimax", remote=True), "restore", False, "Restore"),
-        (state("digimax", remote=True, equal=False), "restore", False, "Restore"),
-        (state("digimax", remote=True, equal=True), "proven", False, "proven"),
+        (state("silent"), "find", True, "swap_nothing_new"),
+        (state("silent", "digimax"), "address", True, "swap_at_factory"),
+        (state("silent", "digimax", configured=frozenset({1, 5})), "find", True, "swap_nothing_new"),
+        (state("silent", "garbled"), "address", True, "swap_two_at_factory"),
+        (state("garbled"), "address", True, "swap_two_units"),
+        (state("foreign"), "address", True, "swap_foreign"),
+        (state("late"), "find", False, "swap_late"),
+        (state("digimax", remote=None), "remote", True, "swap_set_remote"),
+        (state("digimax", remote=False), "remote", True, "swap_set_remote"),
+        (state("digimax", remote=True), "restore", False, "swap_restore_now"),
+        (state("digimax", remote=True, equal=False), "restore", False, "swap_restore_now"),
+        (state("digimax", remote=True, equal=True), "proven", False, "swap_proven"),
     ],
 )
-def test_what_to_do_now(seen: SwapState, step: str, at_panel: bool, says: str) -> None:
+def test_what_to_do_now(seen: SwapState, step: str, at_panel: bool, code: str) -> None:
     now = advice(seen)
-    assert (now.step, now.at_panel) == (step, at_panel)
-    assert says in now.text
-    assert now.text.format(target=5, factory=1, baud=9600, hundreds=96)
+    assert (now.step, now.at_panel, now.text.code) == (step, at_panel, code)
+    assert "{" not in str(now.text)
 
 
 def test_the_old_unit_is_not_taken_for_the_spare() -> None:
     now = advice(state("digimax", remote=True, is_new=False))
     assert (now.step, now.asks) == ("find", True)
-    assert "the old one" in now.text
+    assert now.text == Message.of("swap_old_or_new", target=5)
 
 
 def test_another_baud_than_that_of_the_box_is_named() -> None:
-    assert "Out of its box it speaks at 9600 baud" in advice(state("silent", baud=4800)).text
+    text = advice(state("silent", baud=4800)).text
+    assert text == Message.of("swap_nothing_new_other_baud", target=5, baud=4800, hundreds=48)
 
 
 class Scene:
@@ -126,13 +126,13 @@ async def test_a_swap_ends_with_one_event_that_tells_all_of_it(scene: Scene) -> 
     await scene.desk.ended(restore)
     assert swap.proven
     [_, end] = events.events
-    assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and proven", "verified", 2)
+    assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and verified", "verified", 2)
     for part in (
-        "two units answer at 1",
+        "no response at address 5 and two units respond at address 1",
         "from set 1:",
         "done: #6",
-        "#17: at the keypad",
-        "proven by a full read",
+        "#17: the address is set at the keypad only",
+        "verified by a full read",
     ):
         assert part in end["message"]
 
@@ -155,7 +155,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     known = again.of_or_404("dry-end", 2)
     assert (known.who, known.began_at, known.source) == ("anna", 100.0, SwapSource(1, 2))
     assert (known.is_new, known.seen, known.equal, known.proven) == (True, swap.seen, False, False)
-    with pytest.raises(Problem, match="anna has begun a swap of unit 2 already"):
+    with pytest.raises(Problem, match="anna has already started a swap of unit 2"):
         await again.begin(ANNA, "dry-end", 2, None)
     await again.give_up(ANNA, known)
     later = scene.another()
@@ -165,13 +165,14 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
 
 async def test_without_a_set_the_sheet_is_entered_and_the_unit_kept(scene: Scene) -> None:
     swap = await scene.desk.begin(ANNA, "dry-end", 2, None)
-    assert scene.events.events[-1]["what"] == "unit swap begun, from the sheet"
+    assert scene.events.events[-1]["what"] == "unit swap started, from the parameter sheet"
     ready = advice(state("digimax", remote=True))
-    assert "from the sheet" in step_text(ready, swap)
+    assert step_text(ready, swap) == Message("swap_enter_sheet")
     await scene.desk.entered(ANNA, swap, ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9))
     assert swap.equal
-    assert "compare that with the sheet" in step_text(advice(state("digimax", remote=True, equal=True)), swap)
-    assert "kept as set 9" in scene.events.events[-1]["message"]
+    proven = advice(state("digimax", remote=True, equal=True))
+    assert step_text(proven, swap) == Message("swap_compare_with_sheet")
+    assert "saved as set 9" in scene.events.events[-1]["message"]
 
 
 def test_a_unit_without_a_set_is_offered_those_of_its_group_first() -> None:
@@ -245,7 +246,7 @@ async def test_a_look_that_came_to_no_end_shows_nothing(scene: Scene) -> None:
 
 def a_restore(state: RestoreState, planned_at: float = 101.0) -> Restore:
     write = Write(6, present=100, wanted=50)
-    plan = RestorePlan((write,), (LeftOut(17, "address", "at the keypad"),), equal=38)
+    plan = RestorePlan((write,), (LeftOut(17, "address", Message("row_address")),), equal=38)
     empty = UnitRows(2, "Nip", {})
     rows = [RowResult(write, "verified")]
     return Restore("r", "dry-end", 2, "anna", empty, empty, plan, rows, planned_at, state)
@@ -259,7 +260,7 @@ def test_all_steps_lie_behind_only_when_it_is_proven() -> None:
 async def test_a_page_that_asks_again_does_not_pile_up_looks(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.swap.desk.LOOK_WAIT_S", 0.01)
+    monkeypatch.setattr("app.swap.service.LOOK_WAIT_S", 0.01)
     swap = await scene.begin(5)
     begun, seen = [], asyncio.Event()
 

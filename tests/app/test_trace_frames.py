@@ -31,7 +31,7 @@ def test_each_statement_of_a_frame_is_shown() -> None:
     noise = Message.of("noise", count=2, reason=Message("noise_outside"))
     frame = Frame(at=1.0, direction="in", data=b"", meanings=[noise, Message("ack")])
     assert frame_fields(frame, voice("de"))["meaning"] == (
-        "2 Byte, die kein Telegramm sind: außerhalb eines Telegramms; ACK, ein Schreiben wurde angenommen"
+        "2 Byte, die kein Telegramm sind: außerhalb eines Telegramms; ACK, Schreiben angenommen"
     )
 
 

@@ -125,7 +125,7 @@ async def test_a_token_that_another_process_revokes_loses_control_of_the_line(tm
         await until(lambda: released, "control released, on disk")
         assert house.services.buses[BUS].safeguards.holder() == ""
         [event] = released
-        assert (event["what"], event["old"]) == ("control given back", "key-engineer (token)")
+        assert (event["what"], event["old"]) == ("control released", "key-engineer (token)")
 
 
 async def test_a_change_of_the_baud_rate_is_given_up(house: House, line: PlayedLine, tmp_path: Path) -> None:

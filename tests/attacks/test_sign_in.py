@@ -256,5 +256,5 @@ def test_control_of_a_line_ends_with_a_token_that_the_command_line_revokes(tmp_p
         elsewhere(tmp_path, lambda there: there.revoke_token("t", **BY))
         end = time.monotonic() + 20
         while safeguards.holder():
-            assert time.monotonic() < end, "never: control given back"
+            assert time.monotonic() < end, "never: control released"
             time.sleep(0.01)

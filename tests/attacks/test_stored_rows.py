@@ -127,7 +127,7 @@ async def test_what_the_server_itself_records_stays_readable(house: House) -> No
     """A time that a worker gave, or half a character that JSON can carry."""
     events = house.services.events
     numbers = [
-        await events.record(kind="unit", what="unit lost", at=at, message="\ud800")
+        await events.record(kind="unit", what="unit offline", at=at, message="\ud800")
         for at in (float("inf"), float("-inf"), float("nan"), -1.0, 1e18)
     ]
     rows = await look(house)

@@ -46,7 +46,7 @@ def test_vectors(vector: dict[str, Any]) -> None:
         ("10 02 01 85 10 10 10 03 6A", "unit 1: read parameter #16 Allow Setup During Run"),
         ("10 02 05 87 06 01 10 03 6D", "unit 5: write auxiliary output 6 on"),
         ("10 02 01 15 89 10 03 61", "unit 1: NAK, illegal command"),
-        ("10 02 04 06 10 03 F6", "unit 4: ACK, a write was taken"),
+        ("10 02 04 06 10 03 F6", "unit 4: ACK, write accepted"),
         (
             "10 02 01 06 00 00 03 E8 00 00 03 E7 80 C1 03 10 03 E0",
             "unit 1: commanded 1000, actual 999, analog 128; at speed; remote; output 1 on; run",
@@ -60,7 +60,7 @@ def test_words(frame: str, words: str) -> None:
 def test_the_value_of_a_parameter_is_ambiguous_alone_and_says_so() -> None:
     alone = only(encode_reply(ParameterReply(1, 5, 4), PLAIN))
     assert alone.fields == {"raw": 5, "width": 4}
-    assert "only the request would tell" in str(alone.meaning)
+    assert "only the request shows" in str(alone.meaning)
 
 
 def test_the_request_before_it_tells_what_an_answer_means() -> None:
@@ -87,7 +87,7 @@ def test_the_answer_of_another_unit_is_read_alone() -> None:
     described = describe_bytes(
         encode_request(ReadParameter(1, 6), PLAIN) + encode_reply(ParameterReply(2, 50, 2), PLAIN)
     )[1]
-    assert "only the request would tell" in str(described.meaning)
+    assert "only the request shows" in str(described.meaning)
 
 
 def test_a_wrong_checksum_is_listed_as_such() -> None:

@@ -190,7 +190,7 @@ def test_a_unit_that_takes_every_address_for_its_own() -> None:
     assert trial.outcomes()["verified"] > 10
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(2, 12))])
 def test_all_faults_together(seed: int) -> None:
     trial = virtual_trial(ALL_AT_ONCE, seed, count=200)
     assert trial.complaints == []

@@ -20,16 +20,16 @@ def nested(depth: int) -> dict[str, object]:
 
 def test_its_text_in_english() -> None:
     message = Message.of("unit_refused", unit=3, error=Message("illegal_speed"))
-    assert str(message) == "unit 3 refused: illegal speed value"
+    assert str(message) == "unit 3 rejected the command: illegal speed value"
 
 
 @pytest.mark.parametrize("value", ["{unit}", "{unit.__class__}", "{0}", "{unit:>999999999}", "%s"])
 def test_a_value_is_no_format(value: str) -> None:
-    assert str(Message.of("unit_refused", unit=3, error=value)) == f"unit 3 refused: {value}"
+    assert str(Message.of("unit_refused", unit=3, error=value)) == f"unit 3 rejected the command: {value}"
 
 
 def test_a_value_that_lacks_leaves_its_braces() -> None:
-    assert str(Message("unit_refused")) == "unit {unit} refused: {error}"
+    assert str(Message("unit_refused")) == "unit {unit} rejected the command: {error}"
 
 
 def test_a_code_of_another_version_is_shown_with_its_values() -> None:
@@ -39,7 +39,7 @@ def test_a_code_of_another_version_is_shown_with_its_values() -> None:
 def test_lists_are_joined() -> None:
     error = [Message("illegal_speed"), Message("illegal_command")]
     assert str(Message.of("unit_refused", unit=[1, 2], error=error)) == (
-        "unit 1, 2 refused: illegal speed value; illegal command"
+        "unit 1, 2 rejected the command: illegal speed value; illegal command"
     )
 
 

@@ -218,7 +218,7 @@ async def test_a_taken_port_is_named_with_its_holder() -> None:
 @pytest.mark.parametrize(
     ("port", "words"),
     [
-        ("/dev/ttyNOSUCH0", "is not there: is the adapter plugged in?"),
+        ("/dev/ttyNOSUCH0", "does not exist: is the adapter plugged in?"),
         ("/dev/null", "is not a serial port"),
         ("socket://127.0.0.1:1", "refuses the connection"),
         ("socket://127.0.0.1", "needs a host and a port number"),

@@ -98,7 +98,7 @@ def test_staged_values_are_put_back_and_told() -> None:
         change = {**ALL, 4: line.plant.unit(4).highest + 1}
         fate = await line.ask(SetLine(change))
         assert by_unit(fate) == {1: "not_sent", 2: "not_sent", 3: "not_sent", 4: "refused"}
-        assert "put back" in str(fate.units[0].message)
+        assert "staged again" in str(fate.units[0].message)
         assert entered(line) == setpoints(line)
         told = [update.raw for update in line.updates if isinstance(update, Staged) and update.unit == 1]
         assert (told[0], told[-1]) == (501, None)
@@ -243,7 +243,7 @@ def test_one_that_missed_the_broadcast_and_stays_silent_may_still_hold_it_and_th
         fate = await unit_2_misses_the_broadcast(line, back=False)
         assert fate.outcome == "unverified"
         assert entered(line)[1] == 502
-        assert "unit 2: it did not respond to the read-back; it may still hold 502 staged" in str(
+        assert "unit 2: it did not respond to the read-back; 502 may still be staged in it" in str(
             fate.message
         )
 

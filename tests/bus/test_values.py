@@ -185,7 +185,7 @@ def test_a_speed_cannot_be_typed_before_its_decimals_are_known() -> None:
 
 def test_a_baud_rate_is_typed_as_people_say_it() -> None:
     assert parameter_raw(PARAMETERS[18], "9600", None) == 96
-    with pytest.raises(CallerError, match="no baud rate"):
+    with pytest.raises(CallerError, match="not a baud rate"):
         parameter_raw(PARAMETERS[18], "9601", None)
 
 

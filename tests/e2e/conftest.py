@@ -1,8 +1,7 @@
 """A real browser on a real server on simulated units.
 
 ``line_server`` starts sites, ``site`` is one of eight units that a module shares, ``browser_page`` opens a
-page signed in as a role, ``axe`` judges a page's accessibility. The browser belongs to a module, because
-Playwright's own event loop would be in the way of asynchronous tests in the same process.
+page signed in as a role, ``axe`` judges a page's accessibility.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
@@ -37,6 +36,13 @@ stops the server or the network at once, it comes in vain. That it can be had is
 AXE_RUN = """async options => (await axe.run(document, options)).violations.flatMap(broken =>
     broken.nodes.map(node => `${broken.id} (${broken.help}): ${node.html.slice(0, 200)}`))"""
 """Only violations leave the page: the whole report of axe is megabytes."""
+ENGLISH, GERMAN = "en-GB", "de-DE"
+SIZES = ((360, 740), (1280, 800), (1920, 1080))
+SCHEMES: dict[str, tuple[Literal["light", "dark"], ...]] = {
+    ENGLISH: ("dark", "light", "dark"),
+    GERMAN: ("light", "dark", "light"),
+}
+TOO_WIDE = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
 AXE_RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 
 
@@ -61,7 +67,13 @@ def site(line_server: Callable[..., Site]) -> Site:
     return line_server(8, line_options=AT_REST)
 
 
-@pytest.fixture(scope="module")
+def browser_scope(*, fixture_name: str, config: pytest.Config) -> Literal["session", "module"]:  # noqa: ARG001
+    """One browser for all tests of a run of tests/e2e. Elsewhere one per module, because the event loop of
+    Playwright, which runs until it is closed, is in the way of asynchronous tests."""
+    return "session" if all("tests/e2e" in argument for argument in config.args) else "module"
+
+
+@pytest.fixture(scope=browser_scope)
 def browser() -> Iterator[Browser]:
     """Chromium of the machine, without a window."""
     with sync_playwright() as playwright:
@@ -116,13 +128,14 @@ def signed_in(browser: Browser, site: Site, role: str) -> Any:
     return site.sessions[role]
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def axe() -> Callable[..., list[str]]:
     """``axe(page)`` → each violation in words; evaluated, as a script tag is blocked by the policy."""
     source = AXE.read_text(encoding="utf-8")
 
     def judge(page: Page, *disabled: str) -> list[str]:
-        page.evaluate(source)
+        if not page.evaluate("'axe' in window"):
+            page.evaluate(source)
         options = {
             "runOnly": AXE_RULES,
             "rules": {rule: {"enabled": False} for rule in disabled},
@@ -130,6 +143,25 @@ def axe() -> Callable[..., list[str]]:
             "selectors": False,
         }
         found: list[str] = page.evaluate(AXE_RUN, options)
+        return found
+
+    return judge
+
+
+@pytest.fixture
+def flaws(axe: Callable[..., list[str]]) -> Callable[..., list[str]]:
+    """``flaws(page, locale)`` → what is wrong with an open page at each size: violations, and too wide.
+    English and German together see each size in light and in dark."""
+
+    def judge(page: Page, locale: str = ENGLISH) -> list[str]:
+        found = []
+        for (width, height), scheme in zip(SIZES, SCHEMES[locale], strict=True):
+            page.set_viewport_size({"width": width, "height": height})
+            page.emulate_media(color_scheme=scheme)
+            # A target that is half scrolled under the bar at the edge is not too small.
+            page.evaluate("scrollTo(0, 0)")
+            wrong = axe(page) + (["too wide"] if page.evaluate(TOO_WIDE) else [])
+            found += [f"{width} px, {scheme}: {each}" for each in wrong]
         return found
 
     return judge

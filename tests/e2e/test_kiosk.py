@@ -66,7 +66,7 @@ def _signed_in(browser: Browser, site: Site, name: str) -> Any:
     pin = page.get_by_role("textbox", name="PIN")
     pin.fill("9")
     page.get_by_role("button", name="Log in").click()
-    expect(page.locator(".notice")).to_contain_text("name or the PIN is not right")
+    expect(page.locator(".notice")).to_contain_text("wrong name or PIN")
     expect(pin).to_be_focused()
     for digit in f"{PIN}7":
         page.get_by_role("button", name=digit, exact=True).click()

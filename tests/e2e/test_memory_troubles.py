@@ -129,7 +129,7 @@ def test_a_disk_on_which_nothing_can_be_written_stops_commands_and_nothing_else(
     resource.prlimit(site.server.pid, resource.RLIMIT_FSIZE, NOTHING_WRITTEN)
     try:
         eventually(lambda: state(site) == "failed", "history says that it cannot be kept", within=PROCEDURE_S)
-        assert "no history is kept, everything else works" in notice(site)
+        assert "no history is stored; everything else works" in notice(site)
         goes_on(site)
         assert set_speed(site, 20) >= 500
         assert site.unit(1)["commanded_raw"] == before
@@ -154,7 +154,7 @@ def test_pages_that_are_overwritten_while_it_runs_are_noticed_and_said(site: Sit
     eventually(lambda: "was damaged" in notice(site), "the notice", within=PROCEDURE_S)
     said = [event["what"] for event in asked(site, "/events", kind="server")["events"]]
     assert any(
-        "a block of the history is damaged, it is missing: every reading of line/" in text for text in said
+        "a block of the history is damaged, it is missing: every value of line/" in text for text in said
     )
     goes_on(site)
     eventually(lambda: heard(site, asked_at, time.time() + 60), "history goes on", within=PROCEDURE_S)

@@ -60,7 +60,7 @@ def pages(site: Site) -> list[str]:
         assert planned.status_code == 201, planned.text
         client.delete("/buses/line/control")
     return [
-        *("/", "/?view=rows", "/?view=board", "/setpoints", "/trends", "/events", "/bus/line"),
+        *("/", "/?view=rows", "/?view=matrix", "/setpoints", "/trends", "/events", "/bus/line"),
         *("/units/line/1", "/units/line/1/parameters", "/units/line/1/restore", "/swap/line/1"),
         *("/sets", f"/sets/{stored['id']}", "/batch/line", f"/restores/{planned.json()['id']}"),
         *("/recipes", f"/recipes/{recipe['id']}", "/users", "/account"),
@@ -100,20 +100,20 @@ def test_control_is_taken_seen_handed_over_and_given_back(
     expect(looks.locator("[data-live='people.count']")).to_have_text("3")
 
     anna.get_by_role("button", name="Take control").click()
-    expect(anna.get_by_role("button", name="Give control back")).to_be_focused()
-    expect(ben.locator("[data-control]")).to_contain_text("operator holds control since")
+    expect(anna.get_by_role("button", name="Release control")).to_be_focused()
+    expect(ben.locator("[data-control]")).to_contain_text("operator has control since")
     expect(ben.get_by_role("button", name="Take control")).to_have_count(0)
     expect(looks.locator("[data-live='whole_line.holder']")).to_have_text("operator")
     assert axe(looks) == []
 
     anna.get_by_label("Hand over to").select_option("engineer")
     anna.get_by_role("button", name="Hand over").click()
-    expect(ben.locator("[data-control]")).to_contain_text("You hold control since")
-    expect(anna.get_by_role("button", name="Give control back")).to_have_count(0)
+    expect(ben.locator("[data-control]")).to_contain_text("You have control since")
+    expect(anna.get_by_role("button", name="Release control")).to_have_count(0)
     with site.api("operator") as client:
         assert client.post("/buses/line/control").status_code == 409
 
-    ben.get_by_role("button", name="Give control back").click()
+    ben.get_by_role("button", name="Release control").click()
     expect(anna.get_by_role("button", name="Take control")).to_be_visible()
     expect(looks.locator("[data-live='whole_line.holder']")).to_have_text("nobody")
 
@@ -146,7 +146,7 @@ def test_refusals_are_said_in_the_language_of_the_page(browser_page: OpensPages)
     page = opened(browser_page("operator", viewport=PANEL, locale="de-DE"), "/units/line/1")
     page.locator("#setpoint").fill("55,0")
     page.get_by_role("button", name="Jetzt stellen").click()
-    expect(page.locator("#setpoint-error")).to_contain_text("admin-program (Schlüssel) hat die Bedienung")
+    expect(page.locator("#setpoint-error")).to_contain_text("admin-program (Token) hat die Bedienhoheit")
     opened(page, "/bus/line")
     expect(page.locator("[data-people]")).to_contain_text("operator · Bediener")
 
@@ -284,7 +284,7 @@ def test_a_block_is_shown_on_every_page_and_lifted_by_name(
     page = opened(browser_page("admin", viewport=PANEL), "/units/line/1")
     page.locator("summary").click()
     page.locator("#reason").fill("belt off since 14:20")
-    page.get_by_role("button", name="Block Unwind").click()
+    page.get_by_role("button", name="Block commands to Unwind").click()
     expect(page.locator(".plate__set")).to_contain_text("belt off since 14:20")
     unsaid = []
     for path in pages:
@@ -294,13 +294,13 @@ def test_a_block_is_shown_on_every_page_and_lifted_by_name(
             unsaid.append(path)
     opened(page, "/units/line/1")
     page.locator("summary").click()
-    page.get_by_role("button", name="Lift the block of Unwind").click()
+    page.get_by_role("button", name="Lift the command block of Unwind").click()
     expect(page.locator("#setpoint")).to_be_visible()
     with site.api() as client:
         events = client.get("/events", params={"kind": "block", "limit": 2}).json()["events"]
     assert [(event["who"], event["what"]) for event in events] == [
-        ("admin", "block lifted"),
-        ("admin", "unit blocked"),
+        ("admin", "command block lifted"),
+        ("admin", "commands blocked"),
     ]
     assert unsaid == []
 

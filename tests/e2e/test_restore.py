@@ -63,7 +63,7 @@ def review(page: Page) -> None:
     page.goto("/units/line/2/restore")
     newest = page.locator("#source option", has_text="as it was").first.get_attribute("value")
     page.get_by_label("From a stored set").select_option(newest)
-    page.get_by_role("button", name="Read the unit and show the difference").click()
+    page.get_by_role("button", name="Read the unit and show the differences").click()
 
 
 def fates(page: Page) -> dict[int, str]:
@@ -94,8 +94,8 @@ def cut_the_drop(site: Site, page: Page) -> None:
 @pytest.mark.parametrize(
     ("trouble", "cause"),
     [
-        (cancel, "left off by engineer after"),
-        (pull_the_cable, "It ended early"),
+        (cancel, "canceled by engineer after"),
+        (pull_the_cable, "The restore ended early"),
         (cut_the_drop, r"#\d+: |its time was over"),
     ],
     ids=lambda given: getattr(given, "__name__", ""),
@@ -110,7 +110,7 @@ def test_stopped_half_way_it_says_what_is_done_and_again_finishes_the_rest(
     page.get_by_role("button", name=f"Write {len(wanted)} rows to unit 2").click()
     expect(page.get_by_text(re.compile(r"writing: [1-9]\d* of"))).to_be_visible()
     trouble(site, page)
-    early = page.get_by_role("status").filter(has_text="It ended early")
+    early = page.get_by_role("status").filter(has_text="The restore ended early")
     expect(early).to_contain_text(re.compile(cause), timeout=PROCEDURE_MS)
     told = fates(page)
     hands.do("clear")
@@ -135,14 +135,14 @@ def test_stopped_half_way_it_says_what_is_done_and_again_finishes_the_rest(
 
 def expect_proof(page: Page) -> None:
     """Wait for the end of a restore that wrote all rows."""
-    proven = page.locator("#restore").get_by_text("proven by a full read")
+    proven = page.locator("#restore").get_by_text("verified by a full read")
     expect(proven).to_be_visible(timeout=PROCEDURE_MS)
 
 
 def asked_again(page: Page, left: Locator) -> bool:
-    """Ask for what is left; where the unit does not answer yet, the page says so, and one goes back."""
-    page.get_by_role("button", name="Review what is left").click()
-    refused = page.get_by_role("heading", name="That cannot be done")
+    """Ask for what is left; where the unit does not respond yet, the page says so, and one goes back."""
+    page.get_by_role("button", name="Review the remaining rows").click()
+    refused = page.get_by_role("heading", name="Request refused")
     expect(left.or_(refused)).to_be_visible(timeout=PROCEDURE_MS)
     if left.count():
         return True
@@ -159,7 +159,7 @@ def test_by_keyboard_alone_to_the_proof_which_prints(
     tab_to(page, "From a stored set")
     page.keyboard.type(page.locator("#source option", has_text="as it was").first.inner_text()[:24])
     expect(page.locator("#source option:checked")).to_contain_text("as it was")
-    tab_to(page, "Read the unit and show the difference")
+    tab_to(page, "Read the unit and show the differences")
     page.keyboard.press("Enter")
     expect(page.locator("#restore [role=status]")).to_contain_text("Nothing has been written")
     assert as_it_should_be(page, axe) == []
@@ -168,10 +168,10 @@ def test_by_keyboard_alone_to_the_proof_which_prints(
     expect_proof(page)
     assert as_it_should_be(page, axe) == []
     page.emulate_media(media="print")
-    proof = page.get_by_role("table", name="Proof")
+    proof = page.get_by_role("table", name="Read-back")
     expect(proof.locator("tbody tr")).to_have_count(40)
     expect(proof.locator("tbody tr").last).to_be_visible()
-    expect(page.get_by_role("link", name="To the unit")).not_to_be_visible()
+    expect(page.get_by_role("link", name="Open the unit")).not_to_be_visible()
     assert page.pdf(format="A4").startswith(b"%PDF")
 
 
@@ -190,7 +190,7 @@ def test_a_setpoint_is_left_out_until_it_is_ticked(site: Site, browser_page: Ope
     page = browser_page("engineer", viewport=OFFICE)
     page.goto("/units/line/2/restore")
     expect(page.locator("#source option:checked")).to_contain_text("golden · as it ought to be")
-    page.get_by_role("button", name="Read the unit and show the difference").click()
+    page.get_by_role("button", name="Read the unit and show the differences").click()
     expect(page.locator("#restore [role=status]")).to_contain_text("1 row would be written")
     expect(page.get_by_text("The unit runs: the marked rows change what the machine does")).to_be_visible()
     row = page.get_by_role("table", name="Setpoints").get_by_role("row", name="Speed Setpoint")
@@ -229,12 +229,12 @@ def bad_files(good: str) -> dict[str, tuple[bytes, str]]:
         "out-of-range": (good.replace("\n6 = { ", "\n6 = { raw = 99999, x"), "6"),
         "nonsense": (good.replace("\n6 = ", "\n6 = fast"), "not readable as TOML"),
         "truncated": (good[: len(good) // 2], "not readable as TOML"),
-        "newer": (good.replace("version = 1", "version = 2"), "newer Lineside"),
+        "newer": (good.replace("version = 1", "version = 2"), "newer version of Lineside"),
         "twice": (good + row + "\n", "not readable as TOML"),
     }
     files = {name: (text.encode(), says) for name, (text, says) in texts.items()}
-    files["latin"] = (good.replace("Infeed", "Einführ").encode("latin-1"), "no text in UTF-8")
-    files["utf16"] = (good.encode("utf-16"), "no text in UTF-8")
+    files["latin"] = (good.replace("Infeed", "Einführ").encode("latin-1"), "not UTF-8 text")
+    files["utf16"] = (good.encode("utf-16"), "not UTF-8 text")
     return files
 
 
@@ -273,7 +273,7 @@ def test_a_file_that_is_too_long_and_a_unit_that_is_not_there(site: Site, tmp_pa
         answer = client.post("/buses/line/units/9/restores", json={"document": good})
         assert (answer.status_code, "9" in answer.json()["detail"]) == (404, True)
         planned = client.post("/buses/line/units/1/restores", json={"document": good}).json()
-        assert "the set is of unit 2, this is unit 1: read every row" in planned["remarks"]
+        assert "the set is from unit 2, this is unit 1: check every row" in planned["remarks"]
     file = tmp_path / "good.toml"
     file.write_text("\ufeff" + good, encoding="utf-8")
     told = runner.invoke(cli, ["restore", *to(site, 9), str(file)])

@@ -128,10 +128,10 @@ def test_a_press_without_an_answer_has_an_unknown_fate(site: Site, browser_page:
     page.evaluate("document.dispatchEvent(new CustomEvent('lineside:lost'))")
     expect(page.locator("dialog[open]")).to_have_count(0)
     page.evaluate("document.dispatchEvent(new CustomEvent('lineside:found'))")
-    expect(page.locator("[data-review-end]")).to_contain_text("whether it was done is not known")
+    expect(page.locator("[data-review-end]")).to_contain_text("the result is not known")
     page.get_by_role("button", name="Close").click()
     page.locator(".nudges button").first.click()
-    expect(page.locator("#setpoint-error")).to_contain_text("whether it was done is not known")
+    expect(page.locator("#setpoint-error")).to_contain_text("the result is not known")
     assert writes(site) == before
 
 
@@ -283,7 +283,7 @@ def test_a_unit_in_local_takes_the_controls_away_and_says_why(site: Site, browse
     expect(page.locator("[data-review-act]")).to_be_visible()
     site.line.remote.do("mode", unit=1, to="local")
     try:
-        expect(page.locator("[data-review-end]")).to_contain_text("has left REMOTE")
+        expect(page.locator("[data-review-end]")).to_contain_text("left REMOTE")
         expect(page.locator("[data-review-act]")).to_have_count(0)
         page.get_by_role("button", name="Close").click()
         expect(page.locator(".by-mode__not")).to_be_visible()
@@ -313,7 +313,7 @@ def test_several_units_are_one_change(site: Site, browser_page: OpensPages) -> N
     expect(act).to_be_visible()
     with site.api("operator") as client:
         assert client.post("/buses/line/units/4/speed", json={"value": "72.0"}).status_code == 200
-    expect(page.locator("[data-review-end]")).to_contain_text("Dryer 1: The value has moved to 72.0")
+    expect(page.locator("[data-review-end]")).to_contain_text("Dryer 1: The value changed to 72.0")
     page.get_by_role("button", name="Close").click()
     page.get_by_role("button", name=re.compile("Undo")).click()
     act.click()
@@ -418,9 +418,9 @@ def test_a_unit_that_is_blocked_meanwhile_has_no_field_among_the_setpoints(
         try:
             expect(field).to_be_hidden()
             expect(page.locator('[data-unit="line/2"] .by-block__why')).to_have_text(
-                "blocked: belt off (operator-program)"
+                "commands blocked: belt off (operator-program)"
             )
-            page.get_by_role("button", name="Tick all").click()
+            page.get_by_role("button", name="Select all").click()
             expect(page.locator('[data-unit="line/1"] [data-tick]')).to_be_checked()
             expect(page.locator('[data-unit="line/2"] [data-tick]')).not_to_be_checked()
         finally:

@@ -100,8 +100,10 @@ def test_each_end_of_a_wish_is_accessible_and_says_what_was_asked(
     page.locator("#setpoint").fill("999")
     page.get_by_role("button", name="Set now").click()
     page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-done=bad]")).to_contain_text("refused: illegal speed value")
-    expect(page.locator(".done__asked")).to_have_text(f"asked 999.0 · reads {before}")
+    expect(page.locator("[data-review-done=bad]")).to_contain_text(
+        "rejected by the unit: illegal speed value"
+    )
+    expect(page.locator(".done__asked")).to_have_text(f"requested 999.0 · reads {before}")
     assert judged(page, axe) == []
     page.keyboard.press("Escape")
     with site.api("engineer") as client:
@@ -124,7 +126,7 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     page.locator(".setpoints__new[name=new-1]").fill("50")
     page.evaluate("document.querySelector('[name=new-3]').value = '51'")
     page.get_by_role("button", name="Review the change").click()
-    expect(page.locator("#review [data-remark=obstacle_not_in_remote]")).to_contain_text("cannot take part")
+    expect(page.locator("#review [data-remark=obstacle_not_in_remote]")).to_contain_text("not possible")
     expect(page.locator("#review [data-remark=obstacle_blocked]")).to_contain_text("left out")
     assert judged(page, axe) == []
     page.keyboard.press("Escape")  # as above
@@ -195,7 +197,7 @@ def test_a_silent_unit_says_why_nothing_can_be_set(site: Site, browser_page: Ope
     expect(silent).to_be_hidden()
     site.line.remote.do("fault", kind="dead", rate=1, unit=1)
     try:
-        expect(silent).to_contain_text("No answer from this unit")
+        expect(silent).to_contain_text("The unit does not respond")
         assert judged(page, axe) == []
     finally:
         site.line.remote.do("clear")

@@ -42,7 +42,7 @@ def new_section(site: Site, parameters: dict[int, int], **traits: Any) -> None:
     """Whatever was at address 3 is gone; one unit is there, and the site has heard it."""
     hands = site.line.remote
     eventually(lambda: not removed(site), "nobody at address 3")
-    eventually(lambda: site.unit(3)["link"] == "offline", "the address is silent")
+    eventually(lambda: site.unit(3)["link"] == "offline", "the address stops responding")
     hands.do("spare", parameters={17: 3} | parameters, **traits)
     eventually(lambda: site.unit(3)["link"] == "online", "the unit of section 3")
 
@@ -63,7 +63,7 @@ def begin(page: Page) -> None:
     if page.get_by_role("button", name=LEAVE).count():
         leave(page, 3)
         page.goto("/swap/line/3")
-    page.get_by_role("button", name="Begin the swap of Coater").click()
+    page.get_by_role("button", name="Start the swap of Coater").click()
 
 
 def leave(page: Page, unit: int) -> None:
@@ -92,23 +92,23 @@ def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensP
     hands = site.line.remote
     page = browser_page("engineer", viewport=OFFICE)
     begin(page)
-    says(page, "If it is the old one, switch it off and take it off the cable")
+    says(page, "If it is the old unit, switch it off and disconnect it")
     hands.do("remove", unit=3)
-    says(page, "Nothing new answers yet")
+    says(page, "No spare responds yet")
 
     spare = hands.do("spare", parameters={18: 48, 19: 0})
     keypad(site, spare, 18, 96)
     says(page, "set parameter 18 to 96 (9600 baud)")
     hands.do("power_cycle", place=spare)
-    says(page, "Two units answer at address 1: the spare still has its factory address")
+    says(page, "Two units respond at address 1: the spare still has its factory address")
     site.stop(signal.SIGKILL)
     site.start()
     expect(page.get_by_text(re.compile("begun .* by engineer, from set 1"))).to_be_visible()
-    says(page, "Two units answer at address 1: the spare still has its factory address")
+    says(page, "Two units respond at address 1: the spare still has its factory address")
     keypad(site, spare, 17, 3)
-    says(page, "At the keypad of the new unit set parameter 19 to 1 (REMOTE)")
+    says(page, "At the keypad of the new unit, set parameter 19 to 1 (REMOTE)")
     hands.do("mode", place=spare, to="remote")
-    says(page, "The unit answers in REMOTE")
+    says(page, "The unit responds and is in REMOTE")
 
     page.get_by_role("button", name="Review the restore").click()
     expect(page.locator("#restore [role=status]")).to_contain_text("Nothing has been written")
@@ -116,15 +116,15 @@ def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensP
     page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
     expect(page.get_by_role("heading", name=re.compile("^Proof"))).to_be_visible(timeout=PROCEDURE_MS)
     page.get_by_role("link", name="Back to the swap").click()
-    says(page, "The new unit is what the old one was, proven by a full read.")
-    expect(page.get_by_role("link", name="The proof, to read or print")).to_be_visible()
+    says(page, "The new unit has the parameters of the old unit, verified by a full read.")
+    expect(page.get_by_role("link", name="Open the report")).to_be_visible()
 
     expect(page.get_by_text("The setpoint is not restored: #20 is 0")).to_be_visible()
     assert [hands.do("parameter", unit=3, number=number) for number in (6, 9, 22, 20)] == [33, 444, 7, 0]
     [end, start] = events(site, "swap")
-    assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and proven", "verified", 3)
+    assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and verified", "verified", 3)
     assert "begun" in start["what"]
-    for part in ("two units answer at 1", "not in REMOTE", "in REMOTE", "#6", "proven by a full read"):
+    for part in ("two units answer at 1", "not in REMOTE", "in REMOTE", "#6", ("verified by a full read")):
         assert part in end["message"], end["message"]
 
 
@@ -132,15 +132,15 @@ def test_a_spare_with_the_older_list_at_the_address_already(site: Site, browser_
     new_section(site, {}, last_parameter=20)
     page = browser_page("engineer", viewport=OFFICE)
     begin(page)
-    says(page, "If it is the spare already, say so")
-    page.get_by_role("button", name="It is the spare").click()
-    says(page, "The unit answers in REMOTE")
+    says(page, "If it is already the spare, confirm it")
+    page.get_by_role("button", name="Confirm the spare").click()
+    says(page, "The unit responds and is in REMOTE")
     page.get_by_role("button", name="Review the restore").click()
     expect(
         page.get_by_role("row", name=re.compile("Minimum Ratio.*this unit does not have it"))
     ).to_be_visible()
     page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
-    proven = page.locator("#restore-progress").get_by_text("what was asked but for the rows left out")
+    proven = page.locator("#restore-progress").get_by_text("equals the set except for the rows left out")
     expect(proven).to_be_visible(timeout=PROCEDURE_MS)
     assert "#38: this unit does not have it" in events(site, "swap")[0]["message"]
 
@@ -149,9 +149,9 @@ def test_two_units_at_the_address_of_the_section(site: Site, browser_page: Opens
     new_section(site, GOOD)
     page = browser_page("engineer", viewport=OFFICE)
     begin(page)
-    says(page, "A unit answers at address 3")
+    says(page, "A unit responds at address 3")
     site.line.remote.do("spare", parameters={17: 3})
-    says(page, "Two units answer at address 3 at once. Take the old one off the cable")
+    says(page, "Two units respond at address 3. Disconnect the old unit")
     eventually(lambda: site.unit(2)["link"] == "online", "the others go on")
     leave(page, 3)
     removed(site)
@@ -162,25 +162,25 @@ def test_a_section_without_a_set_becomes_what_its_neighbour_is_or_the_sheet(
 ) -> None:
     page = browser_page("engineer", viewport=OFFICE)
     page.goto("/swap/line/2")
-    expect(page.get_by_text("No parameter set of this unit is stored. What helps")).to_be_visible()
-    begin_it = page.get_by_role("button", name="Begin the swap of Infeed nip")
+    expect(page.get_by_text("No parameter set of this unit is stored. Use")).to_be_visible()
+    begin_it = page.get_by_role("button", name="Start the swap of Infeed nip")
     begin_it.click()
-    expect(page.get_by_text("choose what the spare shall become; nothing was begun")).to_be_visible()
+    expect(page.get_by_text("choose the source of the parameters; the swap was not started")).to_be_visible()
     page.goto("/swap/line/2")
-    page.get_by_label("What the spare shall become").select_option("live:line:1")
+    page.get_by_label("Source of the parameters").select_option("live:line:1")
     begin_it.click()
-    expect(page.get_by_text("The set is of unit 1, another section.")).to_be_visible()
+    expect(page.get_by_text("The set is from unit 1, another section.")).to_be_visible()
     leave(page, 2)
     page.goto("/swap/line/2")
-    page.get_by_label("What the spare shall become").select_option("sheet")
+    page.get_by_label("Source of the parameters").select_option("sheet")
     begin_it.click()
-    says(page, "If it is the spare already, say so")
-    page.get_by_role("button", name="It is the spare").click()
-    says(page, "Enter its parameters from the sheet")
-    page.get_by_role("button", name="All is entered: read the unit and keep it").click()
+    says(page, "If it is already the spare, confirm it")
+    page.get_by_role("button", name="Confirm the spare").click()
+    says(page, "Enter the values of the parameter sheet")
+    page.get_by_role("button", name="Read the unit and save it as a set").click()
     heading = page.get_by_role("heading", level=1)
-    expect(heading).to_have_text("entered from the sheet", timeout=PROCEDURE_MS)
-    assert events(site, "swap")[0]["what"] == "unit swapped and kept"
+    expect(heading).to_have_text("entered from the parameter sheet", timeout=PROCEDURE_MS)
+    assert events(site, "swap")[0]["what"] == "unit swapped and saved as a set"
 
 
 @pytest.mark.provokes("WebSocket", "fetch", "Failed to fetch")
@@ -192,7 +192,7 @@ def test_a_server_killed_in_the_midst_of_a_restore_says_what_was_done(
     page.goto("/units/line/3/restore")
     newest = page.locator("#source option", has_text="the good one").get_attribute("value")
     page.get_by_label("From a stored set").select_option(newest)
-    page.get_by_role("button", name="Read the unit and show the difference").click()
+    page.get_by_role("button", name="Read the unit and show the differences").click()
     site.line.remote.do("fault", kind="slow", rate=1, unit=3)
     page.get_by_role("button", name=f"Write {len(GOOD)} rows to unit 3").click()
     expect(page.get_by_text(re.compile(r"writing: [1-9]\d* of"))).to_be_visible()
@@ -200,17 +200,19 @@ def test_a_server_killed_in_the_midst_of_a_restore_says_what_was_done(
     expect(page.locator(".gone")).to_be_visible()
     site.line.remote.do("clear")
     site.start()
-    expect(page.locator("#restore").get_by_text("It ended early: the server ended")).to_be_visible()
+    expect(
+        page.locator("#restore").get_by_text("The restore ended early: the server stopped")
+    ).to_be_visible()
     done = page.get_by_role("cell", name="verified", exact=True).count()
     assert 1 <= done < len(GOOD)
-    assert done + page.get_by_role("cell", name=re.compile("not sent|unverified")).count() == len(GOOD)
+    assert done + page.get_by_role("cell", name=re.compile("not sent|not verified")).count() == len(GOOD)
     eventually(lambda: site.unit(3)["link"] == "online", "the unit of section 3")
-    page.get_by_role("button", name="Review what is left").click()
+    page.get_by_role("button", name="Review the remaining rows").click()
     left = page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3"))
     expect(left).to_be_visible()
     assert len(GOOD) - done - 1 <= int(left.inner_text().split()[1]) <= len(GOOD) - done
     left.click()
-    proven = page.locator("#restore").get_by_text("proven by a full read")
+    proven = page.locator("#restore").get_by_text("verified by a full read")
     expect(proven).to_be_visible(timeout=PROCEDURE_MS)
     assert {number: parameter(site, number) for number in GOOD} == GOOD
     page.goto("/units/line/3/restore")

@@ -101,7 +101,7 @@ def test_a_silent_server_takes_the_controls_away_and_the_page_returns_by_itself(
     own_site.server.send_signal(signal.SIGSTOP)
     try:
         expect(page.locator(LOST)).to_be_attached()
-        expect(page.locator(".gone")).to_contain_text("does not answer")
+        expect(page.locator(".gone")).to_contain_text("does not respond")
         expect(page.locator("dialog[open]")).to_have_count(0)
         expect(page.get_by_role("button", name="Set now")).to_have_count(0)
         page.evaluate("document.querySelector('form.setter').requestSubmit()")

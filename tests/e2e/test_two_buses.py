@@ -198,7 +198,7 @@ def test_a_followers_setpoint_is_a_ratio(site: Site, browser_page: OpensPages, f
     expect(page.locator("[data-review-done=good]")).to_contain_text("verified: reads 1.2345")
     assert state(site.line, follower)["setpoint"] == 12345
 
-    page.get_by_role("button", name=re.compile("Undo: back to")).click()
+    page.get_by_role("button", name=re.compile("Undo: set")).click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text(f"reads {before / 10_000:.4f}")
     page.get_by_role("button", name="Close").click()

@@ -12,7 +12,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import OpensPages
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.limits import START_S
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
@@ -79,16 +79,16 @@ def test_a_silent_unit_is_shown_as_such_and_comes_back(site: Site, browser_page:
     eventually(lambda: site.unit(4)["link"] == "online", "unit 4 online")
 
 
-@pytest.mark.parametrize("path", ["/", "/login", "/units/line/1", "/units/line/1/parameters", "/setpoints"])
-@pytest.mark.parametrize("width", [360, 1920])
-def test_every_page_can_be_used_by_everybody(
-    path: str, width: int, browser_page: OpensPages, axe: Callable[..., list[str]]
+@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
+@pytest.mark.parametrize(
+    ("path", "role"), [("/login", None), ("/users", "admin"), ("/account", "viewer"), ("/nothing", "viewer")]
+)
+def test_a_page_beside_the_line_is_accessible(
+    browser_page: OpensPages, flaws: Callable[..., list[str]], path: str, role: str | None, locale: str
 ) -> None:
-    role = None if path == "/login" else "engineer"
-    page = browser_page(role, viewport={"width": width, "height": 900})
+    page = browser_page(role, locale=locale)
     page.goto(path)
-    assert axe(page) == []
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "it scrolls sideways"
+    assert flaws(page, locale) == []
 
 
 @pytest.mark.provokes("WebSocket connection")
@@ -131,8 +131,16 @@ def test_a_worker_that_dies_is_started_again(own_site: Site) -> None:
     own_site.wait_for_units()
 
 
-SEEN_BY_NO_OTHER_TEST = ["/users", "/account", "/nothing"]
-FOR_A_PHONE = [*SEEN_BY_NO_OTHER_TEST, "/events", "/sets", "/sets/compare", "/recipes", "/batch/line"]
+FOR_A_PHONE = [
+    "/users",
+    "/account",
+    "/nothing",
+    "/events",
+    "/sets",
+    "/sets/compare",
+    "/recipes",
+    "/batch/line",
+]
 SMALL_TARGETS = """() => [...document.querySelectorAll("main :is(button, .button, select, input, .check)")]
   .filter((each) => each.checkVisibility() && each.getBoundingClientRect().height < 48)
   .filter((each) => !each.closest(".check") || each.matches(".check"))
@@ -141,18 +149,13 @@ HIDDEN_TO_THE_SIDE = """() => [...document.querySelectorAll("main .table-wrap")]
   .filter((each) => each.scrollWidth > each.clientWidth + 1).map((each) => each.ariaLabel)"""
 
 
-def test_the_pages_around_the_line_fit_a_phone_in_a_glove(
-    browser_page: OpensPages, axe: Callable[..., list[str]]
-) -> None:
+def test_the_pages_around_the_line_fit_a_phone_in_a_glove(browser_page: OpensPages) -> None:
     page = browser_page("admin", viewport={"width": 360, "height": 740}, has_touch=True, is_mobile=True)
     for path in FOR_A_PHONE:
         page.goto(path)
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), path
         assert page.evaluate(SMALL_TARGETS) == [], path
         assert page.evaluate(HIDDEN_TO_THE_SIDE) == [], path
-        for scheme in ("light", "dark") if path in SEEN_BY_NO_OTHER_TEST else ():
-            page.emulate_media(color_scheme=scheme)
-            assert axe(page) == [], (path, scheme)
 
 
 def test_a_user_is_added_given_a_role_disabled_and_removed(
@@ -176,7 +179,7 @@ def test_a_user_is_added_given_a_role_disabled_and_removed(
     row.get_by_role("button", name="Disable the user").click()
     assert axe(page) == []
     row.get_by_role("button", name="Remove the user").click()
-    expect(page.locator("#review")).to_contain_text("cannot come back")
+    expect(page.locator("#review")).to_contain_text("is deleted permanently")
     page.get_by_role("button", name="Remove karin").click()
     expect(row).to_have_count(0)
 
@@ -186,13 +189,13 @@ def test_a_token_is_revoked_after_it_was_asked_in_words(
 ) -> None:
     page = browser_page("admin", viewport={"width": 360, "height": 740})
     page.goto("/users")
-    card = page.locator("section", has=page.get_by_role("heading", name="Create a token"))
+    card = page.locator("section", has=page.get_by_role("heading", name="New token"))
     card.get_by_label("Name").fill("plc")
     card.get_by_role("button", name="Create the token").click()
     token = page.locator("[data-token]").inner_text()
     revoke = page.get_by_role("button", name="Revoke the token: plc")
     revoke.click()
-    expect(page.locator("#review")).to_contain_text("Nobody has used it yet")
+    expect(page.locator("#review")).to_contain_text("Never used")
     assert axe(page) == []
     page.get_by_role("button", name="Cancel").click()
     bearer = {"Authorization": f"Bearer {token}"}

@@ -85,7 +85,7 @@ def dashboard(
     url = f"http://127.0.0.1:{free_port()}"
     with (
         plugged(folder / "tty", units, cable_of) as cable,
-        httpx.Client(base_url=url, timeout=CALL_S, trust_env=False) as client,
+        httpx.Client(base_url=url, timeout=CALL_S, trust_env=False, verify=False) as client,
     ):
         made = Dashboard(folder, url, cable, client)
         config = folder / "lineside.toml"

@@ -77,10 +77,19 @@ def avoided_identifiers(trees: dict[str, ast.Module], avoided: list[str]) -> Cou
     return Counter({word: sum(contains(name, word) for name in names) for word in avoided})
 
 
-def avoided_words() -> list[str]:
-    """The words and phrases of the first part of the list."""
-    counted = AVOIDED_WORDS.read_text(encoding="utf-8").partition("\n" + _SECTION)[0]
-    return [line.partition(":")[0] for line in counted.splitlines() if line and not line.startswith("#")]
+def avoided_words(section: str = "") -> list[str]:
+    """The words and phrases of a section of the list; the first has no name and is for identifiers."""
+    parts = AVOIDED_WORDS.read_text(encoding="utf-8").split("\n" + _SECTION)
+    named = dict([("", parts[0]), *(part.split("]", 1) for part in parts[1:])])
+    return [line.partition(":")[0] for line in named[section].splitlines() if line and line[0] != "#"]
+
+
+def in_text(words: list[str]) -> re.Pattern[str]:
+    """Finds the words in a text, each as a word of its own, and those that are a question's first words only
+    where they begin the text and so are the name of something."""
+    names = [f"^{re.escape(word)}" for word in words if word.endswith(" is")]
+    others = [re.escape(word) for word in words if not word.endswith(" is")]
+    return re.compile(rf"(?<![\w-])(?:{'|'.join([*names, *others])})(?:s|es)?(?![\w-])", re.IGNORECASE)
 
 
 def bounds(path: Path) -> Counter[str]:

@@ -22,11 +22,11 @@ class Body(StrictBody):
     timeout_s: Annotated[
         TimeoutS | None, Field(description="Time that it may wait for the wire, 0.05 to 30 s; else 2 s.")
     ] = None
-    confirm: Annotated[bool, Field(description="What is dangerous or a large step is meant.")] = False
+    confirm: Annotated[bool, Field(description="Confirms a dangerous value or a large step.")] = False
 
 
 class Quantity(StrictBody):
-    """A raw integer of the wire, or what a person would type, not both."""
+    """A raw integer of the wire, or the value as displayed; not both."""
 
     raw: Annotated[int | None, Field(description="Integer on the wire, 0 to 99999.")] = None
     value: Annotated[TypedValue | None, Field(description="As the unit displays it, such as 1234.5.")] = None
@@ -48,7 +48,7 @@ class Quantity(StrictBody):
 
 
 class SpeedBody(Body, Quantity):
-    """``execute`` true: 84h, at once; false: 82h, staged until executed."""
+    """``execute`` true: 84h, immediately; false: 82h, staged until executed."""
 
     execute: bool = True
 
@@ -58,7 +58,7 @@ class ParameterBody(Body, Quantity):
 
 
 class OutputBody(Body):
-    """The state that an auxiliary output shall have."""
+    """Requested state of an auxiliary output."""
 
     on: bool
 

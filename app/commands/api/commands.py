@@ -149,7 +149,7 @@ async def execute(
 async def execute_all(
     person: Annotated[Person, permitted_writer(EXECUTE_ALL)], ask: Call, body: Body | None = None
 ) -> Response:
-    """83h to all, then the proof from every unit."""
+    """83h to all; each unit is read back."""
     return await ask.ask(person, ExecuteAll(), body or Body())
 
 
@@ -157,7 +157,7 @@ async def execute_all(
 async def set_speeds(
     person: Annotated[Person, permitted_writer(SET_LINE)], ask: Call, body: SetpointsBody
 ) -> Response:
-    """Stage all, require every acknowledgement, broadcast, prove: all of them or none."""
+    """Stage all, require every acknowledgement, broadcast, read back: all units change or none."""
     deadline = ask.deadline(body, len(body.setpoints))
     setpoints = {
         int(key): await ask.typed(person, int(key), deadline).setpoint(quantity)
@@ -174,7 +174,7 @@ async def write_output(
     number: int,
     body: OutputBody,
 ) -> Response:
-    """87h, proven by the bit in ST2."""
+    """87h, verified by the bit in ST2."""
     unit_or_404(ask.live, ask.bus, unit)
     if number not in OUTPUT_NUMBERS:
         raise Problem(404, "unknown_output", Message("no_such_output"), unit=unit)
@@ -188,7 +188,7 @@ async def write_analog_output(
     unit: int,
     body: AnalogOutputBody,
 ) -> Response:
-    """88h: acknowledged at best, for there is nothing to read back."""
+    """88h. The best outcome is acknowledged: there is nothing to read back."""
     return await ask.ask(person, WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
 
 
@@ -196,7 +196,7 @@ async def write_analog_output(
 async def change_baud(
     person: Annotated[Person, permitted_writer(CHANGE_BAUD)], ask: Call, body: BaudBody
 ) -> Response:
-    """#18 of every unit, the host after them, every unit proven; taken back by itself where one is lost."""
+    """Change #18 of every unit, then of the host; each unit is read back. All are set back if one is lost."""
     return await ask.ask(person, ChangeBaud(baud=body.baud), body)
 
 
@@ -208,10 +208,10 @@ async def get_parameters(
     refresh: bool = False,
     gaps: bool = False,
 ) -> list[dict[str, Any]]:
-    """All 40 as last read, or with ``refresh`` as the unit gives them now. #21 is masked.
+    """All 40 parameters as last read, or with ``refresh`` read now. #21 is masked.
 
-    With ``gaps`` the reading takes only the gaps of the scan: slow while the line is watched, and the
-    watching costs nothing. What was never read is read now where the unit answers.
+    With ``gaps`` only the gaps of the scan are used: slower, and polling keeps its rate. A parameter that
+    was never read is read now if the unit responds.
     """
     found = unit_or_404(ask.live, ask.bus, unit)
     if refresh:
@@ -243,7 +243,7 @@ async def write_parameter(
     number: int,
     body: ParameterBody,
 ) -> Response:
-    """86h, read back by 85h. What can cut the link off needs ``confirm``."""
+    """86h, read back with 85h. A parameter that can interrupt the link needs ``confirm``."""
     deadline = ask.deadline(body)
     typed = ask.typed(person, unit, deadline)
     if number not in PARAMETERS:

@@ -66,7 +66,7 @@ BusInPath = Annotated[BusLive, bus_service(BusLive)]
 
 @router.get("/units/{unit:int}/limits")
 async def get_limits(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> LimitsBody:
-    """What an engineer allows for the speed of this unit."""
+    """Limits of the setpoint of this unit, set by an engineer."""
     unit_of_bus_or_404(bus, unit)
     limits = guards.limits.of(unit)
     return LimitsBody(
@@ -81,7 +81,7 @@ async def get_limits(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> Li
 async def put_limits(
     person: Engineer, bus: BusInPath, guards: Guards, unit: int, body: LimitsBody
 ) -> LimitsBody:
-    """Replace the limits of this unit. They hold on every path at once."""
+    """Replace the limits of this unit. They apply immediately on every interface."""
     unit_of_bus_or_404(bus, unit)
     await guards.set_limits(person, unit, Limits(**body.model_dump()))
     return body
@@ -89,14 +89,14 @@ async def put_limits(
 
 @router.get("/units/{unit:int}/block")
 async def get_block(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> BlockShown:
-    """Whether this unit is blocked, why and by whom."""
+    """Whether commands to this unit are blocked, the reason and the user."""
     unit_of_bus_or_404(bus, unit)
     return _block_json(guards, unit)
 
 
 @router.post("/units/{unit:int}/block")
 async def block(person: Operator, bus: BusInPath, guards: Guards, unit: int, body: BlockBody) -> BlockShown:
-    """Refuse every write to this unit, on every path, until somebody lifts it."""
+    """Block every write to this unit, on every interface, until the block is lifted."""
     unit_of_bus_or_404(bus, unit)
     await guards.block(person, unit, body.reason)
     return _block_json(guards, unit)
@@ -104,7 +104,7 @@ async def block(person: Operator, bus: BusInPath, guards: Guards, unit: int, bod
 
 @router.delete("/units/{unit:int}/block")
 async def lift_block(person: Operator, bus: BusInPath, guards: Guards, unit: int) -> BlockShown:
-    """Free this unit; the events keep who did."""
+    """Lift the block of commands; the event records the user."""
     unit_of_bus_or_404(bus, unit)
     await guards.lift(person, unit)
     return _block_json(guards, unit)
@@ -112,25 +112,25 @@ async def lift_block(person: Operator, bus: BusInPath, guards: Guards, unit: int
 
 @router.get("/control")
 async def get_control(_: Viewer, guards: Guards) -> ControlShown:
-    """Who holds control of this line, where the site wants one person at a time."""
+    """The user who has control of this line, if the site requires control."""
     return _control_json(guards, guards.holding())
 
 
 @router.post("/control")
 async def take_control(person: Operator, guards: Guards) -> ControlShown:
-    """Take control that nobody else holds."""
+    """Take control, if it is free."""
     return _control_json(guards, await guards.take(person))
 
 
 @router.post("/control/hand-over")
 async def hand_over_control(person: Operator, guards: Guards, body: HandOverBody) -> ControlShown:
-    """Give control to somebody else who may set the line. An admin may do so without holding it."""
+    """Hand control over to another user who may command the line. An admin may do so without control."""
     return _control_json(guards, await guards.hand_over(person, body.to))
 
 
 @router.delete("/control")
 async def release_control(person: Operator, guards: Guards) -> ControlShown:
-    """Give control back."""
+    """Release control."""
     await guards.release(person)
     return _control_json(guards, None)
 

@@ -24,7 +24,7 @@ class FrameShown(TypedDict):
     direction: Annotated[Direction, Field(description="out: a request, in: a response.")]
     hex: Annotated[str, Field(description="The bytes on the wire, hexadecimal, separated by blanks.")]
     meaning: str
-    valid: Annotated[bool, Field(description="Whether it is a whole frame with the right checksum.")]
+    valid: Annotated[bool, Field(description="Whether it is a complete frame with the right checksum.")]
 
 
 class MessageShown(TypedDict):
@@ -40,7 +40,7 @@ class OutcomeMembers(TypedDict):
     outcome: OutcomeShown
     code: Annotated[OutcomeShown, Field(description="As outcome; problems have it too.")]
     message: Annotated[str, Field(description="The outcome in words, English.")]
-    reason: Annotated[MessageShown | None, Field(description="What message says; null: only the outcome.")]
+    reason: Annotated[MessageShown | None, Field(description="message as data; null: only the outcome.")]
     read_back: Annotated[
         int | None,
         Field(description="Raw value that the unit was read to have; null: not read, or a secret."),
@@ -105,7 +105,7 @@ class ControlShown(TypedDict):
     lapses_after_s: Annotated[
         float, Field(description="Control without a command lapses after this, seconds.")
     ]
-    holder: Annotated[str | None, Field(description="Name of the user or token; null: nobody.")]
+    holder: Annotated[str | None, Field(description="Name of the user or token; null: control is free.")]
     is_token: Annotated[bool | None, Field(description="Whether the holder is a token.")]
     since: Moment
     lapses_at: Moment

@@ -20,19 +20,19 @@ router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"
 
 
 class SetpointRangeShown(StrictBody):
-    """What a setpoint of a unit may be, both ends included."""
+    """Range of the setpoints of a unit, both ends included."""
 
     kind: SetpointKind
     lowest_raw: Annotated[int, Field(description="Integer on the wire, 0 to 99999.")]
     highest_raw: Annotated[int, Field(description="Integer on the wire, 0 to 99999.")]
     lowest: DisplayedValue
     highest: DisplayedValue
-    basis: Annotated[Basis, Field(description="What sets it: 82h, #2, #38 and #31, or an engineer.")]
+    basis: Annotated[Basis, Field(description="Source of the limit: 82h, #2, #38 and #31, or an engineer.")]
 
 
 @router.get("/units/{unit:int}/setpoint-range")
 async def get_setpoint_range(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> SetpointRangeShown:
-    """What a setpoint of this unit may be, as every page and every write holds it."""
+    """Range of the setpoints of this unit, as on every page and for every write."""
     found = unit_of_bus_or_404(bus, unit)
     allowed = setpoint_range(found, guards.limits.of(unit))
     return SetpointRangeShown(

@@ -45,11 +45,13 @@ def outcome_text(result: Result | UnitOutcome, shown: ValueFormat, voice: Transl
         case "acknowledged":
             return OutcomeText("good", voice.t("acknowledged by the unit"))
         case "refused":
-            return OutcomeText("bad", voice.t("refused: {reason}", reason=_reason(result, voice)))
+            return OutcomeText(
+                "bad", voice.t("rejected by the unit: {reason}", reason=_reason(result, voice))
+            )
         case "unverified":
             if read:
                 return OutcomeText("unknown", voice.t("reads {value} instead", value=read))
-            return OutcomeText("unknown", voice.t("no answer: whether it was done is not known"))
+            return OutcomeText("unknown", voice.t("no response: the result is not known"))
     return OutcomeText("bad", _not_sent(result.outcome, result.message, voice))
 
 
@@ -66,7 +68,7 @@ def _reason(result: Result | UnitOutcome, voice: Translator) -> str:
 
 def _not_sent(outcome: Outcome, message: Message | None, voice: Translator) -> str:
     if outcome == "not_sent":
-        return voice.t("not sent: the wire was not free in time")
+        return voice.t("not sent: the bus was busy until the deadline")
     if outcome == "bus_closed":
         return voice.t("not sent: there is no link to the bus")
     return voice.t(message or "")

@@ -68,7 +68,7 @@ async def set_output(
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[UnixTime, Form()],
 ) -> Response:
-    """87h, proven by the bit in ST2."""
+    """87h, verified by the bit in ST2."""
     live = desk.unit(bus, unit)
     try:
         desk.refuse_lapsed(reviewed_at)
@@ -116,7 +116,7 @@ async def set_analog(
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[UnixTime, Form()],
 ) -> Response:
-    """88h: acknowledged at best, for there is nothing to read back."""
+    """88h. The best outcome is acknowledged: there is nothing to read back."""
     live = desk.unit(bus, unit)
     try:
         desk.refuse_lapsed(reviewed_at)

@@ -166,6 +166,6 @@ def _not_so(
     if text:
         # The rule speaks of raw values; what was typed here is what the unit shows.
         reason = desk.voice.t(
-            "out of range: the nearest that it takes is {value}; nothing was sent", value=shown
+            "out of range: the nearest allowed value is {value}; nothing was sent", value=shown
         )
     return desk.not_so(reason, f"#parameter-{parameter.number}-error", nearest=shown)

@@ -79,7 +79,7 @@ async def block(
 
 @router.post("/units/{bus}/{unit:int}/unblock")
 async def unblock(person: Operator, desk: Page, bus: str, unit: int) -> Response:
-    """Free this unit; the events keep who did."""
+    """Lift the block of commands; the event records the user."""
     desk.unit(bus, unit)
     await desk.guards(bus).lift(person, unit)
     return RedirectResponse(f"/units/{bus}/{unit}", SEE_OTHER)

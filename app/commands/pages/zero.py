@@ -142,12 +142,12 @@ def _in_all(desk: PageContext, proofs: list[ResultRow]) -> OutcomeText:
     at_zero = sum(outcome.tone == "good" for _, _, outcome in proofs)
     if proofs and at_zero == len(proofs):
         good = desk.voice.tn(
-            "{n} unit took speed 0 and ramps down", "{n} units took speed 0 and ramp down", at_zero
+            "{n} unit accepted speed 0 and ramps down", "{n} units accepted speed 0 and ramp down", at_zero
         )
         return OutcomeText("good", good)
     bad = desk.voice.tn(
-        "the unit did not take speed 0: look at it",
-        "{good} of {n} units took speed 0: look at the others",
+        "the unit did not accept speed 0: check it",
+        "{good} of {n} units accepted speed 0: check the others",
         len(proofs),
         good=at_zero,
     )

@@ -27,7 +27,7 @@ from bus.catalogue.parameters import PARAMETERS
 
 SetpointKind = Literal["speed", "ratio"]
 Basis = Literal["protocol", "display", "ratio", "limits"]
-"""What sets it: 82h, #2, #38 and #31, or an engineer."""
+"""Source of the limit: 82h, #2, #38 and #31, or an engineer."""
 KIND_OF_PARAMETER: dict[int, SetpointKind] = {SPEED_SETPOINT: "speed", RATIO_SETPOINT: "ratio"}
 """The parameters in which a unit keeps its setpoint."""
 _DECIDING: dict[SetpointKind, tuple[int, ...]] = {

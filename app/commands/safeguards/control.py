@@ -46,7 +46,7 @@ class Control:
         return holding if holding is not None and now < holding.lapses_at else None
 
     def take(self, who: str, now: UnixTime) -> Holding:
-        """Take control that nobody else holds. Raises ControlledError."""
+        """Take control, if it is free. Raises ControlledError."""
         holding = self.holding(now)
         if holding is not None and holding.holder != who:
             raise ControlledError(Message.of("control_held_by", who=account_shown(holding.holder)))
@@ -63,7 +63,7 @@ class Control:
         return self._holding
 
     def release(self, who: str, now: UnixTime) -> None:
-        """Give control back. Raises ControlledError for one who does not hold it."""
+        """Release control. Raises ControlledError for one who does not hold it."""
         holding = self.holding(now)
         if holding is None or holding.holder != who:
             raise ControlledError(_who_holds(holding))

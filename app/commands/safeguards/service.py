@@ -17,7 +17,7 @@ from app.web.access import Person, Role, name_of
 from bus.instants import Clock, unix_now
 from bus.messages import Message, term
 
-SIGNED_OUT = "signed out, or has other rights"
+SIGNED_OUT = "logged out, or rights changed"
 AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
 """The account that somebody names, and what it may do; None when there is none."""
 
@@ -98,7 +98,7 @@ class Safeguards:
         return holding.holder if holding is not None else ""
 
     async def take(self, person: Person) -> Holding:
-        """Take control that nobody else holds. Raises Problem 409."""
+        """Take control, if it is free. Raises Problem 409."""
         await self._rights.check(person)
         before = self.holding()
         try:
@@ -133,7 +133,7 @@ class Safeguards:
         return account
 
     async def release(self, person: Person) -> None:
-        """Give control back. Raises Problem 409."""
+        """Release control. Raises Problem 409."""
         try:
             self.control.release(person.account, self._now())
         except ControlledError as error:

@@ -76,7 +76,7 @@ class CommandRecord:
             message = result.message or ""
             await self._events.conclude(intent.event, result.outcome, message, result.frames, remember)
         except StoreError as error:
-            log.error("fate not stored", command=wish.id, outcome=result.outcome, error=str(error))
+            log.error("outcome not stored", command=wish.id, outcome=result.outcome, error=str(error))
 
     async def reject(self, wish: CommandRequest, live: BusLive, problem: Problem) -> None:
         """A wish that was not sent, with the reason."""

@@ -118,7 +118,7 @@ async def get_series(
 async def get_sparks(
     _: Viewer, history: HistoryOf, span: SpanOf, series: Annotated[list[str], Query()]
 ) -> Response:
-    """Small pictures for many units (up to 255): for each ``bus/unit/value`` the columns ``t`` (seconds
+    """Sparklines of many units (up to 255): for each ``bus/unit/value`` the columns ``t`` (seconds
     since the epoch) and ``avg``, about 120 points."""
     if len(series) > MOST_SPARKS:
         raise Problem(422, "invalid", Message.of("too_many_sparklines", most=MOST_SPARKS, count=len(series)))
@@ -139,8 +139,8 @@ async def get_marks(
     span: SpanOf,
     unit: Annotated[list[str] | None, Query()] = None,
 ) -> Response:
-    """What happened over a span, oldest first: events (setpoint changes too) of the site and of each
-    ``bus/unit`` named. At most 500, the newest; ``more`` says that there were more. ``shown``: ``what``,
+    """Events of a span, oldest first: events (setpoint changes too) of the site and of each
+    ``bus/unit`` named. At most the newest 500; ``more``: there were more. ``shown``: ``what``,
     ``old`` and ``new`` in the reader's language."""
     marks, more = await collect_marks(events, span, unit or [])
     templates = templates_of(request)
@@ -158,7 +158,7 @@ async def get_marks(
 
 @router.get("/status")
 async def get_status(_: Viewer, history: HistoryOf) -> StatusShown:
-    """How history is: ``state`` ok, low or scarce (the disk is short), paused or failed; ``message`` says
+    """State of the history: ``state`` ok, low or scarce (little disk space), paused or failed; ``message``:
     what to do. The rest of Lineside works in every state."""
     status = history.status
     texts = {"message": in_english(status.message), "cause": in_english(status.cause)}
@@ -176,7 +176,7 @@ async def get_export(
 ) -> StreamingResponse:
     """CSV or Parquet of any span, streamed: ``series`` as often as wanted, each ``bus/unit/value``.
 
-    ``resolution`` auto gives the readings where they are still kept over the whole span, else minutes.
+    ``resolution`` auto: values if they are stored for the complete span, else minutes.
     """
     asked = questions(history, series, Span(span.start, span.end), 1)
     return await download.response(history, asked, file, resolution)

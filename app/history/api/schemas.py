@@ -38,7 +38,7 @@ SeriesShown = TypedDict(
 
 
 class SparkShown(TypedDict):
-    """The columns of a small picture."""
+    """The columns of a sparkline."""
 
     t: Annotated[list[float], Field(description="Seconds since 1970.")]
     avg: Column
@@ -76,10 +76,10 @@ class MarksShown(TypedDict):
 
 
 class StatusShown(TypedDict):
-    """How the history is."""
+    """State of the history."""
 
     state: Annotated[
-        StoreState, Field(description="low, scarce: the disk is short; paused, failed: nothing is stored.")
+        StoreState, Field(description="low, scarce: little disk space; paused, failed: nothing is stored.")
     ]
     message: Annotated[str, Field(description="What to do; empty: nothing.")]
     cause: Annotated[str, Field(description="Why the store cannot be used; empty while it can.")]
@@ -88,7 +88,7 @@ class StatusShown(TypedDict):
     free_bytes: Annotated[int, Field(description="Free space on the disk.")]
     oldest_reading: Annotated[UnixTime | None, Field(description="Seconds since 1970; null: none is stored.")]
     waiting: Annotated[int, Field(description="Updates that are not on disk yet.")]
-    lost: Annotated[int, Field(description="Updates given up because they could not be stored.")]
+    lost: Annotated[int, Field(description="Updates that could not be stored.")]
     damaged: Annotated[int, Field(description="Damages found in the last seven days.")]
 
 

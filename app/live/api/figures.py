@@ -33,7 +33,7 @@ class UnitFiguresShown(TypedDict):
     retries: EventCount
     checksum_errors: EventCount
     foreign: Annotated[
-        int, Field(description="Responses that no DIGIMAX IV gives, since the worker started.")
+        int, Field(description="Responses that are not of a DIGIMAX IV, since the worker started.")
     ]
     late: Annotated[
         int, Field(description="Responses after their window, or twice, since the worker started.")
@@ -67,7 +67,7 @@ class BusFiguresShown(TypedDict):
     answers_for_all: Annotated[
         int | None, Field(description="Unit that seems to respond to every address, 1 to 255; 0: none.")
     ]
-    diagnosis: Annotated[str | None, Field(description="Likely cause of trouble on the bus; empty: none.")]
+    diagnosis: Annotated[str | None, Field(description="Likely cause of faults on the bus; empty: none.")]
     units: list[UnitFiguresShown]
 
 

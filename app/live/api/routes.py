@@ -41,7 +41,7 @@ Configured = Annotated[Settings, service(Settings)]
 async def get_line(
     _: Viewer, live: Live, settings: Configured, sources: LineSources, english: English
 ) -> dict[str, Any]:
-    """Every bus and every unit, now. ``history``: empty, or why no readings are kept."""
+    """Current state of every bus and unit. ``history``: empty, or why no values are stored."""
     blocks, fault = {bus: of.block_reason for bus, of in sources.guards.items()}, sources.history_fault()
     return line_json(settings.site.name, live, unix_now(), blocks, fault, english)
 
@@ -57,12 +57,12 @@ async def get_bus(_: Viewer, live: Live, sources: LineSources, english: English,
 async def get_unit(
     _: Viewer, live: Live, sources: LineSources, english: English, bus: str, unit: int
 ) -> dict[str, Any]:
-    """One unit, with the age of what it said."""
+    """One unit, with the age of its values."""
     found = unit_or_404(live, bus, unit)
     return unit_json(live.buses[bus], found, unix_now(), sources.guards[bus].block_reason, english)
 
 
 @router.get("/buses/{bus}/figures")
 async def get_figures(_: Viewer, live: Live, bus: str) -> BusFiguresShown:
-    """What the wire of a bus carries, and the counters of each unit since its worker started."""
+    """Wire load of a bus, and the counters of each unit since its worker started."""
     return figures_json(bus, bus_or_404(live, bus).figures)

@@ -64,7 +64,7 @@ class UnitShown(TypedDict):
         UnitLinkState,
         Field(description="stale: a response is overdue; offline: several missed; unknown: never seen."),
     ]
-    link_cause: Annotated[str, Field(description="Why the link is as it is; empty while it is online.")]
+    link_cause: Annotated[str, Field(description="Cause of the state of the link; empty while it is online.")]
     cause: Annotated[
         CauseShown | None, Field(description="Why it is not at speed; null: it is, or nothing is known.")
     ]
@@ -120,7 +120,7 @@ class BusShown(TypedDict):
         float, Field(description="Duration of a scan that the staleness is judged by, seconds.")
     ]
     wire_utilisation: Annotated[float | None, Field(description="Share of the wire's time in use, 0 to 1.")]
-    diagnosis: Annotated[str, Field(description="Likely cause of trouble on the bus; empty: none.")]
+    diagnosis: Annotated[str, Field(description="Likely cause of faults on the bus; empty: none.")]
     units: Annotated[list[UnitShown], Field(description="In floor order.")]
 
 
@@ -157,5 +157,5 @@ class ParameterShown(TypedDict):
         dict[str, str], Field(description="Names of the values of an enumeration, by raw value.")
     ]
     writable: bool
-    dangerous: Annotated[str, Field(description="What writing it can do; empty: it needs no confirmation.")]
+    dangerous: Annotated[str, Field(description="Risk of the write; empty: it needs no confirmation.")]
     masked: Annotated[bool, Field(description="Whether it is a secret (#21).")]

@@ -32,9 +32,9 @@ WATCH_TOLD_A_SECOND = 5.0
 MOST_TOLD_AT_ONCE = 50
 """To each worker, which units are watched."""
 STAGE_WORDS = {
-    "waiting": "waiting for the wire",
+    "waiting": "waiting for the bus",
     "sent": "sent",
-    "searching": "addresses asked:",
+    "searching": "addresses scanned:",
     "acknowledged": "acknowledged",
     "proving": "reading back",
 }

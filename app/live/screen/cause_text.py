@@ -12,7 +12,7 @@ from bus.instants import UnixTime
 MINUTE_S, LONG_RAMP_S = 60, 120
 
 CAUSE_TEXTS = {
-    "estop_active": "e-stop input active",
+    "estop_active": "emergency stop active",
     "run_off": "run input off",
     "running_without_run": "turning without run",
     "not_in_remote": "in {mode}",
@@ -24,7 +24,7 @@ CAUSE_TEXTS = {
     "port_lost": "port closed",
     "worker_lost": "bus worker not connected",
     "worker_silent": "bus worker does not respond",
-    "address_suspect": "address in doubt",
+    "address_suspect": "address uncertain",
     "blocked": "commands blocked",
 }
 """By code. What a unit does meanwhile stands before it (:data:`MOTION_TEXTS`), and why after it; a drift has
@@ -37,17 +37,17 @@ MOTION_TEXTS = {
 }
 STOPPED_WITH_RUN = "stopped with run input on"
 CHECK_TEXTS = {
-    "estop_active": "Check the e-stop chain of this unit",
+    "estop_active": "Check the emergency stop chain of this unit",
     "run_off": "Check the run contact at the drive",
-    "running_without_run": "Check what turns this section, and keep away from it",
-    "not_in_remote": "Commands from here are refused; set REMOTE at the unit's panel",
+    "running_without_run": "Check what drives this section, and keep clear of it",
+    "not_in_remote": "The unit rejects commands from here; set it to REMOTE at its panel",
     "link_stale": "Check its power and the cable",
     "unit_offline": "Check its power and the cable",
     "unit_unknown": "Check its power, its address and the cable",
     "port_lost": "Check the adapter and its cable",
     "worker_lost": "Check that the bus worker runs and reaches this server",
     "worker_silent": "Check that the bus worker runs and reaches this server",
-    "address_suspect": "Check that every unit has an address of its own (#17)",
+    "address_suspect": "Check that every unit has a unique address (#17)",
     "not_at_speed": "Check the load and the speed feedback",
 }
 """What a person does about it, by code; nothing where only time or a decision helps."""

@@ -103,7 +103,7 @@ def bus_fields(bus: BusLive, voice: Translator, now: UnixTime) -> Fields:
         "link": bus.link.link,
         "link_text": voice.t(PORT_WORDS[bus.link.link]),
         "baud": f"{bus.baud}",
-        "carries": voice.t("of what {baud} baud can carry", baud=bus.baud),
+        "carries": voice.t("of the capacity of {baud} baud", baud=bus.baud),
         "cause": cause,
         "worker": "1" if bus.worker_connected else "0",
         "stale_after": f"{stale_after_s(scan_s):.2f}",

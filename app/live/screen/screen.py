@@ -121,8 +121,8 @@ class Screen:
         if not departed:
             return name
         if len(departed) > MOST_DEPARTED:
-            return self.voice.t("{name}, {n} units departed", name=name, n=len(departed))
-        return self.voice.t("{name}, departed: {units}", name=name, units=self.voice.t(listed(departed)))
+            return self.voice.t("{name}, {n} units with drift", name=name, n=len(departed))
+        return self.voice.t("{name}, drift: {units}", name=name, units=self.voice.t(listed(departed)))
 
     def _line(self, now: UnixTime) -> Fields:
         self.entries = entries_of(self.live, self._views, self.voice, now)

@@ -120,7 +120,7 @@ def holders(held_by: Mapping[str, str], voice: Translator) -> str:
     held = {bus: holder for bus, holder in held_by.items() if holder}
     if not held:
         return ""
-    nobody, free = voice.t("nobody"), len(held_by) - len(held)
+    nobody, free = voice.t("free"), len(held_by) - len(held)
     if not free and len(set(held.values())) == 1:
         [holder] = set(held.values())
         return holder if len(held) == 1 else voice.t("{name}, every bus", name=holder)

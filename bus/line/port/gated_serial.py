@@ -43,7 +43,7 @@ class GatedSerial(serial.Serial):
         except OSError as error:
             raise serial.SerialException(error.errno, os.strerror(error.errno or 0)) from error
         if not data and select.select([self.device], [], [], 0)[0]:
-            raise serial.SerialException("it is ready and has nothing: it was pulled out")
+            raise serial.SerialException("the port is ready but has no device: the adapter was unplugged")
         return data
 
     def flush(self) -> None:

@@ -26,8 +26,9 @@ TEXTS: dict[str, EnglishText] = {
         "or name another place as key_file in [audit]"
     ),
     "audit_key_damaged": (
-        "the audit key {path} is damaged ({error}); restore it from your backup of it, or move it away: "
-        "then a new one is made, and what was sealed with the old one is only as good as it is now"
+        "the audit key {path} is damaged ({error}); restore it from your backup, or move it "
+        "away: then a new key is made, and entries sealed with the old key can no longer be "
+        "verified before that moment"
     ),
     "audit_key_removed": "the audit key {path} was removed while it was read; start again",
     "audit_key_missing": "there is no audit key {path}, and the log is sealed; restore your copy of it",
@@ -37,22 +38,24 @@ TEXTS: dict[str, EnglishText] = {
     "anchor_no_response": "it does not respond",
     "anchor_line_forged": "line {line} of {path} was not written with the key; compare a copy",
     "anchor_lines_unreadable": Plural(
-        "1 line of the anchor cannot be read and proves nothing",
-        "{n} lines of the anchor cannot be read and prove nothing",
+        "1 line of the anchor cannot be read and was skipped",
+        "{n} lines of the anchor cannot be read and were skipped",
     ),
     "anchors_hold": Plural(
-        "1 anchor holds, it names entry {newest}: of later entries nothing proves that none was cut off",
-        "{n} anchors hold, the newest names entry {newest}: of later entries nothing proves that none was "
-        "cut off",
+        ("1 anchor matches, at entry {newest}: whether later entries were cut off cannot be verified"),
+        (
+            "{n} anchors match, the newest at entry {newest}: whether later entries were cut off "
+            "cannot be verified"
+        ),
     ),
     "audit_anchor_missed": "Since {time} the audit log is not anchored. The reason: {reason}",
     "audit_altered_after_anchor": (
         "The audit log was altered after it was anchored. Run lineside audit verify."
     ),
-    "audit_whole": Plural("the audit log is whole: 1 entry", "the audit log is whole: {n} entries"),
+    "audit_whole": Plural("the audit log is intact: 1 entry", ("the audit log is intact: {n} entries")),
     "audit_unsealed": (
-        "entries 1 to {last} are older than the key: they are as they were when it was "
-        "made, which proves nothing of the time before"
+        "entries 1 to {last} are older than the key: they are unchanged since it was made, and "
+        "cannot be verified for the time before"
     ),
     "audit_broken": "the audit log is broken at entry {entry}: {fault}; compare a backup",
     "audit_entry_missing": "entry {entry} is missing; after {before} comes {found}",

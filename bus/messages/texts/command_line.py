@@ -37,11 +37,11 @@ TEXTS: dict[str, EnglishText] = {
         "nothing can be written to {folder}: {error}; give the server's user write access to it, or name "
         "another folder as data in [server]"
     ),
-    "dashboard_not_started": "the dashboard could not begin; what stands above says why",
-    "simulator_not_started": "the simulated line could not begin; what stands above says why",
+    "dashboard_not_started": "the dashboard could not start; see the messages above",
+    "simulator_not_started": "the simulated line could not start; see the messages above",
     "not_serving": (
-        "no dashboard answers at {url}. Start it with lineside serve --config {config}, or read the log "
-        "of its service."
+        "no dashboard responds at {url}. Start it with lineside serve --config {config}, or read "
+        "the log of its service."
     ),
     "app_url_malformed": "--app '{url}' is no address; give for example http://192.168.1.10:8000",
     "listen_no_host": (

@@ -12,15 +12,15 @@ TEXTS: dict[str, EnglishText] = {
         "{file} cannot be written: {error}. Create its folder, or name another file with --config."
     ),
     "configuration_key_in_data": (
-        "{file}: audit.key_file = '{path}' lies in the data folder: whoever writes the log there could "
-        "seal it; name a file elsewhere"
+        "{file}: audit.key_file = '{path}' is in the data folder: anyone who can write the log "
+        "there could seal it; name a file in another folder"
     ),
     "configuration_lacks_bus": "{file}: there is no [[bus]] named '{bus}'; it has {known}",
     "configuration_missing": "{file}: there is no such file; name one with --config FILE",
     "configuration_not_utf8": "{file}: this is not UTF-8 text; save it as that",
     "configuration_unreadable": "{file}: cannot be read: {error}",
     "configuration_not_toml": (
-        '{file}:{line}: this is not TOML: {error}; it says {text}, write key = value, text in "quotes"'
+        '{file}:{line}: this is not TOML: {error}; the line is {text}; write key = value, text in "quotes"'
     ),
     "configuration_fault": "{file}:{line}: {fault}",
     "configuration_needs_key": "{table} needs {key} = …",

@@ -17,31 +17,36 @@ TEXTS: dict[str, EnglishText] = {
     "found_garbled": "every response is garbled: two units at this address, another protocol, or another baud"
     " rate",
     "found_late": "units respond later than turnaround_ms allows: increase it for this bus and scan again",
-    "found_strange": "responds in valid frames, but not as a DIGIMAX IV does",
-    "found_refuses": "refuses 81h with error {error}h: no DIGIMAX IV, or another protocol (#27)",
+    "found_strange": "responds with valid frames, but not like a DIGIMAX IV",
+    "found_refuses": ("rejects 81h with error {error}h: not a DIGIMAX IV, or another protocol (#27)"),
     "found_parameters": "has the parameters 1 to {last} only",
     "found_no_parameter": "has no parameter to read",
-    "found_uncertain": "did not respond to every request, so its list may be longer",
+    "found_uncertain": "did not respond to every request; its list may be longer",
     "found_noise": Plural(
         "1 of {all} responses came with noise: check the shielding",
         "{n} of {all} responses came with noise: check the shielding",
     ),
     "found_checksum_twice": 'a checksum of 10h comes twice: set checksum_10h = "twice" for this bus',
     "found_estop_low": "turns at speed while its e-stop bit is 0: set estop_healthy = 0 for this bus",
-    "found_bcd": 'counts parameters in BCD: set parameter_numbers = "bcd" for this bus',
+    "found_bcd": 'numbers parameters in BCD: set parameter_numbers = "bcd" for this bus',
     "found_no_address": "does not report its own address (#17)",
-    "found_other_address": "#17 reads {own}, not {unit}: it counts parameters otherwise, or responds for"
-    " another",
+    "found_other_address": (
+        "#17 reads {own}, not {unit}: it numbers parameters differently, or responds for another unit"
+    ),
     "found_many_addresses": "unit {unit} responds to addresses that are not its own ({count} of them)",
     "found_settings_differ": "units of this bus differ in {settings}: one [[bus]] cannot serve them all",
     # The diagnosis.
     "diagnosis_echo": "The adapter receives what it sends: switch its echo (or two-wire mode) off.",
-    "diagnosis_other_protocol": "Bytes arrive that are no response: another protocol, or another baud rate?",
+    "diagnosis_other_protocol": (
+        "Bytes arrive that are not a response: another protocol, or another baud rate?"
+    ),
     "diagnosis_stray_bytes": "Bytes arrive without a request: check shielding and grounding.",
     "diagnosis_all_twice": "The responses of every unit but unit {unit} come twice: does unit {unit} respond"
     " to every address?",
-    "diagnosis_other_name": "What responds as unit {units} reads {own} as its own address (#17): does unit"
-    " {own} respond in its name, or does it count parameters otherwise?",
+    "diagnosis_other_name": (
+        "The unit at address {units} reports {own} as its address (#17): does unit {own} respond "
+        "for it, or does it number parameters differently?"
+    ),
     "diagnosis_collisions": "Only unit {unit} responds, and something arrives when others are polled: does"
     " unit {unit} respond to every address?",
     "diagnosis_no_response": "No unit responds: check the adapter, the main cable, its termination, and the"
@@ -55,9 +60,9 @@ TEXTS: dict[str, EnglishText] = {
     " (#17), or its drop is bad.",
     "diagnosis_all_garbled": "Responses of every unit are garbled: check shielding, grounding and"
     " termination.",
-    "diagnosis_some_garbled": "Responses of units {units} are garbled: check the shielding of their stretch"
-    " of cable.",
+    "diagnosis_some_garbled": (
+        "Responses of units {units} are garbled: check the shielding of their section of the cable."
+    ),
     "diagnosis_late": "Responses of unit {units} come late or twice: a longer turnaround_ms may be needed.",
-    "diagnosis_foreign": "Unit {units} responds with what is not its own address or length: is it a DIGIMAX"
-    " IV?",
+    "diagnosis_foreign": ("Unit {units} responds with another address or length: is it a DIGIMAX IV?"),
 }

@@ -9,7 +9,7 @@ TEXTS: dict[str, EnglishText] = {
     "frame": "{unit}: {meaning}",
     "frame_unit": "unit {unit}",
     "frame_all_units": "all units",
-    "frame_secret": "a frame with a secret value (#21), which is not kept",
+    "frame_secret": "a frame with a secret value (#21), which is not stored",
     "frame_checksum_wrong": "checksum wrong, {right}h would be right; as received: {frame}",
     "frame_recorded": "{text}",
     # Requests: by name, and with what they carry.
@@ -36,9 +36,11 @@ TEXTS: dict[str, EnglishText] = {
     "nak": "NAK, {error}",
     "nak_to_request": "NAK to {request}, {error}",
     "parameter_response": "{parameter} is {raw}",
-    "ack": "ACK, a write was taken",
-    "ack_with_value": "ACK with {raw}: the value of a parameter, or the response to a write of one;"
-    " only the request would tell which",
+    "ack": "ACK, write accepted",
+    "ack_with_value": (
+        "ACK with {raw}: the value of a parameter, or the response to a write of one; only the "
+        "request shows which"
+    ),
     "ack_of_wrong_length": "ACK with {count} bytes, which no response has",
     "nak_of_wrong_length": "NAK with {count} bytes, which no response has",
     "status_response": "commanded {commanded}, actual {actual}, analog {analog}; {state}",
@@ -55,7 +57,7 @@ TEXTS: dict[str, EnglishText] = {
     "status_down": "down",
     "status_slave": "follower",
     # What is no request.
-    "command_unknown": "{command}h is no command of this length",
+    "command_unknown": "{command}h is not a command of this length",
     "output_value_illegal": "output value {value} is not 0 or 1",
     "number_not_bcd": "{byte}h is not BCD",
     # What is no frame.

@@ -23,23 +23,23 @@ TEXTS: dict[str, EnglishText] = {
     "no_such_file": "there is no file {path}",
     "body_over_megabytes": "more than {n} MB were sent; nothing was done",
     "body_over_kilobytes": "more than {n} kB were sent; nothing was done",
-    "address_too_long": "nothing here has so long an address",
+    "address_too_long": "no address here is that long",
     "content_type_too_long": "the Content-Type is too long; nothing was done",
-    "form_charset": "a form has no charset but UTF-8; nothing was done",
+    "form_charset": "a form must be in UTF-8; nothing was done",
     "came_too_late": (
-        "this came too late: it is {age} s old, and {allowed} s were allowed; nothing was sent. "
-        "Send it again if it is still wanted"
+        "the command came too late: it is {age} s old, and {allowed} s were allowed; nothing was "
+        "sent. Send it again if it is still needed"
     ),
     "two_host_headers": "the request has two Host headers; nothing was done",
-    "host_not_served": "this server is not called '{host}'; ask it under a name of allowed_hosts",
+    "host_not_served": "this server is not called '{host}'; use a name of allowed_hosts",
     "body_not_json": "the body is not JSON; nothing was sent",
     "body_not_readable": "the body cannot be read; nothing was sent",
     "body_not_utf8": "the body is not UTF-8 text; nothing was sent",
-    "server_failed": "the server failed at this; its log says why",
-    "foreign_origin": "this came from a page of {origin}, not from here; nothing was done",
-    "too_many_requests": "too many of your requests wait already; let some end",
+    "server_failed": "server error; its log has the cause",
+    "foreign_origin": ("the request came from a page of {origin}, not of this server; nothing was done"),
+    "too_many_requests": "too many of your requests are waiting; wait until some have finished",
     "too_many_pages": "too many pages are open; close some",
-    "nothing_at_path": "there is nothing at {path}",
+    "nothing_at_path": "there is no page at {path}",
     "method_not_for_path": "{method} is not for {path}; nothing was done",
     "fields_malformed": "{faults}; nothing was sent",
     "fault_at": "{where}: {fault}",
@@ -66,5 +66,5 @@ TEXTS: dict[str, EnglishText] = {
     "number_given_twice": "{number} is given twice",
     "raw_or_value": "give either raw (the integer on the wire) or value (as shown)",
     "value_not_a_number": "value is a number as shown",
-    "no_setpoint_left": "lowest is above highest, so no setpoint would be left",
+    "no_setpoint_left": "lowest is above highest, which allows no setpoint",
 }

@@ -7,7 +7,7 @@ from bus.messages.texts.plural import EnglishText
 TEXTS: dict[str, EnglishText] = {
     "several": "{messages}",
     "value_in_measure": "{value} {measure}",
-    "unit_refused": "unit {unit} refused: {error}",
+    "unit_refused": "unit {unit} rejected the command: {error}",
     "unit_not_remote": "unit is not in REMOTE mode",
     "illegal_speed": "illegal speed value",
     "illegal_parameter_number": "illegal parameter number",

@@ -17,7 +17,7 @@ from app.swap.rules import Advice, SwapState
 from app.swap.store import SwapStore
 from app.web.access import Person, account_shown
 from bus.instants import Clock
-from bus.messages import Message, term
+from bus.messages import Message, joined, listed
 
 LOOK_WAIT_S = 2.0
 """How long a page waits for a look before it is told what the last one showed."""
@@ -73,7 +73,7 @@ class SwapService:
         swap = Swap(bus, unit, person.name, source, self._clock())
         await self._store.save(swap)
         self._swaps[bus, unit] = swap
-        await self._record(swap, person.name, Message.of("event_swap_begun", source=term(swap.source_words)))
+        await self._record(swap, person.name, Message.of("event_swap_begun", source=swap.source_message))
         return swap
 
     async def look(self, swap: Swap, look: Callable[[], Coroutine[Any, Any, SwapState]]) -> SwapState | None:
@@ -97,7 +97,7 @@ class SwapService:
     async def said_new(self, swap: Swap) -> None:
         """What answers at the section's address is the spare: a person has looked."""
         swap.is_new = True
-        swap.seen.append("a person said that it is the spare")
+        swap.seen.append(Message("swap_named_by_person"))
         await self._store.save(swap)
 
     async def restoring(self, swap: Swap, restore: Restore) -> None:
@@ -110,7 +110,7 @@ class SwapService:
         del self._swaps[swap.bus, swap.unit]
         await self._store.remove(swap)
         if not swap.proven:
-            await self._record(swap, person.name, Message("event_swap_given_up"), ", then ".join(swap.seen))
+            await self._record(swap, person.name, Message("event_swap_given_up"), swap.story)
 
     async def ended(self, restore: Restore) -> None:
         """A restore is over: where it belongs to a swap and proved equal, so is the swap."""
@@ -122,40 +122,43 @@ class SwapService:
         await self._store.save(swap)
         if not swap.proven:
             return
-        left_out = ", ".join(f"#{left.number}: {left.text}" for left in restore.left_out)
+        account = restore.account() or Message("restore_wrote_nothing")
+        left_out = [Message.of("at_row", number=left.number, why=left.text) for left in restore.left_out]
         story = [
-            f"seen: {', then '.join(swap.seen)}",
-            f"restored from {swap.source_words}: {restore.account() or 'nothing had to be written'}",
-            f"left out: {left_out}" if left_out else "",
-            "proven by a full read",
+            swap.story,
+            Message.of("swap_restored", source=swap.source_message, account=account),
+            Message.of("rows_left_out", rows=listed(left_out)) if left_out else None,
+            Message("proven_by_full_read"),
         ]
-        message = "; ".join(part for part in story if part)
-        await self._record(swap, restore.who, Message("event_swap_proven"), message, outcome="verified")
+        await self._record(swap, restore.who, Message("event_swap_proven"), joined(story), outcome="verified")
 
     async def entered(self, person: Person, swap: Swap, kept: ParameterSet) -> None:
         """All was entered from the sheet, and the unit read whole: it is kept as a set."""
         swap.proven = True
         await self._store.save(swap)
-        message = f"seen: {', then '.join(swap.seen)}; entered from the sheet; kept as set {kept.id}"
-        await self._record(swap, person.name, Message("event_swap_kept"), message, outcome="verified")
+        story = joined([swap.story, Message("entered_from_sheet"), Message.of("kept_as_set", set=kept.id)])
+        await self._record(swap, person.name, Message("event_swap_kept"), story, outcome="verified")
 
     async def _record(
-        self, swap: Swap, who: str, what: Message, message: str = "", outcome: str | None = None
+        self, swap: Swap, who: str, what: Message, message: Message | None = None, outcome: str | None = None
     ) -> None:
         await self._events.record(
-            kind="swap", who=who, bus=swap.bus, unit=swap.unit, what=what, message=message, outcome=outcome
+            kind="swap",
+            who=who,
+            bus=swap.bus,
+            unit=swap.unit,
+            what=what,
+            message=message or "",
+            outcome=outcome,
         )
 
 
-def step_text(advice: Advice, swap: Swap) -> str:
-    """The sentence of the step; a restore that was tried says how it ended, the sheet what to do with it."""
+def step_text(advice: Advice, swap: Swap) -> Message:
+    """What to do; of a restore that was tried how it ended, of a sheet what to do with it."""
     if swap.source is None and advice.step == "restore":
-        return (
-            "The unit answers in REMOTE. Enter its parameters from the sheet, then let it be read whole and "
-            "kept as a set."
-        )
+        return Message("swap_enter_sheet")
     if swap.source is None and advice.step == "proven":
-        return "The new unit has been read whole and is kept as a set; compare that with the sheet."
+        return Message("swap_compare_with_sheet")
     if advice.step == "restore" and swap.restore is not None and swap.equal is False:
-        return "The restore is not finished. Review it again: only the rows that still differ are written."
+        return Message("swap_restore_unfinished")
     return advice.text

@@ -1,0 +1,35 @@
+"""Messages in a column: JSON, as the API has them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+
+from bus.messages import Message
+
+UNREADABLE = Message("stored_text_unreadable")
+_DECODER = msgspec.json.Decoder(list[Message])
+
+
+def stored_messages(messages: Sequence[Message]) -> str:
+    """The text to store."""
+    return msgspec.json.encode(messages).decode()
+
+
+def messages_of(text: str) -> list[Message]:
+    """What was stored. A text that holds no messages, which nothing here writes, is shown as unreadable."""
+    try:
+        return _DECODER.decode(text)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError):
+        return [UNREADABLE]
+
+
+def stored_message(message: Message | None) -> str:
+    """One message, or none, in a column that is never NULL."""
+    return stored_messages([] if message is None else [message])
+
+
+def message_of(text: str) -> Message | None:
+    """The message that was stored."""
+    return next(iter(messages_of(text)), None)

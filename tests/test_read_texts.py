@@ -1,0 +1,53 @@
+"""Texts that people read use the words of the glossary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import pytest
+
+from tests.vocabulary import avoided_words, in_text, read_texts
+
+ENGLISH = in_text(avoided_words() + avoided_words("texts"))
+GERMAN = in_text(avoided_words("German"))
+Texts = Callable[[], Iterable[tuple[str, str]]]
+
+
+@pytest.mark.parametrize(
+    "texts", [read_texts.screen, read_texts.command_line, read_texts.api, read_texts.logs]
+)
+def test_no_text_has_a_word_to_avoid(texts: Texts) -> None:
+    assert [(where, text) for where, text in texts() if ENGLISH.search(text)] == []
+
+
+def test_no_document_has_a_word_to_avoid() -> None:
+    """The words for screens alone are not among them: a document of the audit log is about proofs."""
+    words = in_text(avoided_words())
+    assert [(where, line) for where, line in read_texts.documents() if words.search(line)] == []
+
+
+def test_no_german_text_has_a_word_to_avoid() -> None:
+    assert [text for text in read_texts.translations("de") if GERMAN.search(text[1])] == []
+
+
+@pytest.mark.parametrize(
+    "texts", [read_texts.screen, read_texts.command_line, read_texts.api, read_texts.logs]
+)
+def test_texts_are_found_at_all(texts: Texts) -> None:
+    assert len({text for _, text in texts() if len(text) > 10}) > 15
+
+
+@pytest.mark.parametrize(
+    ("text", "is_found"),
+    [
+        ("nobody holds it", True),
+        ("Nobody", True),
+        ("What is wired", True),
+        ("see what is wired", False),
+        ("unanswered", False),
+        ("the answers", True),
+        ("task", False),
+    ],
+)
+def test_a_word_is_found_as_a_word(text: str, is_found: bool) -> None:
+    assert (ENGLISH.search(text) is not None) is is_found
