@@ -45,6 +45,7 @@ from app.web.anonymous import AnonymousInTurn
 from app.web.arrival import Begun
 from app.web.bounds import BoundedRequest
 from app.web.head import HeadAsGet
+from app.web.header_rules import HeaderRules
 from app.web.hosts import AllowedHosts
 from app.web.routes import guard, refuse_undeclared
 from app.web.security import OwnPagesOnly
@@ -123,6 +124,7 @@ def create_app(
     app.add_middleware(RecordRefusals, events=services.events)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(AllowedHosts, allowed=settings.server.allowed_hosts)
+    app.add_middleware(HeaderRules)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Forwarded, trusted=settings.server.trusted_proxies)
     app.add_middleware(StartInTurn)

@@ -50,6 +50,8 @@ def load(path: Path, model: type[Model]) -> Model:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(_syntax(path, text, error)) from error
+    except (ValueError, RecursionError) as error:  # of thousands of digits or of brackets
+        raise ConfigurationError(Message.of("configuration_beyond_bounds", file=str(path))) from error
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -180,6 +182,7 @@ def _right(details: ErrorDetails) -> str | Message:
         return Message("configuration_slug")
     said = details["msg"].removeprefix("Value error, ")
     said = said.replace("Input should be a valid tuple", "Input should be a list")
+    said = said.replace("Value should have at least 1 item after validation, not 0", "it must not be empty")
     return said.replace("Input should", "it must").replace("String should", "it must")
 
 

@@ -120,11 +120,13 @@ class RecipeBook:
         return result
 
     def _refusal(self, person: Person, bus: str, unit: int, raw: int) -> Message | None:
-        """Why this setpoint would be refused now, confirmed as it will be; None when it would not."""
+        """Why this setpoint would be refused now, confirmed as it will be; None when it would not. That
+        nothing was sent is left to the one refusal of the recipe."""
         try:
             self._commands[bus].check(person, SetSpeed(unit=unit, raw=raw), confirm=True)
         except Problem as problem:
-            return problem.message
+            reason = problem.message.params.get("reason")
+            return reason if isinstance(reason, Message) else problem.message
         return None
 
     async def _mark(self, person: Person, recipe: Recipe) -> None:

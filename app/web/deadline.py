@@ -37,6 +37,8 @@ class Deadline:
         raise Problem(
             503,
             "not_sent",
-            Message.of("came_too_late", age=f"{self.timeout_s - left_s:.1f}", allowed=f"{self.timeout_s:g}"),
+            Message.of(
+                "came_too_late", age=f"{self.timeout_s - left_s:.1f}", allowed=f"{self.timeout_s:.3g}"
+            ),
             outcome="not_sent",
         )

@@ -23,7 +23,7 @@ OPEN_PATH = "/healthz"
 
 
 class AllowedHosts:
-    """Answers 421 under any name but these; an empty list allows all. 400 for a request with two names."""
+    """Answers 421 under any name but these; an empty list allows all."""
 
     def __init__(self, app: ASGIApp, allowed: Collection[str]) -> None:
         self._app = app
@@ -38,12 +38,9 @@ class AllowedHosts:
         await self._app(scope, receive, send)
 
     def _problem(self, scope: Scope) -> Problem | None:
-        named = Headers(scope=scope).getlist("host")
-        if len(named) > 1:
-            return Problem(400, "malformed", Message("two_host_headers"))
         if not self._allowed or scope["path"] == OPEN_PATH:
             return None
-        host = host_name("".join(named))
+        host = host_name(Headers(scope=scope).get("host", ""))
         if host in self._allowed or _is_local(scope, host):
             return None
         return Problem(421, "wrong_host", Message.of("host_not_served", host=host))

@@ -23,7 +23,7 @@ from app.web.access import person_of
 from app.web.faults import fault_message
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
-from bus.messages import Message
+from bus.messages import ENGLISH, Message, shown
 
 log = structlog.get_logger()
 
@@ -82,8 +82,11 @@ def _message_members(problem: Problem) -> dict[str, Any]:
     return {"params": _plain(problem.message.params), "reason": msgspec.to_builtins(problem.message)}
 
 
-def _plain(params: Mapping[str, object]) -> dict[str, int | float | str]:
-    return {name: value if isinstance(value, (int, float)) else str(value) for name, value in params.items()}
+def _plain(params: Mapping[str, Any]) -> dict[str, int | float | str]:
+    return {
+        name: value if isinstance(value, (int, float)) else shown(value, ENGLISH)
+        for name, value in params.items()
+    }
 
 
 async def refuse_socket(socket: WebSocket, problem: Problem) -> None:

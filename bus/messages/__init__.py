@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
-from bus.messages.catalog import Catalog
-from bus.messages.message import NUMBER, TERM, Message, ParamValue, in_english, joined, listed, number, term
+from bus.messages.catalog import ENGLISH, Catalog
+from bus.messages.message import (
+    NUMBER,
+    TERM,
+    Message,
+    ParamValue,
+    in_english,
+    joined,
+    listed,
+    number,
+    shown,
+    term,
+)
 from bus.messages.texts import TEXTS, Plural
 
 __all__ = [
+    "ENGLISH",
     "NUMBER",
     "TERM",
     "TEXTS",
@@ -18,5 +30,6 @@ __all__ = [
     "joined",
     "listed",
     "number",
+    "shown",
     "term",
 ]

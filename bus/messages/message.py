@@ -69,7 +69,7 @@ class Message(msgspec.Struct, frozen=True):
             return str(self.params.get("value", "")).replace(".", catalog.point)
         if self.code == LIST:
             items = self.params.get("items")
-            return ", ".join(_shown(each, catalog) for each in (items if isinstance(items, list) else []))
+            return ", ".join(shown(each, catalog) for each in (items if isinstance(items, list) else []))
         if self.code == TERM:
             return catalog.term(str(self.params.get("text", "")))
         template = catalog.template(self.code, self.params.get("n"))
@@ -79,7 +79,7 @@ class Message(msgspec.Struct, frozen=True):
 
     def _filled(self, found: re.Match[str], catalog: Catalog) -> str:
         value = self.params.get(found[1])
-        return found[0] if value is None else _shown(value, catalog)
+        return found[0] if value is None else shown(value, catalog)
 
 
 def in_english(message: Message | None) -> str:
@@ -110,13 +110,14 @@ def listed(items: Sequence[int | str | Message]) -> Message:
     return Message(LIST, {"items": list(items)})
 
 
-def _shown(value: ParamValue, catalog: Catalog) -> str:
+def shown(value: ParamValue, catalog: Catalog) -> str:
+    """A param as it stands in the text of its message."""
     match value:
         case Message():
             return value.render(catalog)
         case list():
             separator = "; " if any(isinstance(each, Message) for each in value) else ", "
-            return separator.join(_shown(each, catalog) for each in value)
+            return separator.join(shown(each, catalog) for each in value)
         case float():
             return str(value).replace(".", catalog.point)
         case _:

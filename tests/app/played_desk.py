@@ -12,7 +12,7 @@ from typing import Any
 from app.commands import check
 from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.safeguards.limits import NO_LIMITS
-from app.commands.service.command_service import WriteSubscriber
+from app.commands.service.command_service import WriteSubscriber, problem_of
 from app.database import Database
 from app.errors import Problem
 from app.live.state.live_state import LiveState
@@ -90,7 +90,7 @@ class PlayedDesk:
         try:
             check.check(action, now)
         except ObjectionError as error:
-            raise Problem(422, error.code, error.message) from error
+            raise problem_of(error) from error
 
     @property
     def _silent(self) -> bool:

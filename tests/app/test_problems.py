@@ -76,6 +76,13 @@ async def test_malformed_input_is_invalid_and_says_that_nothing_was_sent(
     assert "nothing was sent" in answer.json()["detail"]
 
 
+async def test_params_hold_texts_where_a_value_is_a_list_of_messages(engineer: httpx.AsyncClient) -> None:
+    answer = await engineer.post(SPEED, json={"raw": "x", "surplus": 2})
+    assert answer.json()["params"] == {
+        "faults": "raw: Input should be a valid integer; surplus: there is no such field"
+    }
+
+
 async def test_an_address_longer_than_any_is_refused(engineer: httpx.AsyncClient) -> None:
     check_problem(await engineer.get("/api/v1/buses/dry-end/units/" + "9" * 5000), 414, "too_long")
 

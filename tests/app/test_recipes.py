@@ -98,6 +98,14 @@ async def test_what_stands_in_the_way_is_said_and_nothing_is_sent(
     assert scene.desk.asked == []
 
 
+async def test_a_refusal_says_once_that_nothing_was_sent(scene: Scene) -> None:
+    answering(scene.live)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100, 2: 95000})
+    with pytest.raises(Problem) as refused:
+        await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id=None)
+    assert str(refused.value).count("nothing was sent") == 1
+
+
 async def test_a_silent_line_cannot_be_loaded(scene: Scene) -> None:
     answering(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100})

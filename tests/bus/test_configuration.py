@@ -70,6 +70,14 @@ def test_a_file_that_is_not_text(tmp_path: Path) -> None:
         load_bus(path, "dry-end")
 
 
+@pytest.mark.parametrize("value", ["9" * 5000, "[" * 5000])
+def test_a_value_beyond_what_the_parser_takes(tmp_path: Path, value: str) -> None:
+    path = tmp_path / "lineside.toml"
+    path.write_text(f"a = {value}")
+    with pytest.raises(ConfigurationError, match="too many digits"):
+        load_bus(path, "dry-end")
+
+
 @pytest.mark.parametrize(
     ("line", "written", "said"),
     [
@@ -105,7 +113,7 @@ def test_every_fault_is_said_at_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[site]\nname = Mill\n", "FILE:2: this is not TOML: Invalid value; it says 'name = Mill'"),
+        ("[site]\nname = Mill\n", "FILE:2: this is not TOML: Invalid value; the line is 'name = Mill'"),
         ("[site\n", "FILE:1: this is not TOML: Expected ']'"),
         ('a = """\nnever closed\n', "FILE:2: this is not TOML"),
         ("", "there is no [[bus]] named 'dry-end'; it has none"),

@@ -167,7 +167,7 @@ class CommandService:
         try:
             check(action, self._circumstances(confirm))
         except ObjectionError as error:
-            raise _problem(error) from error
+            raise problem_of(error) from error
 
     def _use_control(self, person: Person, action: Action) -> None:
         try:
@@ -282,7 +282,8 @@ def _steps(action: Action, live: BusLive) -> dict[int, int]:
     return steps
 
 
-def _problem(objection: ObjectionError) -> Problem:
+def problem_of(objection: ObjectionError) -> Problem:
+    """The refusal of a command by a rule."""
     extra: dict[str, Any] = {"outcome": objection.code, "unit": objection.unit}
     if objection.nearest is not None:
         extra["nearest"] = objection.nearest

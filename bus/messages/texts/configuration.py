@@ -17,6 +17,10 @@ TEXTS: dict[str, EnglishText] = {
     ),
     "configuration_lacks_bus": "{file}: there is no [[bus]] named '{bus}'; it has {known}",
     "configuration_missing": "{file}: there is no such file; name one with --config FILE",
+    "configuration_beyond_bounds": (
+        "{file}: a number in it has too many digits or a list too many brackets; compare the file "
+        "that 'lineside init' writes"
+    ),
     "configuration_not_utf8": "{file}: this is not UTF-8 text; save it as that",
     "configuration_unreadable": "{file}: cannot be read: {error}",
     "configuration_not_toml": (

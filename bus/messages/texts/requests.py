@@ -30,7 +30,9 @@ TEXTS: dict[str, EnglishText] = {
         "the command came too late: it is {age} s old, and {allowed} s were allowed; nothing was "
         "sent. Send it again if it is still needed"
     ),
-    "two_host_headers": "the request has two Host headers; nothing was done",
+    "header_twice": "the request has two {name} headers; nothing was done",
+    "host_missing": "the request has no Host header; nothing was done",
+    "coding_unknown": "bodies are not decoded here: send them without {name}; nothing was done",
     "host_not_served": "this server is not called '{host}'; use a name of allowed_hosts",
     "body_not_json": "the body is not JSON; nothing was sent",
     "body_not_readable": "the body cannot be read; nothing was sent",

@@ -1,0 +1,69 @@
+"""Requests whose headers could be read in two ways: a proxy reads one of them, this server the other."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from app.web.access import Role
+from tests.app.whole_app import House, whole_app
+
+LIMITS = "/api/v1/buses/dry-end/units/1/limits"
+
+
+@pytest.fixture
+async def engineer(tmp_path: Path) -> AsyncIterator[httpx.AsyncClient]:
+    async with whole_app(tmp_path) as house:
+        yield await _engineer(house)
+
+
+async def _engineer(house: House) -> httpx.AsyncClient:
+    return await house.program(Role.ENGINEER)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("Host", ("a", "b")),
+        ("Authorization", ("Bearer x", "Bearer y")),
+        ("Content-Type", ("application/json", "text/plain")),
+        ("Idempotency-Key", ("one", "two")),
+    ],
+)
+async def test_a_header_that_stands_twice(
+    engineer: httpx.AsyncClient, name: str, values: tuple[str, str]
+) -> None:
+    request = engineer.build_request("PUT", LIMITS, json={})
+    kept = [(key, value) for key, value in request.headers.multi_items() if key != name.lower()]
+    request.headers = httpx.Headers([*kept, *((name, value) for value in values)])
+    answer = await engineer.send(request)
+    assert answer.status_code == 400
+    assert answer.json()["code"] == "malformed"
+    assert name in answer.json()["detail"]
+
+
+async def test_http_1_1_without_a_host(engineer: httpx.AsyncClient) -> None:
+    request = engineer.build_request("GET", "/healthz")
+    del request.headers["host"]
+    assert (await engineer.send(request)).status_code == 400
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "status"),
+    [
+        ("Content-Encoding", "gzip", 415),
+        ("Content-Encoding", "identity", 200),
+        ("Transfer-Encoding", "gzip, chunked", 501),
+        ("Transfer-Encoding", "Chunked", 200),
+    ],
+)
+async def test_a_body_in_a_coding_that_is_not_decoded(
+    engineer: httpx.AsyncClient, name: str, value: str, status: int
+) -> None:
+    answer = await engineer.put(LIMITS, json={}, headers={name: value})
+    assert answer.status_code == status
+    if status != 200:
+        assert answer.json()["code"] == "unsupported_type"
