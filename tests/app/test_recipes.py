@@ -102,7 +102,7 @@ async def test_a_refusal_says_once_that_nothing_was_sent(scene: Scene) -> None:
     answering(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100, 2: 95000})
     with pytest.raises(Problem) as refused:
-        await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id=None)
+        await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id=None)
     assert str(refused.value).count("nothing was sent") == 1
 
 
