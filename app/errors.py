@@ -81,16 +81,10 @@ class Problem(LinesideError):
     """A refusal that goes to the client: problem+json for programs, a page or a fragment for people.
 
     ``code`` is the kind of reason for programs, ``message`` the reason, ``detail`` its text in English.
-    ``extra`` are members of the answer (RFC 9457, 3.2).
+    ``extra`` are members of the answer (RFC 9457, 3.2); one of them may be called ``message``, too.
     """
 
-    def __init__(
-        self,
-        status: int,
-        code: ProblemCode,
-        message: Message,
-        **extra: Any,
-    ) -> None:
+    def __init__(self, status: int, code: ProblemCode, message: Message, /, **extra: Any) -> None:
         super().__init__(message)
         self.detail = str(self)
         self.status = status

@@ -13,7 +13,7 @@ from app.live.changes import Changes, LineEvent
 from app.live.state.bus_live import BusLive
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
 from bus.instants import UnixTime
-from bus.messages import Message, number
+from bus.messages import Message, number, term
 
 KEPT = (Reading, ParameterValue, UnitLink, BusLink)
 """What belongs to history; what is of the moment only does not wait in its queue."""
@@ -75,7 +75,7 @@ class Pipeline:
     def worker_connected(self, hello: Hello, at: UnixTime, *, again: bool) -> None:
         """A worker said hello: ``again`` the one that this app knew, else one that was started."""
         what = Message.of("event_worker_back" if again else "event_worker_started", port=hello.port)
-        self._recorder.note(LineEvent("worker", None, at, what, "", "connected"))
+        self._recorder.note(LineEvent("worker", None, at, what, "", term("connected")))
 
     def worker_refused(self, at: UnixTime, holder: str, refused: str, reason: Message) -> None:
         """A worker's hello was refused. ``holder`` and ``refused``: the tokens and their addresses."""
@@ -90,7 +90,7 @@ class Pipeline:
     def worker_disconnected(self, at: UnixTime, cause: Message) -> None:
         """A worker's connection ended."""
         self._live.lose_worker(at, cause)
-        self._recorder.note(LineEvent("worker", None, at, cause, "connected", "gone"))
+        self._recorder.note(LineEvent("worker", None, at, cause, term("connected"), term("gone")))
 
     def clock_stepped(self, step_s: float, at: UnixTime) -> None:
         """The worker's clock was set."""

@@ -12,7 +12,15 @@ import httpx
 from benchmarks.tables import median, milliseconds, quantile, show
 from bus.settings import Dialect, wire_seconds
 from bus.wire.bodies import encode_reply, encode_request
-from bus.wire.commands import Ack, ExecuteSpeed, ReadStatus, Reply, Request, StageSpeed, StatusReply
+from bus.wire.commands import (
+    Ack,
+    ExecuteSpeedRequest,
+    ReadStatusRequest,
+    Reply,
+    Request,
+    StageSpeedRequest,
+    StatusReply,
+)
 from tests.e2e.limits import PROCEDURE_S
 from tests.e2e.site import Site, eventually, site
 
@@ -110,12 +118,12 @@ def _took(served: Site, since: int) -> float:
 
 def _change_wire_s() -> float:
     units = range(1, MANY + 1)
-    stages = sum(_wire_s(StageSpeed(unit, 1100), Ack(unit)) for unit in units)
-    return stages + _wire_s(ExecuteSpeed(0)) + sum(_poll_s(unit) for unit in units)
+    stages = sum(_wire_s(StageSpeedRequest(unit, 1100), Ack(unit)) for unit in units)
+    return stages + _wire_s(ExecuteSpeedRequest(0)) + sum(_poll_s(unit) for unit in units)
 
 
 def _poll_s(unit: int = 1) -> float:
-    return _wire_s(ReadStatus(unit), StatusReply(unit, 1100, 1100, 128, 0xC0, 3))
+    return _wire_s(ReadStatusRequest(unit), StatusReply(unit, 1100, 1100, 128, 0xC0, 3))
 
 
 def _wire_s(request: Request, *answers: Reply) -> float:

@@ -14,17 +14,19 @@ from babel.messages.pofile import read_po, write_po
 from jinja2 import Environment, nodes
 
 from app.audit.kinds import EventKind
+from app.commands.catalogue import BAUD_DANGER
+from app.commands.service.command_request import CommandOrigin
 from app.live.browsers.hub import STAGE_WORDS
 from app.live.screen.cause_text import CAUSE_TEXTS, CHECK_TEXTS, MOTION_TEXTS, STOPPED_WITH_RUN
 from app.live.screen.fields import PORT_WORDS, STATE_WORDS
 from app.messages.languages import DEFAULT, catalogs
 from app.sets.model import SetOrigin
 from app.sets.restore_record import RestoreState
-from app.web.access import Role
+from app.web.access import Role, Via
 from app.web.assets import templates_dir
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import parameter_unit
-from bus.contract import Outcome
+from bus.contract import BusLinkState, Outcome, UnitLinkState
 from bus.errors import UnitErrorCode, unit_error_name
 from bus.messages import TEXTS, Plural
 
@@ -113,7 +115,12 @@ def in_tables() -> set[str]:
         *(str(role) for role in Role),
         *(kind.replace("_", " ") for kind in get_args(EventKind)),
         *get_args(Outcome),
+        *get_args(CommandOrigin),
+        *get_args(Via),
+        *get_args(BusLinkState),
+        *get_args(UnitLinkState),
         *REFUSED,
+        BAUD_DANGER,
     }
 
 
@@ -159,8 +166,6 @@ def bring_up_to_date(path: Path) -> None:
     catalog = catalog_at(path)
     there = {key_of(message): message for message in catalog if message.id}
     for key in leftovers(path):
-        if key[0] is None:
-            continue  # said by the sentences that are not messages yet
         message = there[key]
         catalog.delete(message.id, message.context)
     for (code, _), text in wanted().items():

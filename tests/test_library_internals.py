@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +13,7 @@ from fastapi import FastAPI
 from fastapi.dependencies.utils import get_flat_params
 from fastapi.routing import APIRoute, iter_route_contexts
 from packaging.requirements import Requirement
-from serialx.platforms.serial_rfc2217 import RFC2217SerialTransport
+from serialx.platforms.serial_rfc2217 import RFC2217Serial, RFC2217SerialTransport
 from starlette.types import Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
@@ -79,6 +80,20 @@ def test_what_is_overridden_of_serialx_is_there() -> None:
     names = ["_data_received", "_negotiate", "_send_and_wait", "_send_command"]
     gone = [name for name in names if not callable(getattr(RFC2217SerialTransport, name, None))]
     assert gone == [], f"RFC2217SerialTransport has no {', '.join(gone)} any more: bus/line/port/rfc2217.py"
+
+
+async def test_what_is_read_and_replaced_of_serialx_is_there() -> None:
+    transport = RFC2217SerialTransport(asyncio.get_running_loop(), asyncio.Protocol())
+    parts = {
+        "_tcp_transport": transport,
+        "_serial": transport,
+        "_engine": RFC2217Serial(path="rfc2217://h:1"),
+    }
+    gone = [name for name, owner in parts.items() if not hasattr(owner, name)]
+    assert gone == [], f"serialx has no {', '.join(gone)} any more: bus/line/port/rfc2217.py"
+    assert callable(getattr(parts["_engine"]._engine, "feed", None)), (
+        "the parser of serialx has no feed any more"
+    )
 
 
 def test_they_have_upper_bounds() -> None:

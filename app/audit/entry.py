@@ -19,7 +19,7 @@ LATEST = 253_370_764_800.0
 """The year 9999: no date of the screen or of ISO 8601 goes further. Unix time in seconds."""
 _OPTIONAL = ("about", "bus", "unit", "old", "new", "old_raw", "new_raw", "outcome", "count")
 _TEXTS = ("who", "origin", "what", "message")
-SAID = ("what", "old", "new", "message")
+SAID = ("who", "origin", "what", "old", "new", "message")
 """The fields that may be messages."""
 
 

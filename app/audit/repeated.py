@@ -10,9 +10,10 @@ from app.audit.tally import WINDOW_S, Counted, Tally
 from bus.instants import Clock
 from bus.messages import Message
 
-MANY = "several addresses"
+MANY = Message("many_addresses")
 """The origin of what is counted for more places than are told apart."""
-_Said = tuple[EventKind, str | Message, str, str, str | Message]
+_Text = str | Message
+_Said = tuple[EventKind, _Text, _Text, _Text, _Text]
 """Kind, what, who, origin and message."""
 
 
@@ -27,9 +28,7 @@ class RepeatedEvents:
         self._clock = clock
         self._tally: Tally[_Said] = Tally()
 
-    async def count(
-        self, kind: EventKind, what: str | Message, *, who: str, origin: str, message: str | Message
-    ) -> None:
+    async def count(self, kind: EventKind, what: _Text, *, who: _Text, origin: _Text, message: _Text) -> None:
         """It happened once more."""
         told = self._tally.note(f"{kind} {who}", (kind, what, who, origin, message), self._clock())
         if told is not None:

@@ -71,7 +71,9 @@ class Accounts:
 
         return await self._database.read(find)
 
-    async def add_user(self, name: str, role: Role, password: str, *, by: str, origin: str) -> None:
+    async def add_user(
+        self, name: str, role: Role, password: str, *, by: str | Message, origin: str | Message
+    ) -> None:
         """Add a person who signs in by a password. Raises CallerError."""
         rules.check_name(name)
         strength.check_password(password, user=name, site=self._site)
@@ -79,7 +81,9 @@ class Accounts:
         await self._add(user, password)
         await self._note("user", Message.of("event_user_added", name=name, role=term(role)), by, origin)
 
-    async def add_panel(self, name: str, role: Role, pin: str, home: str, *, by: str, origin: str) -> None:
+    async def add_panel(
+        self, name: str, role: Role, pin: str, home: str, *, by: str | Message, origin: str | Message
+    ) -> None:
         """Add a panel on the wall, which signs in by a PIN. Raises CallerError."""
         rules.check_name(name)
         rules.check_panel_role(role)
@@ -88,7 +92,7 @@ class Accounts:
         await self._add(User(name, role, True, home, "", False, self._clock(), None), pin)
         await self._note("user", Message.of("event_panel_added", name=name, role=term(role)), by, origin)
 
-    async def set_role(self, name: str, role: Role, *, by: str, origin: str) -> None:
+    async def set_role(self, name: str, role: Role, *, by: str | Message, origin: str | Message) -> None:
         """Raises CallerError for nobody, for the last admin, and for a panel above operator."""
 
         def change(connection: sqlite3.Connection) -> bool:
@@ -100,7 +104,9 @@ class Accounts:
         await self._change(name, change)
         await self._note("user", Message.of("event_role_changed", name=name, role=term(role)), by, origin)
 
-    async def set_disabled(self, name: str, disabled: bool, *, by: str, origin: str) -> None:
+    async def set_disabled(
+        self, name: str, disabled: bool, *, by: str | Message, origin: str | Message
+    ) -> None:
         """Refuse a user, or admit again. Raises CallerError for nobody and for the last admin."""
         await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
         refused, admitted = (
@@ -109,13 +115,13 @@ class Accounts:
         )
         await self._note("user", refused if disabled else admitted, by, origin)
 
-    async def remove_user(self, name: str, *, by: str, origin: str) -> None:
+    async def remove_user(self, name: str, *, by: str | Message, origin: str | Message) -> None:
         """Raises CallerError for nobody and for the last admin."""
         await self._change(name, lambda connection: store.remove_user(connection, name))
         await self._note("user", Message.of("event_user_removed", name=name), by, origin)
 
     async def set_password(
-        self, name: str, password: str, *, by: str, origin: str, keep: bytes = b""
+        self, name: str, password: str, *, by: str | Message, origin: str | Message, keep: bytes = b""
     ) -> None:
         """Set a password, or the PIN of a panel. Every session of the user ends, but the one with the hash
         ``keep``. Raises CallerError."""
@@ -142,8 +148,8 @@ class Accounts:
         *,
         bus: str = "",
         expires_days: int | None = None,
-        by: str,
-        origin: str,
+        by: str | Message,
+        origin: str | Message,
     ) -> str:
         """Create a token for a program, or with ``bus`` for the worker of that bus; without ``expires_days``
         it holds until it is revoked. Returns the secret, which is stored nowhere. Raises CallerError."""
@@ -151,7 +157,7 @@ class Accounts:
         rules.check_token_bus(role, bus, self.buses)
         secret, now = rules.new_secret(), self._clock()
         expires_at = rules.token_expiry(now, expires_days)
-        token = Token(0, name, role, by, now, None, bus or None, expires_at)
+        token = Token(0, name, role, str(by), now, None, bus or None, expires_at)
         try:
             await self._database.write(
                 lambda connection: store.add_token(connection, rules.secret_hash(secret), token)
@@ -164,7 +170,7 @@ class Accounts:
         await self._note("token", what, by, origin)
         return secret
 
-    async def revoke_token(self, name: str, *, by: str, origin: str) -> None:
+    async def revoke_token(self, name: str, *, by: str | Message, origin: str | Message) -> None:
         """Raises CallerError for one that is not there."""
         if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
             raise CallerError(Message.of("no_such_token", name=name[:80]))
@@ -187,7 +193,9 @@ class Accounts:
 
         await self._database.write(guarded)
 
-    async def _note(self, kind: EventKind, what: Message, by: str, origin: str, kept: str = "") -> None:
+    async def _note(
+        self, kind: EventKind, what: Message, by: str | Message, origin: str | Message, kept: str = ""
+    ) -> None:
         await self._events.record(kind=kind, what=what, who=by, origin=origin)
         for subscriber in self._subscribers:
             await subscriber(kept)

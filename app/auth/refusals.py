@@ -11,11 +11,11 @@ from starlette.types import Message as AsgiMessage
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.server.addresses import source_of
-from app.web.access import Person
+from app.web.access import Person, account_shown
 from bus.messages import Message
 
 _STARTS = frozenset({"http.response.start", "websocket.http.response.start"})
-UNKNOWN_TOKEN = "unknown token"
+UNKNOWN_TOKEN = Message("unknown_token")
 REFUSED_ACCOUNT = "refused_account"
 """In the scope: whose token it is that is not good any more."""
 
@@ -42,18 +42,20 @@ class RecordRefusals:
             if status == 403:
                 await self._count_forbidden(scope)
             elif status == 401 and Headers(scope=scope).get("authorization"):
-                await self._count(
-                    Message("event_token_refused"), scope.get(REFUSED_ACCOUNT, UNKNOWN_TOKEN), scope
-                )
+                account: str | None = scope.get(REFUSED_ACCOUNT)
+                who = account_shown(account) if account else UNKNOWN_TOKEN
+                await self._count(Message("event_token_refused"), who, scope)
 
     async def _count_forbidden(self, scope: Scope) -> None:
         person: Person | None = scope.get("person")
         if person is None:
             await self._count(Message("event_foreign_page_refused"), "", scope)
         else:
-            await self._count(Message("event_access_refused"), person.account, scope, _asked(scope))
+            await self._count(
+                Message("event_access_refused"), account_shown(person.account), scope, _asked(scope)
+            )
 
-    async def _count(self, what: Message, who: str, scope: Scope, message: str = "") -> None:
+    async def _count(self, what: Message, who: str | Message, scope: Scope, message: str = "") -> None:
         client = scope.get("client")
         # Of IPv6 the subnet: a sender has as many of its addresses as it likes.
         origin = source_of(client[0]) if client else ""

@@ -215,10 +215,10 @@ class SignIn:
         only once the refusal is sent: its time must not tell which names there are."""
         known = await self._database.read(lambda connection: store.user(connection, name))
         # A password typed into the field for the name must not end up in the log.
-        who = name if known else "unknown name"
+        who = name if known else Message("unknown_name")
         await self._count_refusal("login_refused", Message("event_sign_in_refused"), who, address)
 
-    async def _count_refusal(self, kind: EventKind, what: Message, who: str, address: str) -> None:
+    async def _count_refusal(self, kind: EventKind, what: Message, who: str | Message, address: str) -> None:
         # Without an event a refusal is as good: the disk may be full.
         with suppress(StoreError):
             await self._events.count(kind, what, who=who, origin=source_of(address))

@@ -54,7 +54,9 @@ _SWAPPED = str.maketrans("yz", "zy")
 _PAD = {
     digit: (float(x), float(y)) for y, row in enumerate(("123", "456", "789")) for x, digit in enumerate(row)
 }
-LEAST_RUN, LEAST_WALK = 3, 4
+LEAST_RUN = 3
+LONGEST_EASY_BLOCK = 7
+"""Of a text that is one block again and again."""
 
 
 def check_password(password: str, *, user: str, site: str) -> None:
@@ -84,7 +86,7 @@ def is_easy_password(password: str) -> bool:
     block = _block_of(text)
     return (
         len(set(text)) < FEWEST_SIGNS
-        or (len(block) < len(text) and len(block) < SHORTEST_PASSWORD - LEAST_WALK)
+        or (len(block) < len(text) and len(block) <= LONGEST_EASY_BLOCK)
         or _pieces(text, _KEYS, words=True) < FEWEST_PIECES
         or _pieces(_plain(password), _KEYS, words=True) < FEWEST_PIECES
         or _pieces(text.translate(_SWAPPED), _KEYS, words=True) < FEWEST_PIECES
@@ -167,8 +169,7 @@ def _walk(text: str, place: int, keys: dict[str, tuple[float, float]]) -> int:
     end = place + 1
     while end < len(text) and _are_neighbors(keys.get(text[end - 1]), keys.get(text[end])):
         end += 1
-    least = LEAST_WALK if keys is _KEYS else LEAST_RUN
-    return end - place if end - place >= least else 0
+    return end - place if end - place >= LEAST_RUN else 0
 
 
 def _are_neighbors(one: tuple[float, float] | None, other: tuple[float, float] | None) -> bool:

@@ -16,17 +16,18 @@ from app.auth.passwords import Passwords
 from app.database import Database
 from app.database.private import make_private
 from app.settings import load
+from bus.messages import Message
 
 T = TypeVar("T")
-ORIGIN = "command line"
+ORIGIN = Message("command_line")
 
 
-def who_calls() -> str:
+def who_calls() -> str | Message:
     """The user of this machine, for the events."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):
-        return "command line"
+        return ORIGIN
 
 
 def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:

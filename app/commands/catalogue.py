@@ -132,13 +132,14 @@ WRITE_PARAMETER = CommandKind(
     writes_parameters=True,
     is_secret=lambda action: PARAMETERS[action.number].secret,
 )
+BAUD_DANGER = "every unit changes its baud rate; a unit that does not follow cannot be reached"
 CHANGE_BAUD = CommandKind(
     ChangeBaud,
     Role.ENGINEER,
     wording=lambda action, bus: Wording(Message("event_change_baud"), str(bus.baud), str(action.baud)),
     units_written=lambda _, bus: list(bus.units),
     check=action_checks.check_baud,
-    danger=lambda _: "every unit changes its baud rate; a unit that does not follow cannot be reached",
+    danger=lambda _: BAUD_DANGER,
     writes_parameters=True,
 )
 READ_PARAMETERS = CommandKind(

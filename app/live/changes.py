@@ -9,7 +9,7 @@ from app.live.state.conditions import Condition, status_conditions
 from bus.catalogue.status import status_bits
 from bus.contract import BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
 from bus.instants import UnixTime
-from bus.messages import Message
+from bus.messages import Message, term
 from bus.settings import BusSettings
 
 
@@ -21,17 +21,17 @@ class LineEvent:
     unit: int | None
     at: UnixTime
     what: Message
-    old: str
-    new: str
+    old: Message | str
+    new: Message | str
     message: Message | None = None
     series: str = ""
     """Tells series of one unit and kind apart, where one must not crowd out the other."""
 
 
-_RECORDED: dict[Condition, tuple[EventKind, Message, tuple[str, str]]] = {
-    "not_in_remote": ("mode", Message("event_mode"), ("REMOTE", "LOCAL")),
-    "estop_active": ("estop", Message("event_estop_input"), ("healthy", "active")),
-    "run_off": ("run", Message("event_run_input"), ("on", "off")),
+_RECORDED: dict[Condition, tuple[EventKind, Message, tuple[Message, Message]]] = {
+    "not_in_remote": ("mode", Message("event_mode"), (term("REMOTE"), term("LOCAL"))),
+    "estop_active": ("estop", Message("event_estop_input"), (term("healthy"), term("active"))),
+    "run_off": ("run", Message("event_run_input"), (term("on"), term("off"))),
 }
 """The conditions whose changes are events: kind, what, and the words for not holding and holding."""
 
@@ -89,7 +89,7 @@ class Changes:
             return []
         is_back = update.link == "online"
         what = Message("event_unit_back") if is_back else _because("event_unit_lost", update.cause)
-        return [LineEvent("unit", update.unit, update.at, what, before, update.link)]
+        return [LineEvent("unit", update.unit, update.at, what, term(before), term(update.link))]
 
     def _see_port(self, update: BusLink) -> list[LineEvent]:
         before, self._port = self._port, update.link
@@ -97,7 +97,7 @@ class Changes:
             return []
         is_open = update.link == "open"
         what = Message("event_port_opened") if is_open else _because("event_port_closed", update.cause)
-        return [LineEvent("bus", None, update.at, what, before, update.link)]
+        return [LineEvent("bus", None, update.at, what, term(before), term(update.link))]
 
 
 def _because(code: str, cause: Message | None) -> Message:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gettext
-import tomllib
 from functools import cached_property
 from pathlib import Path
 
@@ -11,7 +10,6 @@ from babel import Locale
 from babel.numbers import get_decimal_symbol
 
 from app.messages.compiled import compiled
-from app.messages.sentences import Sentences
 from bus.messages import TEXTS, Message, Plural
 
 
@@ -37,21 +35,17 @@ class Language:
         """The text in this language (in English when it is not translated), ``{names}`` filled in."""
         if isinstance(text, Message):
             return text.render(self)
-        return self.fixed(text).format(**values) if values else self.term(text)
+        said = self.term(text)
+        return said.format(**values) if values else said
 
     def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
         """The text for a count: ``one`` for exactly one, else ``many`` (as this language divides them);
         ``{n}`` in it is the count."""
         return self.catalog.ngettext(one, many, n).format(n=n, **values)
 
-    def fixed(self, text: str) -> str:
+    def term(self, text: str) -> str:
         """A text of the catalog in this language; as it is where there is no translation."""
         return self.catalog.gettext(text) if text else ""
-
-    def term(self, text: str) -> str:
-        """The same; what is not in the catalog may have been built in English."""
-        translated = self.fixed(text)
-        return self.patterns.say(text) if translated == text else translated
 
     def template(self, code: str, n: object) -> str | None:
         """The text of a message, its names in braces; None: there is no such code."""
@@ -65,10 +59,3 @@ class Language:
     def catalog(self) -> gettext.GNUTranslations:
         """Its texts."""
         return compiled(self._path, self._kept_in)
-
-    @cached_property
-    def patterns(self) -> Sentences:
-        """For what was built in English before its reader was known."""
-        path = self._path.with_suffix(".toml")
-        texts = tomllib.loads(path.read_text(encoding="utf-8"))["sentences"] if path.exists() else {}
-        return Sentences(texts, self.fixed)

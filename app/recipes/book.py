@@ -113,7 +113,7 @@ class RecipeBook:
             deadline=Deadline(made_at, SET_LINE.timeout_s(action, self._bus(recipe))),
             confirm=confirm,
             id=command_id,
-            origin=f"recipe {recipe.name}",
+            origin=Message.of("origin_recipe", name=recipe.name),
         )
         if result.outcome == "verified":
             await self._mark(person, recipe)

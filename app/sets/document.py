@@ -30,6 +30,8 @@ MOST_KEY_STEPS = 2_000_000
 _KEYS = frozenset(str(number) for number in PARAMETERS)
 """As they are written: 06 beside 6 would be one parameter twice."""
 
+THE_FILE = term("the file")
+
 
 class DocumentError(CallerError):
     """The file is not a parameter set that can be used; nothing was written to any unit."""
@@ -99,7 +101,7 @@ def _row_line(row: ParameterRow, unit: UnitRows, with_secrets: bool) -> str:
     return f"{row.number} = {{ {', '.join(fields)} }}"
 
 
-def read_document(text: str, source: str = "the file") -> ParameterSet:
+def read_document(text: str, source: str | Message = THE_FILE) -> ParameterSet:
     """Parse and check a file; raises DocumentError with what is wrong and where.
 
     Only ``raw`` counts: ``value`` and ``name`` are for the reader's eyes.
@@ -119,7 +121,7 @@ def read_document(text: str, source: str = "the file") -> ParameterSet:
     )
 
 
-def _parse(text: str, source: str) -> _Document:
+def _parse(text: str, source: str | Message) -> _Document:
     content = _content(text, source)
     if content.get("format") != DOCUMENT_FORMAT:
         raise DocumentError(
@@ -138,7 +140,7 @@ def _parse(text: str, source: str) -> _Document:
         ) from error
 
 
-def _content(text: str, source: str) -> dict[str, Any]:
+def _content(text: str, source: str | Message) -> dict[str, Any]:
     is_long = len(text) > LONGEST_DOCUMENT or text.count("\n") > MOST_LINES
     if is_long or text.count("=") + text.count(",") > MOST_VALUES:
         raise DocumentError(Message.of("source_too_long", source=source))
@@ -162,14 +164,14 @@ def _key_steps(text: str) -> int:
     return steps
 
 
-def _unreadable(source: str, error: Exception) -> DocumentError:
+def _unreadable(source: str | Message, error: Exception) -> DocumentError:
     why = Message("nested_too_deeply") if isinstance(error, RecursionError) else str(error)
     if "end of document" in str(error):
         return DocumentError(Message.of("source_cut_off", source=source, why=why))
     return DocumentError(Message.of("source_not_toml", source=source, why=why))
 
 
-def _seconds(moment: datetime, source: str) -> UnixTime:
+def _seconds(moment: datetime, source: str | Message) -> UnixTime:
     """Seconds since the epoch. Raises DocumentError for a year that this machine cannot count."""
     try:
         return UnixTime(moment.timestamp())
@@ -179,7 +181,7 @@ def _seconds(moment: datetime, source: str) -> UnixTime:
         ) from error
 
 
-def _unit_rows(unit: _Unit, source: str) -> UnitRows:
+def _unit_rows(unit: _Unit, source: str | Message) -> UnitRows:
     read_at = None if unit.read_at is None else _seconds(unit.read_at, source)
     rows: dict[int, ParameterRow] = {}
     for key, given in unit.parameters.items():
@@ -191,7 +193,7 @@ def _unit_rows(unit: _Unit, source: str) -> UnitRows:
     return UnitRows(unit.id, unit.name, rows)
 
 
-def _check_range(number: int, raw: int | None, unit: int, source: str) -> None:
+def _check_range(number: int, raw: int | None, unit: int, source: str | Message) -> None:
     parameter = PARAMETERS[number]
     if raw is None or parameter.minimum <= raw <= parameter.maximum:
         return

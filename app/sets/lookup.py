@@ -5,13 +5,13 @@ from __future__ import annotations
 from fastapi import UploadFile
 
 from app.errors import Problem
-from app.sets.document import LONGEST_DOCUMENT, DocumentError, read_document
+from app.sets.document import LONGEST_DOCUMENT, THE_FILE, DocumentError, read_document
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
 from app.sets.store import SetStore
 from app.web.parsing import parse_apart
-from bus.messages import Message
+from bus.messages import Message, term
 
 
 async def wanted_rows(
@@ -22,10 +22,12 @@ async def wanted_rows(
         raise Problem(422, "invalid", Message("set_or_document"))
     if set_id is not None:
         return unit_rows_or_404(await set_or_404(store, set_id), from_unit or unit)
-    return await document_rows(document_text or "", "the document", unit, from_unit)
+    return await document_rows(document_text or "", term("the document"), unit, from_unit)
 
 
-async def document_rows(text: str, source: str, unit: int, from_unit: int | None = None) -> UnitRows:
+async def document_rows(
+    text: str, source: str | Message, unit: int, from_unit: int | None = None
+) -> UnitRows:
     """The rows of a TOML file meant for a unit: of ``from_unit`` where given, its own, or the only ones.
 
     Raises Problem 422 in words.
@@ -43,7 +45,7 @@ async def document_rows(text: str, source: str, unit: int, from_unit: int | None
 
 async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
     """The rows of an uploaded TOML file. Raises Problem 422 in words."""
-    name = file.filename or "the file"
+    name = file.filename or THE_FILE
     content = await file.read(LONGEST_DOCUMENT + 1)
     if len(content) > LONGEST_DOCUMENT:
         raise Problem(422, "invalid", Message.of("source_too_long", source=name))

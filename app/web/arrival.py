@@ -18,7 +18,7 @@ from app.errors import Problem
 from app.server.stamping import ARRIVED_AT
 from app.web.deadline import DEFAULT_TIMEOUT_S, Deadline
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
-from bus.messages import Message
+from bus.messages import Message, number
 
 BEGUN_AT = "lineside.begun_at"
 """Key in the ``state`` of an ASGI scope: the moment at which the app began with a request."""
@@ -86,7 +86,7 @@ def _program_sent_at(connection: HTTPConnection) -> UnixTime | None:
         raise Problem(
             422,
             "invalid",
-            Message.of("sent_at_in_future", ahead=f"{ahead_s:.1f}"),
+            Message.of("sent_at_in_future", ahead=number(f"{ahead_s:.1f}")),
         )
     return at
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from app.errors import Problem
 from bus.instants import Monotonic, monotonic_now
-from bus.messages import Message
+from bus.messages import Message, number
 
 DEFAULT_TIMEOUT_S = 2.0
 """How long after it was made a write may still be sent, where nobody says otherwise."""
@@ -38,7 +38,9 @@ class Deadline:
             503,
             "not_sent",
             Message.of(
-                "came_too_late", age=f"{self.timeout_s - left_s:.1f}", allowed=f"{self.timeout_s:.3g}"
+                "came_too_late",
+                age=number(f"{self.timeout_s - left_s:.1f}"),
+                allowed=number(f"{self.timeout_s:.3g}"),
             ),
             outcome="not_sent",
         )

@@ -17,7 +17,6 @@ from bus.instants import UnixTime
 HALF_DAY_S = 43_200
 UNKNOWN = "\N{EN DASH}"
 """What stands where a value was never read."""
-_NUMBER = re.compile(r"(?<![\w.,:/-])-?(?:\d+|\d{1,3}(?:,\d{3})+)\.\d+(?![\w:/-]|[.,]\d)")
 
 
 class Formats:
@@ -31,11 +30,6 @@ class Formats:
     def point(self, text: str) -> str:
         """A number written with a point, with this locale's sign instead."""
         return text.replace(".", self.decimal_sign)
-
-    def sentence(self, text: str) -> str:
-        """A finished sentence, such as an event's, with the numbers in it in this locale's writing. What only
-        looks like one (an address, a version, a time) stays."""
-        return _NUMBER.sub(lambda found: self.point(found[0].replace(",", "")), text)
 
     def typed_number(self, text: str) -> str:
         """What somebody typed, with a point where it is a number in this locale's writing."""

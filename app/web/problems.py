@@ -111,9 +111,7 @@ def _detail(request: Request, problem: Problem) -> str:
     person = person_of(request)
     if person is None or person.via != "session":
         return problem.detail
-    templates = templates_of(request)
-    language = templates.language_of(request)
-    return templates.formats(language.tag).sentence(language.t(problem.message))
+    return templates_of(request).language_of(request).t(problem.message)
 
 
 def _place(location: Sequence[int | str]) -> str:
@@ -128,7 +126,7 @@ def invalid(errors: Sequence[Any]) -> Problem:
     faults: list[int | str | Message] = [
         Message.of("fault_at", where=where, fault=fault) for where, fault in found
     ]
-    named = [{"where": where, "message": str(fault)} for where, fault in found]
+    named = [{"where": where, "message": str(fault), **msgspec.to_builtins(fault)} for where, fault in found]
     return Problem(422, "invalid", Message.of("fields_malformed", faults=faults), errors=named)
 
 

@@ -11,7 +11,7 @@ import serial_asyncio
 
 from bus.settings import Dialect, wire_seconds
 from bus.wire.bodies import encode_request
-from bus.wire.commands import ReadStatus
+from bus.wire.commands import ReadStatusRequest
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 from bus.wire.lengths import longest_reply_bytes
 
@@ -41,7 +41,7 @@ async def poll(port: str, units: int) -> None:
         asyncio.get_running_loop(), Poller, port, baudrate=9600
     )
     await poller.open.wait()
-    requests = [ReadStatus(unit) for unit in range(1, units + 1)]
+    requests = [ReadStatusRequest(unit) for unit in range(1, units + 1)]
     for request in itertools.cycle(requests):
         frame = encode_request(request, DIALECT)
         on_the_wire = wire_seconds(len(frame) + longest_reply_bytes(request, DIALECT), 9600)

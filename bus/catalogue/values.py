@@ -9,7 +9,7 @@ import re
 
 from bus.catalogue.parameter import Parameter, Scale
 from bus.errors import CallerError
-from bus.messages import Message
+from bus.messages import Message, number
 
 RATIO_DECIMALS = 4
 _FOLLOWER_MODES = (1, 2)
@@ -145,10 +145,10 @@ def _raw(text: str, decimals: int) -> int:
     if decimals > MOST_DECIMALS:
         raise CallerError(Message("decimals_too_many"))
     text = text.strip()
-    number = _NUMBER.fullmatch(text)
-    if number is None:
-        raise _no_number(text, speed_text(1234, decimals))
-    whole, part = number[1], number[2] or ""
+    found = _NUMBER.fullmatch(text)
+    if found is None:
+        raise _no_number(text, number(speed_text(1234, decimals)))
+    whole, part = found[1], found[2] or ""
     if len(part) > decimals:
         raise _too_many_decimals(text, len(part), decimals)
     return int(whole + part.ljust(decimals, "0"))
@@ -156,13 +156,15 @@ def _raw(text: str, decimals: int) -> int:
 
 def _too_many_decimals(text: str, count: int, allowed: int) -> CallerError:
     if not allowed:
-        return CallerError(Message.of("value_takes_no_decimals", number=text, count=count, allowed=allowed))
-    return CallerError(Message.of("value_has_decimals", number=text, count=count, allowed=allowed))
+        return CallerError(
+            Message.of("value_takes_no_decimals", number=number(text), count=count, allowed=allowed)
+        )
+    return CallerError(Message.of("value_has_decimals", number=number(text), count=count, allowed=allowed))
 
 
-def _no_number(text: str, example: str) -> CallerError:
+def _no_number(text: str, example: Message) -> CallerError:
     if not text:
         return CallerError(Message.of("number_missing", example=example))
     if _NUMBER.fullmatch(text.replace("\N{MINUS SIGN}", "-").removeprefix("-")):
-        return CallerError(Message.of("number_below_zero", number=text))
+        return CallerError(Message.of("number_below_zero", number=number(text)))
     return CallerError(Message.of("not_a_number", text=text, example=example))

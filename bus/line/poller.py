@@ -11,12 +11,13 @@ from collections.abc import Callable
 
 import msgspec
 
-from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Result, Update, Watch
+from bus.contract import BusFigures, BusLink, BusLinkState, Watch
 from bus.errors import CallerError, WireError
-from bus.instants import UnixTime
 from bus.line.clock import LineClock, Timer
 from bus.line.commands.command_run import CommandRun
 from bus.line.commands.procedure import ExpectBaud, LineEffect, ReportProgress, Retune, Unstage
+from bus.line.commands.result import ProcedureResult
+from bus.line.events import CommandFinished, CommandProgressed, LineUpdate, Report
 from bus.line.exchange.link import Link
 from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.port.port import OpenPort, PartlySent
@@ -26,38 +27,36 @@ from bus.line.schedule.baud_search import BaudSearch
 from bus.line.schedule.command_queue import CommandQueue
 from bus.line.schedule.poll_schedule import PollSchedule
 from bus.line.statistics.figures import Figures
-from bus.line.statistics.trace import Interpreter, Trace
+from bus.line.statistics.trace import Trace
 from bus.messages import Message
 from bus.settings import BusSettings, wire_seconds
-from bus.wire.commands import Nak, ReadStatus, Request, WriteParameter
+from bus.wire.commands import Nak, ReadStatusRequest, Request, WriteParameterRequest
 from bus.wire.lengths import usual_reply_bytes
 
 CLOSED_TO_OFFLINE_S = 3.0
 
 
 class Poller:
-    """``emit`` hears every update. Times of the outside are epoch seconds, inside the line's own."""
+    """``report`` receives every event. Times of events are Unix time, those inside the line's own."""
 
-    def __init__(
-        self, bus: BusSettings, clock: LineClock, emit: Callable[[list[Update]], None], seed: int = 0
-    ) -> None:
+    def __init__(self, bus: BusSettings, clock: LineClock, report: Report, seed: int = 0) -> None:
         self.bus = bus
         self.clock = clock
         self.baud: int = bus.baud
         self.trace = Trace()
         self.roster = Roster((unit.id for unit in bus.unit), clock.epoch(clock.now()))
-        self.schedule = PollSchedule(self.roster.configured, self._exchange_s(ReadStatus(1)), seed)
+        self.schedule = PollSchedule(self.roster.configured, self._exchange_s(ReadStatusRequest(1)), seed)
         self.link = Link(bus.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
         self.link.done = self._on_exchange_end
         self.state = self._port_is("closed", Message("port_not_opened"))
         self.lost: Callable[[Message], None] = lambda _cause: None
         """Called when the port proved unusable; whoever opened it opens it again."""
-        self._emit = emit
+        self._report = report
         self._figures = Figures()
         self._arbiter = Arbiter(self.schedule, self.link.pending, self._exchange_s)
         self._baud_search = BaudSearch(clock.now())
         self._sending: Request | None = None
-        self._held: list[Update] | None = None
+        self._held: list[LineUpdate] | None = None
         """What is told once the next request has left."""
         self._closed_at = clock.now()
         self._wake: Timer | None = None
@@ -70,24 +69,24 @@ class Poller:
         self.link.attach(port, self.baud)
         self.schedule.port_opened(now)
         self.state = self._port_is("open")
-        self._emit([self.state])
+        self._report([self.state])
         self._go(now)
 
     def port_lost(self, cause: Message) -> None:
         """Nothing can be asked; whatever was under way ends as unknown. Nothing is sent later."""
         now = self.clock.now()
         self._settle_last(self.link.detach(), now)
-        self._arbiter.drop_routine()
+        self._arbiter.drop_routine(now)
         self._closed_at = now
-        updates: list[Update] = self.not_opened(cause)
+        updates: list[LineUpdate] = self.not_opened(cause)
         updates += self.roster.port_closed(self.clock.epoch(now), cause)
-        self._emit(updates)
+        self._report(updates)
         for run in self.commands:
             run.close(now)
         self._sweep(now)
         self.lost(cause)
 
-    def not_opened(self, cause: Message) -> list[Update]:
+    def not_opened(self, cause: Message) -> list[LineUpdate]:
         """The port is closed, and why; tells it when that is news."""
         if self.state.link == "closed" and self.state.cause == cause:
             return []
@@ -103,7 +102,7 @@ class Poller:
         updates = self.not_opened(cause)
         if now - self._closed_at > CLOSED_TO_OFFLINE_S:
             updates += self.roster.port_stays_closed(self.clock.epoch(now), cause)
-        self._emit(updates)
+        self._report(updates)
 
     def _settle_last(self, result: ExchangeResult | None, now: float) -> None:
         """The port broke while a request was on its way, or as it was handed over."""
@@ -140,7 +139,7 @@ class Poller:
             self.clock.call_at(now, lambda: self.port_lost(cause))
         else:
             self.state = msgspec.structs.replace(self.state, baud=baud)
-            self._emit_in_order([self.state])
+            self._report_in_order([self.state])
 
     # --- what people want ----------------------------------------------------------------------
 
@@ -189,6 +188,8 @@ class Poller:
         ordinary = (
             self._arbiter.owner is None and result.reply is not None and unit in self.schedule.poll_order
         )
+        if result.overdue:
+            self.commands.note_overdue(result.overdue)
         self._held = [] if ordinary else self._learn(result, ended)
         if self._arbiter.settle(result, began, ended):
             self.roster[unit].statistics.counts.retries += 1
@@ -199,27 +200,27 @@ class Poller:
         told, self._held = self._held, None
         updates = [*self._learn(result, ended), *told] if ordinary else told
         if updates:
-            self._emit(updates)
+            self._report(updates)
         self._sweep(ended)
         self._foresee(ended)
 
-    def _learn(self, result: ExchangeResult, now: float) -> list[Update]:
+    def _learn(self, result: ExchangeResult, now: float) -> list[LineUpdate]:
         request, reply = result.request, result.reply
         if request.unit == 0:
             return []
         if reply is None:
-            updates = self.roster.missed(request.unit, self.clock.epoch(now))
+            updates: list[LineUpdate] = [*self.roster.missed(request.unit, self.clock.epoch(now))]
             if self.roster[request.unit].unresponsive and request.unit in self.schedule.poll_order:
                 self.schedule.stopped_responding(request.unit, now)
             return updates
         assert result.responded_at is not None
         is_probe = result.dialect not in (None, self.bus.dialect)
-        updates = self.roster.take_response(
-            request, reply, result.responded_at, result.frame, is_probe=is_probe
-        )
+        updates = [
+            *self.roster.take_response(request, reply, result.responded_at, result.frame, is_probe=is_probe)
+        ]
         if self.roster.is_configured(request.unit):
             self.schedule.responded(request.unit, now)
-            if isinstance(request, WriteParameter) and not isinstance(reply, Nak):
+            if isinstance(request, WriteParameterRequest) and not isinstance(reply, Nak):
                 self.schedule.parameters.need(request.unit)
         return updates
 
@@ -261,7 +262,7 @@ class Poller:
             self._arbiter.owner = None
             if run is None:
                 raise
-            run.end(Result(id="", at=UnixTime(0.0), outcome="invalid", message=error.message))
+            run.end(ProcedureResult("invalid", error.message))
             self._go(self.clock.now())
         else:
             if run is not None and attempts is not None and attempts.reports(request):
@@ -286,33 +287,28 @@ class Poller:
             self._sweep(now)
 
     def _sweep(self, now: float) -> None:
-        """Emit the result of every command that has one."""
-        for run in self.commands.take_finished():
-            self._emit([self._result_of(run, now)])
-
-    def _result_of(self, run: CommandRun, now: float) -> Result:
-        assert run.result is not None
-        interpreter = Interpreter(self.bus.dialect)
-        frames = [interpreter.frame(passed) for passed in run.frames]
+        """Report the result of every command that has one."""
         at = self.clock.epoch(now)
-        return msgspec.structs.replace(run.result, id=run.id, at=at, frames=frames)
+        for run in self.commands.take_finished():
+            assert run.result is not None
+            self._report([CommandFinished(run.id, at, run.result, run.frames)])
 
     def apply(self, command_id: str, step: LineEffect) -> None:
         """What a procedure tells on its way."""
         at = self.clock.epoch(self.clock.now())
         match step:
             case ReportProgress():
-                self._emit_in_order([Progress(command_id, at, step.stage, step.unit, step.done, step.of)])
+                self._report_in_order([CommandProgressed(command_id, at, step)])
             case Unstage():
-                self._emit_in_order(self.roster.unstage(step.unit, at))
+                self._report_in_order([*self.roster.unstage(step.unit, at)])
             case Retune(baud=baud):
                 self._retune(baud)
             case ExpectBaud(baud=baud):
                 self._baud_search.expect(baud, self.baud)
 
-    def _emit_in_order(self, updates: list[Update]) -> None:
+    def _report_in_order(self, updates: list[LineUpdate]) -> None:
         """In the order of happening, but after the next request has left."""
         if self._held is not None:
             self._held += updates
         elif updates:
-            self._emit(updates)
+            self._report(updates)

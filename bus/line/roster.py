@@ -17,7 +17,6 @@ from bus.contract import (
     UnitLink,
     UnitLinkState,
     UnitState,
-    Update,
 )
 from bus.errors import UnitErrorCode
 from bus.instants import UnixTime
@@ -25,17 +24,18 @@ from bus.line.statistics.unit_statistics import UnitStatistics
 from bus.messages import Message
 from bus.wire.commands import (
     Ack,
-    ExecuteSpeed,
+    ExecuteSpeedRequest,
     Nak,
     ParameterReply,
-    ReadParameter,
+    ReadParameterRequest,
     Reply,
     Request,
-    SetAndExecuteSpeed,
-    StageSpeed,
+    SetAndExecuteSpeedRequest,
+    StageSpeedRequest,
     StatusReply,
 )
 
+UnitUpdate = Reading | ParameterValue | UnitLink | Staged
 MISSES_TO_STALE = 2
 MISSES_TO_OFFLINE = 3
 """One lost answer is asked for again at once and is nobody's business."""
@@ -119,30 +119,30 @@ class Roster:
 
     def take_response(
         self, request: Request, reply: Reply, at: UnixTime, frame: bytes, *, is_probe: bool = False
-    ) -> list[Update]:
+    ) -> list[UnitUpdate]:
         """``reply`` is the answer to ``request``. A probe is not written in the unit's own dialect: that the
         unit answers is true of it, and a parameter's number and value need not be."""
         record = self[request.unit]
         updates = self._answered(record, at)
         match request, reply:
-            case ReadParameter(number=number), _ if is_probe or number not in PARAMETERS:
+            case ReadParameterRequest(number=number), _ if is_probe or number not in PARAMETERS:
                 pass
             case _, StatusReply():
                 record.reading = _reading(reply, at)
                 updates.append(record.reading)
-            case ReadParameter(), _:
+            case ReadParameterRequest(), _:
                 updates += self._learn(record, parameter_value(record.unit, request.number, reply, at, frame))
-            case StageSpeed(), Ack():
+            case StageSpeedRequest(), Ack():
                 updates += self._stage(record, request.raw, at)
-            case ((ExecuteSpeed() | SetAndExecuteSpeed()), Ack()):
+            case ((ExecuteSpeedRequest() | SetAndExecuteSpeedRequest()), Ack()):
                 updates += self._stage(record, None, at)
         return updates if self.is_configured(record.unit) else []
 
-    def unstage(self, unit: int, at: UnixTime) -> list[Update]:
+    def unstage(self, unit: int, at: UnixTime) -> list[UnitUpdate]:
         """``unit`` holds no staged speed any more."""
         return self._stage(self[unit], None, at)
 
-    def missed(self, unit: int, at: UnixTime) -> list[Update]:
+    def missed(self, unit: int, at: UnixTime) -> list[UnitUpdate]:
         """``unit`` did not answer one question."""
         record = self[unit]
         record.misses += 1
@@ -152,31 +152,31 @@ class Roster:
             return self._link(record, "stale", at, Message("response_overdue"))
         return []
 
-    def port_closed(self, at: UnixTime, cause: Message | None) -> list[Update]:
+    def port_closed(self, at: UnixTime, cause: Message | None) -> list[UnitUpdate]:
         """No unit can be asked: whoever was online is stale from now on."""
         return self._all("online", "stale", at, cause)
 
-    def port_stays_closed(self, at: UnixTime, cause: Message | None) -> list[Update]:
+    def port_stays_closed(self, at: UnixTime, cause: Message | None) -> list[UnitUpdate]:
         """It has lasted: whoever was stale counts as lost."""
         return self._all("stale", "offline", at, cause)
 
     def _all(
         self, was: UnitLinkState, becomes: UnitLinkState, at: UnixTime, cause: Message | None
-    ) -> list[Update]:
+    ) -> list[UnitUpdate]:
         records = [record for record in self._records.values() if record.link.link == was]
         return [update for record in records for update in self._link(record, becomes, at, cause)]
 
-    def _answered(self, record: UnitRecord, at: UnixTime) -> list[Update]:
+    def _answered(self, record: UnitRecord, at: UnixTime) -> list[UnitUpdate]:
         record.misses, record.responded_at = 0, at
         return self._link(record, "online", at, None) if record.link.link != "online" else []
 
-    def _learn(self, record: UnitRecord, value: ParameterValue | None) -> list[Update]:
+    def _learn(self, record: UnitRecord, value: ParameterValue | None) -> list[UnitUpdate]:
         if value is None:
             return []
         record.parameters[value.number] = value
         return [value]
 
-    def _stage(self, record: UnitRecord, raw: int | None, at: UnixTime) -> list[Update]:
+    def _stage(self, record: UnitRecord, raw: int | None, at: UnixTime) -> list[UnitUpdate]:
         if record.staged == raw:
             return []
         record.staged = raw
@@ -184,7 +184,7 @@ class Roster:
 
     def _link(
         self, record: UnitRecord, link: UnitLinkState, at: UnixTime, cause: Message | None
-    ) -> list[Update]:
+    ) -> list[UnitUpdate]:
         if record.link.link == link:
             return []
         record.link = UnitLink(unit=record.unit, at=at, link=link, cause=cause)

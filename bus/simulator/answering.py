@@ -22,18 +22,18 @@ from bus.simulator.unit import Unit
 from bus.wire.bodies import IllegalRequest, encode_reply, parse_request
 from bus.wire.commands import (
     Ack,
-    ExecuteSpeed,
+    ExecuteSpeedRequest,
     Nak,
     ParameterReply,
-    ReadParameter,
-    ReadStatus,
+    ReadParameterRequest,
+    ReadStatusRequest,
     Reply,
     Request,
-    SetAndExecuteSpeed,
-    StageSpeed,
-    WriteAnalogOutput,
-    WriteOutput,
-    WriteParameter,
+    SetAndExecuteSpeedRequest,
+    StageSpeedRequest,
+    WriteAnalogOutputRequest,
+    WriteOutputRequest,
+    WriteParameterRequest,
 )
 
 ALL_UNITS = 0
@@ -58,11 +58,11 @@ def respond(unit: Unit, body: bytes) -> Turn:
     except IllegalRequest as error:
         return Turn(None, _refuse_illegal(unit, error), acted=False)
     if request.unit == ALL_UNITS:
-        acted = isinstance(request, ExecuteSpeed) and _write(unit, request) is None
+        acted = isinstance(request, ExecuteSpeedRequest) and _write(unit, request) is None
         return Turn(request, None, acted)
-    if isinstance(request, ReadStatus):
+    if isinstance(request, ReadStatusRequest):
         return Turn(request, unit.status(request.unit), acted=False)
-    if isinstance(request, ReadParameter):
+    if isinstance(request, ReadParameterRequest):
         return Turn(request, _read(unit, request), acted=False)
     refusal = _write(unit, request)
     if refusal is not None:
@@ -84,7 +84,7 @@ def _refuse_illegal(unit: Unit, error: IllegalRequest) -> Reply | None:
     return Nak(error.unit, error.code)
 
 
-def _read(unit: Unit, request: ReadParameter) -> Reply:
+def _read(unit: Unit, request: ReadParameterRequest) -> Reply:
     if not unit.memory.has(request.number):
         return Nak(request.unit, UnitErrorCode.ILLEGAL_PARAMETER_NUMBER)
     width = unit.traits.dialect.parameter_reply_bytes or width_by_type(request.number)
@@ -92,7 +92,7 @@ def _read(unit: Unit, request: ReadParameter) -> Reply:
 
 
 def _written(unit: Unit, request: Request) -> Reply:
-    if isinstance(request, WriteParameter) and unit.traits.answers_written_value:
+    if isinstance(request, WriteParameterRequest) and unit.traits.answers_written_value:
         return Ack(request.unit, request.raw.to_bytes(4, "big"))
     return Ack(request.unit)
 
@@ -101,18 +101,18 @@ def _write(unit: Unit, request: Request) -> Rejection:
     if unit.mode is not Mode.REMOTE:
         return UnitErrorCode.NOT_REMOTE
     match request:
-        case StageSpeed(raw=raw):
+        case StageSpeedRequest(raw=raw):
             return _enter(unit, raw)
-        case ExecuteSpeed():
+        case ExecuteSpeedRequest():
             unit.setpoint = unit.entered
             return None
-        case SetAndExecuteSpeed(raw=raw):
+        case SetAndExecuteSpeedRequest(raw=raw):
             return _set(unit, raw)
-        case WriteParameter(number=number, raw=raw):
+        case WriteParameterRequest(number=number, raw=raw):
             return _write_parameter(unit, number, raw)
-        case WriteOutput(output=output, on=on):
+        case WriteOutputRequest(output=output, on=on):
             return _write_output(unit, output, on)
-        case WriteAnalogOutput(raw=raw):
+        case WriteAnalogOutputRequest(raw=raw):
             return _write_analog(unit, raw)
     return UnitErrorCode.ILLEGAL_COMMAND
 

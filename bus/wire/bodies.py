@@ -15,19 +15,19 @@ from bus.settings import Dialect
 from bus.wire.commands import (
     LARGEST_VALUE,
     Ack,
-    ExecuteSpeed,
+    ExecuteSpeedRequest,
     Nak,
     ParameterReply,
-    ReadParameter,
-    ReadStatus,
+    ReadParameterRequest,
+    ReadStatusRequest,
     Reply,
     Request,
-    SetAndExecuteSpeed,
-    StageSpeed,
+    SetAndExecuteSpeedRequest,
+    StageSpeedRequest,
     StatusReply,
-    WriteAnalogOutput,
-    WriteOutput,
-    WriteParameter,
+    WriteAnalogOutputRequest,
+    WriteOutputRequest,
+    WriteParameterRequest,
 )
 from bus.wire.framing import ACK, NAK, encode_frame
 from bus.wire.lengths import acknowledged_lengths
@@ -53,22 +53,22 @@ def encode_request(request: Request, dialect: Dialect) -> bytes:
 
 def request_body(request: Request, dialect: Dialect) -> bytes:
     """What the frame carries, unstuffed. Raises CallerError like ``encode_request``."""
-    lowest = 0 if isinstance(request, ExecuteSpeed) else 1
+    lowest = 0 if isinstance(request, ExecuteSpeedRequest) else 1
     _require(Message("field_unit_address"), request.unit, lowest, 255)
     return bytes((request.unit, request.COMMAND)) + _request_data(request, dialect)
 
 
 def _request_data(request: Request, dialect: Dialect) -> bytes:
     match request:
-        case ReadStatus() | ExecuteSpeed():
+        case ReadStatusRequest() | ExecuteSpeedRequest():
             return b""
-        case StageSpeed() | SetAndExecuteSpeed() | WriteAnalogOutput():
+        case StageSpeedRequest() | SetAndExecuteSpeedRequest() | WriteAnalogOutputRequest():
             return _value(request.raw)
-        case ReadParameter():
+        case ReadParameterRequest():
             return _number_byte(request.number, dialect)
-        case WriteParameter():
+        case WriteParameterRequest():
             return _number_byte(request.number, dialect) + _value(request.raw)
-        case WriteOutput():
+        case WriteOutputRequest():
             _require(Message("field_output"), request.output, 1, 6)
             return bytes((request.output, request.on))
 
@@ -95,8 +95,9 @@ def _require(field: Message, value: int, lowest: int, highest: int) -> None:
 
 # --- the unit's side of a request ----------------------------------------------------------------
 
-_VALUE_COMMANDS: dict[int, type[StageSpeed | SetAndExecuteSpeed | WriteAnalogOutput]] = {
-    command.COMMAND: command for command in (StageSpeed, SetAndExecuteSpeed, WriteAnalogOutput)
+_VALUE_COMMANDS: dict[int, type[StageSpeedRequest | SetAndExecuteSpeedRequest | WriteAnalogOutputRequest]] = {
+    command.COMMAND: command
+    for command in (StageSpeedRequest, SetAndExecuteSpeedRequest, WriteAnalogOutputRequest)
 }
 _REQUEST_DATA_BYTES = {0x81: 0, 0x82: 4, 0x83: 0, 0x84: 4, 0x85: 1, 0x86: 5, 0x87: 2, 0x88: 4}
 
@@ -120,18 +121,20 @@ def parse_request(body: bytes, dialect: Dialect) -> Request:
     if command in _VALUE_COMMANDS:
         return _VALUE_COMMANDS[command](unit, int.from_bytes(data, "big"))
     match command:
-        case ReadStatus.COMMAND:
-            return ReadStatus(unit)
-        case ExecuteSpeed.COMMAND:
-            return ExecuteSpeed(unit)
-        case ReadParameter.COMMAND:
-            return ReadParameter(unit, _number(unit, data[0], dialect))
-        case WriteParameter.COMMAND:
-            return WriteParameter(unit, _number(unit, data[0], dialect), int.from_bytes(data[1:], "big"))
+        case ReadStatusRequest.COMMAND:
+            return ReadStatusRequest(unit)
+        case ExecuteSpeedRequest.COMMAND:
+            return ExecuteSpeedRequest(unit)
+        case ReadParameterRequest.COMMAND:
+            return ReadParameterRequest(unit, _number(unit, data[0], dialect))
+        case WriteParameterRequest.COMMAND:
+            return WriteParameterRequest(
+                unit, _number(unit, data[0], dialect), int.from_bytes(data[1:], "big")
+            )
     if data[1] > 1:
         message = Message.of("output_value_illegal", value=data[1])
         raise IllegalRequest(unit, UnitErrorCode.ILLEGAL_OUTPUT_VALUE, message)
-    return WriteOutput(unit, data[0], data[1] == 1)
+    return WriteOutputRequest(unit, data[0], data[1] == 1)
 
 
 def _number(unit: int, byte: int, dialect: Dialect) -> int:
@@ -185,10 +188,10 @@ def parse_reply(request: Request, body: bytes, dialect: Dialect) -> Reply | None
     if mark != ACK or len(data) not in acknowledged_lengths(request, dialect):
         return None
     match request:
-        case ReadStatus():
+        case ReadStatusRequest():
             speeds = int.from_bytes(data[:4], "big"), int.from_bytes(data[4:8], "big")
             return StatusReply(request.unit, *speeds, *data[8:])
-        case ReadParameter():
+        case ReadParameterRequest():
             return ParameterReply(request.unit, int.from_bytes(data, "big"), len(data))
         case _:
             return Ack(request.unit, data)

@@ -10,14 +10,14 @@ LARGEST_VALUE = 99999
 """0001869Fh, the end of every speed and value range on the link."""
 
 
-class ReadStatus(msgspec.Struct, frozen=True):
+class ReadStatusRequest(msgspec.Struct, frozen=True):
     """81h: commanded and actual speed, analog input, outputs and inputs."""
 
     COMMAND: ClassVar[int] = 0x81
     unit: int
 
 
-class StageSpeed(msgspec.Struct, frozen=True):
+class StageSpeedRequest(msgspec.Struct, frozen=True):
     """82h: into the unit's memory only; takes effect with 83h. ``raw``: display units, or ratio x 10000."""
 
     COMMAND: ClassVar[int] = 0x82
@@ -25,14 +25,14 @@ class StageSpeed(msgspec.Struct, frozen=True):
     raw: int
 
 
-class ExecuteSpeed(msgspec.Struct, frozen=True):
+class ExecuteSpeedRequest(msgspec.Struct, frozen=True):
     """83h: act on the staged speed. Unit 0 is every unit at once, and none of them answers."""
 
     COMMAND: ClassVar[int] = 0x83
     unit: int
 
 
-class SetAndExecuteSpeed(msgspec.Struct, frozen=True):
+class SetAndExecuteSpeedRequest(msgspec.Struct, frozen=True):
     """84h: a new speed, effective now."""
 
     COMMAND: ClassVar[int] = 0x84
@@ -40,7 +40,7 @@ class SetAndExecuteSpeed(msgspec.Struct, frozen=True):
     raw: int
 
 
-class ReadParameter(msgspec.Struct, frozen=True):
+class ReadParameterRequest(msgspec.Struct, frozen=True):
     """85h."""
 
     COMMAND: ClassVar[int] = 0x85
@@ -48,7 +48,7 @@ class ReadParameter(msgspec.Struct, frozen=True):
     number: int
 
 
-class WriteParameter(msgspec.Struct, frozen=True):
+class WriteParameterRequest(msgspec.Struct, frozen=True):
     """86h."""
 
     COMMAND: ClassVar[int] = 0x86
@@ -57,7 +57,7 @@ class WriteParameter(msgspec.Struct, frozen=True):
     raw: int
 
 
-class WriteOutput(msgspec.Struct, frozen=True):
+class WriteOutputRequest(msgspec.Struct, frozen=True):
     """87h: auxiliary output 1-6 on or off, whatever it was before."""
 
     COMMAND: ClassVar[int] = 0x87
@@ -66,7 +66,7 @@ class WriteOutput(msgspec.Struct, frozen=True):
     on: bool
 
 
-class WriteAnalogOutput(msgspec.Struct, frozen=True):
+class WriteAnalogOutputRequest(msgspec.Struct, frozen=True):
     """88h: needs #28 = 2 and #29 <= raw <= #30."""
 
     COMMAND: ClassVar[int] = 0x88
@@ -75,14 +75,14 @@ class WriteAnalogOutput(msgspec.Struct, frozen=True):
 
 
 Request = (
-    ReadStatus
-    | StageSpeed
-    | ExecuteSpeed
-    | SetAndExecuteSpeed
-    | ReadParameter
-    | WriteParameter
-    | WriteOutput
-    | WriteAnalogOutput
+    ReadStatusRequest
+    | StageSpeedRequest
+    | ExecuteSpeedRequest
+    | SetAndExecuteSpeedRequest
+    | ReadParameterRequest
+    | WriteParameterRequest
+    | WriteOutputRequest
+    | WriteAnalogOutputRequest
 )
 
 
@@ -124,4 +124,4 @@ Reply = StatusReply | Ack | Nak | ParameterReply
 
 def is_write(request: Request) -> bool:
     """Whether ``request`` can change anything in a unit."""
-    return not isinstance(request, ReadStatus | ReadParameter)
+    return not isinstance(request, ReadStatusRequest | ReadParameterRequest)

@@ -20,16 +20,16 @@ from bus.wire.commands import (
     Ack,
     Nak,
     ParameterReply,
-    ReadParameter,
-    ReadStatus,
+    ReadParameterRequest,
+    ReadStatusRequest,
     Reply,
     Request,
-    SetAndExecuteSpeed,
-    StageSpeed,
+    SetAndExecuteSpeedRequest,
+    StageSpeedRequest,
     StatusReply,
-    WriteAnalogOutput,
-    WriteOutput,
-    WriteParameter,
+    WriteAnalogOutputRequest,
+    WriteOutputRequest,
+    WriteParameterRequest,
 )
 from bus.wire.framing import ACK, NAK, FrameDecoder, Noise, Received, ReceivedFrame, checksum
 
@@ -132,7 +132,7 @@ def describe_body(body: bytes, wire: bytes, dialect: Dialect, asked: Request | N
 
 def is_secret(request: Request) -> bool:
     """Whether the frames of this exchange carry a value that may not be shown or kept (#21)."""
-    if not isinstance(request, ReadParameter | WriteParameter):
+    if not isinstance(request, ReadParameterRequest | WriteParameterRequest):
         return False
     return request.number in PARAMETERS and PARAMETERS[request.number].secret
 
@@ -150,17 +150,21 @@ def _request_detail(request: Request) -> tuple[dict[str, Json], Message]:
     """What it carries, for programs and for people."""
     kind = _KINDS[request.COMMAND]
     match request:
-        case ReadParameter(number=number):
+        case ReadParameterRequest(number=number):
             fields: dict[str, Json] = {"number": number, "name": _name(number)}
             return fields, Message.of("request_read_parameter_number", parameter=_title(number))
-        case WriteParameter(number=number, raw=raw):
+        case WriteParameterRequest(number=number, raw=raw):
             fields = {"number": number, "name": _name(number), "raw": raw}
             return fields, Message.of(
                 "request_write_parameter_to", parameter=_title(number), raw=_unless_secret(request, raw)
             )
-        case StageSpeed(raw=raw) | SetAndExecuteSpeed(raw=raw) | WriteAnalogOutput(raw=raw):
+        case (
+            StageSpeedRequest(raw=raw)
+            | SetAndExecuteSpeedRequest(raw=raw)
+            | WriteAnalogOutputRequest(raw=raw)
+        ):
             return {"raw": raw}, Message.of(f"request_{kind}_to", raw=raw)
-        case WriteOutput(output=output, on=on):
+        case WriteOutputRequest(output=output, on=on):
             return {"output": output, "on": on}, Message.of(
                 "request_write_output_on" if on else "request_write_output_off", output=output
             )
@@ -206,7 +210,7 @@ def _in_context(reply: Reply, asked: Request, wire: bytes, dialect: Dialect) -> 
             return _status(reply, wire, dialect)
         case Nak():
             return _nak(reply, wire, asked)
-        case ParameterReply() if isinstance(asked, ReadParameter):
+        case ParameterReply() if isinstance(asked, ReadParameterRequest):
             fields: dict[str, Json] = {"number": asked.number, "name": _name(asked.number), "raw": reply.raw}
             value = Message.of(
                 "parameter_response", parameter=_title(asked.number), raw=_unless_secret(asked, reply.raw)
@@ -224,7 +228,7 @@ def _without_context(body: bytes, wire: bytes, dialect: Dialect) -> Described:
     unit, data = body[0], body[2:]
     if body[1] == NAK and len(data) == 1:
         return _nak(Nak(unit, data[0]), wire, None)
-    status = parse_reply(ReadStatus(unit), body, dialect)
+    status = parse_reply(ReadStatusRequest(unit), body, dialect)
     if isinstance(status, StatusReply):
         return _status(status, wire, dialect)
     kind, fields, meaning = _without_request(body[1], data)

@@ -34,7 +34,7 @@ import msgspec
 from bus.catalogue.numbers import OWN_ADDRESS
 from bus.errors import UnitErrorCode
 from bus.settings import Dialect
-from bus.wire.commands import ReadParameter, ReadStatus, Request, is_write
+from bus.wire.commands import ReadParameterRequest, ReadStatusRequest, Request, is_write
 from bus.wire.describe import is_secret
 from bus.wire.framing import ACK, NAK
 from bus.wire.lengths import acknowledged_lengths
@@ -214,7 +214,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return self.fence()
 
     def _fences(self) -> tuple[Request, Request]:
-        return ReadStatus(self.unit), ReadParameter(self.unit, OWN_ADDRESS)
+        return ReadStatusRequest(self.unit), ReadParameterRequest(self.unit, OWN_ADDRESS)
 
     def _after(self, fence: Request) -> PendingResponses:
         """Once ``fence`` has got its shortest acknowledgement."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bus.settings import Dialect
-from bus.wire.commands import ReadParameter, Request
+from bus.wire.commands import ReadParameterRequest, Request
 
 _FRAME_OVERHEAD = 5
 """10 02 before the body; 10 03 and the checksum after it."""
@@ -12,7 +12,7 @@ _FRAME_OVERHEAD = 5
 def acknowledged_lengths(request: Request, dialect: Dialect) -> frozenset[int]:
     """How many data bytes an ACK to ``request`` may carry."""
     width = dialect.parameter_reply_bytes
-    if width and request.COMMAND == ReadParameter.COMMAND:
+    if width and request.COMMAND == ReadParameterRequest.COMMAND:
         return frozenset((width,))
     return _ACKNOWLEDGED_LENGTHS[request.COMMAND]
 

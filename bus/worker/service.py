@@ -17,6 +17,7 @@ from bus.contract import (
     Command,
     Frames,
     Hello,
+    Outcome,
     Progress,
     ReadTrace,
     Result,
@@ -29,12 +30,14 @@ from bus.contract.clock_offset import ClockOffset
 from bus.instants import UnixTime
 from bus.line.clock import LineClock, RealClock
 from bus.line.commands.catalogue import command_run_of
+from bus.line.events import LineUpdate
 from bus.line.opener import Opener, OpenFunction
 from bus.line.poller import Poller
 from bus.line.port.open_port import open_port
 from bus.line.statistics.trace import Interpreter, TracedFrame
 from bus.messages import Message, in_english
 from bus.settings import BusSettings
+from bus.worker.command_messages import update_of
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
 
@@ -67,7 +70,7 @@ class BusWorker:
         self.worker = uuid.uuid4().hex
         self.outbox = Outbox()
         self.app_clock = ClockOffset()
-        self.poller = Poller(bus, self.clock, self._emit, seed if seed is not None else uuid.uuid4().int)
+        self.poller = Poller(bus, self.clock, self._take, seed if seed is not None else uuid.uuid4().int)
         self._opener = Opener(self.poller, open_function)
         self._started_at = self._epoch()
         self._figures = self.poller.figures()
@@ -146,12 +149,12 @@ class BusWorker:
     def _begin(self, command: Command) -> None:
         now = self.clock.now()
         deadline = now + (self.app_clock.here(command.deadline) - self.clock.epoch(now))
-        why = self._why_not(command, deadline - now)
+        refusal = self._refusal(command, deadline - now)
         run = command_run_of(self.poller, command.id, command.action, deadline)
-        if why is None and run is None:
-            why = Result(command.id, UnixTime(0.0), "invalid", Message("unknown_command"))
-        if why is not None:
-            self._emit([msgspec.structs.replace(why, id=command.id, at=self._epoch())])
+        if refusal is None and run is None:
+            refusal = "invalid", Message("unknown_command")
+        if refusal is not None:
+            self._emit([Result(command.id, self._epoch(), *refusal)])
             return
         assert run is not None
         kind = type(command.action).__name__
@@ -167,17 +170,16 @@ class BusWorker:
         self._reading_traces.add(task)
         task.add_done_callback(self._reading_traces.discard)
 
-    def _why_not(self, command: Command, time_left_s: float) -> Result | None:
-        """Why nothing is sent for it, when that is plain at once."""
+    def _refusal(self, command: Command, time_left_s: float) -> tuple[Outcome, Message] | None:
+        """Why nothing is sent for it, where that is plain at once."""
         if self._leaving:
-            return Result("", UnixTime(0.0), "not_sent", Message("worker_stopping"))
+            return "not_sent", Message("worker_stopping")
         if len(self.poller.commands) >= MOST_COMMANDS:
-            return Result("", UnixTime(0.0), "not_sent", TOO_MANY)
+            return "not_sent", TOO_MANY
         if not self.poller.link.open:
-            return Result("", UnixTime(0.0), "bus_closed", self.poller.state.refusal)
+            return "bus_closed", self.poller.state.refusal
         if time_left_s < 0 and command.action.writes:
-            message = Message.of("arrived_late", seconds=round(-time_left_s, 1))
-            return Result("", UnixTime(0.0), "not_sent", message)
+            return "not_sent", Message.of("arrived_late", seconds=round(-time_left_s, 1))
         return None
 
     def _remember(self, command_id: str, result: Result | None) -> None:
@@ -185,7 +187,10 @@ class BusWorker:
         while len(self._results) > RESULTS_KEPT:
             self._results.popitem(last=False)
 
-    # --- telling -------------------------------------------------------------------------------
+    # --- reports -------------------------------------------------------------------------------
+
+    def _take(self, events: list[LineUpdate]) -> None:
+        self._emit([update_of(event, self.bus.dialect) for event in events])
 
     def _emit(self, updates: list[Update]) -> None:
         for update in updates:

@@ -1,4 +1,4 @@
-// What the server says, put where the page shows it: a Map from field to bound nodes, and no element is ever
+// Shows the values from the server in the page: a Map from field to bound nodes, and no element is ever
 // measured, so a change costs one write. When it is written: see pace.js, and for hidden units, visibility.js.
 // Attributes, each naming a field as GROUP.FIELD:
 //   data-live="dry-end/1.actual"          the text
@@ -120,7 +120,7 @@ function write(group, changed) {
   }
 }
 
-/** Write what waits, but for what nobody can see; whether there was anything to write. */
+/** Write pending values to visible nodes; return whether there was anything to write. */
 export function draw() {
   const all = waiting.size;
   for (const [group, changed] of waiting) {
@@ -155,8 +155,8 @@ function take(groups) {
       if (earlier) Object.assign(earlier, changed);
       else waiting.set(group, { ...changed });
     }
-    const told = listeners.get(group);
-    if (told) for (const listener of told) listener(values.get(group), changed);
+    const subscribers = listeners.get(group);
+    if (subscribers) for (const listener of subscribers) listener(values.get(group), changed);
   }
 }
 
@@ -166,7 +166,7 @@ export function show(groups) {
   soon(draw);
 }
 
-/** A whole snapshot, shown at once: what it does not hold is not known any more. */
+/** Show a complete snapshot immediately; a field that it lacks becomes unknown. */
 export function replace(groups) {
   values.clear();
   waiting.clear();
@@ -183,7 +183,7 @@ export function listen(group, listener) {
   return () => listeners.get(group).delete(listener);
 }
 
-/** The present text of GROUP.FIELD, undefined when nothing was ever said of it. */
+/** The current text of GROUP.FIELD, undefined when it was never received. */
 export function value(key) {
   const dot = key.indexOf(".");
   return values.get(key.slice(0, dot))?.[key.slice(dot + 1)];

@@ -14,7 +14,7 @@ export function received(serverTime) {
   offset = Math.max(...seen);
 }
 
-/** Forget what was measured: the device slept, or another server answers. */
+/** Forget what was measured: the device slept, or another server responds. */
 export function forget() {
   seen.length = 0;
 }

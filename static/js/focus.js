@@ -1,5 +1,5 @@
 // Where a person was at work by keyboard. What makes that place unusable for a while, or puts a new one in its
-// stead (a unit that is not heard, a lost server, a row that was written), gives the focus back here.
+// stead (a unit that does not respond, a lost server, a row that was written), gives the focus back here.
 const PLACES = ".main, .rail, .top";
 let last = null;
 
@@ -13,7 +13,7 @@ function remember(event) {
   last = { element, home: element.parentElement?.closest("[id]")?.id, twin: twinOf(element) };
 }
 
-/** What finds the same control again in a part of the page that was drawn anew. */
+/** Find the same control in a part of the page that was redrawn. */
 function twinOf(element) {
   const known = ["name", "value", "type", "href", "aria-label"]
     .filter(
@@ -37,6 +37,6 @@ export function giveBack() {
 
 export function start() {
   document.addEventListener("focusin", remember);
-  // Whoever presses somewhere has left the place; what was pressed says so itself when it takes the focus.
+  // A press elsewhere leaves the place; the pressed control takes the focus itself.
   document.addEventListener("pointerdown", () => (last = null), { capture: true });
 }

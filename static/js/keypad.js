@@ -26,7 +26,7 @@ function build() {
 
 function open(input) {
   if (!pad) build();
-  // The first key begins anew, the next go on; so do those after the field was touched once more.
+  // The first key replaces the text, the next ones append; so do those after another touch of the field.
   if (field !== input) input.select();
   field = input;
   input.inputMode = "none";

@@ -1,4 +1,4 @@
-// A panel on the wall: full screen, awake while it is shown, dark when nobody is there. The first touch after dark
+// A panel on the wall: full screen, awake while it is shown, dark when unused. The first touch after dark
 // wakes and does nothing else; while the glass is cleaned, touching does nothing at all.
 import { listen } from "./bind.js";
 import { isLive } from "./live.js";
@@ -95,7 +95,7 @@ function look() {
   else if (idle > GUARD_MS && !cover) lay("cover--guard");
 }
 
-/** What wants somebody now or soon does not go dark. */
+/** An abnormal state keeps the screen on. */
 const wantsSomebody = () => level === "urgent" || level === "high";
 
 /** To the panel's own page, once until it is touched again. */
@@ -106,7 +106,7 @@ function goHome() {
   return true;
 }
 
-/** Came here by itself: nobody has touched the panel for as long as it took to go home. */
+/** Whether the page was opened automatically, after the panel was unused for the time to go home. */
 function arrive() {
   isHome = sessionStorage.getItem(WENT_HOME) !== null;
   sessionStorage.removeItem(WENT_HOME);

@@ -1,12 +1,12 @@
-// The link to the server: a socket that only listens. Hello is a whole snapshot, then numbered changes.
-// Silence counts as loss: within two seconds the page says so, and takes its controls away.
+// The link to the server: a socket that only listens. First a complete snapshot, then numbered changes.
+// A timeout counts as loss: within two seconds the page shows it, and removes its controls.
 
 import { replace, show, value } from "./bind.js";
 import * as clock from "./clock.js";
 import { giveBack } from "./focus.js";
 import { language, span, word } from "./words.js";
 
-const SILENCE_S = 1.9;
+const TIMEOUT_S = 1.9;
 const CHECK_MS = 200;
 /** Between two checks: after longer than this, the page itself stood still. */
 const STILL_MS = 2 * CHECK_MS;
@@ -25,30 +25,30 @@ let lostSince = null;
 let cause = "closed";
 let tries = 0;
 let retry = 0;
-let wish = { units: [], trace: "" };
+let interest = { units: [], trace: "" };
 let frames = () => {};
 
 export const isLive = () => body.dataset.link === "live";
 
-/** Tell the server which units this page shows and whose frames it follows. */
+/** Send to the server which units this page shows and whose frames it follows. */
 export function follow(units, trace = "", onFrames = () => {}) {
-  wish = { units, trace };
+  interest = { units, trace };
   frames = onFrames;
-  if (socket?.readyState === WebSocket.OPEN) speak();
+  if (socket?.readyState === WebSocket.OPEN) sendInterest();
 }
 
-const speak = (want = "") => socket.send(JSON.stringify({ want, ...wish }));
+const sendInterest = (want = "") => socket.send(JSON.stringify({ want, ...interest }));
 
 function open() {
   clearTimeout(retry);
   const mine = new WebSocket(new URL(url, location.href.replace(/^http/, "ws")));
   socket = mine;
-  mine.onopen = () => socket === mine && speak();
+  mine.onopen = () => socket === mine && sendInterest();
   mine.onmessage = (event) => socket === mine && receive(JSON.parse(event.data));
   mine.onclose = () => {
     if (socket !== mine) return;
     socket = null;
-    lose("closed");
+    onLost("closed");
     again();
   };
 }
@@ -64,18 +64,18 @@ function receive(message) {
   receivedAt = performance.now();
   if (message.is === "frames") return frames(message.frames);
   clock.received(message.t);
-  if (message.is === "snapshot") return begin(message);
+  if (message.is === "snapshot") return onSnapshot(message);
   if (number < 0) return;
   if (message.p !== number) {
     number = -1;
-    return speak("snapshot");
+    return sendInterest("snapshot");
   }
   number = message.n;
   show(message.f);
   beat(message.t);
 }
 
-function begin(snapshot) {
+function onSnapshot(snapshot) {
   for (const unit of document.querySelectorAll("[data-unit]")) {
     if (!(unit.dataset.unit in snapshot.f)) return location.reload();
   }
@@ -109,7 +109,7 @@ function beat(serverTime) {
 
 const covered = () => document.querySelectorAll(".main, .rail, .top");
 
-function lose(why) {
+function onLost(why) {
   if (body.dataset.link === "lost") return;
   lostSince = clock.now() - (performance.now() - receivedAt) / 1000;
   cause = navigator.onLine ? why : "offline";
@@ -145,31 +145,31 @@ function describe() {
 
 async function askWhy() {
   try {
-    const answer = await fetch("/account", {
+    const response = await fetch("/account", {
       redirect: "manual",
       cache: "no-store",
       signal: AbortSignal.timeout(2000),
     });
-    if (answer.type === "opaqueredirect" || answer.status === 401) location.reload();
+    if (response.type === "opaqueredirect" || response.status === 401) location.reload();
   } catch {
-    // No answer at all: the overlay says so already.
+    // No response: the overlay shows it already.
   }
 }
 
-/** A clock that stands still while the device sleeps would call old values fresh: the other clock tells. */
+/** A clock that stands still while the device sleeps would show old values as fresh: compare with the other clock. */
 const ahead = () => Date.now() - performance.now();
 let wasAhead = ahead();
 
 function noticeSleep() {
   const slept = ahead() - wasAhead;
   wasAhead += slept;
-  if (slept > SILENCE_S * 1000) {
+  if (slept > TIMEOUT_S * 1000) {
     receivedAt -= slept;
     clock.forget();
   }
 }
 
-/** A late check says nothing about the server: messages may be queued behind it, so handle them first. */
+/** A late check proves nothing about the server: messages may be queued behind it, so handle them first. */
 function check() {
   noticeSleep();
   const since = performance.now() - checkedAt;
@@ -180,12 +180,12 @@ function check() {
 
 function judge() {
   const silent = (performance.now() - receivedAt) / 1000;
-  if (silent > SILENCE_S && body.dataset.link !== "lost") lose("silent");
-  if (silent > SILENCE_S && socket?.readyState === WebSocket.OPEN) drop();
+  if (silent > TIMEOUT_S && body.dataset.link !== "lost") onLost("silent");
+  if (silent > TIMEOUT_S && socket?.readyState === WebSocket.OPEN) drop();
   describe();
 }
 
-/** A socket that says nothing is not waited for: a cable was pulled, or the device slept. */
+/** Do not wait for a socket without messages: a cable was pulled, or the device slept. */
 function drop() {
   const old = socket;
   socket = null;
@@ -208,7 +208,7 @@ export function start() {
   if (!url) return;
   open();
   setInterval(check, CHECK_MS);
-  setInterval(() => socket?.readyState === WebSocket.OPEN && speak(), SPEAK_MS);
+  setInterval(() => socket?.readyState === WebSocket.OPEN && sendInterest(), SPEAK_MS);
   document.addEventListener("visibilitychange", awake);
   document.addEventListener("resume", awake);
   addEventListener("pageshow", awake);

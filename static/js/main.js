@@ -1,4 +1,4 @@
-// What every page has. Most begin here; one that draws something of its own first imports this afterwards.
+// What every page has. Most start here; a page with its own first module imports this afterwards.
 import "../vendor/htmx.min.js";
 import { draw, drawAll, rebind } from "./bind.js";
 import * as counts from "./counts.js";
@@ -42,5 +42,5 @@ live.start();
 document.addEventListener("lineside:changed", quality.findUnits);
 document.addEventListener("lineside:found", quality.findUnits);
 
-// Only for the page that says there is no connection; see sw.js. Browsers allow it on https and on this machine.
+// Only for the offline page; see sw.js. Browsers allow it on https and on this machine.
 navigator.serviceWorker?.register("/sw.js").catch(() => {});

@@ -1,5 +1,5 @@
 // The last ten minutes of one unit on its page: commanded as a thin step, actual as a line, one scale for both.
-// Gaps are gaps. Asked again every five seconds; the present is in the numbers above.
+// Gaps stay gaps. Requested every five seconds; the current values are in the numbers above.
 import { value } from "./bind.js";
 import { now } from "./clock.js";
 import { isLive } from "./live.js";
@@ -79,9 +79,9 @@ async function draw(unit, { lines, labels }) {
     ["from", new Date((to - SPAN_S) * 1000).toISOString()],
     ["to", new Date(to * 1000).toISOString()],
   ]);
-  const answer = await fetch(`/api/v1/history/sparks?${query}`, { signal: AbortSignal.timeout(4000) });
-  if (!answer.ok) return;
-  const found = await answer.json();
+  const response = await fetch(`/api/v1/history/sparks?${query}`, { signal: AbortSignal.timeout(4000) });
+  if (!response.ok) return;
+  const found = await response.json();
   const [actual, commanded] = [found[`${unit}/actual`], found[`${unit}/commanded`]];
   const scale = range([...actual.avg, ...commanded.avg]);
   if (!scale) return;

@@ -1,10 +1,10 @@
-// The page for no connection: it looks again by itself, and goes where it was asked to go.
+// The offline page: it retries automatically, then opens the requested page.
 const EVERY_MS = 3000;
 
 async function look() {
   try {
-    const answer = await fetch("/healthz", { cache: "no-store", signal: AbortSignal.timeout(EVERY_MS) });
-    if (!answer.ok) return;
+    const response = await fetch("/healthz", { cache: "no-store", signal: AbortSignal.timeout(EVERY_MS) });
+    if (!response.ok) return;
   } catch {
     return;
   }

@@ -31,7 +31,7 @@ export function usedUp(until, began, cost) {
   return Math.min(Math.max(until, began) + cost / SHARE, began + LONGEST_MS + AHEAD_MS);
 }
 
-/** When the next drawing may begin, of a share used up until then. */
+/** When the next drawing may start, from the share used so far. */
 export const readyAt = (until) => until - AHEAD_MS;
 
 /** Measure from the writing to the end of the frame: the browser lays out and paints after the frame's callbacks. */

@@ -1,7 +1,7 @@
 // Who else has a page open.
 import { listen } from "./bind.js";
 
-const tell = (what) => document.dispatchEvent(new CustomEvent(what));
+const notify = (what) => document.dispatchEvent(new CustomEvent(what));
 
 function draw(here) {
   for (const list of document.querySelectorAll("[data-people]")) {
@@ -21,6 +21,6 @@ function draw(here) {
 export function start() {
   listen("people", (fields) => {
     draw(fields.here ?? "");
-    tell("lineside:people");
+    notify("lineside:people");
   });
 }

@@ -1,4 +1,4 @@
-// How old every value is, against the server's clock. What the server says of a unit can be made worse here,
+// How old every value is, against the server's clock. The quality from the server can only be lowered here,
 // never better: if the page stops hearing of a unit, its values grow stale by themselves.
 
 import { fieldsOf } from "./bind.js";

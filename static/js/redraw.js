@@ -1,6 +1,6 @@
-// Parts of a page that the server draws are drawn anew when the value that they are made from has changed.
+// Parts of a page that the server draws are redrawn when the value that they depend on has changed.
 //   data-redraw="GROUP.FIELD" data-drawn-of="what it was when the part was drawn" hx-trigger="lineside:redraw"
-// Where more than a part is made from it, the whole page is, once no review is open on it:
+// Where more than a part is made from it, the complete page is, once no review is open on it:
 //   data-reload="GROUP.FIELD" data-drawn-of="what it was when the page was drawn"
 import { listen, value } from "./bind.js";
 

@@ -1,5 +1,5 @@
 // The review dialog: focus rests on Cancel, Enter does not execute, it lapses after 30 s, when the value has moved
-// or the unit takes nothing from here any more, and nothing leaves while the server is not heard.
+// or the unit takes nothing from here any more, and nothing leaves while the server does not respond.
 import { listen, rebind, value } from "./bind.js";
 import * as clock from "./clock.js";
 import { giveBack } from "./focus.js";
@@ -28,7 +28,7 @@ function show() {
   dialog.scrollTop = 0;
 }
 
-/** For an answer that brings no button of its own, for example a refusal by the server. */
+/** For a response without a button, for example a refusal by the server. */
 function closer() {
   const box = document.createElement("div");
   box.className = "dialog__body";
@@ -49,7 +49,7 @@ function watch(form) {
   for (const part of [form, ...form.querySelectorAll("[data-watch]")]) watchUnit(form, part);
 }
 
-/** Of one unit the form says which it is; of several a row each, with the name. */
+/** One unit: the form names it; several: a row each, with the name. */
 function watchUnit(form, part) {
   const { of: unit, watch: key, was, name } = part.dataset;
   const group = unit ?? key?.slice(0, key.indexOf("."));
@@ -71,7 +71,7 @@ function whyNot({ link, mode, blocked }) {
   return blocked ? word("wasBlocked", blocked) : "";
 }
 
-/** A part of the page that is fetched as the page is opened or on its way, and not because somebody pressed. */
+/** A part of the page that is fetched as the page is opened or on its way, and not by a press. */
 const isByItself = (source) => source.hasAttribute("hx-trigger");
 
 /** The review is over without a command: the button is gone and the reason stays. */
@@ -137,7 +137,7 @@ function lost() {
   dialog.close();
 }
 
-/** A form that the browser sends by itself: not while the server is not heard, and with the moment of the press,
+/** A form that the browser sends: not while the server does not respond, and with the moment of the press,
  * so that one that is held up on the way is refused (app/web/arrival.py). */
 function submitted(event) {
   const form = event.target;
@@ -202,7 +202,7 @@ export function start() {
     const named = event.detail.ctx.target;
     const target = typeof named === "string" ? document.querySelector(named) : named;
     if (target === content) opened();
-    // What is said beside a field may be out of sight: on a phone the button is a pad below it. Only to whoever
+    // A message beside a field may be out of sight: on a phone the button is a pad below it. Only to whoever
     // has pressed: a page never moves by itself.
     else if (target?.matches("[role=status]") && target.firstElementChild && !isByItself(event.detail.ctx.sourceElement))
       target.scrollIntoView({ block: "nearest" });

@@ -1,4 +1,4 @@
-// The setpoint of a unit: the field follows what the unit says until a person touches it; the number pad; and on
+// The setpoint of a unit: the field follows the unit until a user touches it; the number pad; and on
 // the setpoints page the tools that fill in many fields at once. Nothing here sends anything.
 import { listen, value } from "./bind.js";
 import { language, word } from "./words.js";
@@ -20,31 +20,31 @@ const textOf = (number, decimals) => number.toFixed(decimals).replace(".", DECIM
 
 function followUnit(input) {
   const key = input.dataset.follows;
-  const say = () => {
-    const said = value(key);
-    if (input.dataset.touched === undefined && said !== undefined && said !== "–") input.value = said;
+  const refresh = () => {
+    const text = value(key);
+    if (input.dataset.touched === undefined && text !== undefined && text !== "–") input.value = text;
   };
-  listen(key.slice(0, key.indexOf(".")), say);
+  listen(key.slice(0, key.indexOf(".")), refresh);
   input.addEventListener("input", () => {
     input.dataset.touched = "";
-    // What was said of the last number is not said of this one.
+    // A message about the former number does not apply to this one.
     const place = document.getElementById(input.getAttribute("aria-describedby"));
     if (place && !place.querySelector("[data-undo]")) place.replaceChildren();
   });
-  // What is half typed is not selected again: the next digit goes on, it does not begin anew.
+  // What is half typed is not selected again: the next digit is appended.
   input.addEventListener("focus", () => input.dataset.touched === undefined && input.select());
   const forget = () => {
     delete input.dataset.touched;
-    say();
+    refresh();
   };
   document.addEventListener("lineside:done", forget);
   addEventListener("pageshow", forget);
 }
 
 function press(input, key) {
-  const whole = input.selectionStart === 0 && input.selectionEnd === input.value.length;
+  const allSelected = input.selectionStart === 0 && input.selectionEnd === input.value.length;
   const untouched = input.dataset.follows !== undefined && input.dataset.touched === undefined;
-  const fresh = untouched || whole;
+  const fresh = untouched || allSelected;
   if (key === "erase") input.value = fresh ? "" : input.value.slice(0, -1);
   else if (key === "-") input.value = input.value.startsWith("-") ? input.value.slice(1) : `-${input.value}`;
   else if (key.length === 1 && (input.maxLength < 0 || (fresh ? "" : input.value).length < input.maxLength))
@@ -70,7 +70,7 @@ const TOOLS = {
   value: (_, by) => by,
 };
 
-/** Neither silent nor in LOCAL; see the row in templates/setpoints/page.html. */
+/** Online and not in LOCAL; see the row in templates/setpoints/page.html. */
 const canBeSet = (element) => !element.closest("[inert]") && element.checkVisibility();
 
 function fillIn(form, tool) {
@@ -97,7 +97,7 @@ function together(form, what) {
   if (what === "clear") for (const field of form.querySelectorAll("[data-new]")) field.value = "";
 }
 
-/** What was done is no draft any more: the next change begins with empty fields. */
+/** A completed change is no draft: the next change starts with empty fields. */
 function forgetDone() {
   let reviewed = null;
   document.addEventListener("submit", ({ target }) => {

@@ -1,5 +1,5 @@
 // <trend-spark data-spark="dry-end/1"> draws ten minutes of its unit's actual speed; data-value="commanded" another.
-// All on a page ask together, every ten seconds, and only those in sight.
+// All on a page are requested together, every ten seconds, and only those in sight.
 import { now } from "./clock.js";
 
 const MINUTES = 10;
@@ -9,7 +9,7 @@ const [WIDTH, HEIGHT] = [240, 40];
 const LEAST_REACH = 0.02;
 const SVG = "http://www.w3.org/2000/svg";
 const inSight = new Set();
-let asked = false;
+let requested = false;
 
 class TrendSpark extends HTMLElement {
   connectedCallback() {
@@ -60,10 +60,10 @@ function outline(t, values, from, to) {
 
 const sight = new IntersectionObserver((entries) => {
   for (const { target, isIntersecting } of entries) inSight[isIntersecting ? "add" : "delete"](target);
-  if (!asked) refresh();
+  if (!requested) refresh();
 });
 
-/** Null where the server did not answer, or was cut off while it did: the lines stay as they are. */
+/** Null without a complete response: the lines keep their state. */
 async function fetchSparks(query) {
   try {
     const response = await fetch(`/api/v1/history/sparks?${query}`);
@@ -75,7 +75,7 @@ async function fetchSparks(query) {
 
 async function refresh() {
   if (document.hidden || !inSight.size) return;
-  asked = true;
+  requested = true;
   const to = now();
   const from = to - MINUTES * 60;
   const query = new URLSearchParams({

@@ -42,7 +42,7 @@ function draw(strip, abnormal) {
 }
 
 /** To a screen reader: only when it is more or less than before, never at first, and not each unit on its ramp. */
-function say(verdict) {
+function announce(verdict) {
   const place = document.getElementById("verdict");
   if (place) place.textContent = verdict;
 }
@@ -51,7 +51,7 @@ export function start() {
   let known = null;
   listen("whole_line", (fields, changed) => {
     if ("strip" in changed) draw(fields.strip, Number(fields.abnormal));
-    if (known !== null && fields.abnormal !== known) say([fields.verdict, fields.counts].filter(Boolean).join(" · "));
+    if (known !== null && fields.abnormal !== known) announce([fields.verdict, fields.counts].filter(Boolean).join(" · "));
     known = fields.abnormal ?? known;
   });
 }

@@ -1,4 +1,4 @@
-// Keeps nothing of the line: old values must never look like new ones. Only one page is kept, the one that says that
+// Keeps nothing of the line: old values must never look like new ones. Only one page is kept, the one that shows that
 // there is no connection. OFFLINE and KEPT stand above this text, written by the server.
 const CACHE = "lineside-offline";
 

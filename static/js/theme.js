@@ -1,4 +1,4 @@
-// Runs before the first paint: the person's choice of light or dark, else what the device says.
+// Runs before the first paint: the user's choice of light or dark, else the device's.
 (() => {
   const root = document.documentElement;
   const read = () => {

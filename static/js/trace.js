@@ -1,4 +1,4 @@
-// The frames of a bus as they pass, while somebody follows them.
+// The live frames of a bus, while the user follows them.
 import { zone } from "./clock.js";
 import { follow } from "./live.js";
 import { language } from "./words.js";

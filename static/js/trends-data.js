@@ -1,4 +1,4 @@
-// Asks the history and puts the answers into one table for uPlot.
+// Requests the history and joins the results into one table for uPlot.
 import { iso } from "./trends-view.js";
 
 const HISTORY = "/api/v1/history";
@@ -29,15 +29,15 @@ export function fetchSeries(names, range, points, signal) {
   return get("/series", query, signal);
 }
 
-/** Where the answer is that the page asked for while its scripts were on the way; once, and only if it is the
+/** The response that the page requested while its scripts were loading; once, and only if it is the
  * one wanted. */
 function takeFirst(names, [from, to]) {
   const link = document.getElementById("trend-first");
   if (!link) return null;
   link.remove();
-  const asked = new URL(link.href).searchParams;
-  const near = (name, at) => Math.abs(Date.parse(asked.get(name)) / 1000 - at) < FIRST_WITHIN_S;
-  const same = asked.getAll("series").join() === names.join() && near("from", from) && near("to", to);
+  const query = new URL(link.href).searchParams;
+  const near = (name, at) => Math.abs(Date.parse(query.get(name)) / 1000 - at) < FIRST_WITHIN_S;
+  const same = query.getAll("series").join() === names.join() && near("from", from) && near("to", to);
   return same ? link.href : null;
 }
 
@@ -55,13 +55,13 @@ export function exportAddress(names, range, file) {
   return `${HISTORY}/export?${query}`;
 }
 
-/** One table: times, then for each answer average, least and greatest, each through `shift`. */
-export function joined(answers, shift = (value) => value) {
-  if (!answers.length) return [[]];
-  const column = (answer, name, i) => answer[name].map((value) => (value === null ? null : shift(value, i)));
-  const tables = answers.map((answer, i) => [
-    answer.t,
-    ...["avg", "min", "max"].map((name) => column(answer, name, i)),
+/** One table: times, then for each result average, least and greatest, each through `shift`. */
+export function joined(results, shift = (value) => value) {
+  if (!results.length) return [[]];
+  const column = (result, name, i) => result[name].map((value) => (value === null ? null : shift(value, i)));
+  const tables = results.map((result, i) => [
+    result.t,
+    ...["avg", "min", "max"].map((name) => column(result, name, i)),
   ]);
   return uPlot.join(
     tables,
@@ -69,32 +69,32 @@ export function joined(answers, shift = (value) => value) {
   );
 }
 
-/** What an answer says at a time: its last point before; null in a hole or before its first. */
-export function valueAt(answer, at) {
+/** The value of a result at a time: its last point before; null in a gap or before its first. */
+export function valueAt(result, at) {
   let low = 0;
-  let high = answer.t.length;
+  let high = result.t.length;
   while (low < high) {
     const middle = (low + high) >> 1;
-    if (answer.t[middle] <= at) low = middle + 1;
+    if (result.t[middle] <= at) low = middle + 1;
     else high = middle;
   }
   if (!low) return null;
-  const last = low === answer.t.length && at - answer.t[low - 1] > 2 * answer.bucket_s + 15;
-  return last ? null : answer.avg[low - 1];
+  const last = low === result.t.length && at - result.t[low - 1] > 2 * result.bucket_s + 15;
+  return last ? null : result.avg[low - 1];
 }
 
 /** Least, average and greatest of all that is shown, and the holes in it. */
-export function summary(answer) {
+export function summary(result) {
   let least = Number.POSITIVE_INFINITY;
   let greatest = Number.NEGATIVE_INFINITY;
   let total = 0;
   let count = 0;
-  for (let i = 0; i < answer.t.length; i++) {
-    if (answer.avg[i] === null) continue;
-    least = Math.min(least, answer.min[i]);
-    greatest = Math.max(greatest, answer.max[i]);
-    total += answer.avg[i];
+  for (let i = 0; i < result.t.length; i++) {
+    if (result.avg[i] === null) continue;
+    least = Math.min(least, result.min[i]);
+    greatest = Math.max(greatest, result.max[i]);
+    total += result.avg[i];
     count += 1;
   }
-  return count ? { least, greatest, average: total / count, holes: answer.t.length - count } : null;
+  return count ? { least, greatest, average: total / count, holes: result.t.length - count } : null;
 }

@@ -24,7 +24,7 @@ const css = (name) => getComputedStyle(document.documentElement).getPropertyValu
 const colours = new Map();
 
 /** A colour that light-dark() gives, as the canvas understands it; `percent` of it, the rest shines through. To
- * find one out costs a computation of style, and every mark asks for one at every redraw. */
+ * find one out costs a computation of style, and every mark needs one at every redraw. */
 function colour(name, percent = 100) {
   const key = `${name} ${percent}`;
   if (!colours.has(key)) colours.set(key, foundColour(name, percent));
@@ -33,8 +33,8 @@ function colour(name, percent = 100) {
 
 function foundColour(name, percent) {
   const probe = document.createElement("i");
-  const whole = css(name) ? `var(${name})` : "currentcolor";
-  probe.style.color = percent < 100 ? `color-mix(in srgb, ${whole} ${percent}%, transparent)` : whole;
+  const color = css(name) ? `var(${name})` : "currentcolor";
+  probe.style.color = percent < 100 ? `color-mix(in srgb, ${color} ${percent}%, transparent)` : color;
   document.body.append(probe);
   const found = getComputedStyle(probe).color;
   probe.remove();
@@ -49,7 +49,7 @@ export function look(place) {
   };
 }
 
-export const isBit = (answer) => !["commanded", "actual", "analog"].includes(answer.value);
+export const isBit = (result) => !["commanded", "actual", "analog"].includes(result.value);
 
 export class Picture {
   /** `on`: cursor(seconds or null), selected(from, to). `overlay()`: {marks, a, b} to be drawn over the curves. */
@@ -63,13 +63,13 @@ export class Picture {
     new ResizeObserver(() => this.resize()).observe(plot);
   }
 
-  /** New answers over a span. `bound`: which scale each curve has, "shared" or "own"; `chosen`: whose axis is shown. */
-  draw(answers, range, bound, chosen) {
-    const place = new Map(answers.map((answer, i) => [answer, i]));
-    const numbers = answers.filter((answer) => !isBit(answer));
-    const bits = answers.filter(isBit);
+  /** New results over a span. `bound`: which scale each curve has, "shared" or "own"; `chosen`: whose axis is shown. */
+  draw(results, range, bound, chosen) {
+    const place = new Map(results.map((result, i) => [result, i]));
+    const numbers = results.filter((result) => !isBit(result));
+    const bits = results.filter(isBit);
     const shape = JSON.stringify([
-      answers.map((a) => [a.bus, a.unit, a.value, a.measure, a.name]),
+      results.map((a) => [a.bus, a.unit, a.value, a.measure, a.name]),
       bound,
       chosen,
     ]);
@@ -102,8 +102,8 @@ export class Picture {
   build(numbers, bits, place, bound, chosen) {
     this.curves?.destroy();
     this.lanes?.destroy();
-    const scaleOf = (answer) =>
-      bound === "own" ? `y${place.get(answer)}` : answer.value === "analog" ? "analog" : "speed";
+    const scaleOf = (result) =>
+      bound === "own" ? `y${place.get(result)}` : result.value === "analog" ? "analog" : "speed";
     const shown = bound === "own" ? scaleOf(numbers[chosen] ?? numbers[0] ?? {}) : null;
     const scales = [...new Set(numbers.map(scaleOf))];
     const gutter = bits.length && this.elements.plot.clientWidth > NARROW ? GUTTER_WIDE : GUTTER;
@@ -115,7 +115,7 @@ export class Picture {
       show: shown === null || shown === scale,
       size: (i ? GUTTER : gutter) - LABEL,
       labelSize: LABEL,
-      label: numbers.find((answer) => scaleOf(answer) === scale)?.measure || " ",
+      label: numbers.find((result) => scaleOf(result) === scale)?.measure || " ",
       grid: { ...axis().grid, show: i === 0 || shown !== null },
     }));
     const right = axes.filter(({ side, show }) => show && side === 1).length * GUTTER;
@@ -147,14 +147,14 @@ export class Picture {
     });
   }
 
-  plot(element, answers, place, scaleOf, axes, { margin, barefoot = false, lanes = 0 }) {
+  plot(element, results, place, scaleOf, axes, { margin, barefoot = false, lanes = 0 }) {
     const stepped = uPlot.paths.stepped({ align: 1 });
     const series = [{}];
     const bands = [];
-    for (const answer of answers) {
-      const { name, dash } = look(place.get(answer));
+    for (const result of results) {
+      const { name, dash } = look(place.get(result));
       const stroke = colour(name);
-      const common = { scale: scaleOf(answer), spanGaps: false, paths: lanes ? stepped : undefined };
+      const common = { scale: scaleOf(result), spanGaps: false, paths: lanes ? stepped : undefined };
       const edge = { ...common, stroke: INVISIBLE, width: 1, points: { show: false } };
       bands.push({ series: [series.length + 2, series.length + 1], fill: colour(name, BAND) });
       series.push(
@@ -167,7 +167,7 @@ export class Picture {
     }
     const options = {
       width: element.clientWidth || 600,
-      height: this.height(answers.length, lanes),
+      height: this.height(results.length, lanes),
       scales: {
         x: { time: true, auto: false, range: () => this.range },
         ...(lanes ? { lane: { range: () => [-0.2, lanes] } } : {}),

@@ -1,7 +1,7 @@
 // The values as a table: what the cursors read, least, average, greatest; and what happened meanwhile as a list.
 import { summary, valueAt } from "./trends-data.js";
 import { isBit, look } from "./trends-plot.js";
-import { length, say } from "./trends-time.js";
+import { length, formatTime } from "./trends-time.js";
 
 const words = document.getElementById("trend-words").dataset;
 const UNKNOWN = "–";
@@ -22,10 +22,10 @@ function number(value, decimals) {
   return formats.get(decimals).format(value);
 }
 
-function text(answer, value) {
+function text(result, value) {
   if (value === null || value === undefined) return UNKNOWN;
-  if (isBit(answer) && (value === 0 || value === 1)) return value ? words.on : words.off;
-  return number(value, isBit(answer) ? 2 : answer.decimals);
+  if (isBit(result) && (value === 0 || value === 1)) return value ? words.on : words.off;
+  return number(value, isBit(result) ? 2 : result.decimals);
 }
 
 function swatch(place) {
@@ -52,12 +52,12 @@ function cell(row, content, head = "") {
 }
 
 /** One row for each value; `on`: remove(name), choose(place). */
-export function drawRows(body, answers, names, on) {
+export function drawRows(body, results, names, on) {
   const heads = body.parentElement.tHead.rows[0].cells;
   const focused = body.contains(document.activeElement) ? document.activeElement : null;
   const place = focused?.closest("tr").sectionRowIndex;
   body.replaceChildren(
-    ...answers.map((answer, place) => {
+    ...results.map((result, place) => {
       const row = document.createElement("tr");
       const head = document.createElement("th");
       head.scope = "row";
@@ -65,21 +65,21 @@ export function drawRows(body, answers, names, on) {
       axis.type = "button";
       axis.className = "trends__axis";
       axis.dataset.key = `axis ${names[place]}`;
-      axis.append(swatch(place), answer.name + (answer.measure ? ` [${answer.measure}]` : ""));
+      axis.append(swatch(place), result.name + (result.measure ? ` [${result.measure}]` : ""));
       axis.addEventListener("click", () => on.choose(place));
       head.append(axis);
       row.append(head);
-      const found = summary(answer);
+      const found = summary(result);
       const read = [null, null, null, null, found?.least, found?.average, found?.greatest];
       read.forEach((value, i) => {
-        cell(row, text(answer, value), heads[i + 1].textContent);
+        cell(row, text(result, value), heads[i + 1].textContent);
       });
       const remove = document.createElement("button");
       remove.type = "button";
       remove.className = "button button--small";
       remove.textContent = "×";
       remove.dataset.key = names[place];
-      remove.setAttribute("aria-label", `${words.remove}: ${answer.name}`);
+      remove.setAttribute("aria-label", `${words.remove}: ${result.name}`);
       remove.addEventListener("click", () => on.remove(names[place]));
       cell(row, "").append(remove);
       return row;
@@ -88,7 +88,7 @@ export function drawRows(body, answers, names, on) {
   if (focused) twinOf(focused, body, place).focus();
 }
 
-/** Where the focus goes when rows are drawn anew: to the same button, else (its value was taken away) to the one
+/** Where the focus goes when rows are redrawn: to the same button, else (its value was taken away) to the one
  * that came in its place, at last to where a value is added. */
 function twinOf(button, body, place) {
   const same = [...body.querySelectorAll("button")].find(({ dataset }) => dataset.key === button.dataset.key);
@@ -97,43 +97,43 @@ function twinOf(button, body, place) {
 }
 
 /** What the cursor and A and B read; B − A where both are set. */
-export function drawCursors(body, answers, { at, a, b }) {
+export function drawCursors(body, results, { at, a, b }) {
   [...body.rows].forEach((row, place) => {
-    const answer = answers[place];
-    if (!answer) return;
-    const read = (time) => (time === null ? null : valueAt(answer, time));
+    const result = results[place];
+    if (!result) return;
+    const read = (time) => (time === null ? null : valueAt(result, time));
     const [va, vb] = [read(a), read(b)];
-    row.cells[1].textContent = text(answer, read(at));
-    row.cells[2].textContent = text(answer, va);
-    row.cells[3].textContent = text(answer, vb);
+    row.cells[1].textContent = text(result, read(at));
+    row.cells[2].textContent = text(result, va);
+    row.cells[3].textContent = text(result, vb);
     row.cells[4].textContent =
-      va === null || vb === null || isBit(answer) ? UNKNOWN : number(vb - va, answer.decimals);
+      va === null || vb === null || isBit(result) ? UNKNOWN : number(vb - va, result.decimals);
   });
-  const moment = (time) => (time === null ? UNKNOWN : say(time));
+  const moment = (time) => (time === null ? UNKNOWN : formatTime(time));
   byId("time-cursor").textContent = moment(at);
   byId("time-a").textContent = moment(a);
   byId("time-b").textContent = moment(b);
   byId("time-difference").textContent = a === null || b === null ? UNKNOWN : length(Math.abs(b - a));
 }
 
-/** The whole picture in words. */
-export function inWords(answers) {
-  const lines = answers.map((answer) => {
-    const found = summary(answer);
-    if (!found) return `${answer.name}: ${words.nothing}`;
+/** The chart as text. */
+export function summaryText(results) {
+  const lines = results.map((result) => {
+    const found = summary(result);
+    if (!found) return `${result.name}: ${words.nothing}`;
     const holes = found.holes ? `, ${words.holes.replace("{n}", found.holes)}` : "";
-    return `${answer.name}: ${text(answer, found.least)} … ${text(answer, found.greatest)}${holes}`;
+    return `${result.name}: ${text(result, found.least)} … ${text(result, found.greatest)}${holes}`;
   });
   return lines.join("; ");
 }
 
 /** What every value reads at a moment. */
-export const readInWords = (answers, at) =>
-  [say(at), ...answers.map((answer) => `${answer.name} ${text(answer, valueAt(answer, at))}`)].join("; ");
+export const valuesText = (results, at) =>
+  [formatTime(at), ...results.map((result) => `${result.name} ${text(result, valueAt(result, at))}`)].join("; ");
 
 /** How fine the picture is. */
-export const fineness = (answers) => {
-  const bucket = Math.max(0, ...answers.map((answer) => answer.bucket_s));
+export const fineness = (results) => {
+  const bucket = Math.max(0, ...results.map((result) => result.bucket_s));
   return bucket ? words.per.replace("{n}", length(bucket)) : words.every;
 };
 
@@ -149,7 +149,7 @@ export function drawMarks(list, marks, more, put) {
       const where = mark.unit ? `${mark.bus}/${mark.unit} · ` : mark.bus ? `${mark.bus} · ` : "";
       const { what, old, new: changed } = mark.shown;
       const change = old || changed ? `: ${old || UNKNOWN} → ${changed || UNKNOWN}` : "";
-      button.textContent = `${say(mark.t)} · ${where}${what}${change}${mark.who ? ` (${mark.who})` : ""}`;
+      button.textContent = `${formatTime(mark.t)} · ${where}${what}${change}${mark.who ? ` (${mark.who})` : ""}`;
       button.addEventListener("click", () => put(mark.t));
       item.append(button);
       return item;

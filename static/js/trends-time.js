@@ -1,4 +1,4 @@
-// Times at the site: its zone, not the browser's; and how a span is said.
+// Times at the site: its zone, not the browser's; and texts of spans.
 import { zone } from "./clock.js";
 
 const language = document.documentElement.lang || "en";
@@ -44,7 +44,7 @@ const SHIFT_HOURS = 8;
 const FIRST_SHIFT = 6;
 
 /** Seconds since the epoch as text; `kind` is a key of PARTS. */
-export const say = (seconds, kind = "moment") => format(kind).format(seconds * 1000);
+export const formatTime = (seconds, kind = "moment") => format(kind).format(seconds * 1000);
 
 /** The wall clock at the site, as if it were UTC: seconds that can be counted with. */
 function wall(seconds) {
@@ -83,10 +83,10 @@ export const fromField = (text) => instant(Date.parse(`${text.length === 16 ? `$
 export function axisLabels(_plot, splits, _axis, _space, increment) {
   let before = "";
   return splits.map((at) => {
-    if (increment >= 28 * DAY) return say(at, "month");
-    if (increment >= DAY) return say(at, "day");
-    const text = say(at, increment >= 60 ? "clock" : increment >= 1 ? "second" : "exact");
-    const day = say(at, "day");
+    if (increment >= 28 * DAY) return formatTime(at, "month");
+    if (increment >= DAY) return formatTime(at, "day");
+    const text = formatTime(at, increment >= 60 ? "clock" : increment >= 1 ? "second" : "exact");
+    const day = formatTime(at, "day");
     const label = day === before ? text : `${text}\n${day}`;
     before = day;
     return label;

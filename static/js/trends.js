@@ -1,9 +1,9 @@
-// The trends page: the view says what is wanted, the history answers, the picture and the table show it.
+// The trends page: the view selects, the history responds, the chart and the table show the result.
 import { exportAddress, fetchMarks, fetchSeries } from "./trends-data.js";
 import { gestures } from "./trends-gestures.js";
 import { Picture } from "./trends-plot.js";
-import { drawCursors, drawMarks, drawRows, fineness, inWords, readInWords } from "./trends-table.js";
-import { fromField, length, say, toField } from "./trends-time.js";
+import { drawCursors, drawMarks, drawRows, fineness, summaryText, valuesText } from "./trends-table.js";
+import { fromField, length, formatTime, toField } from "./trends-time.js";
 import { MOST_VALUES, View } from "./trends-view.js";
 
 const SETTLE_MS = 60;
@@ -46,11 +46,11 @@ const catalogue = new Catalogue();
 const view = new View(catalogue);
 const body = byId("trend-values");
 const cursor = { at: null, put };
-let answers = [];
+let results = [];
 let names = [];
 let marks = [];
 let chosen = 0;
-const asked = { data: 0, marks: 0 };
+const requestedAt = { data: 0, marks: 0 };
 let pending = null;
 
 const picture = new Picture(
@@ -60,15 +60,15 @@ const picture = new Picture(
   () => ({ marks: view.marks ? marks : [], a: view.a, b: view.b }),
 );
 
-/** Where a person has put the cursor by a key or a press on what happened, which is also said aloud. */
+/** Where a person has put the cursor by a key or a press on what happened, which is also announced. */
 function put(seconds) {
   picture.point(seconds);
-  byId("trend-announcement").textContent = readInWords(answers, seconds);
+  byId("trend-announcement").textContent = valuesText(results, seconds);
 }
 
 function moved(at) {
   cursor.at = at;
-  drawCursors(body, answers, { at, a: view.a, b: view.b });
+  drawCursors(body, results, { at, a: view.a, b: view.b });
 }
 
 function points() {
@@ -80,10 +80,10 @@ async function fetchAll() {
   pending = new AbortController();
   const range = view.range();
   const wanted = [...view.series];
-  asked.data = Date.now();
+  requestedAt.data = Date.now();
   try {
     const found = await fetchSeries(wanted, range, points(), pending.signal);
-    answers = found.map((answer, i) => ({ ...answer, name: catalogue.title(wanted[i]) }));
+    results = found.map((result, i) => ({ ...result, name: catalogue.title(wanted[i]) }));
     names = wanted;
     byId("trend-fault").textContent = "";
     drawAll();
@@ -95,7 +95,7 @@ async function fetchAll() {
 }
 
 async function fetchEvents() {
-  asked.marks = Date.now();
+  requestedAt.marks = Date.now();
   try {
     const found = await fetchMarks(view.series, view.range());
     marks = found.marks;
@@ -107,11 +107,11 @@ async function fetchEvents() {
 }
 
 function drawAll() {
-  picture.draw(answers, view.range(), view.scale, chosen);
-  drawRows(body, answers, names, { remove: (name) => view.remove(name), choose });
+  picture.draw(results, view.range(), view.scale, chosen);
+  drawRows(body, results, names, { remove: (name) => view.remove(name), choose });
   moved(cursor.at);
   describe();
-  byId("trend-summary").textContent = inWords(answers);
+  byId("trend-summary").textContent = summaryText(results);
   requestAnimationFrame(shownToPeople);
 }
 
@@ -158,12 +158,12 @@ function showControls() {
   }
 }
 
-/** No moment that passes while one looks: what follows now is said by its length. */
+/** No moment that passes while one looks: a live view is described by its length. */
 function describe() {
   const [from, to] = view.range();
-  const begins = view.live && view.from === null ? length(view.span) : say(from);
+  const begins = view.live && view.from === null ? length(view.span) : formatTime(from);
   byId("trend-span").textContent =
-    `${begins} – ${view.live ? words.live : say(to)} · ${fineness(answers)}`;
+    `${begins} – ${view.live ? words.live : formatTime(to)} · ${fineness(results)}`;
 }
 
 view.addEventListener("change", ({ detail }) => {
@@ -178,15 +178,15 @@ view.addEventListener("change", ({ detail }) => {
   refetch();
 });
 
-/** Once a second: what follows now moves on, and asks again as often as a pixel's worth has passed. */
+/** Once a second: what follows now moves on, and requests as often as a pixel's worth has passed. */
 function beat() {
   if (document.hidden || !view.live) return;
   const [from, to] = view.range();
   if (picture.curves) picture.move([from, to]);
   showControls();
   const due = Math.max(2000, ((to - from) * 1000) / REFRESHES_PER_SPAN);
-  if (Date.now() - asked.data >= due) fetchAll();
-  if (Date.now() - asked.marks >= MARKS_EVERY_S * 1000) fetchEvents();
+  if (Date.now() - requestedAt.data >= due) fetchAll();
+  if (Date.now() - requestedAt.marks >= MARKS_EVERY_S * 1000) fetchEvents();
 }
 
 const MOVES = {

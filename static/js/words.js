@@ -7,7 +7,7 @@ export const word = (name, value = "") => (table[name] ?? name).replace("{n}", v
 
 const oneDigit = new Intl.NumberFormat(language, { minimumFractionDigits: 1, maximumFractionDigits: 1 });
 
-/** A span of time as people say it: 0.3 s, 12 s, 4 min, 3 h. */
+/** A span of time as text: 0.3 s, 12 s, 4 min, 3 h. */
 export function span(seconds) {
   if (seconds < 9.95) return word("seconds", oneDigit.format(Math.max(0, seconds)));
   if (seconds < 120) return word("seconds", Math.floor(seconds));

@@ -14,6 +14,8 @@ import httpx
 import pytest
 
 from app.web.access import Role
+from bus.messages import Message
+from bus.messages import number as decimal
 from tests.app.whole_app import House, whole_app
 
 CONTRACT = {"id", "time", "kind", "who", "bus", "unit", "what", "old", "new", "old_raw", "new_raw", "outcome"}
@@ -175,8 +177,9 @@ async def test_the_page_passes_over_what_it_cannot_read(house: House, query: str
 async def test_a_german_reads_and_searches_numbers_in_german_writing(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
     said: dict[str, Any] = {"who": "ann", "origin": "page", "bus": "dry-end", "unit": 2, "what": "set speed"}
-    number = await house.services.events.intend(**said, old="48.0", new="1250.5")
-    await house.services.events.conclude(number, "unverified", "it reads 48.0")
+    number = await house.services.events.intend(**said, old=decimal("48.0"), new=decimal("1250.5"))
+    message = Message.of("parameter_reads", value=decimal("48.0"))
+    await house.services.events.conclude(number, "unverified", message)
     for query in ("kind=command", "search=1250,5"):
         page = (await viewer.get(f"/events?{query}", headers={"Accept-Language": "de"})).text
         row = page.split(f'id="event-{number}"')[1].split("</tr>")[0]

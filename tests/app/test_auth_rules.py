@@ -73,7 +73,7 @@ def test_a_panel_is_operator_at_most(role: Role) -> None:
     if role in (Role.VIEWER, Role.OPERATOR):
         rules.check_panel_role(role)
     else:
-        with pytest.raises(CallerError, match=f"operator at most; {role}"):
+        with pytest.raises(CallerError, match=f"operator at most; the role {role}"):
             rules.check_panel_role(role)
 
 
@@ -83,7 +83,7 @@ def test_a_panel_is_operator_at_most(role: Role) -> None:
         (Role.WORKER, "dry", ""),
         (Role.ADMIN, "", ""),
         (Role.ADMIN, "dry", "a token with the role admin has no bus"),
-        (Role.WORKER, "", "name it: dry, wet"),
+        (Role.WORKER, "", "give one of dry, wet"),
         (Role.WORKER, "west", "there is no bus 'west'; there are: dry, wet"),
     ],
 )
@@ -107,7 +107,7 @@ def test_a_token_expires_after_its_days(days: int | None, expiry: float | None) 
 
 @pytest.mark.parametrize("days", [0, -1, 3651])
 def test_a_token_lasts_from_one_day_to_ten_years(days: int) -> None:
-    with pytest.raises(CallerError, match=f"1 to 3650 days; {days} is outside"):
+    with pytest.raises(CallerError, match=f"1 to 3650 days; {days} is out of range"):
         rules.token_expiry(100.0, days)
 
 

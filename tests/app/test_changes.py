@@ -16,7 +16,7 @@ def seen(*updates: Update, **settings: object) -> list[tuple[str, int | None, st
     found: list[LineEvent] = []
     for update in updates:
         found += changes.see(update)
-    return [(change.kind, change.unit, change.old, change.new) for change in found]
+    return [(change.kind, change.unit, str(change.old), str(change.new)) for change in found]
 
 
 def link(state: str, unit: int = 1) -> UnitLink:

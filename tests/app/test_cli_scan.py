@@ -158,7 +158,7 @@ def test_nobody_is_called_absent_after_one_question(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize(
     ("error", "code", "words"),
-    [(KeyboardInterrupt(), 130, "interrupted"), (WireError(GONE), 1, "it is gone")],
+    [(KeyboardInterrupt(), 130, "interrupted"), (WireError(GONE), 1, "it was disconnected")],
 )
 def test_what_was_found_before_the_end_is_told(
     monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int, words: str
@@ -193,7 +193,7 @@ def test_a_line_that_talks_unasked_is_not_scanned() -> None:
 def test_a_port_that_is_not_there() -> None:
     result = run("/dev/no-such-port")
     assert result.exit_code == 1
-    assert "lineside: /dev/no-such-port is not there" in result.stderr
+    assert "lineside: /dev/no-such-port does not exist" in result.stderr
 
 
 def test_a_port_that_another_program_holds() -> None:

@@ -141,7 +141,7 @@ def test_the_movement_within_a_minute_is_limited_whoever_confirms() -> None:
     check(SetSpeed(unit=1, raw=1040), circumstances(limits=limits, moved=60))
     error = objection(SetSpeed(unit=1, raw=1041), circumstances(limits=limits, moved=60, confirm=True))
     assert error.code == "invalid"
-    assert "40 is left" in str(error)
+    assert "40 remains" in str(error)
 
 
 def test_a_follower_takes_a_ratio_between_its_own_limits() -> None:

@@ -46,9 +46,9 @@ def test_what_had_lapsed_is_not_given_back() -> None:
 
 
 def test_nobody_holds_it_says_so() -> None:
-    with pytest.raises(ControlledError, match="nobody"):
+    with pytest.raises(ControlledError, match="free"):
         Control(required=True).use("anna", 0.0)
-    with pytest.raises(ControlledError, match="nobody"):
+    with pytest.raises(ControlledError, match="free"):
         Control(required=True).release("anna", 0.0)
 
 

@@ -17,6 +17,7 @@ from app.audit.groups import MOST_PARTS, EventRow, link_parts
 from app.audit.store import Filter
 from app.database.migrating import MIGRATIONS, bring_up_to_date
 from app.web.access import Role
+from bus.messages import number as decimal
 from tests.app.stage import PlayedWorker, Stage, answering
 from tests.app.whole_app import House, whole_app
 
@@ -34,7 +35,7 @@ def intent(unit: int | None, what: str = "set speed", **more: Any) -> dict[str, 
 async def change(house: House, units: int, *, failed: int | None = None, who: str = "ann") -> int:
     """A change of units 1 … n; the number of its event."""
     parts = [
-        intent(n, f"set speed, one of {units}", old=f"{n}0.0", new=f"{n}1.0", who=who)
+        intent(n, f"set speed, one of {units}", old=decimal(f"{n}0.0"), new=decimal(f"{n}1.0"), who=who)
         for n in range(1, units + 1)
     ]
     whole = intent(

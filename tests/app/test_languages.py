@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import re
-import tomllib
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import httpx
 import pytest
 
-from app import messages
 from app.messages import Languages
 from app.web.access import Role
 from tests.app.whole_app import House, whole_app
@@ -38,13 +35,6 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 )
 def test_which_language(wished: str, accepted: str, otherwise: str, chosen: str) -> None:
     assert Languages().choose(wished, accepted, otherwise).tag == chosen
-
-
-def test_a_pattern_has_the_names_of_its_sentence() -> None:
-    for path in (Path(messages.__file__).parent).glob("*.toml"):
-        for text, said in tomllib.loads(path.read_text(encoding="utf-8")).get("sentences", {}).items():
-            names = [sorted(re.findall(r"\{(\w*)\}", each)) for each in (text, said)]
-            assert names[0] == names[1], text
 
 
 async def test_the_browsers_language_and_then_ones_own(house: House) -> None:

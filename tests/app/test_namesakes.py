@@ -46,7 +46,7 @@ async def test_control_of_one_is_not_that_of_the_other(
     assert (handed["holder"], handed["is_token"]) == (NAME, True)
     assert (await user.post(SPEED, json={"raw": 5})).json()["code"] == "controlled"
     page = await user.get("/bus/dry-end/control")
-    assert f"{NAME} (token) holds control" in page.text
+    assert f"{NAME} (token) has control" in page.text
     assert [(event["old"], event["new"]) for event in await house.events("control")] == [
         (NAME, f"{NAME} (token)"),
         (None, NAME),

@@ -8,7 +8,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.errors import StoreError
+from app.errors import Problem, StoreError
 from app.server.security_headers import HEADERS
 from app.web.access import Role
 from bus.messages import Message
@@ -264,3 +264,9 @@ async def test_a_page_that_asks_the_api_is_refused_in_the_language_of_its_person
     person, program = await house.signed_in(Role.VIEWER), await house.program(Role.VIEWER)
     assert (await person.get("/api/v1/nowhere", headers=german)).json()["detail"].startswith("unter /api/v1")
     assert (await program.get("/api/v1/nowhere", headers=german)).json()["detail"].startswith("there is")
+
+
+def test_a_member_of_a_problem_may_have_the_name_of_a_parameter() -> None:
+    """The fate of a command has a ``message``, which is that of its unit."""
+    members = {"message": {"code": "store_disk_failed", "params": {}}, "code": "x", "status": 1}
+    assert Problem(503, "bus_closed", Message("store_disk_failed"), **members).extra == members

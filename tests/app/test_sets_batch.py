@@ -44,7 +44,7 @@ def test_a_value_that_moved_since_the_review_is_not_written() -> None:
     refuse_moved(typed(live, 6, "20", ""), reviewed)
     live.buses["dry-end"].apply([ParameterValue(unit=1, number=6, at=2.0, raw=101)])
     refuse_moved(typed(live, 6, "20", ""), {})
-    with pytest.raises(Problem, match="Unwind: the value has moved") as refused:
+    with pytest.raises(Problem, match="Unwind: the value has changed") as refused:
         refuse_moved(typed(live, 6, "20", ""), reviewed)
     assert (refused.value.status, refused.value.code) == (409, "moved")
 

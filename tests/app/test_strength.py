@@ -31,7 +31,15 @@ GOOD = (
 )
 EASY = (
     *("passwordpassword", "password1234", "P@ssw0rd1234", "Passwort2026", "Kennwort!2026", "administrator1"),
-    *("qwertyuiop12", "qwertzuiop12", "1q2w3e4r5t6y", "1qaz2wsx3edc", "zaq12wsxcde3", "asdfghjkl;'1"),
+    *(
+        "qwertyuiop12",
+        "qwertzuiop12",
+        "1q2w3e4r5t6y",
+        "1qaz2wsx3edc",
+        "zaq12wsxcde3",
+        "qazwsxedcrfv",
+        "asdfghjkl;'1",
+    ),
     *("abcdefghijkl", "zyxwvutsrqpo", "123456789012", "098765432109", "aaaaaaaaaaaa", "aabbaabbaabb"),
     *("abcabcabcabc", "xk4!xk4!xk4!", "hunter2hunter2", "Winter2025Winter2025", "Sommer2026!!"),
     *(

@@ -9,13 +9,13 @@ from bus.contract import LONGEST_MEANING, Frame
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.bodies import encode_request
-from bus.wire.commands import WriteParameter
+from bus.wire.commands import WriteParameterRequest
 from bus.wire.describe import describe_bytes
 from tests.app.screens import voice
 
 
 def test_a_frame_in_german() -> None:
-    (described,) = describe_bytes(encode_request(WriteParameter(3, 6, 50), Dialect()))
+    (described,) = describe_bytes(encode_request(WriteParameterRequest(3, 6, 50), Dialect()))
     frame = Frame(at=100.1234, direction="out", data=described.wire, meanings=[described.meaning])
     assert frame_fields(frame, voice("de")) == {
         "at": 100.1234,

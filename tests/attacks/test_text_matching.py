@@ -1,10 +1,9 @@
-"""Text of a request, and what people have typed, against the patterns of the translations."""
+"""Text of a request, and what people have typed, in what is rendered in a language."""
 
 from __future__ import annotations
 
 import string
 import time
-import tomllib
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,8 @@ from urllib.parse import quote
 import httpx
 import pytest
 from fastapi.routing import APIRoute
-from hypothesis import given
-from hypothesis import strategies as st
 
-from app import messages
-from app.messages import Languages
-from app.messages.sentences import LONGEST, Pattern, Sentences
+from app.messages import Language, Languages
 from app.web.access import Role
 from app.web.bounds import LONGEST_QUERY
 from app.web.formats import Formats
@@ -32,8 +27,6 @@ ADDRESS_TEXTS = [
     *("\0", "\ufffd", "..", "../../etc/passwd", "%s%n", "{0.__class__}", "{", "'\""),
     *("-1", "1e9", "9" * 300),
 ]
-FILE = Path(messages.__file__).parent / "de.toml"
-PATTERNS = list(tomllib.loads(FILE.read_text(encoding="utf-8"))["sentences"])
 
 
 @pytest.fixture
@@ -44,59 +37,16 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 
 @pytest.fixture
 def looked_up(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Every text that is compared with the patterns."""
+    """Every text that is looked up in a catalog."""
     found: list[str] = []
-    find = Sentences._find
+    term = Language.term
 
-    def recording(self: Sentences, sentence: str, deepest: int) -> str:
-        found.append(sentence)
-        return find(self, sentence, deepest)
+    def recording(self: Language, text: str) -> str:
+        found.append(text)
+        return term(self, text)
 
-    monkeypatch.setattr(Sentences, "_find", recording)
+    monkeypatch.setattr(Language, "term", recording)
     return found
-
-
-@st.composite
-def almost_a_sentence(draw: st.DrawFn) -> str:
-    """Literals of one or two patterns in their order, each as often as fits, and an end that spoils it."""
-    pieces = [
-        literal * draw(st.integers(1, 40))
-        for pattern in draw(st.lists(st.sampled_from(PATTERNS), min_size=1, max_size=2))
-        for literal, _, _, _ in string.Formatter().parse(pattern)
-        if literal
-    ]
-    filler = draw(st.sampled_from(["", "a", " ", "a b", "1", "; ", ": "]))
-    return filler.join(pieces)[: LONGEST - 1] + draw(st.sampled_from(["", "\0", "x"]))
-
-
-def cpu_s_of_saying(text: str) -> float:
-    german = Languages()["de"]
-    begun = time.thread_time()
-    german.t(text)
-    return time.thread_time() - begun
-
-
-@given(almost_a_sentence())
-def test_no_text_makes_the_patterns_work_for_long(text: str) -> None:
-    assert cpu_s_of_saying(text) < CPU_S
-
-
-@pytest.mark.parametrize("clause", ["a: ", "a; ", "it is at: ", "unit 1: it reads 2; ", "x, then "])
-def test_clauses_without_end_do_not_make_the_patterns_work_for_long(clause: str) -> None:
-    assert cpu_s_of_saying((clause * LONGEST)[: LONGEST - 1]) < CPU_S
-
-
-def test_a_text_that_almost_fits_a_pattern_is_tried_at_one_place_for_each_brace() -> None:
-    pattern = Pattern.of("{a}, {b}, {c}, {d}, {e}!", "")
-    begun = time.thread_time()
-    assert pattern.values_in("!" + "x, " * 80) is None
-    assert time.thread_time() - begun < CPU_S
-
-
-def test_a_text_longer_than_any_sentence_stays_as_it_is(looked_up: list[str]) -> None:
-    text = "unit 3 did not answer; " * 20
-    assert Languages()["de"].t(text) == text
-    assert looked_up == []
 
 
 @pytest.mark.parametrize("part", ["1", ",111", "1,111", " 1.1", "-1.1", "1.1,1", "1.", "-"])
@@ -104,7 +54,6 @@ def test_numbers_without_end_cost_no_more_than_their_length(part: str) -> None:
     """A refusal has its numbers as the reader writes them, also those that came with the request."""
     text = f" 1{part * (LONGEST_QUERY // len(part))}x"
     begun = time.thread_time()
-    Formats("de").sentence(text)
     Formats("de").typed_number(text)
     assert time.thread_time() - begun < CPU_S
 
@@ -140,7 +89,7 @@ def filled(path: str, text: str) -> str:
 
 
 @pytest.mark.parametrize("accept", ["text/html", "application/json"])
-async def test_no_text_of_a_request_is_compared_with_the_patterns(
+async def test_no_text_of_a_request_is_looked_up_in_a_catalog(
     house: House, looked_up: list[str], accept: str
 ) -> None:
     client = await house.signed_in(Role.ADMIN)

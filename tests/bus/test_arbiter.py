@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bus.contract import Result
 from bus.line.commands.command_run import CommandRun, Priority
 from bus.line.commands.procedure import CommandContext, Procedure
+from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send
 from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.schedule.arbiter import Arbiter
 from bus.line.schedule.poll_schedule import PollSchedule
 from bus.settings import Dialect
-from bus.wire.commands import Ack, ReadStatus, Reply, Request, SetAndExecuteSpeed, StatusReply
+from bus.wire.commands import Ack, ReadStatusRequest, Reply, Request, SetAndExecuteSpeedRequest, StatusReply
 from bus.wire.fence import PendingResponses
 
 PLAIN = Dialect()
@@ -40,7 +40,7 @@ class Line:
         """The next request; a poll, when nothing else is due."""
         self.time += POLL_S
         request = self.turns.next_request(self.time)
-        while not isinstance(request, ReadStatus):
+        while not isinstance(request, ReadStatusRequest):
             assert request is not None
             self.settle(request, None)
             self.time += POLL_S
@@ -58,8 +58,8 @@ def _answer(request: Request) -> StatusReply:
 
 def _write(unit: int) -> CommandRun:
     def procedure() -> Procedure:
-        yield Send(SetAndExecuteSpeed(unit, 500))
-        return Result(id="", at=0.0, outcome="acknowledged")
+        yield Send(SetAndExecuteSpeedRequest(unit, 500))
+        return ProcedureResult("acknowledged")
 
     return CommandRun(
         "c1", Priority.WRITE, frozenset({unit}), 200.0, CommandContext(PLAIN), procedure, lambda _note: None
@@ -78,14 +78,14 @@ def _foreseen(line: Line, times: int) -> Iterator[tuple[Request, Request]]:
         line.settle(request, _answer(request))
         assert line.turns.followed(line.time) == following
         yield request, following
-        request = following if isinstance(following, ReadStatus) else line.poll()
+        request = following if isinstance(following, ReadStatusRequest) else line.poll()
 
 
 def test_what_was_foreseen_has_its_turn_and_every_unit_keeps_its_own() -> None:
     line = Line(4)
     pairs = list(_foreseen(line, 200))
     assert len(pairs) > 150
-    polled = [following.unit for _, following in pairs if isinstance(following, ReadStatus)]
+    polled = [following.unit for _, following in pairs if isinstance(following, ReadStatusRequest)]
     counts = [polled.count(unit) for unit in range(1, 5)]
     assert max(counts) - min(counts) <= 4
 
@@ -98,12 +98,12 @@ def test_an_errand_goes_first_and_what_was_foreseen_after_it() -> None:
     line.turns.commands.add(_write(request.unit))
     line.settle(request, _answer(request))
     line.time += POLL_S
-    assert line.turns.next_request(line.time) == SetAndExecuteSpeed(request.unit, 500)
-    assert line.turns.foresee(SetAndExecuteSpeed(request.unit, 500), line.time) is None
+    assert line.turns.next_request(line.time) == SetAndExecuteSpeedRequest(request.unit, 500)
+    assert line.turns.foresee(SetAndExecuteSpeedRequest(request.unit, 500), line.time) is None
     line.turns.commands.cancel("c1")
     line.turns.owner = None
     for run in line.turns.commands:
-        run.end(Result(id="c1", at=0.0, outcome="not_sent"))
+        run.end(ProcedureResult("not_sent"))
     line.turns.commands.take_finished()
     assert line.turns.next_request(line.time + POLL_S) == following
 
@@ -126,7 +126,7 @@ def test_a_write_without_an_answer_is_tried_again_too() -> None:
     polled = line.poll()
     line.turns.commands.add(_write(2))
     line.settle(polled, _answer(polled))
-    write = SetAndExecuteSpeed(2, 500)
+    write = SetAndExecuteSpeedRequest(2, 500)
     assert line.turns.next_request(line.time) == write
     assert line.settle(write, None), "it is tried again"
     assert line.turns.next_request(line.time) == write

@@ -23,19 +23,19 @@ from bus.wire.bodies import (
 from bus.wire.commands import (
     LARGEST_VALUE,
     Ack,
-    ExecuteSpeed,
+    ExecuteSpeedRequest,
     Nak,
     ParameterReply,
-    ReadParameter,
-    ReadStatus,
+    ReadParameterRequest,
+    ReadStatusRequest,
     Reply,
     Request,
-    SetAndExecuteSpeed,
-    StageSpeed,
+    SetAndExecuteSpeedRequest,
+    StageSpeedRequest,
     StatusReply,
-    WriteAnalogOutput,
-    WriteOutput,
-    WriteParameter,
+    WriteAnalogOutputRequest,
+    WriteOutputRequest,
+    WriteParameterRequest,
     is_write,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
@@ -50,24 +50,24 @@ numbers = st.integers(1, 40)
 words = st.integers(0, 2**32 - 1)
 octets = st.integers(0, 255)
 requests: st.SearchStrategy[Request] = st.one_of(
-    st.builds(ReadStatus, units),
-    st.builds(StageSpeed, units, values),
-    st.builds(ExecuteSpeed, st.integers(0, 255)),
-    st.builds(SetAndExecuteSpeed, units, values),
-    st.builds(ReadParameter, units, numbers),
-    st.builds(WriteParameter, units, numbers, values),
-    st.builds(WriteOutput, units, st.integers(1, 6), st.booleans()),
-    st.builds(WriteAnalogOutput, units, values),
+    st.builds(ReadStatusRequest, units),
+    st.builds(StageSpeedRequest, units, values),
+    st.builds(ExecuteSpeedRequest, st.integers(0, 255)),
+    st.builds(SetAndExecuteSpeedRequest, units, values),
+    st.builds(ReadParameterRequest, units, numbers),
+    st.builds(WriteParameterRequest, units, numbers, values),
+    st.builds(WriteOutputRequest, units, st.integers(1, 6), st.booleans()),
+    st.builds(WriteAnalogOutputRequest, units, values),
 )
 one_of_each: list[Request] = [
-    ReadStatus(4),
-    StageSpeed(4, 528),
-    ExecuteSpeed(4),
-    SetAndExecuteSpeed(4, 528),
-    ReadParameter(4, 16),
-    WriteParameter(4, 16, 1),
-    WriteOutput(4, 6, True),
-    WriteAnalogOutput(4, 350),
+    ReadStatusRequest(4),
+    StageSpeedRequest(4, 528),
+    ExecuteSpeedRequest(4),
+    SetAndExecuteSpeedRequest(4, 528),
+    ReadParameterRequest(4, 16),
+    WriteParameterRequest(4, 16, 1),
+    WriteOutputRequest(4, 6, True),
+    WriteAnalogOutputRequest(4, 350),
 ]
 
 
@@ -89,7 +89,7 @@ def test_requests_round_trip(request: Request, dialect: Dialect) -> None:
 @given(units, words, words, octets, octets, octets)
 def test_status_round_trips(unit: int, commanded: int, actual: int, analog: int, st2: int, st1: int) -> None:
     reply = StatusReply(unit, commanded, actual, analog, st2, st1)
-    assert parse_reply(ReadStatus(unit), body_of(encode_reply(reply, BINARY)), BINARY) == reply
+    assert parse_reply(ReadStatusRequest(unit), body_of(encode_reply(reply, BINARY)), BINARY) == reply
 
 
 @given(requests.filter(lambda request: request.unit > 0), octets)
@@ -102,24 +102,24 @@ def test_any_command_can_be_refused(request: Request, code: int) -> None:
 def test_a_parameter_may_come_in_one_two_or_four_bytes(width: int) -> None:
     body = body_of(encode_reply(ParameterReply(1, 200, width), BINARY))
     assert len(body) == 2 + width
-    assert parse_reply(ReadParameter(1, 12), body, BINARY) == ParameterReply(1, 200, width)
+    assert parse_reply(ReadParameterRequest(1, 12), body, BINARY) == ParameterReply(1, 200, width)
 
 
 def test_a_dialect_with_one_width_takes_no_other() -> None:
     two_wide = Dialect(parameter_reply_bytes=2)
     body = body_of(encode_reply(ParameterReply(1, 200, 4), BINARY))
-    assert parse_reply(ReadParameter(1, 12), body, two_wide) is None
+    assert parse_reply(ReadParameterRequest(1, 12), body, two_wide) is None
     assert len(encode_reply(ParameterReply(1, 200, 4), two_wide)) == 9
 
 
 @pytest.mark.parametrize("data", [b"", b"\x05", b"\x00\x05", b"\x00\x00\x00\x05"])
 def test_a_parameter_write_is_acknowledged_with_or_without_the_value(data: bytes) -> None:
     body = bytes((1, 6)) + data
-    assert parse_reply(WriteParameter(1, 6, 5), body, BINARY) == Ack(1, data)
+    assert parse_reply(WriteParameterRequest(1, 6, 5), body, BINARY) == Ack(1, data)
 
 
 def test_an_answer_to_86h_as_the_manual_draws_it_without_ack_is_not_taken() -> None:
-    assert parse_reply(WriteParameter(1, 6, 5), b"\x01\x00\x00\x00\x05", BINARY) is None
+    assert parse_reply(WriteParameterRequest(1, 6, 5), b"\x01\x00\x00\x00\x05", BINARY) is None
 
 
 ANSWERS: dict[str, tuple[bytes, set[int]]] = {
@@ -154,9 +154,9 @@ def test_the_answer_of_another_unit_is_never_taken(request_: Request) -> None:
 
 
 def test_nothing_answers_a_broadcast() -> None:
-    assert parse_reply(ExecuteSpeed(0), b"\x00\x06", BINARY) is None
-    assert longest_reply_bytes(ExecuteSpeed(0), BINARY) == 0
-    assert usual_reply_bytes(ExecuteSpeed(0), BINARY) == 0
+    assert parse_reply(ExecuteSpeedRequest(0), b"\x00\x06", BINARY) is None
+    assert longest_reply_bytes(ExecuteSpeedRequest(0), BINARY) == 0
+    assert usual_reply_bytes(ExecuteSpeedRequest(0), BINARY) == 0
 
 
 @given(requests, st.binary(max_size=20), st.sampled_from([BINARY, BCD]))
@@ -196,9 +196,9 @@ def test_a_frame_that_is_no_request_has_a_code(body: bytes, code: int) -> None:
 
 
 def test_a_unit_that_counts_in_bcd() -> None:
-    assert body_of(encode_request(ReadParameter(1, 16), BCD))[2] == 0x16
-    assert parse_request(b"\x01\x85\x11", BCD) == ReadParameter(1, 11)
-    assert parse_request(b"\x01\x85\x11", BINARY) == ReadParameter(1, 17)
+    assert body_of(encode_request(ReadParameterRequest(1, 16), BCD))[2] == 0x16
+    assert parse_request(b"\x01\x85\x11", BCD) == ReadParameterRequest(1, 11)
+    assert parse_request(b"\x01\x85\x11", BINARY) == ReadParameterRequest(1, 17)
     with pytest.raises(IllegalRequest) as refused:
         parse_request(b"\x01\x85\x0a", BCD)
     assert refused.value.code == 0x82
@@ -207,19 +207,19 @@ def test_a_unit_that_counts_in_bcd() -> None:
 @pytest.mark.parametrize(
     "request_",
     [
-        ReadStatus(0),
-        ReadStatus(256),
-        StageSpeed(0, 1),
-        StageSpeed(1, -1),
-        StageSpeed(1, 100_000),
-        SetAndExecuteSpeed(1, 100_000),
-        ExecuteSpeed(-1),
-        ReadParameter(1, 0),
-        ReadParameter(1, 256),
-        WriteParameter(1, 1, 100_000),
-        WriteOutput(1, 0, True),
-        WriteOutput(1, 7, True),
-        WriteAnalogOutput(1, 100_000),
+        ReadStatusRequest(0),
+        ReadStatusRequest(256),
+        StageSpeedRequest(0, 1),
+        StageSpeedRequest(1, -1),
+        StageSpeedRequest(1, 100_000),
+        SetAndExecuteSpeedRequest(1, 100_000),
+        ExecuteSpeedRequest(-1),
+        ReadParameterRequest(1, 0),
+        ReadParameterRequest(1, 256),
+        WriteParameterRequest(1, 1, 100_000),
+        WriteOutputRequest(1, 0, True),
+        WriteOutputRequest(1, 7, True),
+        WriteAnalogOutputRequest(1, 100_000),
     ],
     ids=str,
 )
@@ -249,10 +249,10 @@ def test_no_answer_is_longer_than_the_longest(request: Request, dialect: Dialect
 
 def test_the_costs_of_protocol_md() -> None:
     """A poll is 7 + 18 bytes, 26.04 ms at 9600 baud; 38.4 of them fit a second."""
-    asked = len(encode_request(ReadStatus(4), BINARY))
+    asked = len(encode_request(ReadStatusRequest(4), BINARY))
     answered = len(encode_reply(status(4), BINARY))
     assert (asked, answered) == (7, 18)
-    assert usual_reply_bytes(ReadStatus(4), BINARY) == 18
+    assert usual_reply_bytes(ReadStatusRequest(4), BINARY) == 18
     assert wire_seconds(asked + answered, 9600) == pytest.approx(0.02604, abs=1e-5)
 
 
@@ -265,7 +265,7 @@ def test_the_manuals_example_encodes() -> None:
         (Path(__file__).parent.parent / "vectors" / "frames.json").read_text()
     )
     frames = {vector["meaning"]: bytes.fromhex(vector["frame"]) for vector in vectors}
-    assert encode_request(StageSpeed(4, 528), BINARY) == frames["82h unit 4, 528 (manual)"]
-    assert encode_request(WriteAnalogOutput(27, 350), BINARY) == frames[EXAMPLE_OF_88H]
-    assert encode_request(ExecuteSpeed(0), BINARY) == frames["83h to all"]
+    assert encode_request(StageSpeedRequest(4, 528), BINARY) == frames["82h unit 4, 528 (manual)"]
+    assert encode_request(WriteAnalogOutputRequest(27, 350), BINARY) == frames[EXAMPLE_OF_88H]
+    assert encode_request(ExecuteSpeedRequest(0), BINARY) == frames["83h to all"]
     assert encode_reply(status(1), BINARY) in frames.values()

@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 
 from bus.settings import Dialect
 from bus.wire.bodies import encode_reply, encode_request
-from bus.wire.commands import Ack, Nak, ParameterReply, ReadParameter, ReadStatus, StatusReply, WriteParameter
+from bus.wire.commands import (
+    Ack,
+    Nak,
+    ParameterReply,
+    ReadParameterRequest,
+    ReadStatusRequest,
+    StatusReply,
+    WriteParameterRequest,
+)
 from bus.wire.describe import Described, DescribedNoise, describe_bytes, is_secret
 
 PLAIN = Dialect()
@@ -65,7 +73,7 @@ def test_the_value_of_a_parameter_is_ambiguous_alone_and_says_so() -> None:
 
 def test_the_request_before_it_tells_what_an_answer_means() -> None:
     asked, answered = (
-        encode_request(ReadParameter(1, 6), PLAIN),
+        encode_request(ReadParameterRequest(1, 6), PLAIN),
         encode_reply(ParameterReply(1, 50, 2), PLAIN),
     )
     described = describe_bytes(asked + answered)[1]
@@ -75,7 +83,7 @@ def test_the_request_before_it_tells_what_an_answer_means() -> None:
 
 
 def test_an_answer_to_a_parameter_write_that_says_a_value() -> None:
-    asked = encode_request(WriteParameter(1, 6, 50), PLAIN)
+    asked = encode_request(WriteParameterRequest(1, 6, 50), PLAIN)
     described = describe_bytes(asked + encode_reply(Ack(1, b"\x00\x32"), PLAIN))[1]
     assert isinstance(described, Described)
     assert (described.kind, described.fields) == ("ack", {"raw": 50, "width": 2})
@@ -85,7 +93,7 @@ def test_an_answer_to_a_parameter_write_that_says_a_value() -> None:
 
 def test_the_answer_of_another_unit_is_read_alone() -> None:
     described = describe_bytes(
-        encode_request(ReadParameter(1, 6), PLAIN) + encode_reply(ParameterReply(2, 50, 2), PLAIN)
+        encode_request(ReadParameterRequest(1, 6), PLAIN) + encode_reply(ParameterReply(2, 50, 2), PLAIN)
     )[1]
     assert "only the request shows" in str(described.meaning)
 
@@ -120,14 +128,14 @@ def test_a_doubled_checksum_byte_is_not_listed() -> None:
 
 
 def test_the_password_is_in_no_words() -> None:
-    asked = encode_request(WriteParameter(1, 21, 4711), PLAIN)
-    read = encode_request(ReadParameter(1, 21), PLAIN) + encode_reply(ParameterReply(1, 4711), PLAIN)
+    asked = encode_request(WriteParameterRequest(1, 21, 4711), PLAIN)
+    read = encode_request(ReadParameterRequest(1, 21), PLAIN) + encode_reply(ParameterReply(1, 4711), PLAIN)
     for described in describe_bytes(asked + read):
         assert "4711" not in str(described.meaning)
-    assert is_secret(WriteParameter(1, 21, 4711))
-    assert is_secret(ReadParameter(1, 21))
-    assert not is_secret(ReadParameter(1, 20))
-    assert not is_secret(ReadStatus(1))
+    assert is_secret(WriteParameterRequest(1, 21, 4711))
+    assert is_secret(ReadParameterRequest(1, 21))
+    assert not is_secret(ReadParameterRequest(1, 20))
+    assert not is_secret(ReadStatusRequest(1))
 
 
 @given(
@@ -141,5 +149,5 @@ def test_anything_can_be_described(data: bytes) -> None:
 
 def test_a_status_is_the_same_with_its_request_before_it() -> None:
     status = encode_reply(StatusReply(1, 500, 490, 7, 0x40, 0x03), PLAIN)
-    asked = encode_request(ReadStatus(1), PLAIN)
+    asked = encode_request(ReadStatusRequest(1), PLAIN)
     assert describe_bytes(asked + status)[1] == only(status)

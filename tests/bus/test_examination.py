@@ -14,7 +14,14 @@ from bus.line.scan.passes import no_response_s
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.bodies import encode_request
-from bus.wire.commands import Nak, ParameterReply, ReadParameter, ReadStatus, StatusReply, is_write
+from bus.wire.commands import (
+    Nak,
+    ParameterReply,
+    ReadParameterRequest,
+    ReadStatusRequest,
+    StatusReply,
+    is_write,
+)
 
 Answering = Callable[[Probe], ProbeOutcome]
 SILENCE = ProbeOutcome()
@@ -26,9 +33,9 @@ def unit(address: int = 5, *, last: int = 40, bcd: bool = False, twice: bool = F
 
     def answer(question: Probe) -> ProbeOutcome:
         request = question.request
-        if isinstance(request, ReadStatus):
+        if isinstance(request, ReadStatusRequest):
             return ProbeOutcome(StatusReply(address, 0, 0, 0, 0x40, 2), answered_after_s=0.002)
-        assert isinstance(request, ReadParameter)
+        assert isinstance(request, ReadParameterRequest)
         if encode_request(request, Dialect())[-1] == 0x10 and question.doubled is not twice:
             return SILENCE
         number = request.number // 16 * 10 + request.number % 16 if bcd else request.number
@@ -62,7 +69,7 @@ def found(answering: Answering, address: int = 5) -> Found:
 def test_a_silent_address_is_asked_once() -> None:
     one, asked = outcome_of(lambda _: SILENCE)
     assert one is None
-    assert asked == [Probe(ReadStatus(5))]
+    assert asked == [Probe(ReadStatusRequest(5))]
 
 
 def test_a_unit() -> None:
@@ -84,7 +91,7 @@ def test_between_two_parameters_81h_is_asked() -> None:
     """So that no answer to 85h, late or doubled, can pass for another one's."""
     _, asked = outcome_of(unit(last=20))
     commands = [question.request.COMMAND for question in asked]
-    assert all(not (a == b == ReadParameter.COMMAND) for a, b in pairwise(commands))
+    assert all(not (a == b == ReadParameterRequest.COMMAND) for a, b in pairwise(commands))
 
 
 def test_a_unit_that_counts_in_bcd() -> None:
@@ -142,7 +149,7 @@ def test_a_response_that_comes_after_its_window_is_late_and_not_doubled() -> Non
 
     def answer(question: Probe) -> ProbeOutcome:
         nonlocal owed
-        owed, was_owed = not owed and isinstance(question.request, ReadParameter), owed
+        owed, was_owed = not owed and isinstance(question.request, ReadParameterRequest), owed
         return SILENCE if owed else replace(unit()(question), surplus=int(was_owed))
 
     one = found(answer)
@@ -179,7 +186,7 @@ def test_what_answers_in_frames_of_another_shape_is_no_digimax() -> None:
 
 def test_a_unit_that_answers_81h_only() -> None:
     def answer(question: Probe) -> ProbeOutcome:
-        return unit()(question) if isinstance(question.request, ReadStatus) else SILENCE
+        return unit()(question) if isinstance(question.request, ReadStatusRequest) else SILENCE
 
     one = found(answer)
     assert one.kind == "digimax"
@@ -190,7 +197,7 @@ def test_a_unit_that_answers_81h_only() -> None:
 
 @pytest.mark.parametrize("address", [address for address in range(1, 256) if address != 107])
 def test_every_address_but_one_has_a_read_whose_checksum_is_10h(address: int) -> None:
-    request = ReadParameter(address, number_for_checksum_10h(address))
+    request = ReadParameterRequest(address, number_for_checksum_10h(address))
     assert encode_request(request, Dialect())[-1] == 0x10
 
 
@@ -254,14 +261,3 @@ def test_what_turns_at_speed_has_no_emergency_stop(
         return replace(outcome, reply=status) if isinstance(outcome.reply, StatusReply) else outcome
 
     assert found(answer).estop_healthy == healthy
-
-
-def test_what_the_app_is_told() -> None:
-    told = Found(5, 9600, "digimax", (1, 2), ("a remark",)).for_contract()
-    assert (told.unit, told.baud, told.kind, told.parameters, told.remarks) == (
-        5,
-        9600,
-        "digimax",
-        [1, 2],
-        ["a remark"],
-    )

@@ -11,16 +11,16 @@ from bus.settings import Dialect
 from bus.wire.bodies import encode_reply, encode_request
 from bus.wire.commands import (
     Ack,
-    ExecuteSpeed,
+    ExecuteSpeedRequest,
     Nak,
     ParameterReply,
-    ReadParameter,
-    ReadStatus,
+    ReadParameterRequest,
+    ReadStatusRequest,
     Reply,
-    SetAndExecuteSpeed,
-    StageSpeed,
+    SetAndExecuteSpeedRequest,
+    StageSpeedRequest,
     StatusReply,
-    WriteOutput,
+    WriteOutputRequest,
 )
 from bus.wire.exchange import Answered, Doubled, Echo, Exchange, ExchangeEvent, Foreign, Late, Unexpected
 from bus.wire.fence import PendingResponses
@@ -39,16 +39,16 @@ def kinds(events: list[ExchangeEvent]) -> list[type]:
 
 
 def test_what_is_sent_is_the_request() -> None:
-    assert Exchange(StageSpeed(4, 528), PLAIN).sent == encode_request(StageSpeed(4, 528), PLAIN)
+    assert Exchange(StageSpeedRequest(4, 528), PLAIN).sent == encode_request(StageSpeedRequest(4, 528), PLAIN)
 
 
 def test_a_bad_request_makes_no_exchange() -> None:
     with pytest.raises(CallerError):
-        Exchange(StageSpeed(4, 100_000), PLAIN)
+        Exchange(StageSpeedRequest(4, 100_000), PLAIN)
 
 
 def test_the_answer() -> None:
-    exchange = Exchange(ReadStatus(4), PLAIN)
+    exchange = Exchange(ReadStatusRequest(4), PLAIN)
     (event,) = exchange.receive(frame(STATUS), 1.5)
     assert isinstance(event, Answered)
     assert event.reply == STATUS == exchange.reply
@@ -58,14 +58,14 @@ def test_the_answer() -> None:
 
 
 def test_a_refusal_is_an_answer() -> None:
-    exchange = Exchange(SetAndExecuteSpeed(4, 99_999), PLAIN)
+    exchange = Exchange(SetAndExecuteSpeedRequest(4, 99_999), PLAIN)
     (event,) = exchange.receive(frame(Nak(4, 0x81)), 0.0)
     assert isinstance(event, Answered)
     assert event.reply == Nak(4, 0x81)
 
 
 def test_an_answer_byte_by_byte_is_timed_by_its_first_byte() -> None:
-    exchange = Exchange(ReadStatus(4), PLAIN)
+    exchange = Exchange(ReadStatusRequest(4), PLAIN)
     events = [
         event for at, byte in enumerate(frame(STATUS)) for event in exchange.receive(bytes((byte,)), at)
     ]
@@ -74,7 +74,7 @@ def test_an_answer_byte_by_byte_is_timed_by_its_first_byte() -> None:
 
 
 def test_the_answer_of_another_unit_is_foreign() -> None:
-    exchange = Exchange(ReadStatus(4), PLAIN)
+    exchange = Exchange(ReadStatusRequest(4), PLAIN)
     (event,) = exchange.receive(frame(StatusReply(5, 1, 1, 1, 1, 1)), 0.0)
     assert isinstance(event, Foreign)
     assert event.unit == 5
@@ -82,19 +82,19 @@ def test_the_answer_of_another_unit_is_foreign() -> None:
 
 
 def test_another_hosts_request_is_foreign() -> None:
-    exchange = Exchange(ReadStatus(4), PLAIN)
-    assert kinds(exchange.receive(encode_request(ReadStatus(5), PLAIN), 0.0)) == [Foreign]
+    exchange = Exchange(ReadStatusRequest(4), PLAIN)
+    assert kinds(exchange.receive(encode_request(ReadStatusRequest(5), PLAIN), 0.0)) == [Foreign]
 
 
 @pytest.mark.parametrize("reply", [Ack(4), ParameterReply(4, 7, 1), Ack(4, b"\x00" * 10)], ids=str)
 def test_an_answer_of_the_wrong_length_is_unexpected(reply: Reply) -> None:
-    exchange = Exchange(ReadStatus(4), PLAIN)
+    exchange = Exchange(ReadStatusRequest(4), PLAIN)
     assert kinds(exchange.receive(frame(reply), 0.0)) == [Unexpected]
     assert exchange.awaiting
 
 
 def test_an_echo_is_not_an_answer_and_does_not_time_it() -> None:
-    exchange = Exchange(SetAndExecuteSpeed(4, 5), PLAIN)
+    exchange = Exchange(SetAndExecuteSpeedRequest(4, 5), PLAIN)
     assert kinds(exchange.receive(exchange.sent, 1.0)) == [Echo]
     assert exchange.first_byte_at is None
     assert kinds(exchange.receive(frame(Ack(4)), 2.0)) == [Answered]
@@ -103,7 +103,7 @@ def test_an_echo_is_not_an_answer_and_does_not_time_it() -> None:
 
 @pytest.mark.parametrize("cut", [0, 1, 5, 8])
 def test_an_echo_and_its_answer_in_one_piece(cut: int) -> None:
-    exchange = Exchange(SetAndExecuteSpeed(4, 5), PLAIN)
+    exchange = Exchange(SetAndExecuteSpeedRequest(4, 5), PLAIN)
     together = exchange.sent + frame(Ack(4))
     at = len(exchange.sent) + cut
     events = exchange.receive(together[:at], 1.0) + exchange.receive(together[at:], 2.0)
@@ -112,33 +112,33 @@ def test_an_echo_and_its_answer_in_one_piece(cut: int) -> None:
 
 
 def test_a_second_copy_of_the_answer_is_doubled() -> None:
-    exchange = Exchange(ReadStatus(4), PLAIN)
+    exchange = Exchange(ReadStatusRequest(4), PLAIN)
     assert kinds(exchange.receive(frame(STATUS) * 2, 0.0)) == [Answered, Doubled]
 
 
 def test_another_frame_after_the_answer_is_late() -> None:
-    exchange = Exchange(ReadStatus(4), PLAIN)
+    exchange = Exchange(ReadStatusRequest(4), PLAIN)
     assert kinds(exchange.receive(frame(STATUS) + frame(Ack(4)), 0.0)) == [Answered, Late]
 
 
 def test_an_answer_after_giving_up_is_late_and_ends_the_doubt() -> None:
-    exchange = Exchange(ReadStatus(4), PLAIN)
+    exchange = Exchange(ReadStatusRequest(4), PLAIN)
     exchange.give_up()
-    assert exchange.pending.outstanding == (ReadStatus(4),)
+    assert exchange.pending.outstanding == (ReadStatusRequest(4),)
     assert kinds(exchange.receive(frame(STATUS), 0.0)) == [Late]
     assert exchange.reply is None
     assert exchange.pending.outstanding == ()
 
 
 def test_nothing_is_awaited_after_a_broadcast() -> None:
-    exchange = Exchange(ExecuteSpeed(0), PLAIN)
+    exchange = Exchange(ExecuteSpeedRequest(0), PLAIN)
     assert not exchange.awaiting
     assert kinds(exchange.receive(exchange.sent + frame(Ack(4)), 0.0)) == [Echo, Foreign]
     assert exchange.pending.outstanding == ()
 
 
 def test_a_spoilt_answer_is_noise_that_says_checksum() -> None:
-    exchange = Exchange(ReadStatus(4), PLAIN)
+    exchange = Exchange(ReadStatusRequest(4), PLAIN)
     spoilt = bytearray(frame(STATUS))
     spoilt[5] ^= 1
     (event,) = exchange.receive(bytes(spoilt), 0.0)
@@ -149,23 +149,23 @@ def test_a_spoilt_answer_is_noise_that_says_checksum() -> None:
 
 
 def test_the_answer_between_noise() -> None:
-    exchange = Exchange(ReadStatus(4), PLAIN)
+    exchange = Exchange(ReadStatusRequest(4), PLAIN)
     events = exchange.receive(b"\xff\x00" + frame(STATUS) + b"\x55\x10\x02", 0.0)
     assert kinds(events) == [Noise, Answered, Noise]
 
 
 def test_a_doubled_checksum_byte_passes_into_the_next_exchange_without_noise() -> None:
-    first = Exchange(WriteOutput(234, 1, True), PLAIN)
+    first = Exchange(WriteOutputRequest(234, 1, True), PLAIN)
     answer = frame(Ack(234))
     assert answer[-1] == 0x10
     first.receive(answer, 0.0)
-    second = Exchange(ReadStatus(4), PLAIN, decoder=first.decoder)
+    second = Exchange(ReadStatusRequest(4), PLAIN, decoder=first.decoder)
     assert kinds(second.receive(b"\x10" + frame(STATUS), 1.0)) == [DoubledChecksum, Answered]
 
 
 def test_an_answer_that_may_be_late_is_not_believed() -> None:
-    pending = PendingResponses(4, PLAIN).sent(ReadParameter(4, 5))
-    exchange = Exchange(ReadParameter(4, 6), PLAIN, pending=pending)
+    pending = PendingResponses(4, PLAIN).sent(ReadParameterRequest(4, 5))
+    exchange = Exchange(ReadParameterRequest(4, 6), PLAIN, pending=pending)
     assert kinds(exchange.receive(frame(ParameterReply(4, 500, 2)), 0.0)) == [Late]
     assert exchange.awaiting
     assert kinds(exchange.receive(frame(Nak(4, 0x82)), 0.1)) == [Answered]
@@ -173,7 +173,7 @@ def test_an_answer_that_may_be_late_is_not_believed() -> None:
 
 @given(st.lists(st.sampled_from([0x10, 0x02, 0x03, 0x04, 0x06, 0x15, 0x81, 0x80]), max_size=60).map(bytes))
 def test_whatever_comes_an_answer_is_at_most_one_and_of_the_unit(data: bytes) -> None:
-    exchange = Exchange(ReadStatus(4), PLAIN)
+    exchange = Exchange(ReadStatusRequest(4), PLAIN)
     answers = [event for event in exchange.receive(data, 0.0) if isinstance(event, Answered)]
     assert len(answers) <= 1
     assert all(answer.frame.body[0] == 4 for answer in answers)

@@ -12,19 +12,19 @@ from bus.settings import Dialect
 from bus.wire.bodies import encode_reply
 from bus.wire.commands import (
     Ack,
-    ExecuteSpeed,
+    ExecuteSpeedRequest,
     Nak,
     ParameterReply,
-    ReadParameter,
-    ReadStatus,
+    ReadParameterRequest,
+    ReadStatusRequest,
     Reply,
     Request,
-    SetAndExecuteSpeed,
-    StageSpeed,
+    SetAndExecuteSpeedRequest,
+    StageSpeedRequest,
     StatusReply,
-    WriteAnalogOutput,
-    WriteOutput,
-    WriteParameter,
+    WriteAnalogOutputRequest,
+    WriteOutputRequest,
+    WriteParameterRequest,
     is_write,
 )
 from bus.wire.exchange import Answered, Exchange
@@ -40,9 +40,22 @@ from bus.wire.fence import (
 from bus.wire.framing import ACK, NAK
 
 PLAIN = Dialect()
-POLL, READ, WRITE = ReadStatus(1), ReadParameter(1, 3), WriteParameter(1, 3, 4)
-SPEED, STAGE, OUTPUT = SetAndExecuteSpeed(1, 5), StageSpeed(1, 5), WriteOutput(1, 1, True)
-ALL: list[Request] = [POLL, READ, WRITE, SPEED, STAGE, OUTPUT, ExecuteSpeed(1), WriteAnalogOutput(1, 3)]
+POLL, READ, WRITE = ReadStatusRequest(1), ReadParameterRequest(1, 3), WriteParameterRequest(1, 3, 4)
+SPEED, STAGE, OUTPUT = (
+    SetAndExecuteSpeedRequest(1, 5),
+    StageSpeedRequest(1, 5),
+    WriteOutputRequest(1, 1, True),
+)
+ALL: list[Request] = [
+    POLL,
+    READ,
+    WRITE,
+    SPEED,
+    STAGE,
+    OUTPUT,
+    ExecuteSpeedRequest(1),
+    WriteAnalogOutputRequest(1, 3),
+]
 WRITES = [request for request in ALL if is_write(request)]
 
 
@@ -57,7 +70,7 @@ class TestTheTable:
 
     def test_a_lost_parameter_may_be_asked_again_but_not_another(self) -> None:
         assert not fence_needed(READ, READ)
-        assert fence_needed(READ, ReadParameter(1, 4))
+        assert fence_needed(READ, ReadParameterRequest(1, 4))
 
     @pytest.mark.parametrize("lost", WRITES, ids=str)
     @pytest.mark.parametrize("following", WRITES, ids=str)
@@ -73,11 +86,14 @@ class TestTheTable:
         assert not fence_needed(READ, SPEED)
 
     def test_another_unit_is_told_apart(self) -> None:
-        assert not fence_needed(SPEED, SetAndExecuteSpeed(2, 5))
+        assert not fence_needed(SPEED, SetAndExecuteSpeedRequest(2, 5))
 
     def test_nothing_answers_a_broadcast_so_nothing_is_late(self) -> None:
-        assert possible_shapes(ExecuteSpeed(0), PLAIN) == frozenset()
-        assert PendingResponses(0, PLAIN).sent(ExecuteSpeed(0)).fence_before(ExecuteSpeed(0)) is None
+        assert possible_shapes(ExecuteSpeedRequest(0), PLAIN) == frozenset()
+        assert (
+            PendingResponses(0, PLAIN).sent(ExecuteSpeedRequest(0)).fence_before(ExecuteSpeedRequest(0))
+            is None
+        )
 
     @pytest.mark.parametrize("lost", ALL, ids=str)
     def test_the_fence_can_be_told_from_what_was_lost(self, lost: Request) -> None:
@@ -89,7 +105,7 @@ class TestTheTable:
 class TestDoubt:
     def test_a_poll_sent_before_a_write_proves_nothing_after_it(self) -> None:
         pending = PendingResponses(1, PLAIN).sent(POLL).sent(SPEED)
-        assert pending.fence_before(POLL) == ReadParameter(1, 17)
+        assert pending.fence_before(POLL) == ReadParameterRequest(1, 17)
         assert PendingResponses(1, PLAIN).sent(POLL).fence_before(POLL) is None
 
     def test_illegal_command_is_not_believed_in_doubt(self) -> None:
@@ -99,10 +115,10 @@ class TestDoubt:
 
     def test_an_answered_parameter_may_come_twice(self) -> None:
         answered = PendingResponses(1, PLAIN).sent(READ).received(b"\x01\x06\x02")
-        assert answered.fence_before(ReadParameter(1, 4)) == POLL
+        assert answered.fence_before(ReadParameterRequest(1, 4)) == POLL
         assert answered.fence_before(READ) is None
         assert answered.fence_before(SPEED) is None
-        assert answered.sent(POLL).fence_before(ReadParameter(1, 4)) is None
+        assert answered.sent(POLL).fence_before(ReadParameterRequest(1, 4)) is None
 
     def test_the_longest_memory(self) -> None:
         pending = PendingResponses(1, PLAIN)
@@ -119,7 +135,7 @@ class TestDoubt:
             pending = pending.sent(READ)
         for _ in range(2 * LONG_RUN):
             pending = pending.received(b"\x01\x06\x02").moved_on()
-        assert pending.fence_before(ReadParameter(1, 4)) == POLL
+        assert pending.fence_before(ReadParameterRequest(1, 4)) == POLL
         pending = pending.sent(POLL).received(bytes((1, ACK, *bytes(11)))).moved_on()
         assert pending.outstanding == ()
 
@@ -130,7 +146,7 @@ class TestDoubt:
             pending = pending.sent(request)
         fences = 0
         while (fence := pending.fence_before(wanted)) is not None and fence != wanted:
-            length = 11 if isinstance(fence, ReadStatus) else 1
+            length = 11 if isinstance(fence, ReadStatusRequest) else 1
             pending = pending.sent(fence).received(bytes((1, ACK, *bytes(length))))
             fences += 1
             assert fences <= len(lost) + 1
@@ -140,20 +156,20 @@ class TestDoubts:
     def test_another_unit_in_between_lets_the_last_answer_be_forgotten(self) -> None:
         pending = PendingByUnit(PLAIN)
         pending.after(PendingResponses(1, PLAIN).sent(READ).received(b"\x01\x06\x02"))
-        assert pending.fence_before(ReadParameter(1, 4)) == POLL
-        pending.after(PendingResponses(2, PLAIN).sent(ReadStatus(2)))
-        assert pending.fence_before(ReadParameter(1, 4)) is None
+        assert pending.fence_before(ReadParameterRequest(1, 4)) == POLL
+        pending.after(PendingResponses(2, PLAIN).sent(ReadStatusRequest(2)))
+        assert pending.fence_before(ReadParameterRequest(1, 4)) is None
 
     def test_a_lost_request_is_remembered_past_other_units(self) -> None:
         pending = PendingByUnit(PLAIN)
         pending.after(PendingResponses(1, PLAIN).sent(READ))
-        pending.after(PendingResponses(2, PLAIN).sent(ReadStatus(2)))
-        assert pending.fence_before(ReadParameter(1, 4)) == POLL
+        pending.after(PendingResponses(2, PLAIN).sent(ReadStatusRequest(2)))
+        assert pending.fence_before(ReadParameterRequest(1, 4)) == POLL
 
     def test_a_broadcast_needs_no_fence_and_leaves_none(self) -> None:
         pending = PendingByUnit(PLAIN)
         pending.after(PendingResponses(0, PLAIN))
-        assert pending.fence_before(ExecuteSpeed(0)) is None
+        assert pending.fence_before(ExecuteSpeedRequest(0)) is None
 
 
 # --- a unit that answers as late as it likes -----------------------------------------------------
@@ -191,18 +207,18 @@ class LateUnit:
     def _answer(self, request: Request) -> Reply:
         choices: list[Reply]
         match request:
-            case ReadStatus():
+            case ReadStatusRequest():
                 choices = [StatusReply(1, 1, 1, 1, 1, 1)]
-            case ReadParameter():
+            case ReadParameterRequest():
                 choices = [ParameterReply(1, 7, 1), ParameterReply(1, 7, 4), Nak(1, 0x82)]
-            case WriteParameter():
+            case WriteParameterRequest():
                 choices = [Ack(1), Ack(1, b"\x07"), Ack(1, bytes(4)), Nak(1, 0x80), Nak(1, 0x82)]
             case _:
                 choices = [Ack(1), Nak(1, 0x80)]
         return self.draw.draw(st.sampled_from(choices))
 
 
-wishes = st.sampled_from([*ALL, ReadParameter(1, 4), SetAndExecuteSpeed(1, 6)])
+wishes = st.sampled_from([*ALL, ReadParameterRequest(1, 4), SetAndExecuteSpeedRequest(1, 6)])
 
 
 @settings(max_examples=200)
@@ -233,7 +249,7 @@ def test_no_late_or_doubled_answer_is_ever_taken_for_another(
 class TestASecret:
     """The password (#21) may still come in a late response, and then nothing of it is kept or shown."""
 
-    PASSWORD = ReadParameter(1, 21)
+    PASSWORD = ReadParameterRequest(1, 21)
 
     @pytest.mark.parametrize(("request_", "secret"), [(PASSWORD, True), (READ, False)])
     def test_while_a_response_is_outstanding(self, request_: Request, secret: bool) -> None:

@@ -6,15 +6,15 @@ import pytest
 
 from bus.settings import Dialect, wire_seconds
 from bus.wire.commands import (
-    ExecuteSpeed,
-    ReadParameter,
-    ReadStatus,
+    ExecuteSpeedRequest,
+    ReadParameterRequest,
+    ReadStatusRequest,
     Request,
-    SetAndExecuteSpeed,
-    StageSpeed,
-    WriteAnalogOutput,
-    WriteOutput,
-    WriteParameter,
+    SetAndExecuteSpeedRequest,
+    StageSpeedRequest,
+    WriteAnalogOutputRequest,
+    WriteOutputRequest,
+    WriteParameterRequest,
 )
 from bus.wire.lengths import (
     acknowledged_lengths,
@@ -29,14 +29,14 @@ PLAIN, TWO_BYTES, DOUBLED = Dialect(), Dialect(parameter_reply_bytes=2), Dialect
 @pytest.mark.parametrize(
     ("request_", "lengths"),
     [
-        (ReadStatus(1), {11}),
-        (StageSpeed(1, 5), {0}),
-        (ExecuteSpeed(1), {0}),
-        (SetAndExecuteSpeed(1, 5), {0}),
-        (ReadParameter(1, 3), {1, 2, 4}),
-        (WriteParameter(1, 3, 4), {0, 1, 2, 4}),
-        (WriteOutput(1, 1, True), {0}),
-        (WriteAnalogOutput(1, 3), {0}),
+        (ReadStatusRequest(1), {11}),
+        (StageSpeedRequest(1, 5), {0}),
+        (ExecuteSpeedRequest(1), {0}),
+        (SetAndExecuteSpeedRequest(1, 5), {0}),
+        (ReadParameterRequest(1, 3), {1, 2, 4}),
+        (WriteParameterRequest(1, 3, 4), {0, 1, 2, 4}),
+        (WriteOutputRequest(1, 1, True), {0}),
+        (WriteAnalogOutputRequest(1, 3), {0}),
     ],
 )
 def test_data_of_an_acknowledgement(request_: Request, lengths: set[int]) -> None:
@@ -44,20 +44,20 @@ def test_data_of_an_acknowledgement(request_: Request, lengths: set[int]) -> Non
 
 
 def test_a_dialect_may_fix_the_width_of_a_read_parameter_and_of_nothing_else() -> None:
-    assert acknowledged_lengths(ReadParameter(1, 3), TWO_BYTES) == {2}
-    assert acknowledged_lengths(WriteParameter(1, 3, 4), TWO_BYTES) == {0, 1, 2, 4}
+    assert acknowledged_lengths(ReadParameterRequest(1, 3), TWO_BYTES) == {2}
+    assert acknowledged_lengths(WriteParameterRequest(1, 3, 4), TWO_BYTES) == {0, 1, 2, 4}
 
 
 @pytest.mark.parametrize(
     ("request_", "dialect", "least", "usual", "longest"),
     [
         # 10 02 UID ACK, data, 10 03 checksum; the longest has every byte of its body doubled.
-        (ReadStatus(1), PLAIN, 18, 18, 31),
-        (ReadParameter(1, 3), PLAIN, 8, 11, 17),
-        (ReadParameter(1, 3), TWO_BYTES, 9, 9, 13),
-        (StageSpeed(1, 5), PLAIN, 7, 8, 11),
-        (StageSpeed(1, 5), DOUBLED, 7, 8, 12),
-        (ExecuteSpeed(0), DOUBLED, 0, 0, 0),
+        (ReadStatusRequest(1), PLAIN, 18, 18, 31),
+        (ReadParameterRequest(1, 3), PLAIN, 8, 11, 17),
+        (ReadParameterRequest(1, 3), TWO_BYTES, 9, 9, 13),
+        (StageSpeedRequest(1, 5), PLAIN, 7, 8, 11),
+        (StageSpeedRequest(1, 5), DOUBLED, 7, 8, 12),
+        (ExecuteSpeedRequest(0), DOUBLED, 0, 0, 0),
     ],
 )
 def test_bytes_on_the_wire(request_: Request, dialect: Dialect, least: int, usual: int, longest: int) -> None:

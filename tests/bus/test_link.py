@@ -20,15 +20,15 @@ from bus.settings import Dialect
 from bus.wire.bodies import encode_reply
 from bus.wire.commands import (
     Ack,
-    ExecuteSpeed,
+    ExecuteSpeedRequest,
     ParameterReply,
-    ReadParameter,
-    ReadStatus,
+    ReadParameterRequest,
+    ReadStatusRequest,
     Reply,
     Request,
-    SetAndExecuteSpeed,
+    SetAndExecuteSpeedRequest,
     StatusReply,
-    WriteParameter,
+    WriteParameterRequest,
 )
 from tests.bus.played_clock import PlayedClock
 
@@ -103,7 +103,7 @@ def wires() -> Wires:
 
 def test_an_answer_is_taken_with_its_times(wires: Wires) -> None:
     began = wires.time
-    wires.link.send(ReadStatus(1))
+    wires.link.send(ReadStatusRequest(1))
     wires.answer(after_s=0.005)
     heard, ended = wires.heard[0]
     assert heard.reply == STATUS
@@ -115,7 +115,7 @@ def test_an_answer_is_taken_with_its_times(wires: Wires) -> None:
 
 def test_silence_ends_with_the_turnaround(wires: Wires) -> None:
     began = wires.time
-    wires.link.send(ReadStatus(1))
+    wires.link.send(ReadStatusRequest(1))
     wires.pass_time(1.0)
     heard, ended = wires.heard[0]
     assert heard.reply is None
@@ -125,15 +125,15 @@ def test_silence_ends_with_the_turnaround(wires: Wires) -> None:
 
 
 def test_an_answer_that_begins_at_the_last_moment_is_waited_for(wires: Wires) -> None:
-    wires.link.send(ReadStatus(1))
+    wires.link.send(ReadStatusRequest(1))
     wires.answer(after_s=TURNAROUND_S)
     assert wires.heard[0][0].reply == STATUS
 
 
 def test_an_answer_after_its_window_is_late_and_not_taken_by_the_next(wires: Wires) -> None:
-    wires.link.send(ReadParameter(1, 6))
+    wires.link.send(ReadParameterRequest(1, 6))
     wires.pass_time(0.1)
-    wires.link.send(ReadStatus(1))
+    wires.link.send(ReadStatusRequest(1))
     wires.receive(encode_reply(ParameterReply(1, 55), PLAIN))
     assert len(wires.heard) == 1
     wires.answer(after_s=0.0)
@@ -142,9 +142,9 @@ def test_an_answer_after_its_window_is_late_and_not_taken_by_the_next(wires: Wir
 
 
 def test_a_second_copy_comes_too_early_to_be_the_next_answer(wires: Wires) -> None:
-    wires.link.send(ReadStatus(1))
+    wires.link.send(ReadStatusRequest(1))
     wires.answer()
-    wires.link.send(ReadStatus(1))
+    wires.link.send(ReadStatusRequest(1))
     wires.receive(encode_reply(STATUS, PLAIN))
     assert len(wires.heard) == 1, "it is there before the request has left"
     newer = StatusReply(1, 600, 600, 77, 0xC0, 0x03)
@@ -155,7 +155,7 @@ def test_a_second_copy_comes_too_early_to_be_the_next_answer(wires: Wires) -> No
 
 def test_a_port_faster_than_its_baud_rate_is_learned_from_its_first_answer(wires: Wires) -> None:
     for _ in range(5):
-        wires.link.send(ReadStatus(1))
+        wires.link.send(ReadStatusRequest(1))
         wires.pass_time(0.0005)
         wires.link.data_received(encode_reply(STATUS, PLAIN))
     assert len(wires.heard) == 5
@@ -173,7 +173,7 @@ def test_pace_is_never_stuck(history: list[bool]) -> None:
 
 def test_a_broadcast_is_over_once_it_has_left(wires: Wires) -> None:
     began = wires.time
-    wires.link.send(ExecuteSpeed(0))
+    wires.link.send(ExecuteSpeedRequest(0))
     wires.pass_time(0.1)
     heard, ended = wires.heard[0]
     assert heard.reply is None
@@ -182,7 +182,7 @@ def test_a_broadcast_is_over_once_it_has_left(wires: Wires) -> None:
 
 
 def test_a_spoilt_answer_ends_the_wait_at_once(wires: Wires) -> None:
-    wires.link.send(ReadStatus(1))
+    wires.link.send(ReadStatusRequest(1))
     spoilt = bytearray(encode_reply(STATUS, PLAIN))
     spoilt[5] ^= 1
     wires.pass_time(7 * BYTE_S)
@@ -194,7 +194,7 @@ def test_a_spoilt_answer_ends_the_wait_at_once(wires: Wires) -> None:
 
 
 def test_bytes_without_end_do_not_hold_the_window_open(wires: Wires) -> None:
-    wires.link.send(ReadStatus(1))
+    wires.link.send(ReadStatusRequest(1))
     wires.receive(bytes(200))
     assert len(wires.heard) == 1
     assert wires.heard[0][1] - 100.0 < 0.12
@@ -207,7 +207,7 @@ def test_bytes_that_nobody_asked_for_are_counted(wires: Wires) -> None:
 
 
 def test_an_echo_is_counted_and_is_no_answer(wires: Wires) -> None:
-    wires.link.send(SetAndExecuteSpeed(1, 640))
+    wires.link.send(SetAndExecuteSpeedRequest(1, 640))
     wires.receive(wires.written[0])
     wires.pass_time(0.005)
     wires.receive(encode_reply(Ack(1), PLAIN))
@@ -216,7 +216,7 @@ def test_an_echo_is_counted_and_is_no_answer(wires: Wires) -> None:
 
 
 def test_another_units_frame_is_counted_as_foreign(wires: Wires) -> None:
-    wires.link.send(ReadStatus(1))
+    wires.link.send(ReadStatusRequest(1))
     wires.pass_time(7 * BYTE_S)
     wires.receive(encode_reply(StatusReply(7, 1, 1, 0, 0, 0), PLAIN))
     assert not wires.heard
@@ -224,10 +224,10 @@ def test_another_units_frame_is_counted_as_foreign(wires: Wires) -> None:
 
 
 def test_a_lost_port_gives_back_what_was_under_way(wires: Wires) -> None:
-    wires.link.send(SetAndExecuteSpeed(1, 640))
+    wires.link.send(SetAndExecuteSpeedRequest(1, 640))
     heard = wires.link.detach()
     assert heard is not None
-    assert heard.request == SetAndExecuteSpeed(1, 640)
+    assert heard.request == SetAndExecuteSpeedRequest(1, 640)
     wires.pass_time(1.0)
     assert not wires.heard
     assert wires.link.detach() is None
@@ -237,7 +237,7 @@ def test_a_lost_port_gives_back_what_was_under_way(wires: Wires) -> None:
 
 
 def test_the_trace_gives_back_what_passed_in_order(wires: Wires) -> None:
-    wires.link.send(ReadStatus(1))
+    wires.link.send(ReadStatusRequest(1))
     wires.answer()
     first, second = wires.trace.since(0.0)
     assert (first.direction, second.direction) == ("out", "in")
@@ -249,7 +249,7 @@ def test_the_trace_gives_back_what_passed_in_order(wires: Wires) -> None:
 
 
 def test_a_secret_passes_without_its_bytes(wires: Wires) -> None:
-    wires.link.send(ReadParameter(1, 21))
+    wires.link.send(ReadParameterRequest(1, 21))
     wires.answer(ParameterReply(1, 4242))
     for passed in wires.trace.since(0.0):
         assert passed.data == b""
@@ -274,14 +274,14 @@ def timed_out(wires: Wires, request: Request) -> None:
     assert wires.heard[-1][0].reply is None
 
 
-@pytest.mark.parametrize("request_", [ReadParameter(1, 21), WriteParameter(1, 21, 9876)])
+@pytest.mark.parametrize("request_", [ReadParameterRequest(1, 21), WriteParameterRequest(1, 21, 9876)])
 @pytest.mark.parametrize("later_s", [0.0, 600.0])
 def test_a_secret_that_comes_late_is_kept_without_its_bytes(
     wires: Wires, request_: Request, later_s: float
 ) -> None:
     timed_out(wires, request_)
     wires.pass_time(later_s)
-    wires.link.send(ReadStatus(1))
+    wires.link.send(ReadStatusRequest(1))
     wires.answer(SECRET)
     wires.answer()
     assert wires.heard[-1][0].reply == STATUS
@@ -291,10 +291,10 @@ def test_a_secret_that_comes_late_is_kept_without_its_bytes(
 
 @pytest.mark.parametrize("asked", [1, 2])
 def test_a_secret_that_comes_twice_is_kept_without_its_bytes(wires: Wires, asked: int) -> None:
-    wires.link.send(ReadParameter(1, 21))
+    wires.link.send(ReadParameterRequest(1, 21))
     wires.answer(SECRET)
     wires.receive(encode_reply(SECRET, PLAIN))
-    wires.link.send(ReadStatus(asked))
+    wires.link.send(ReadStatusRequest(asked))
     wires.answer(SECRET)
     wires.answer(replace(STATUS, unit=asked))
     assert SECRET_BYTES not in kept(wires)
@@ -302,7 +302,7 @@ def test_a_secret_that_comes_twice_is_kept_without_its_bytes(wires: Wires, asked
 
 def test_a_piece_of_a_secret_is_kept_without_its_bytes(wires: Wires) -> None:
     """The port is lost in the middle of it, or its checksum is."""
-    wires.link.send(ReadParameter(1, 21))
+    wires.link.send(ReadParameterRequest(1, 21))
     spoilt = bytearray(encode_reply(SECRET, PLAIN))
     spoilt[-1] ^= 0xFF
     wires.pass_time(0.02)
@@ -315,12 +315,12 @@ def test_a_piece_of_a_secret_is_kept_without_its_bytes(wires: Wires) -> None:
 
 
 def test_what_is_no_answer_is_kept_as_ever_while_no_secret_can_come(wires: Wires) -> None:
-    wires.link.send(ReadParameter(1, 21))
+    wires.link.send(ReadParameterRequest(1, 21))
     wires.answer(SECRET)
-    wires.link.send(ReadStatus(1))
+    wires.link.send(ReadStatusRequest(1))
     wires.answer()
     wires.pass_time(SECRET_LINGERS_S)
-    wires.link.send(ReadStatus(1))
+    wires.link.send(ReadStatusRequest(1))
     wires.answer(ParameterReply(1, 777))
     wires.pass_time(1.0)
     assert (777).to_bytes(4, "big") in kept(wires)
@@ -355,21 +355,21 @@ def test_what_noise_means_is_bounded(wires: Wires) -> None:
 
 def test_a_broadcast_is_left_to_leave() -> None:
     line = Wires()
-    line.link.send(ExecuteSpeed(0))
+    line.link.send(ExecuteSpeedRequest(0))
     line.pass_time(0.1)
-    assert line.heard[-1][0].request == ExecuteSpeed(0)
+    assert line.heard[-1][0].request == ExecuteSpeedRequest(0)
     assert line.dropped == 0, "nobody answers it, so its end says nothing about whether it has left"
-    line.link.send(ReadStatus(1))
+    line.link.send(ReadStatusRequest(1))
     line.pass_time(1.0)
     assert line.dropped == 1
 
 
 def test_bytes_gather_until_an_answer_can_be_complete() -> None:
     line = Wires()
-    line.link.send(ReadStatus(1))
+    line.link.send(ReadStatusRequest(1))
     assert line.listens, "how fast the port is shows at its first answer"
     line.answer(after_s=0.0)
-    line.link.send(ReadStatus(2))
+    line.link.send(ReadStatusRequest(2))
     assert not line.listens
     line.answer(replace(STATUS, unit=2), after_s=0.0)
     heard, ended = line.heard[-1]
@@ -381,9 +381,9 @@ def test_bytes_gather_until_an_answer_can_be_complete() -> None:
 def test_a_leftover_that_gathered_is_still_too_early() -> None:
     line = Wires()
     for _ in range(2):
-        line.link.send(ReadStatus(1))
+        line.link.send(ReadStatusRequest(1))
         line.answer()
-    line.link.send(ReadStatus(2))
+    line.link.send(ReadStatusRequest(2))
     line.gathered = encode_reply(replace(STATUS, unit=2, actual=77), PLAIN)
     line.answer(replace(STATUS, unit=2, actual=78))
     assert line.heard[-1][0].reply == replace(STATUS, unit=2, actual=78)
@@ -391,7 +391,7 @@ def test_a_leftover_that_gathered_is_still_too_early() -> None:
 
 def test_an_answer_that_a_stalled_process_finds_waiting_is_as_old_as_its_window() -> None:
     line = Wires()
-    line.link.send(ReadStatus(1))
+    line.link.send(ReadStatusRequest(1))
     line.time += 3600.0
     line.link.data_received(encode_reply(STATUS, PLAIN))
     heard, _ = line.heard[-1]
@@ -403,7 +403,7 @@ def test_an_answer_that_a_stalled_process_finds_waiting_is_as_old_as_its_window(
 def _paced() -> Wires:
     """A port that is known to be as slow as its baud rate."""
     line = Wires()
-    line.link.send(ReadStatus(2))
+    line.link.send(ReadStatusRequest(2))
     line.answer(replace(STATUS, unit=2))
     return line
 
@@ -411,8 +411,8 @@ def _paced() -> Wires:
 def _followed() -> Wires:
     """A request is on its way, and the next one ready to leave by itself after its answer."""
     line = _paced()
-    line.link.send(ReadStatus(1))
-    line.link.prepare(ReadStatus(2))
+    line.link.send(ReadStatusRequest(1))
+    line.link.prepare(ReadStatusRequest(2))
     return line
 
 
@@ -425,8 +425,8 @@ def test_what_was_prepared_leaves_before_the_answer_is_told() -> None:
         line.heard.append((heard, ended))
 
     line.link.done = told
-    line.link.send(ReadStatus(1))
-    line.link.prepare(ReadStatus(2))
+    line.link.send(ReadStatusRequest(1))
+    line.link.prepare(ReadStatusRequest(2))
     line.answer()
     assert line.heard[-1][0].reply == STATUS
     assert written == [3], "the next request was on its way when the answer was told"
@@ -459,8 +459,8 @@ def test_nothing_follows_a_leftover_a_silence_or_second_thoughts() -> None:
     line.pass_time(1.0)
     assert len(line.written) == 2
     assert line.heard[-1][0].reply is None
-    line.link.send(ReadStatus(1))
-    line.link.prepare(ReadStatus(2))
+    line.link.send(ReadStatusRequest(1))
+    line.link.prepare(ReadStatusRequest(2))
     line.link.do_not_follow()
     line.answer()
     assert len(line.written) == 3
@@ -478,4 +478,17 @@ def test_a_port_that_takes_nothing_tells_so_at_the_next_request() -> None:
     assert line.heard[-1][0].reply == STATUS
     assert not line.link.busy
     with pytest.raises(WireError):
-        line.link.send(ReadStatus(2))
+        line.link.send(ReadStatusRequest(2))
+
+
+def test_an_overdue_response_of_another_unit_is_reported_once() -> None:
+    line = Wires()
+    line.link.send(ReadStatusRequest(2))
+    line.pass_time(1.0)
+    line.link.send(ReadStatusRequest(1))
+    line.answer(replace(STATUS, unit=2))
+    line.answer()
+    assert line.heard[-1][0].overdue == (2,)
+    line.link.send(ReadStatusRequest(1))
+    line.answer()
+    assert line.heard[-1][0].overdue == ()

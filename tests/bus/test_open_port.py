@@ -31,10 +31,10 @@ from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
 from bus.simulator.serve import LineServer
 from bus.wire.bodies import encode_request
-from bus.wire.commands import ReadStatus
+from bus.wire.commands import ReadStatusRequest
 
 PATIENCE_S = 20.0
-POLL = encode_request(ReadStatus(1), Dialect())
+POLL = encode_request(ReadStatusRequest(1), Dialect())
 
 
 class Ear:

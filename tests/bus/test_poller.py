@@ -304,6 +304,18 @@ def test_a_port_that_opens_and_is_gone_at_once_is_not_hammered() -> None:
     run(scene, 2)
 
 
+def test_a_cable_pulled_during_the_first_request_costs_no_unit_its_polls() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await line.until(lambda: line.written)
+        line.unplug()
+        await asyncio.sleep(2)
+        assert not line.readings()
+        line.plug()
+        await line.until(lambda: all(line.readings(unit) for unit in line.units))
+
+    run(scene, 3)
+
+
 def test_a_flood_that_never_frames_holds_nothing_up() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
@@ -565,7 +577,7 @@ def test_a_nak_on_the_retry_does_not_speak_for_the_try_before() -> None:
         await line.until(lambda: line.fate_of(command))
         fate = _result_of(line, command)
         assert fate.outcome == "unverified"
-        assert "unit 2 refused" in str(fate.message)
+        assert "unit 2 rejected" in str(fate.message)
         assert "At the panel of unit 2: set #18 to 96" in str(fate.message)
         assert {each.unit: each.outcome for each in fate.units} == {
             1: "verified",

@@ -8,12 +8,12 @@ from bus.errors import CallerError
 from bus.settings import Dialect
 from bus.wire.bodies import encode_request
 from bus.wire.commands import (
-    ExecuteSpeed,
-    ReadParameter,
-    ReadStatus,
+    ExecuteSpeedRequest,
+    ReadParameterRequest,
+    ReadStatusRequest,
     Request,
-    SetAndExecuteSpeed,
-    WriteParameter,
+    SetAndExecuteSpeedRequest,
+    WriteParameterRequest,
 )
 from bus.wire.lengths import least_reply_bytes, longest_reply_bytes
 from bus.wire.prepared import _prepare_read, prepare
@@ -27,7 +27,13 @@ DIALECTS = [
 
 @pytest.mark.parametrize("dialect", DIALECTS)
 @pytest.mark.parametrize(
-    "request_", [ReadStatus(111), ReadParameter(1, 16), SetAndExecuteSpeed(4, 4096), ExecuteSpeed(0)]
+    "request_",
+    [
+        ReadStatusRequest(111),
+        ReadParameterRequest(1, 16),
+        SetAndExecuteSpeedRequest(4, 4096),
+        ExecuteSpeedRequest(0),
+    ],
 )
 def test_it_is_what_the_codec_says(request_: Request, dialect: Dialect) -> None:
     for _ in range(2):
@@ -39,22 +45,22 @@ def test_it_is_what_the_codec_says(request_: Request, dialect: Dialect) -> None:
 
 def test_how_short_an_answer_can_be() -> None:
     plain = Dialect()
-    assert least_reply_bytes(ReadStatus(1), plain) == 18
-    assert least_reply_bytes(ReadParameter(1, 3), plain) == 8
-    assert least_reply_bytes(ReadParameter(1, 3), Dialect(parameter_reply_bytes=4)) == 11
-    assert least_reply_bytes(WriteParameter(1, 3, 1), plain) == 7
-    assert least_reply_bytes(ExecuteSpeed(0), plain) == 0
+    assert least_reply_bytes(ReadStatusRequest(1), plain) == 18
+    assert least_reply_bytes(ReadParameterRequest(1, 3), plain) == 8
+    assert least_reply_bytes(ReadParameterRequest(1, 3), Dialect(parameter_reply_bytes=4)) == 11
+    assert least_reply_bytes(WriteParameterRequest(1, 3, 1), plain) == 7
+    assert least_reply_bytes(ExecuteSpeedRequest(0), plain) == 0
 
 
 def test_writes_are_not_kept_for_one_of_them_may_carry_a_password() -> None:
     _prepare_read.cache_clear()
-    assert prepare(WriteParameter(1, 21, 4711), Dialect()).secret
+    assert prepare(WriteParameterRequest(1, 21, 4711), Dialect()).secret
     assert _prepare_read.cache_info().currsize == 0
-    assert not prepare(ReadParameter(1, 20), Dialect()).secret
+    assert not prepare(ReadParameterRequest(1, 20), Dialect()).secret
     assert _prepare_read.cache_info().currsize == 1
 
 
 def test_what_no_frame_can_carry() -> None:
-    for request in (ReadStatus(0), ReadStatus(256), ReadParameter(1, 0)):
+    for request in (ReadStatusRequest(0), ReadStatusRequest(256), ReadParameterRequest(1, 0)):
         with pytest.raises(CallerError):
             prepare(request, Dialect())

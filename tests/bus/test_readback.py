@@ -17,11 +17,11 @@ from bus.wire.commands import (
     Ack,
     Nak,
     ParameterReply,
-    ReadParameter,
-    ReadStatus,
+    ReadParameterRequest,
+    ReadStatusRequest,
     Reply,
     Request,
-    SetAndExecuteSpeed,
+    SetAndExecuteSpeedRequest,
     StatusReply,
 )
 from bus.wire.fence import PendingResponses
@@ -64,13 +64,13 @@ def status(commanded: int, inputs: int = MASTER, outputs: int = REMOTE) -> Statu
 @pytest.fixture
 def record() -> UnitRecord:
     roster = Roster([1], 0.0)
-    roster.take_response(ReadParameter(1, 8), ParameterReply(1, 0), 0.0, b"")
+    roster.take_response(ReadParameterRequest(1, 8), ParameterReply(1, 0), 0.0, b"")
     roster[1].reading = Reading(1, 0.0, 100, 100, 0, REMOTE, MASTER)
     return roster[1]
 
 
 def follower(record: UnitRecord) -> UnitRecord:
-    Roster.take_response(_of(record), ReadParameter(1, 8), ParameterReply(1, 1), 0.0, b"")
+    Roster.take_response(_of(record), ReadParameterRequest(1, 8), ParameterReply(1, 1), 0.0, b"")
     return record
 
 
@@ -93,16 +93,16 @@ def brain_of(
     left = list(reads)
 
     def brain(request: Request) -> Reply | SendStatus:
-        if isinstance(request, ReadStatus):
+        if isinstance(request, ReadStatusRequest):
             return left.pop(0) if len(left) > 1 else left[0]
-        return ratio if isinstance(request, ReadParameter) else write
+        return ratio if isinstance(request, ReadParameterRequest) else write
 
     return brain
 
 
 def test_verified_only_by_a_later_exchange_that_shows_it(record: UnitRecord) -> None:
     result, asked = play(set_speed(record), brain_of(reads=[status(640)]))
-    assert asked == [SetAndExecuteSpeed(1, 640), ReadStatus(1)]
+    assert asked == [SetAndExecuteSpeedRequest(1, 640), ReadStatusRequest(1)]
     assert (result.outcome, result.read_back) == ("verified", 640)
     unit = result.units[0]
     assert (unit.sent_at, unit.acknowledged_at, unit.proven_at) == (1.0, 1.5, 2.5)
@@ -123,7 +123,7 @@ def test_a_lost_acknowledgement_is_made_good_by_the_read_back(record: UnitRecord
 def test_a_unit_that_takes_a_moment_is_looked_at_again(record: UnitRecord) -> None:
     result, asked = play(set_speed(record), brain_of(reads=[status(100), status(100), status(640)]))
     assert result.outcome == "verified"
-    assert asked.count(ReadStatus(1)) == 3
+    assert asked.count(ReadStatusRequest(1)) == 3
 
 
 def test_it_waits_between_its_looks_so_that_others_may_go(record: UnitRecord) -> None:
@@ -167,7 +167,7 @@ def test_a_follower_is_proven_by_its_ratio(record: UnitRecord) -> None:
     brain = brain_of(reads=[status(1200, FOLLOWER)], ratio=ParameterReply(1, 640))
     result, asked = play(set_speed(follower(record)), brain)
     assert result.outcome == "verified"
-    assert asked[-1] == ReadParameter(1, 37)
+    assert asked[-1] == ReadParameterRequest(1, 37)
 
 
 def test_a_followers_speed_that_happens_to_be_the_number_is_no_proof(record: UnitRecord) -> None:
@@ -192,11 +192,11 @@ def test_where_a_followers_cs_is_the_ratio_it_is_compared(record: UnitRecord) ->
 def test_a_mode_changed_at_the_panel_is_noticed(record: UnitRecord) -> None:
     def brain(request: Request) -> Reply | SendStatus:
         match request:
-            case ReadStatus():
+            case ReadStatusRequest():
                 return status(640, FOLLOWER)
-            case ReadParameter(number=8):
+            case ReadParameterRequest(number=8):
                 return ParameterReply(1, 1)
-            case ReadParameter(number=37):
+            case ReadParameterRequest(number=37):
                 return ParameterReply(1, 9999)
             case _:
                 return TAKEN
@@ -259,7 +259,7 @@ def ask_until_over(
         pending = pending.sent(request)
         if answers(request):
             attempts.settle(
-                ExchangeResult(request, status(1) if request == ReadStatus(1) else Ack(1), 1.0, 1.5)
+                ExchangeResult(request, status(1) if request == ReadStatusRequest(1) else Ack(1), 1.0, 1.5)
             )
             pending = PendingResponses(1, PLAIN)
         else:
@@ -268,23 +268,23 @@ def ask_until_over(
 
 
 def test_a_read_is_tried_three_times() -> None:
-    attempts = SendAttempts(Send(ReadStatus(1)))
-    assert ask_until_over(attempts, lambda _: False) == [ReadStatus(1)] * 3
+    attempts = SendAttempts(Send(ReadStatusRequest(1)))
+    assert ask_until_over(attempts, lambda _: False) == [ReadStatusRequest(1)] * 3
     assert attempts.result is not None
     assert (attempts.result.status, attempts.result.attempts) == (SendStatus.TIMED_OUT, 3)
 
 
 def test_a_write_is_tried_four_times_with_a_fence_before_each_try() -> None:
-    write = SetAndExecuteSpeed(1, 640)
+    write = SetAndExecuteSpeedRequest(1, 640)
     attempts = SendAttempts(Send(write))
     sent = ask_until_over(attempts, lambda request: request != write)
-    assert sent == [write, ReadStatus(1)] * 3 + [write]
+    assert sent == [write, ReadStatusRequest(1)] * 3 + [write]
     assert attempts.result is not None
     assert attempts.result.attempts == 4
 
 
 def test_a_dead_unit_gets_the_write_once_and_then_only_reads() -> None:
-    write = SetAndExecuteSpeed(1, 640)
+    write = SetAndExecuteSpeedRequest(1, 640)
     attempts = SendAttempts(Send(write))
     sent = ask_until_over(attempts, lambda _: False)
     assert sent.count(write) == 1
@@ -292,14 +292,14 @@ def test_a_dead_unit_gets_the_write_once_and_then_only_reads() -> None:
 
 
 def test_a_write_never_leaves_after_its_deadline() -> None:
-    attempts = SendAttempts(Send(SetAndExecuteSpeed(1, 640)), deadline=5.0)
+    attempts = SendAttempts(Send(SetAndExecuteSpeedRequest(1, 640)), deadline=5.0)
     assert attempts.next_request(5.1, PendingResponses(1, PLAIN)) is None
     assert attempts.result is not None
     assert (attempts.result.status, attempts.result.attempts) == (SendStatus.TOO_LATE, 0)
 
 
 def test_its_retries_do_not_either() -> None:
-    write = SetAndExecuteSpeed(1, 640)
+    write = SetAndExecuteSpeedRequest(1, 640)
     attempts = SendAttempts(Send(write), deadline=5.0)
     assert attempts.next_request(4.9, PendingResponses(1, PLAIN)) == write
     attempts.settle(miss(write))
@@ -309,31 +309,31 @@ def test_its_retries_do_not_either() -> None:
 
 
 def test_a_read_back_may_follow_the_deadline() -> None:
-    attempts = SendAttempts(Send(ReadStatus(1), fresh=True), deadline=5.0)
-    assert attempts.next_request(9.0, PendingResponses(1, PLAIN)) == ReadStatus(1)
+    attempts = SendAttempts(Send(ReadStatusRequest(1), fresh=True), deadline=5.0)
+    assert attempts.next_request(9.0, PendingResponses(1, PLAIN)) == ReadStatusRequest(1)
 
 
 def test_a_proof_is_fenced_from_an_older_answer_of_its_own_kind() -> None:
-    pending = PendingResponses(1, PLAIN).sent(ReadStatus(1))
-    fence = SendAttempts(Send(ReadStatus(1), fresh=True)).next_request(0.0, pending)
-    assert isinstance(fence, ReadParameter)
+    pending = PendingResponses(1, PLAIN).sent(ReadStatusRequest(1))
+    fence = SendAttempts(Send(ReadStatusRequest(1), fresh=True)).next_request(0.0, pending)
+    assert isinstance(fence, ReadParameterRequest)
 
 
 def test_a_later_poll_is_fenced_too_and_its_retry_is_not() -> None:
-    pending = PendingResponses(1, PLAIN).sent(ReadStatus(1))
-    attempts = SendAttempts(Send(ReadStatus(1)))
+    pending = PendingResponses(1, PLAIN).sent(ReadStatusRequest(1))
+    attempts = SendAttempts(Send(ReadStatusRequest(1)))
     fence = attempts.next_request(0.0, pending)
-    assert isinstance(fence, ReadParameter)
+    assert isinstance(fence, ReadParameterRequest)
     assert not attempts.settle(ExchangeResult(fence, Ack(1), 1.0, 1.5)), (
         "a fence that was answered is no retry"
     )
-    assert attempts.next_request(0.0, PendingResponses(1, PLAIN)) == ReadStatus(1)
-    assert attempts.settle(miss(ReadStatus(1))), "now it is tried again"
-    assert attempts.next_request(0.0, pending) == ReadStatus(1)
+    assert attempts.next_request(0.0, PendingResponses(1, PLAIN)) == ReadStatusRequest(1)
+    assert attempts.settle(miss(ReadStatusRequest(1))), "now it is tried again"
+    assert attempts.next_request(0.0, pending) == ReadStatusRequest(1)
 
 
 def test_a_closed_port_ends_it() -> None:
-    attempts = SendAttempts(Send(ReadStatus(1)))
+    attempts = SendAttempts(Send(ReadStatusRequest(1)))
     attempts.close()
     assert attempts.result is not None
     assert attempts.result.status is SendStatus.PORT_CLOSED

@@ -17,7 +17,7 @@ from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
 from bus.simulator.serve import LineServer
 from bus.wire.bodies import encode_request
-from bus.wire.commands import SetAndExecuteSpeed
+from bus.wire.commands import SetAndExecuteSpeedRequest
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
 from tests.bus.rfc2217_server import DeviceServer
@@ -25,7 +25,7 @@ from tests.bus.test_open_port import POLL, Ear, on_both_loops
 
 pytest.importorskip("serialx", reason="the extra 'rfc2217' is not installed")
 
-ESCAPED = encode_request(SetAndExecuteSpeed(1, 0xFF), Dialect())
+ESCAPED = encode_request(SetAndExecuteSpeedRequest(1, 0xFF), Dialect())
 """FFh means something to Telnet, so it goes doubled between the host and the device server."""
 
 

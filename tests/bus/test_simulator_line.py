@@ -20,12 +20,12 @@ from bus.simulator.record import Happened, WireRecord
 from bus.simulator.unit import ORDINARY, Traits
 from bus.wire.bodies import encode_request
 from bus.wire.commands import (
-    ExecuteSpeed,
-    ReadStatus,
+    ExecuteSpeedRequest,
+    ReadStatusRequest,
     Request,
-    SetAndExecuteSpeed,
-    StageSpeed,
-    WriteParameter,
+    SetAndExecuteSpeedRequest,
+    StageSpeedRequest,
+    WriteParameterRequest,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 
@@ -142,7 +142,7 @@ def test_an_exchange_takes_its_bytes_and_the_turnaround(baud: int, turnaround_s:
     for unit in there.line.plant.units:
         unit.baud = baud
     began = there.now
-    there.ask(ReadStatus(2))
+    there.ask(ReadStatusRequest(2))
     wire_bytes = 7 + len(there.data)
     assert there.got[-1][0] - began == pytest.approx(wire_bytes * 10 / baud + turnaround_s)
 
@@ -151,7 +151,7 @@ def test_lateness_does_not_add_up_over_a_thousand_exchanges() -> None:
     """Requests queued at once are answered one per request time, however the clock was read."""
     there = host()
     began = there.now
-    there.ask(*[ReadStatus(1)] * 50, seconds=3.0)
+    there.ask(*[ReadStatusRequest(1)] * 50, seconds=3.0)
     sent = list(there.line.record.since(0, Happened.SENT))
     assert len(sent) == 50
     total = sum(len(entry.data) for entry in sent)
@@ -162,37 +162,39 @@ def test_lateness_does_not_add_up_over_a_thousand_exchanges() -> None:
 def test_speedup_shortens_the_wire() -> None:
     there = host(speedup=10)
     began = there.now
-    there.ask(ReadStatus(1))
+    there.ask(ReadStatusRequest(1))
     assert there.got[-1][0] - began == pytest.approx((7 + len(there.data)) * BYTE_S / 10)
 
 
 def test_every_unit_hears_the_broadcast_and_none_answers() -> None:
     there = host()
-    assert len(there.ask(StageSpeed(1, 500), StageSpeed(2, 600), StageSpeed(3, 700))) == 3
-    assert there.ask(ExecuteSpeed(0)) == []
+    assert (
+        len(there.ask(StageSpeedRequest(1, 500), StageSpeedRequest(2, 600), StageSpeedRequest(3, 700))) == 3
+    )
+    assert there.ask(ExecuteSpeedRequest(0)) == []
     assert [unit.commanded for unit in there.line.plant.units] == [500, 600, 700]
 
 
 def test_a_host_at_another_speed_is_not_heard_until_the_unit_has_changed_too() -> None:
     there = host(traits=Traits(baud_changes="at once"))
-    assert there.ask(WriteParameter(2, 18, 48)) == [bytes((2, 6))]
-    assert there.ask(ReadStatus(2)) == []
-    assert len(there.ask(ReadStatus(1))) == 1
+    assert there.ask(WriteParameterRequest(2, 18, 48)) == [bytes((2, 6))]
+    assert there.ask(ReadStatusRequest(2)) == []
+    assert len(there.ask(ReadStatusRequest(1))) == 1
     there.baud = 4800
-    assert len(there.ask(ReadStatus(2))) == 1
-    assert there.ask(ReadStatus(1)) == []
+    assert len(there.ask(ReadStatusRequest(2))) == 1
+    assert there.ask(ReadStatusRequest(1)) == []
 
 
 def test_an_unknown_host_speed_is_taken_for_the_right_one() -> None:
     there = host()
     there.baud = None
     there.line.plant.units[0].baud = 4800
-    assert len(there.ask(ReadStatus(1))) == 1
+    assert len(there.ask(ReadStatusRequest(1))) == 1
 
 
 def test_a_frame_in_pieces_and_after_rubbish_is_still_heard() -> None:
     there = host()
-    frame = encode_request(ReadStatus(1), PLAIN)
+    frame = encode_request(ReadStatusRequest(1), PLAIN)
     there.line.receive(there.now, b"\x10\x02\x99" + frame[:3], 9600)
     there.wait(1.0)
     there.line.receive(there.now, frame[3:], 9600)
@@ -202,7 +204,7 @@ def test_a_frame_in_pieces_and_after_rubbish_is_still_heard() -> None:
 
 def test_a_bad_checksum_is_met_with_silence() -> None:
     there = host()
-    frame = bytearray(encode_request(ReadStatus(1), PLAIN))
+    frame = bytearray(encode_request(ReadStatusRequest(1), PLAIN))
     frame[-1] ^= 1
     there.line.receive(there.now, bytes(frame), 9600)
     there.wait(1.0)
@@ -214,7 +216,7 @@ def test_two_units_at_one_address_garble_each_other() -> None:
     there.line.plant.units[1].memory[numbers.OWN_ADDRESS] = 1
     for unit in there.line.plant.units:
         unit.setpoint = 100 * unit.address + unit.measured.actual
-    assert there.ask(ReadStatus(1)) == []
+    assert there.ask(ReadStatusRequest(1)) == []
     assert there.data
 
 
@@ -224,15 +226,15 @@ def test_two_units_at_one_address_garble_each_other() -> None:
 def test_a_dead_unit_neither_hears_nor_acts() -> None:
     there = host()
     there.line.faults.set(FaultKind.DEAD, 1.0, unit=2)
-    assert there.ask(SetAndExecuteSpeed(2, 500)) == []
+    assert there.ask(SetAndExecuteSpeedRequest(2, 500)) == []
     assert there.line.plant.unit(2).commanded != 500
-    assert len(there.ask(ReadStatus(1))) == 1
+    assert len(there.ask(ReadStatusRequest(1))) == 1
 
 
 def test_a_nak_out_of_nowhere_means_that_nothing_was_done() -> None:
     there = host()
     there.line.faults.set(FaultKind.NAK, 1.0, unit=1)
-    [body] = there.ask(SetAndExecuteSpeed(1, 500))
+    [body] = there.ask(SetAndExecuteSpeedRequest(1, 500))
     assert body[:2] == bytes((1, 0x15))
     assert there.line.plant.unit(1).commanded != 500
 
@@ -240,20 +242,20 @@ def test_a_nak_out_of_nowhere_means_that_nothing_was_done() -> None:
 def test_a_lost_answer_was_a_write_all_the_same() -> None:
     there = host()
     there.line.faults.set(FaultKind.LOST, 1.0)
-    assert there.ask(SetAndExecuteSpeed(1, 500)) == []
+    assert there.ask(SetAndExecuteSpeedRequest(1, 500)) == []
     assert there.line.plant.unit(1).commanded == 500
 
 
 def test_a_unit_may_take_every_address_for_its_own() -> None:
     there = host(1)
     there.line.faults.set(FaultKind.EVERYBODY, 1.0, unit=1)
-    assert [body[0] for body in there.ask(ReadStatus(9), ReadStatus(77))] == [9, 77]
+    assert [body[0] for body in there.ask(ReadStatusRequest(9), ReadStatusRequest(77))] == [9, 77]
 
 
 def test_an_echoing_adapter_gives_the_request_back_before_the_answer() -> None:
     there = host()
     there.line.faults.set(FaultKind.ECHO, 1.0)
-    echo, answer = there.ask(ReadStatus(2))
+    echo, answer = there.ask(ReadStatusRequest(2))
     assert echo == bytes((2, 0x81))
     assert answer[:2] == bytes((2, 6))
 
@@ -261,11 +263,11 @@ def test_an_echoing_adapter_gives_the_request_back_before_the_answer() -> None:
 def test_a_late_answer_comes_before_any_later_answer_of_that_unit() -> None:
     there = host()
     there.line.faults.set(FaultKind.LATE, 1.0, unit=1)
-    there.write(ReadStatus(1))
+    there.write(ReadStatusRequest(1))
     there.wait(0.1)
     assert there.data == b""
     there.line.faults.clear()
-    assert [len(body) for body in there.ask(WriteParameter(1, 6, 50))] == [13, 2]
+    assert [len(body) for body in there.ask(WriteParameterRequest(1, 6, 50))] == [13, 2]
 
 
 def test_a_flood_never_frames_and_ends() -> None:
@@ -276,17 +278,17 @@ def test_a_flood_never_frames_and_ends() -> None:
     assert there.bodies() == []
     there.line.faults.clear()
     there.wait(0.2)
-    assert len(there.ask(ReadStatus(1))) == 1
+    assert len(there.ask(ReadStatusRequest(1))) == 1
 
 
 def test_a_pulled_cable_takes_with_it_what_was_under_way() -> None:
     there = host()
-    there.write(SetAndExecuteSpeed(1, 500))
+    there.write(SetAndExecuteSpeedRequest(1, 500))
     there.line.unplug()
     there.wait(1.0)
     assert there.data == b""
     assert there.line.plant.unit(1).commanded != 500
-    assert len(there.ask(ReadStatus(1))) == 1
+    assert len(there.ask(ReadStatusRequest(1))) == 1
 
 
 # --- the record and the seed ----------------------------------------------------------------------
@@ -295,7 +297,7 @@ def test_a_pulled_cable_takes_with_it_what_was_under_way() -> None:
 def test_the_record_tells_what_was_asked_done_said_and_sent() -> None:
     there = host()
     there.line.plant.unit(2).memory[numbers.CONTROL_MODE] = Mode.LOCAL
-    there.ask(SetAndExecuteSpeed(1, 500), SetAndExecuteSpeed(2, 500), ReadStatus(9))
+    there.ask(SetAndExecuteSpeedRequest(1, 500), SetAndExecuteSpeedRequest(2, 500), ReadStatusRequest(9))
     entries = [(entry.what, entry.unit) for entry in there.line.record.since()]
     assert entries[0] == (Happened.CAME, 0)
     assert [entry for entry in entries if entry[0] is Happened.HEARD] == [
@@ -315,7 +317,7 @@ def test_the_same_seed_gives_the_same_bytes_at_the_same_times() -> None:
         for kind in FaultKind:
             there.line.faults.set(kind, 0.05)
         for round_ in range(40):
-            there.write(ReadStatus(round_ % 4 + 1), StageSpeed(round_ % 4 + 1, round_))
+            there.write(ReadStatusRequest(round_ % 4 + 1), StageSpeedRequest(round_ % 4 + 1, round_))
             there.wait(0.2)
         return there.got
 

@@ -24,11 +24,11 @@ from bus.wire.bodies import encode_request, parse_reply
 from bus.wire.commands import (
     Ack,
     Nak,
-    ReadParameter,
-    ReadStatus,
+    ReadParameterRequest,
+    ReadStatusRequest,
     Reply,
     Request,
-    SetAndExecuteSpeed,
+    SetAndExecuteSpeedRequest,
     StatusReply,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
@@ -54,7 +54,7 @@ def opened(name: str, baud: int = 9600) -> serial.SerialBase:
 
 def use_until_it_fails(host: serial.SerialBase) -> None:
     while True:
-        ask(host, ReadStatus(1), patience_s=0.1)
+        ask(host, ReadStatusRequest(1), patience_s=0.1)
 
 
 def hang_up(host: serial.SerialBase) -> None:
@@ -75,8 +75,8 @@ def line(request: pytest.FixtureRequest) -> Iterator[LineServer]:
 def test_a_host_reads_and_writes_and_may_come_back(line: LineServer) -> None:
     for raw in (500, 600):
         with opened(line.port.name) as host:
-            assert ask(host, SetAndExecuteSpeed(1, raw)) == Ack(1)
-            reply = ask(host, ReadStatus(1))
+            assert ask(host, SetAndExecuteSpeedRequest(1, raw)) == Ack(1)
+            reply = ask(host, ReadStatusRequest(1))
             assert isinstance(reply, StatusReply)
             assert reply.commanded == raw
 
@@ -86,23 +86,23 @@ def test_every_byte_value_passes_the_port_unchanged(line: LineServer) -> None:
     with opened(line.port.name) as host:
         for raw in (0x0A0D, 0x0311, 0x131A, 0x0410, 0x1C7F):
             line.call(lambda line, raw=raw: line.plant.unit(1).memory.update({2: 99999, 20: raw}))
-            reply = ask(host, ReadStatus(1))
+            reply = ask(host, ReadStatusRequest(1))
             assert isinstance(reply, StatusReply)
             assert reply.commanded == raw
         written = line.call(lambda line: [entry.data for entry in line.record.since(0, Happened.CAME)])
-        assert b"".join(written) == encode_request(ReadStatus(1), PLAIN) * 5
+        assert b"".join(written) == encode_request(ReadStatusRequest(1), PLAIN) * 5
 
 
 def test_a_pulled_cable_is_felt_and_comes_back(line: LineServer) -> None:
     host = opened(line.port.name)
-    assert ask(host, ReadStatus(1))
+    assert ask(host, ReadStatusRequest(1))
     line.unplug()
     with pytest.raises((serial.SerialException, OSError)):
         use_until_it_fails(host)
     line.plug()
     hang_up(host)
     with opened(line.port.name) as again:
-        assert ask(again, ReadStatus(1))
+        assert ask(again, ReadStatusRequest(1))
 
 
 def test_a_pulled_adapter_comes_back_as_another_device_behind_the_same_link(tmp_path: Path) -> None:
@@ -118,38 +118,38 @@ def test_a_pulled_adapter_comes_back_as_another_device_behind_the_same_link(tmp_
             assert port.device != devices[-1]
             devices.append(port.device)
             with opened(str(link)) as host:
-                assert ask(host, ReadStatus(1))
+                assert ask(host, ReadStatusRequest(1))
     assert not link.is_symlink()
 
 
 def test_a_host_at_the_wrong_speed_hears_nothing() -> None:
     with served(PtyPort()) as line, opened(line.port.name, 4800) as host:
-        assert ask(host, ReadStatus(1), patience_s=0.3) is None
+        assert ask(host, ReadStatusRequest(1), patience_s=0.3) is None
         host.baudrate = 9600
-        assert ask(host, ReadStatus(1))
+        assert ask(host, ReadStatusRequest(1))
 
 
 def test_the_hosts_speed_can_be_left_out_of_it() -> None:
     with served(PtyPort(follow_speed=False)) as line, opened(line.port.name, 4800) as host:
-        assert ask(host, ReadStatus(1))
+        assert ask(host, ReadStatusRequest(1))
 
 
 def test_a_host_that_sets_no_speed_is_heard() -> None:
     with served(PtyPort()) as line:
         host = os.open(line.port.name, os.O_RDWR | os.O_NOCTTY)
-        os.write(host, encode_request(ReadStatus(1), PLAIN))
+        os.write(host, encode_request(ReadStatusRequest(1), PLAIN))
         assert os.read(host, 1) == b"\x10"
         os.close(host)
 
 
 def test_a_tcp_port_serves_one_host_at_a_time() -> None:
     with served(TcpLinePort()) as line, opened(line.port.name) as first:
-        assert ask(first, ReadStatus(1))
+        assert ask(first, ReadStatusRequest(1))
         second = opened(line.port.name)
         with pytest.raises(serial.SerialException):
             use_until_it_fails(second)
         hang_up(second)
-        assert ask(first, ReadStatus(1))
+        assert ask(first, ReadStatusRequest(1))
 
 
 def test_an_error_in_a_call_comes_back_to_the_caller_and_the_line_lives() -> None:
@@ -157,7 +157,7 @@ def test_an_error_in_a_call_comes_back_to_the_caller_and_the_line_lives() -> Non
         with pytest.raises(KeyError):
             line.call(lambda line: line.plant.unit(99))
         with opened(line.port.name) as host:
-            assert ask(host, ReadStatus(1))
+            assert ask(host, ReadStatusRequest(1))
 
 
 def test_hands_from_outside() -> None:
@@ -167,27 +167,27 @@ def test_hands_from_outside() -> None:
         try:
             assert hands.do("port") == line.port.name
             hands.do("mode", unit=1, to="local")
-            assert ask(host, SetAndExecuteSpeed(1, 500)) == Nak(1, 0x80)
+            assert ask(host, SetAndExecuteSpeedRequest(1, 500)) == Nak(1, 0x80)
             hands.do("mode", unit=1, to="remote")
-            assert ask(host, SetAndExecuteSpeed(1, 500)) == Ack(1)
+            assert ask(host, SetAndExecuteSpeedRequest(1, 500)) == Ack(1)
             assert hands.do("state", unit=1)["setpoint"] == 500
             hands.do("input", unit=1, input="estop", on=True)
-            reply = ask(host, ReadStatus(1))
+            reply = ask(host, ReadStatusRequest(1))
             assert isinstance(reply, StatusReply)
             assert not reply.inputs & 2
             assert hands.do("parameter", unit=1, number=6, raw=77) == 77
             hands.do("fault", kind="dead", rate=1, unit=1)
-            assert ask(host, ReadStatus(1), patience_s=0.3) is None
+            assert ask(host, ReadStatusRequest(1), patience_s=0.3) is None
             hands.do("clear")
-            assert ask(host, ReadStatus(1))
+            assert ask(host, ReadStatusRequest(1))
             acted = hands.do("record", kinds=["acted"])
             assert [(entry["unit"], entry["hex"]) for entry in acted] == [(1, "01 84 00 00 01 f4")]
             assert hands.do("record", kinds=["acted"], since=acted[-1]["number"]) == []
             place = hands.do("spare", parameters={17: 2}, last_parameter=20)
             assert hands.do("parameter", place=place, number=17, raw=9) == 9
-            assert ask(host, ReadParameter(9, 21)) == Nak(9, 0x82)
+            assert ask(host, ReadParameterRequest(9, 21)) == Nak(9, 0x82)
             hands.do("remove", unit=9)
-            assert ask(host, ReadStatus(9), patience_s=0.3) is None
+            assert ask(host, ReadStatusRequest(9), patience_s=0.3) is None
             hands.do("unplug")
             hands.do("plug")
             for wish in ({"do": "fly"}, {"do": "mode", "unit": 99, "to": "local"}):
@@ -210,7 +210,7 @@ def test_the_command_prints_the_port_first_and_ends_cleanly(tmp_path: Path, endi
         assert hands.do("state", unit=3)["mode"] == "remote"
         hands.close()
         with opened(str(link)) as host:
-            assert ask(host, ReadStatus(3))
+            assert ask(host, ReadStatusRequest(3))
         process.send_signal(ending)
         assert process.wait(PATIENCE_S) == 0
     assert not link.is_symlink()

@@ -16,19 +16,19 @@ from bus.simulator.unit import Inputs, Traits, Unit
 from bus.wire.bodies import encode_request, parse_reply
 from bus.wire.commands import (
     Ack,
-    ExecuteSpeed,
+    ExecuteSpeedRequest,
     Nak,
     ParameterReply,
-    ReadParameter,
-    ReadStatus,
+    ReadParameterRequest,
+    ReadStatusRequest,
     Reply,
     Request,
-    SetAndExecuteSpeed,
-    StageSpeed,
+    SetAndExecuteSpeedRequest,
+    StageSpeedRequest,
     StatusReply,
-    WriteAnalogOutput,
-    WriteOutput,
-    WriteParameter,
+    WriteAnalogOutputRequest,
+    WriteOutputRequest,
+    WriteParameterRequest,
     is_write,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
@@ -36,14 +36,16 @@ from bus.wire.framing import FrameDecoder, ReceivedFrame
 PLAIN = Dialect()
 raw_values = st.integers(0, 99999)
 writes = st.one_of(
-    st.builds(StageSpeed, st.just(1), raw_values),
-    st.builds(ExecuteSpeed, st.just(1)),
-    st.builds(SetAndExecuteSpeed, st.just(1), raw_values),
-    st.builds(WriteParameter, st.just(1), st.integers(1, 60), raw_values),
-    st.builds(WriteOutput, st.just(1), st.integers(1, 6), st.booleans()),
-    st.builds(WriteAnalogOutput, st.just(1), raw_values),
+    st.builds(StageSpeedRequest, st.just(1), raw_values),
+    st.builds(ExecuteSpeedRequest, st.just(1)),
+    st.builds(SetAndExecuteSpeedRequest, st.just(1), raw_values),
+    st.builds(WriteParameterRequest, st.just(1), st.integers(1, 60), raw_values),
+    st.builds(WriteOutputRequest, st.just(1), st.integers(1, 6), st.booleans()),
+    st.builds(WriteAnalogOutputRequest, st.just(1), raw_values),
 )
-reads = st.one_of(st.builds(ReadStatus, st.just(1)), st.builds(ReadParameter, st.just(1), st.integers(1, 60)))
+reads = st.one_of(
+    st.builds(ReadStatusRequest, st.just(1)), st.builds(ReadParameterRequest, st.just(1), st.integers(1, 60))
+)
 
 
 def body_of(request: Request, dialect: Dialect = PLAIN) -> bytes:
@@ -72,7 +74,7 @@ def stopped(unit: Unit) -> Unit:
 
 
 def status(unit: Unit) -> StatusReply:
-    reply = ask(unit, ReadStatus(1))
+    reply = ask(unit, ReadStatusRequest(1))
     assert isinstance(reply, StatusReply)
     return reply
 
@@ -92,7 +94,9 @@ def test_reads_are_answered_in_every_mode_and_change_nothing(request: Request, m
     unit = Unit()
     unit.memory[numbers.CONTROL_MODE] = mode
     before = state(unit)
-    assert not isinstance(ask(unit, request), Nak) or request == ReadParameter(1, max(41, request.number))
+    assert not isinstance(ask(unit, request), Nak) or request == ReadParameterRequest(
+        1, max(41, request.number)
+    )
     assert state(unit) == before
 
 
@@ -122,22 +126,22 @@ def test_sending_a_write_twice_is_as_good_as_once(request: Request) -> None:
 
 def test_a_staged_speed_shows_only_once_executed() -> None:
     unit = Unit()
-    assert ask(unit, StageSpeed(1, 528)) == Ack(1)
+    assert ask(unit, StageSpeedRequest(1, 528)) == Ack(1)
     assert status(unit).commanded == 0
-    assert ask(unit, ExecuteSpeed(1)) == Ack(1)
+    assert ask(unit, ExecuteSpeedRequest(1)) == Ack(1)
     assert status(unit).commanded == 528
 
 
 def test_the_broadcast_is_carried_out_and_not_answered() -> None:
     unit = Unit()
-    ask(unit, StageSpeed(1, 528))
+    ask(unit, StageSpeedRequest(1, 528))
     turn = respond(unit, bytes.fromhex("00 83"))
     assert (turn.reply, turn.acted, unit.commanded) == (None, True, 528)
 
 
 def test_a_local_unit_ignores_the_broadcast() -> None:
     unit = Unit()
-    ask(unit, StageSpeed(1, 528))
+    ask(unit, StageSpeedRequest(1, 528))
     unit.memory[numbers.CONTROL_MODE] = Mode.LOCAL
     turn = respond(unit, bytes.fromhex("00 83"))
     assert (turn.reply, turn.acted, unit.commanded) == (None, False, 0)
@@ -152,15 +156,17 @@ def test_nothing_but_execute_goes_to_all(body: str) -> None:
 
 def test_execute_after_power_up_does_not_bring_back_an_old_stage() -> None:
     unit = Unit()
-    ask(unit, SetAndExecuteSpeed(1, 300))
-    ask(unit, StageSpeed(1, 900))
+    ask(unit, SetAndExecuteSpeedRequest(1, 300))
+    ask(unit, StageSpeedRequest(1, 900))
     unit.power_up()
-    ask(unit, ExecuteSpeed(1))
+    ask(unit, ExecuteSpeedRequest(1))
     assert unit.commanded == 300
 
 
-@pytest.mark.parametrize("command", [StageSpeed, SetAndExecuteSpeed])
-def test_a_speed_ends_at_the_maximum_display_value(command: type[StageSpeed | SetAndExecuteSpeed]) -> None:
+@pytest.mark.parametrize("command", [StageSpeedRequest, SetAndExecuteSpeedRequest])
+def test_a_speed_ends_at_the_maximum_display_value(
+    command: type[StageSpeedRequest | SetAndExecuteSpeedRequest],
+) -> None:
     unit = Unit()
     assert ask(unit, command(1, 2000)) == Ack(1)
     assert ask(unit, command(1, 2001)) == Nak(1, Code.ILLEGAL_SPEED)
@@ -172,7 +178,7 @@ def test_a_follower_takes_a_ratio_between_its_limits(raw: int, taken: bool) -> N
     unit = Unit()
     unit.memory[numbers.FOLLOWER_MODE] = 1
     expected = Ack(1) if taken else Nak(1, Code.ILLEGAL_SPEED)
-    assert ask(unit, SetAndExecuteSpeed(1, raw)) == expected
+    assert ask(unit, SetAndExecuteSpeedRequest(1, raw)) == expected
     assert (unit.memory[numbers.RATIO_SETPOINT] == raw) == taken
 
 
@@ -192,58 +198,58 @@ def test_a_follower_takes_a_ratio_between_its_limits(raw: int, taken: bool) -> N
 )
 def test_what_a_parameter_refuses(number: int, raw: int, refusal: Code) -> None:
     unit = stopped(Unit())
-    assert ask(unit, WriteParameter(1, number, raw)) == Nak(1, refusal)
+    assert ask(unit, WriteParameterRequest(1, number, raw)) == Nak(1, refusal)
 
 
 def test_the_mode_of_following_waits_for_the_drive_to_be_off() -> None:
     unit = Unit()
-    assert ask(unit, WriteParameter(1, 8, 1)) == Nak(1, Code.ILLEGAL_PARAMETER_VALUE)
-    assert ask(stopped(unit), WriteParameter(1, 8, 1)) == Ack(1)
+    assert ask(unit, WriteParameterRequest(1, 8, 1)) == Nak(1, Code.ILLEGAL_PARAMETER_VALUE)
+    assert ask(stopped(unit), WriteParameterRequest(1, 8, 1)) == Ack(1)
     assert unit.follows
 
 
 def test_setup_during_run_can_be_locked_while_the_speed_stays_free() -> None:
     unit = Unit()
     unit.memory[numbers.SETUP_DURING_RUN] = 0
-    assert ask(unit, WriteParameter(1, 6, 50)) == Nak(1, Code.ILLEGAL_PARAMETER_VALUE)
-    assert ask(unit, WriteParameter(1, 20, 50)) == Ack(1)
-    assert ask(stopped(unit), WriteParameter(1, 6, 50)) == Ack(1)
+    assert ask(unit, WriteParameterRequest(1, 6, 50)) == Nak(1, Code.ILLEGAL_PARAMETER_VALUE)
+    assert ask(unit, WriteParameterRequest(1, 20, 50)) == Ack(1)
+    assert ask(stopped(unit), WriteParameterRequest(1, 6, 50)) == Ack(1)
 
 
 @pytest.mark.parametrize(("number", "bytes_in_answer"), [(3, 1), (1, 2), (2, 4)])
 def test_a_parameter_is_answered_in_the_width_of_its_type(number: int, bytes_in_answer: int) -> None:
-    reply = ask(Unit(), ReadParameter(1, number))
+    reply = ask(Unit(), ReadParameterRequest(1, number))
     assert reply == ParameterReply(1, Unit().memory[number], bytes_in_answer)
 
 
 def test_or_always_in_four_bytes() -> None:
     unit = Unit(traits=Traits(Dialect(parameter_reply_bytes=4)))
-    assert ask(unit, ReadParameter(1, 3)) == ParameterReply(1, 1, 4)
+    assert ask(unit, ReadParameterRequest(1, 3)) == ParameterReply(1, 1, 4)
 
 
 def test_an_old_firmware_ends_at_twenty() -> None:
     unit = Unit(traits=Traits(last_parameter=20))
-    assert ask(unit, ReadParameter(1, 20)) == ParameterReply(1, 0, 4)
-    assert ask(unit, ReadParameter(1, 21)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
-    assert ask(unit, WriteParameter(1, 21, 0)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
+    assert ask(unit, ReadParameterRequest(1, 20)) == ParameterReply(1, 0, 4)
+    assert ask(unit, ReadParameterRequest(1, 21)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
+    assert ask(unit, WriteParameterRequest(1, 21, 0)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
 
 
 def test_a_unit_that_counts_in_bcd_answers_eleven_for_11h() -> None:
     unit = Unit(Memory({11: 77}), Traits(Dialect(parameter_numbers="bcd")))
-    assert ask(unit, ReadParameter(1, 0x11)) == ParameterReply(1, 77, 4)
-    assert ask(unit, ReadParameter(1, 0x1A)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
+    assert ask(unit, ReadParameterRequest(1, 0x11)) == ParameterReply(1, 77, 4)
+    assert ask(unit, ReadParameterRequest(1, 0x1A)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
 
 
 def test_a_written_value_may_come_back() -> None:
-    assert ask(Unit(), WriteParameter(1, 6, 50)) == Ack(1)
+    assert ask(Unit(), WriteParameterRequest(1, 6, 50)) == Ack(1)
     talkative = Unit(traits=Traits(answers_written_value=True))
-    assert ask(talkative, WriteParameter(1, 6, 50)) == Ack(1, bytes((0, 0, 0, 50)))
+    assert ask(talkative, WriteParameterRequest(1, 6, 50)) == Ack(1, bytes((0, 0, 0, 50)))
 
 
 @pytest.mark.parametrize(("when", "at_once"), [("at once", True), ("at power-up", False)])
 def test_a_new_baud_counts_at_once_or_after_power_up(when: str, at_once: bool) -> None:
     unit = Unit(traits=Traits(baud_changes=when))  # type: ignore[arg-type]
-    assert ask(unit, WriteParameter(1, 18, 48)) == Ack(1)
+    assert ask(unit, WriteParameterRequest(1, 18, 48)) == Ack(1)
     assert unit.baud == (4800 if at_once else 9600)
     unit.power_up()
     assert unit.baud == 4800
@@ -253,14 +259,16 @@ def test_a_new_baud_counts_at_once_or_after_power_up(when: str, at_once: bool) -
 def test_the_analog_output_needs_the_link_as_its_source(source: int) -> None:
     unit = Unit()
     unit.memory[numbers.ANALOG_OUT_SOURCE] = source
-    assert ask(unit, WriteAnalogOutput(1, 100)) == Nak(1, Code.ANALOG_OUTPUT_NOT_COMMANDED_BY_LINK)
+    assert ask(unit, WriteAnalogOutputRequest(1, 100)) == Nak(1, Code.ANALOG_OUTPUT_NOT_COMMANDED_BY_LINK)
 
 
 @pytest.mark.parametrize(("raw", "taken"), [(99, False), (100, True), (2000, True), (2001, False)])
 def test_the_analog_output_has_limits(raw: int, taken: bool) -> None:
     unit = Unit()
     unit.memory[numbers.ANALOG_OUT_LOW] = 100
-    assert ask(unit, WriteAnalogOutput(1, raw)) == (Ack(1) if taken else Nak(1, Code.ILLEGAL_ANALOG_VALUE))
+    assert ask(unit, WriteAnalogOutputRequest(1, raw)) == (
+        Ack(1) if taken else Nak(1, Code.ILLEGAL_ANALOG_VALUE)
+    )
 
 
 @pytest.mark.parametrize(
@@ -328,7 +336,7 @@ def test_the_remote_bit_is_off_in_keylock() -> None:
 )
 def test_contacts_at_the_terminals_change_what_is_commanded(contacts: Inputs, commanded: int) -> None:
     unit = Unit(inputs=contacts)
-    ask(unit, SetAndExecuteSpeed(1, 500))
+    ask(unit, SetAndExecuteSpeedRequest(1, 500))
     assert status(unit).commanded == commanded
     assert unit.setpoint == 500
 
@@ -349,11 +357,11 @@ def test_turnaround_stays_within_its_jitter_and_comes_from_the_seed(
 def test_every_write_has_a_rule() -> None:
     """A unit in its delivered state takes one of each."""
     taken = [
-        StageSpeed(1, 1),
-        ExecuteSpeed(1),
-        SetAndExecuteSpeed(1, 1),
-        WriteParameter(1, 6, 1),
-        WriteOutput(1, 1, True),
-        WriteAnalogOutput(1, 1),
+        StageSpeedRequest(1, 1),
+        ExecuteSpeedRequest(1),
+        SetAndExecuteSpeedRequest(1, 1),
+        WriteParameterRequest(1, 6, 1),
+        WriteOutputRequest(1, 1, True),
+        WriteAnalogOutputRequest(1, 1),
     ]
     assert all(is_write(request) and ask(Unit(), request) == Ack(1) for request in taken)

@@ -115,7 +115,7 @@ def test_control_is_taken_seen_handed_over_and_given_back(
 
     ben.get_by_role("button", name="Release control").click()
     expect(anna.get_by_role("button", name="Take control")).to_be_visible()
-    expect(looks.locator("[data-live='whole_line.holder']")).to_have_text("nobody")
+    expect(looks.locator("[data-live='whole_line.holder']")).to_have_text("free")
 
 
 @pytest.mark.usefixtures("holder")
@@ -125,16 +125,16 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, browser_page: OpensP
     expect(page.locator(".plate__set")).to_contain_text("admin-program")
     page.locator("#setpoint").fill("55.0")
     page.get_by_role("button", name="Set now").click()
-    expect(page.locator("#setpoint-error")).to_contain_text("admin-program (token) holds control")
+    expect(page.locator("#setpoint-error")).to_contain_text("admin-program (token) has control")
     page.locator(".nudges button").nth(2).click()
-    expect(page.locator("#setpoint-error")).to_contain_text("admin-program (token) holds control")
+    expect(page.locator("#setpoint-error")).to_contain_text("admin-program (token) has control")
     page.get_by_role("button", name="Set line to zero").click()
-    expect(page.locator("#review")).to_contain_text("left out: admin-program (token) holds control")
+    expect(page.locator("#review")).to_contain_text("left out: admin-program (token) has control")
     expect(page.locator("[data-review-act]")).to_have_count(0)
     zero = page.request.post(
         "/line/zero", form={"id": "z" * 32, "reviewed_at": "9999999999"}, headers={"Origin": site.url}
     )
-    assert "0 of 3 units took speed 0" in zero.text()
+    assert "0 of 3 units accepted speed 0" in zero.text()
     with site.api("operator") as client:
         answer = client.post("/buses/line/units/1/speed", json={"raw": 550})
     assert (answer.status_code, answer.json()["code"]) == (409, "controlled")
@@ -264,7 +264,7 @@ def test_a_block_holds_on_every_path(site: Site, holder: httpx.Client, staged_an
     ended = eventually(lambda: _ended(holder, planned["id"]), "the end of the restore", within=PROCEDURE_S)
     assert "belt off" in str(ended)
     assert heard(site) == before
-    assert "left out: blocked" in press(holder, site, *more[2]).text
+    assert "left out: commands blocked" in press(holder, site, *more[2]).text
     assert setpoint(site, 1) == 600
 
 

@@ -397,7 +397,7 @@ def test_the_line_goes_to_zero(site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=PANEL), "/")
     page.get_by_role("button", name="Set line to zero").click()
     page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-done=good]")).to_contain_text("8 units took speed 0")
+    expect(page.locator("[data-review-done=good]")).to_contain_text("8 units accepted speed 0")
     assert {state(site, unit)["setpoint"] for unit in range(1, 9)} == {0}
     opened(page, "/units/line/1")
     expect(page.locator("#setpoint")).to_have_value("0.0")

@@ -55,7 +55,7 @@ def removed(site: Site) -> bool:
     return True
 
 
-LEAVE = re.compile("(Leave|Put) this swap")
+LEAVE = re.compile("(Cancel|Close) the swap")
 
 
 def begin(page: Page) -> None:
@@ -123,8 +123,14 @@ def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensP
     assert [hands.do("parameter", unit=3, number=number) for number in (6, 9, 22, 20)] == [33, 444, 7, 0]
     [end, start] = events(site, "swap")
     assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and verified", "verified", 3)
-    assert "begun" in start["what"]
-    for part in ("two units answer at 1", "not in REMOTE", "in REMOTE", "#6", ("verified by a full read")):
+    assert "started" in start["what"]
+    for part in (
+        "two units respond at address 1",
+        "not in REMOTE",
+        "in REMOTE",
+        "#6",
+        ("verified by a full read"),
+    ):
         assert part in end["message"], end["message"]
 
 

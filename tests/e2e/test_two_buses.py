@@ -102,7 +102,7 @@ def test_zero_covers_both_with_a_result_for_each(site: Site, browser_page: Opens
     page = opened(browser_page(viewport=PANEL), "/trends")
     go_to_zero(page, 5)
     done = page.locator("[data-review-done=good]")
-    expect(done).to_contain_text("5 units took speed 0")
+    expect(done).to_contain_text("5 units accepted speed 0")
     expect(done.locator("tbody th").filter(has_text="line ·")).to_have_count(3)
     expect(done.locator("tbody th").filter(has_text="wet ·")).to_have_count(2)
     assert {state(site.line, unit)["setpoint"] for unit in (1, 2, 3)} == {0}
@@ -120,7 +120,7 @@ def test_zero_reaches_the_others_when_a_unit_refuses_the_stage(site: Site, brows
     try:
         page.locator("[data-review-act]").click()
         done = page.locator("[data-review-done=bad]")
-        expect(done).to_contain_text("4 of 5 units took speed 0")
+        expect(done).to_contain_text("4 of 5 units accepted speed 0")
         expect(done.locator("tbody tr").nth(1)).to_contain_text("refused")
         assert (state(site.line, 1)["setpoint"], state(wet(site), 1)["setpoint"]) == (0, 0)
     finally:
@@ -136,7 +136,7 @@ def test_a_unit_that_went_to_local_meanwhile_is_in_the_result(site: Site, browse
         eventually(lambda: not site.unit(2)["remote"], "unit 2 in LOCAL")
         page.locator("[data-review-act]").click()
         done = page.locator("[data-review-done=bad]")
-        expect(done).to_contain_text("4 of 5 units took speed 0")
+        expect(done).to_contain_text("4 of 5 units accepted speed 0")
         expect(done).to_contain_text("left out: not in REMOTE")
     finally:
         site.line.remote.do("mode", unit=2, to="remote")
@@ -152,7 +152,7 @@ def test_a_blocked_unit_with_something_staged_holds_up_nobody(site: Site, browse
             page = opened(browser_page(viewport=PANEL), "/")
             go_to_zero(page, 4)
             done = page.locator("[data-review-done=bad]")
-            expect(done).to_contain_text("4 of 5 units took speed 0")
+            expect(done).to_contain_text("4 of 5 units accepted speed 0")
             expect(done).to_contain_text("left out: blocked")
             assert state(site.line, 1)["setpoint"] == 0
             assert state(site.line, 2)["setpoint"] != 900
@@ -174,7 +174,7 @@ def test_a_closed_bus_leaves_the_other_its_controls(site: Site, browser_page: Op
         expect(page.locator("[data-review-act]")).to_have_text("Set 3 units to speed 0")
         expect(page.locator("#review-body")).to_contain_text("left out: no link to the bus")
         page.locator("[data-review-act]").click()
-        expect(page.locator("[data-review-done=bad]")).to_contain_text("3 of 5 units took speed 0")
+        expect(page.locator("[data-review-done=bad]")).to_contain_text("3 of 5 units accepted speed 0")
     finally:
         wet(site).remote.do("plug")
     eventually(lambda: site.unit(1, "wet")["link"] == "online", "the bus back")

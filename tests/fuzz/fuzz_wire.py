@@ -14,17 +14,23 @@ with atheris.instrument_imports(include=["bus.wire"]):
     from bus.errors import CallerError
     from bus.settings import Dialect
     from bus.wire.bodies import IllegalRequest, encode_reply, parse_reply, parse_request, request_body
-    from bus.wire.commands import ReadParameter, ReadStatus, Request, SetAndExecuteSpeed, WriteParameter
+    from bus.wire.commands import (
+        ReadParameterRequest,
+        ReadStatusRequest,
+        Request,
+        SetAndExecuteSpeedRequest,
+        WriteParameterRequest,
+    )
     from bus.wire.describe import describe_bytes
     from bus.wire.exchange import Answered, Exchange
     from bus.wire.framing import FrameDecoder, Received, ReceivedFrame, encode_frame
 
 DIALECTS = (Dialect(), Dialect(checksum_10h="twice", parameter_numbers="bcd", parameter_reply_bytes=2))
 REQUESTS: tuple[Request, ...] = (
-    ReadStatus(16),
-    ReadParameter(1, 16),
-    WriteParameter(2, 3, 4),
-    SetAndExecuteSpeed(6, 528),
+    ReadStatusRequest(16),
+    ReadParameterRequest(1, 16),
+    WriteParameterRequest(2, 3, 4),
+    SetAndExecuteSpeedRequest(6, 528),
 )
 
 

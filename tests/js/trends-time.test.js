@@ -5,7 +5,7 @@ import { at, openPage } from "./page.js";
 
 process.env.TZ = "America/New_York";
 openPage({ language: "de", zone: "Europe/Berlin" });
-const { axisLabels, axisNumbers, fromField, lastShift, length, morning, say, toField } = await import(
+const { axisLabels, axisNumbers, fromField, lastShift, length, morning, formatTime, toField } = await import(
   "../../static/js/trends-time.js"
 );
 
@@ -59,5 +59,5 @@ test("a length is in the largest unit that keeps it readable", () => {
 });
 
 test("a moment has its date and the wall clock of the site", () => {
-  assert.equal(say(at("2026-01-01T10:00:00")), "1. Jan. 2026, 11:00:00");
+  assert.equal(formatTime(at("2026-01-01T10:00:00")), "1. Jan. 2026, 11:00:00");
 });

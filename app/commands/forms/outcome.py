@@ -57,7 +57,7 @@ def outcome_text(result: Result | UnitOutcome, shown: ValueFormat, voice: Transl
 
 def problem_text(problem: Problem, voice: Translator) -> OutcomeText:
     """What was refused before anything was sent."""
-    return OutcomeText("bad", voice.formats.sentence(voice.t(problem.message)))
+    return OutcomeText("bad", voice.t(problem.message))
 
 
 def _reason(result: Result | UnitOutcome, voice: Translator) -> str:

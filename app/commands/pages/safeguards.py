@@ -15,7 +15,7 @@ from app.web.access import Engineer, Operator
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import RATIO_DECIMALS, speed_raw, speed_text
 from bus.errors import CallerError
-from bus.messages import Message
+from bus.messages import Message, number
 from bus.text import OneLine
 
 router = APIRouter(include_in_schema=False)
@@ -56,7 +56,9 @@ def _raw(live: UnitLive, text: str) -> int | None:
     raw = speed_raw(text, decimals)
     if raw > HIGHEST_SETPOINT:
         raise Problem(
-            422, "invalid", Message.of("protocol_maximum", most=speed_text(HIGHEST_SETPOINT, decimals))
+            422,
+            "invalid",
+            Message.of("protocol_maximum", most=number(speed_text(HIGHEST_SETPOINT, decimals))),
         )
     return raw
 

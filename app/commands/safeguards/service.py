@@ -17,7 +17,7 @@ from app.web.access import Person, Role, name_of
 from bus.instants import Clock, unix_now
 from bus.messages import Message, term
 
-SIGNED_OUT = "logged out, or rights changed"
+SIGNED_OUT = Message("holder_signed_out")
 AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
 """The account that somebody names, and what it may do; None when there is none."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from msgspec import to_builtins
 from msgspec.structs import replace
@@ -14,6 +15,8 @@ from app.web.deadline import Deadline
 from bus.contract import Action, Result, UnitOutcome
 from bus.messages import Message
 
+CommandOrigin = Literal["api", "batch edit", "page", "restore", "unit swap"]
+"""Which way a command came; a recipe is named by a message."""
 SECRET_DIFFERS = Message("secret_differs")
 
 
@@ -26,7 +29,7 @@ class CommandRequest:
     bus: str
     action: Action
     deadline: Deadline
-    origin: str
+    origin: CommandOrigin | Message
     listener: ProgressListener | None = None
     key: str | None = None
     """What its sender calls it, to be told its result again; a sender's keys are its own."""

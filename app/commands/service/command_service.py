@@ -18,7 +18,7 @@ from app.commands.rules.setpoint_moves import Moves
 from app.commands.rules.setpoint_range import kind_of
 from app.commands.safeguards.control import ControlledError
 from app.commands.safeguards.service import Safeguards
-from app.commands.service.command_request import CommandRequest, without_secret
+from app.commands.service.command_request import CommandOrigin, CommandRequest, without_secret
 from app.commands.service.idempotency_cache import IdempotencyCache, KeptCommand
 from app.commands.service.prior_read import UnreadError, read_ranges
 from app.commands.service.record import CommandRecord
@@ -82,7 +82,7 @@ class CommandService:
         timeout_s: float | None = None,
         confirm: bool = False,
         id: str | None = None,
-        origin: str = "api",
+        origin: CommandOrigin | Message = "api",
         listener: ProgressListener | None = None,
     ) -> Result:
         """Carry out ``action`` and give its one fate; the same ``id`` again gives the same fate. It is the

@@ -23,7 +23,7 @@ from app.errors import Problem, StoreError
 from app.live.state.bus_live import BusLive
 from bus.contract import Action, Outcome, Result
 from bus.instants import Clock
-from bus.messages import Message
+from bus.messages import Message, term
 
 log = structlog.get_logger()
 
@@ -81,13 +81,13 @@ class CommandRecord:
     async def reject(self, wish: CommandRequest, live: BusLive, problem: Problem) -> None:
         """A wish that was not sent, with the reason."""
         entry = _entry(wish, wish.unit, kind_of_command(wish.action).wording(wish.action, live))
-        await self._events.record(kind="command", **entry, outcome=problem.code, message=problem.detail)
+        await self._events.record(kind="command", **entry, outcome=problem.code, message=problem.message)
 
 
 def _entry(wish: CommandRequest, unit: int | None, words: Wording) -> dict[str, Any]:
     return {
         "who": wish.person.name,
-        "origin": f"{wish.origin}, token" if wish.person.via == "token" else wish.origin,
+        "origin": _origin(wish),
         "bus": wish.bus,
         "unit": unit,
         "what": words.what,
@@ -96,6 +96,13 @@ def _entry(wish: CommandRequest, unit: int | None, words: Wording) -> dict[str, 
         "old_raw": words.old_raw,
         "new_raw": words.new_raw,
     }
+
+
+def _origin(request: CommandRequest) -> str | Message:
+    if request.person.via != "token":
+        return request.origin
+    origin = request.origin if isinstance(request.origin, Message) else term(request.origin)
+    return Message.of("origin_token", origin=origin)
 
 
 def _fates(intent: Intent, result: Result) -> dict[int, tuple[Outcome, str | Message]]:

@@ -143,13 +143,11 @@ async def get_marks(
     ``bus/unit`` named. At most the newest 500; ``more``: there were more. ``shown``: ``what``,
     ``old`` and ``new`` in the reader's language."""
     marks, more = await collect_marks(events, span, unit or [])
-    templates = templates_of(request)
-    language = templates.language_of(request)
-    say = templates.formats(language.tag).sentence
+    language = templates_of(request).language_of(request)
     for mark in marks:
         messages = mark.pop("messages")
         mark["shown"] = {
-            name: say(language.t(messages.get(name, mark[name])))
+            name: language.t(messages[name]) if name in messages else mark[name]
             for name in ("what", "old", "new")
             if mark[name]
         }

@@ -107,7 +107,7 @@ def unit_json(bus: BusLive, unit: UnitLive, now: UnixTime, block: BlockReason, e
         "link": unit_link_now(bus, unit, now),
         "link_cause": in_english(unit.link.cause),
         "cause": cause_json(unit_cause(bus, unit, now), now, english),
-        "suspect": suspicion(bus, unit) or None,
+        "suspect": in_english(suspicion(bus, unit)) or None,
         "blocked": block(unit.settings.id) or None,
         "decimals": unit.parameter_raw(DECIMALS),
         "follower": follower(unit),

@@ -12,6 +12,7 @@ from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.onset import Onset
 from bus.contract import UnitLinkState
 from bus.instants import UnixTime
+from bus.messages import Message
 
 LEVELS: tuple[Level, ...] = ("urgent", "high", "low")
 _BEFORE_ALL = frozenset(
@@ -70,8 +71,8 @@ def shown_cause(bus: BusLive, unit: UnitLive, now: UnixTime, *, blocked: str, dr
     return next(_others(cause, suspicion(bus, unit), blocked, drifted), cause)
 
 
-def _others(cause: Cause | None, suspected: str, blocked: str, drifted: str) -> Iterator[Cause]:
-    if suspected:
+def _others(cause: Cause | None, suspected: Message | None, blocked: str, drifted: str) -> Iterator[Cause]:
+    if suspected is not None:
         yield Cause("address_suspect", "high", params={"why": suspected})
     if cause is not None and cause.level:
         yield cause

@@ -9,20 +9,21 @@ from __future__ import annotations
 
 from app.live.state.bus_live import BusLive, UnitLive
 from bus.catalogue.numbers import OWN_ADDRESS
+from bus.messages import Message
 
 
-def suspicion(bus: BusLive, unit: UnitLive) -> str:
-    """Why the values shown for ``unit`` may be another's, in words; empty where nothing says so.
+def suspicion(bus: BusLive, unit: UnitLive) -> Message | None:
+    """Why the values shown for ``unit`` may be another's; None where nothing says so.
 
     It warns and forbids nothing: an address changed at the panel (#17) may hold from the next power-up only.
     """
     own = unit.parameter_raw(OWN_ADDRESS)
     if own not in (None, unit.settings.id) and _most_read_their_own_address(bus):
-        return f"perhaps unit {own} answers for it (#17)"
+        return Message.of("suspect_by_address", unit=own or 0)
     everybody = bus.figures.answers_for_all if bus.figures is not None else 0
     if everybody not in (0, unit.settings.id):
-        return f"perhaps unit {everybody} answers for it (each answer comes twice)"
-    return ""
+        return Message.of("suspect_by_duplicates", unit=everybody)
+    return None
 
 
 def _most_read_their_own_address(bus: BusLive) -> bool:

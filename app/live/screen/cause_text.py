@@ -8,6 +8,7 @@ from typing import Any
 from app.live.diagnosis.cause import Cause
 from app.live.screen.fields import Translator
 from bus.instants import UnixTime
+from bus.messages import Message
 
 MINUTE_S, LONG_RAMP_S = 60, 120
 
@@ -107,7 +108,7 @@ def _named(cause: Cause) -> dict[str, Any]:
 
 def _why(cause: Cause, voice: Translator) -> str:
     why = cause.params.get("why")
-    return voice.t(why) if why else ""
+    return voice.t(why) if isinstance(why, Message) else why or ""
 
 
 def _ramp(params: Mapping[str, Any], voice: Translator) -> str:

@@ -79,7 +79,7 @@ def _change_baud(poller: Poller, action: ChangeBaud, command: CommandContext) ->
 
 def _scan_bus(poller: Poller, action: ScanBus, command: CommandContext) -> Procedure:
     pace = scan_bus.ScanPace(poller.baud, poller.bus.turnaround_s)
-    return scan_bus.survey(poller.roster, action.first, action.last, pace, command)
+    return scan_bus.survey(action.first, action.last, pace, command)
 
 
 COMMANDS: dict[type[Action], LineCommand[Any]] = {

@@ -12,9 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bus.catalogue.numbers import BAUD_RATE
-from bus.contract import Outcome, Result, UnitOutcome
+from bus.contract import Outcome, UnitOutcome
 from bus.errors import unit_refused
-from bus.instants import UnixTime
 from bus.line.commands.procedure import (
     CommandContext,
     ExpectBaud,
@@ -25,11 +24,12 @@ from bus.line.commands.procedure import (
     send,
 )
 from bus.line.commands.readback import read_parameter
+from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import Roster
 from bus.messages import Message
 from bus.settings import BAUDS
-from bus.wire.commands import ReadStatus, WriteParameter
+from bus.wire.commands import ReadStatusRequest, WriteParameterRequest
 
 HUNDREDS = 100
 READ_ATTEMPTS = 2
@@ -85,7 +85,7 @@ class _Change:
     def _write_all(self) -> Subprocedure[tuple[Outcome, Message] | None]:
         for done, unit in enumerate(self._likely_refusals_first()):
             yield ReportProgress("sent", unit, done, len(self._units))
-            sent = yield from send(Send(WriteParameter(unit, BAUD_RATE, self._new // HUNDREDS)))
+            sent = yield from send(Send(WriteParameterRequest(unit, BAUD_RATE, self._new // HUNDREDS)))
             if sent.refusal is not None:
                 return "refused", unit_refused(unit, sent.refusal)
             if sent.status is not SendStatus.RESPONDED and not (yield from self._took_it_unheard(unit, sent)):
@@ -110,7 +110,7 @@ class _Change:
         """Which of ``units`` answer at the present rate."""
         found: set[int] = set()
         for unit in units:
-            sent = yield from send(Send(ReadStatus(unit), fresh=True, max_attempts=READ_ATTEMPTS))
+            sent = yield from send(Send(ReadStatusRequest(unit), fresh=True, max_attempts=READ_ATTEMPTS))
             if sent.status is SendStatus.RESPONDED:
                 found.add(unit)
         return found
@@ -169,7 +169,7 @@ class _Change:
         for unit in units:
             here = yield from self._answering([unit])
             if here:
-                request = WriteParameter(unit, BAUD_RATE, self._old // HUNDREDS)
+                request = WriteParameterRequest(unit, BAUD_RATE, self._old // HUNDREDS)
                 yield from send(Send(request, withdraws=True, max_attempts=READ_ATTEMPTS))
 
     def _outcomes(self, bad: Sequence[int]) -> list[UnitOutcome]:
@@ -179,8 +179,8 @@ class _Change:
         ]
 
 
-def _result(outcome: Outcome, message: Message, units: list[UnitOutcome] | None = None) -> Result:
-    return Result(id="", at=UnixTime(0.0), outcome=outcome, message=message, units=units or [])
+def _result(outcome: Outcome, message: Message, units: Sequence[UnitOutcome] = ()) -> ProcedureResult:
+    return ProcedureResult(outcome, message, units=tuple(units))
 
 
 def _listed(units: Sequence[int]) -> list[int | str | Message]:

@@ -20,7 +20,7 @@ from bus.line.exchange.send import Send, SendResult
 from bus.line.roster import UnitRecord
 from bus.messages import Message
 from bus.settings import Dialect
-from bus.wire.commands import ParameterReply, ReadParameter, ReadStatus, StatusReply
+from bus.wire.commands import ParameterReply, ReadParameterRequest, ReadStatusRequest, StatusReply
 
 REREADS = 2
 """How often a read-back that differs is read again."""
@@ -45,13 +45,13 @@ def read_status(
     unit: int,
 ) -> Subprocedure[tuple[StatusReply | None, SendResult]]:
     """A fresh 81h that nothing older can be taken for."""
-    sent = yield from send(Send(ReadStatus(unit), fresh=True))
+    sent = yield from send(Send(ReadStatusRequest(unit), fresh=True))
     return (sent.reply if isinstance(sent.reply, StatusReply) else None), sent
 
 
 def read_parameter(unit: int, number: int) -> Subprocedure[tuple[int | None, SendResult]]:
     """A fresh 85h; None when the unit does not have it, or does not answer."""
-    sent = yield from send(Send(ReadParameter(unit, number), fresh=True))
+    sent = yield from send(Send(ReadParameterRequest(unit, number), fresh=True))
     return (sent.reply.raw if isinstance(sent.reply, ParameterReply) else None), sent
 
 

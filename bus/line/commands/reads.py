@@ -6,14 +6,14 @@ from collections import deque
 from collections.abc import Sequence
 
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import ParameterValue, Result
+from bus.contract import ParameterValue
 from bus.errors import unit_error
-from bus.instants import UnixTime
 from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, Wait, send
+from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import UnitRecord, parameter_value
 from bus.messages import Message, joined
-from bus.wire.commands import ReadParameter
+from bus.wire.commands import ReadParameterRequest
 
 MOMENT_S = 0.5
 """How long a unit that missed a question is left alone: its three tries pass in a tenth of a second."""
@@ -34,7 +34,7 @@ def read_parameters(record: UnitRecord, numbers: Sequence[int], context: Command
             return _partly(record, values, wanted, Message("canceled"))
         number = waiting.popleft()
         yield ReportProgress("sent", record.unit, len(values), len(wanted))
-        sent = yield from send(Send(ReadParameter(record.unit, number), fresh=True))
+        sent = yield from send(Send(ReadParameterRequest(record.unit, number), fresh=True))
         if sent.status is SendStatus.PORT_CLOSED:
             return _partly(record, values, wanted, Message("bus_link_lost"), closed=True)
         if sent.status is not SendStatus.RESPONDED:
@@ -53,7 +53,7 @@ def read_parameters(record: UnitRecord, numbers: Sequence[int], context: Command
             refused.append(Message.of("parameter_refused", number=number, error=error))
     if (reason := joined(refused)) is not None:
         return _partly(record, values, wanted, reason)
-    return Result(id="", at=UnixTime(0.0), outcome="verified", values=values)
+    return ProcedureResult("verified", values=tuple(values))
 
 
 def _partly(
@@ -63,14 +63,12 @@ def _partly(
     reason: Message,
     *,
     closed: bool = False,
-) -> Result:
+) -> ProcedureResult:
     nothing = closed and not values
-    return Result(
-        id="",
-        at=UnixTime(0.0),
+    return ProcedureResult(
         outcome="bus_closed" if nothing else "unverified",
         message=Message.of(
             "parameters_partly_read", unit=record.unit, count=len(values), all=len(wanted), reason=reason
         ),
-        values=values,
+        values=tuple(values),
     )

@@ -16,9 +16,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from bus.catalogue.status import status_bits
-from bus.contract import Outcome, Result
+from bus.contract import Outcome
 from bus.errors import unit_refused
-from bus.instants import UnixTime
 from bus.line.commands.execution import executed, unchanged, verify, verify_all
 from bus.line.commands.member import Member, member_of
 from bus.line.commands.procedure import (
@@ -29,12 +28,13 @@ from bus.line.commands.procedure import (
     send,
 )
 from bus.line.commands.readback import verify_unchanged
+from bus.line.commands.result import ProcedureResult
 from bus.line.commands.withdrawal import SuspendedStages, stopped, withdraw_all
 from bus.line.commands.writes import not_sent, outcome_without_readback
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import Roster
 from bus.messages import Message
-from bus.wire.commands import ExecuteSpeed, StageSpeed
+from bus.wire.commands import ExecuteSpeedRequest, StageSpeedRequest
 
 ALL_UNITS = 0
 
@@ -51,7 +51,7 @@ def set_line(roster: Roster, setpoints: Mapping[int, int], context: CommandConte
     if failure is None:
         failure = yield from _stage_all(members, context)
     if failure is None:
-        sent = yield from send(Send(ExecuteSpeed(ALL_UNITS)))
+        sent = yield from send(Send(ExecuteSpeedRequest(ALL_UNITS)))
         if sent.status is SendStatus.SENT:
             result = yield from verify_all(members, sent, roster, context)
             yield from suspended.restore()
@@ -66,10 +66,10 @@ def execute_all(roster: Roster, context: CommandContext) -> Procedure:
     """83h to every unit, and what each shows afterwards."""
     members = [member_of(roster[unit], roster[unit].staged or 0) for unit in roster.configured]
     knew = {member.unit for member in members if member.record.staged is not None}
-    sent = yield from send(Send(ExecuteSpeed(ALL_UNITS)))
+    sent = yield from send(Send(ExecuteSpeedRequest(ALL_UNITS)))
     if sent.status is not SendStatus.SENT:
         outcome, message = not_sent(ALL_UNITS, sent)
-        return Result(id="", at=UnixTime(0.0), outcome=outcome, message=message)
+        return ProcedureResult(outcome, message)
     for done, member in enumerate(members):
         yield ReportProgress("proving", member.unit, done, len(members))
         if member.unit in knew:
@@ -101,7 +101,7 @@ def _stage_all(
     """None when every unit acknowledged, else how the change ended and why."""
     for done, member in enumerate(members):
         yield ReportProgress("sent", member.unit, done, len(members))
-        member.sent = yield from send(Send(StageSpeed(member.unit, member.raw)))
+        member.sent = yield from send(Send(StageSpeedRequest(member.unit, member.raw)))
         if not member.staged:
             return _why_stopped(member)
         if context.cancelled:
@@ -123,7 +123,7 @@ def _why_stopped(member: Member) -> tuple[Outcome, Message]:
     return "not_sent", Message("deadline_passed_staging")
 
 
-def _no_time(members: list[Member], context: CommandContext) -> Result:
+def _no_time(members: list[Member], context: CommandContext) -> ProcedureResult:
     seconds = context.exchange_s * len(members)
     message = Message.of(
         "change_too_long",
@@ -131,4 +131,4 @@ def _no_time(members: list[Member], context: CommandContext) -> Result:
         seconds=round(seconds, 1),
         allowed=round(max(context.time_left_s, 0), 1),
     )
-    return Result(id="", at=UnixTime(0.0), outcome="not_sent", message=message)
+    return ProcedureResult("not_sent", message)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bus.contract import Outcome, Result, UnitOutcome
+from bus.contract import Outcome, UnitOutcome
 from bus.errors import unit_error, unit_refused
-from bus.instants import UnixTime
 from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, send
 from bus.line.commands.readback import (
     REREADS,
@@ -16,17 +15,18 @@ from bus.line.commands.readback import (
     verify_parameter,
     verify_speed,
 )
+from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import UnitRecord
 from bus.messages import Message
 from bus.wire.commands import (
-    ExecuteSpeed,
+    ExecuteSpeedRequest,
     Request,
-    SetAndExecuteSpeed,
-    StageSpeed,
-    WriteAnalogOutput,
-    WriteOutput,
-    WriteParameter,
+    SetAndExecuteSpeedRequest,
+    StageSpeedRequest,
+    WriteAnalogOutputRequest,
+    WriteOutputRequest,
+    WriteParameterRequest,
 )
 
 
@@ -35,14 +35,14 @@ def set_and_execute(record: UnitRecord, raw: int, context: CommandContext) -> Pr
     before = record.reading.commanded if record.reading is not None else None
     return write(
         record.unit,
-        SetAndExecuteSpeed(record.unit, raw),
+        SetAndExecuteSpeedRequest(record.unit, raw),
         lambda: verify_speed(record, raw, context.dialect, before=before),
     )
 
 
 def stage(record: UnitRecord, raw: int) -> Procedure:
     """82h: not visible until it is executed, so acknowledged at best."""
-    return write(record.unit, StageSpeed(record.unit, raw), None)
+    return write(record.unit, StageSpeedRequest(record.unit, raw), None)
 
 
 def execute(record: UnitRecord, context: CommandContext) -> Procedure:
@@ -50,27 +50,27 @@ def execute(record: UnitRecord, context: CommandContext) -> Procedure:
     staged = record.staged
     before = record.reading.commanded if record.reading is not None else None
     if staged is None:
-        return write(record.unit, ExecuteSpeed(record.unit), None)
+        return write(record.unit, ExecuteSpeedRequest(record.unit), None)
     return write(
         record.unit,
-        ExecuteSpeed(record.unit),
+        ExecuteSpeedRequest(record.unit),
         lambda: verify_speed(record, staged, context.dialect, before=before),
     )
 
 
 def write_parameter(unit: int, number: int, raw: int) -> Procedure:
     """86h, proven by 85h."""
-    return write(unit, WriteParameter(unit, number, raw), lambda: verify_parameter(unit, number, raw))
+    return write(unit, WriteParameterRequest(unit, number, raw), lambda: verify_parameter(unit, number, raw))
 
 
 def write_output(unit: int, number: int, on: bool) -> Procedure:
     """87h, proven by the bit in ST2."""
-    return write(unit, WriteOutput(unit, number, on), lambda: verify_output(unit, number, on))
+    return write(unit, WriteOutputRequest(unit, number, on), lambda: verify_output(unit, number, on))
 
 
 def write_analog_output(unit: int, raw: int) -> Procedure:
     """88h: nothing can be read back."""
-    return write(unit, WriteAnalogOutput(unit, raw), None)
+    return write(unit, WriteAnalogOutputRequest(unit, raw), None)
 
 
 def write(unit: int, request: Request, verify: Callable[[], Verification] | None) -> Procedure:
@@ -155,14 +155,12 @@ def _message_of(unit: int, sent: SendResult, readback: Readback) -> Message | No
     )
 
 
-def result_of_one(outcome: UnitOutcome) -> Result:
-    """The result of a command to one unit; id, time and frames are the poller's to add."""
-    return Result(
-        id="",
-        at=UnixTime(0.0),
+def result_of_one(outcome: UnitOutcome) -> ProcedureResult:
+    """The result of a command to one unit."""
+    return ProcedureResult(
         outcome=outcome.outcome,
         message=outcome.message,
         unit_error=outcome.unit_error,
         read_back=outcome.read_back,
-        units=[outcome],
+        units=(outcome,),
     )

@@ -24,6 +24,7 @@ class CurrentExchange(msgspec.Struct):
     garbled: bool = False
     unexpected: bool = False
     late: int = 0
+    overdue: tuple[int, ...] = ()
 
     def result(self, clock: LineClock, now: float) -> ExchangeResult:
         """How it ended, at ``now``."""
@@ -37,6 +38,7 @@ class CurrentExchange(msgspec.Struct):
             b"" if exchange.prepared.secret else self.frame,
             self._noise(),
             exchange.dialect,
+            self.overdue,
         )
 
     def _noise(self) -> LineNoise:

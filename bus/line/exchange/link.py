@@ -27,7 +27,7 @@ from bus.line.exchange.window import MARGIN_S, QUIET_BYTES, Window
 from bus.line.port.port import OpenPort
 from bus.line.roster import Roster
 from bus.line.statistics.trace import Trace, TracedFrame
-from bus.line.statistics.wire_statistics import WireCounts, WireStatistics
+from bus.line.statistics.wire_statistics import StrayFrame, WireCounts, WireStatistics
 from bus.settings import Dialect, wire_seconds
 from bus.wire.commands import Request
 from bus.wire.exchange import Answered, Doubled, Exchange, ExchangeEvent, Foreign, Late, Unexpected
@@ -62,6 +62,7 @@ class Link:
         self._next: Exchange | None = None
         """What leaves as soon as the answer to ``_current`` is there."""
         self._pace = PortPace()
+        self._overdue: list[int] = []
         self._secret_until = -math.inf
         self._forget()
         self.done: Callable[[ExchangeResult, float, float], None] = _ignore
@@ -213,6 +214,7 @@ class Link:
         self._pending.after(current.exchange.pending)
         if following is not None and followed_at is not None:
             self._begin(following, followed_at)
+        current.overdue, self._overdue = tuple(self._overdue), []
         self.done(current.result(self._clock, now), current.began, now)
         self._statistics.ended(current, now, self._byte_s)
 
@@ -227,7 +229,7 @@ class Link:
         if isinstance(event, Answered):
             self._take_response(event.frame.wire, now)
         else:
-            self._statistics.stray_frame(event, exchange.request.unit, self._pending)
+            self._take_stray_frame(event, exchange.request.unit)
         if self._current is not None and isinstance(event, Unexpected | Foreign):
             self._current.unexpected = True
         if self._current is not None and isinstance(event, Doubled | Late):
@@ -236,6 +238,14 @@ class Link:
             self._note(now, "in", event.frame.wire, exchange)
         else:
             self._note_stray(now, event.frame.wire, exchange, unit=event.frame.body[0])
+
+    def _take_stray_frame(self, event: StrayFrame, addressed: int) -> None:
+        """Another unit's frame is overdue where that unit has not responded to an earlier request. It ends no
+        doubt about that unit, for it may be of a third one that responds to a wrong address."""
+        is_overdue = isinstance(event, Foreign) and bool(self.pending(event.unit).outstanding)
+        if is_overdue:
+            self._overdue.append(event.frame.body[0])
+        self._statistics.stray_frame(event, addressed, is_overdue=is_overdue)
 
     def _take_noise(self, noise: Noise, unit: int, now: float) -> None:
         """After an answer with a wrong checksum no other will come, so only quiet is waited for."""

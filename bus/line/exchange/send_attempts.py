@@ -26,6 +26,8 @@ class ExchangeResult(msgspec.Struct, frozen=True):
     noise: LineNoise = NO_NOISE
     dialect: Dialect | None = None
     """How the request was written, where something was sent."""
+    overdue: tuple[int, ...] = ()
+    """Units whose response to an earlier request came, once for each response."""
 
 
 class SendAttempts:

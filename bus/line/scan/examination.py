@@ -22,8 +22,8 @@ from bus.settings import Dialect
 from bus.wire.commands import (
     Nak,
     ParameterReply,
-    ReadParameter,
-    ReadStatus,
+    ReadParameterRequest,
+    ReadStatusRequest,
     Reply,
     Request,
     StatusReply,
@@ -138,7 +138,7 @@ class _Examination:
     def _first_status(self) -> Generator[Probe, ProbeOutcome, StatusReply | None]:
         """The 81h to unit 111 has the checksum 10h itself: a unit that takes it twice is found so only."""
         status = yield from self._status(STATUS_READS)
-        if self.outcomes[-1].no_response and checksum(bytes((self.unit, ReadStatus.COMMAND))) == DLE:
+        if self.outcomes[-1].no_response and checksum(bytes((self.unit, ReadStatusRequest.COMMAND))) == DLE:
             self.doubles = True
             status = yield from self._status(STATUS_READS)
         return status
@@ -146,7 +146,7 @@ class _Examination:
     def _status(self, looks: int) -> Generator[Probe, ProbeOutcome, StatusReply | None]:
         """81h until it is answered as a unit answers; an address that is silent at first is left."""
         for look in range(looks):
-            outcome = yield from self._probe(ReadStatus(self.unit))
+            outcome = yield from self._probe(ReadStatusRequest(self.unit))
             if isinstance(outcome.reply, StatusReply):
                 return outcome.reply
             if look == 0 and outcome.no_response:
@@ -157,7 +157,7 @@ class _Examination:
         """85h, with 81h before it as the fence."""
         for _ in range(TRIES):
             yield from self._status(TRIES)
-            outcome = yield from self._probe(ReadParameter(self.unit, number))
+            outcome = yield from self._probe(ReadParameterRequest(self.unit, number))
             if outcome.reply is not None:
                 return outcome.reply
         return None
@@ -263,4 +263,4 @@ def encode_number(number: int, dialect: Dialect) -> int:
 
 def number_for_checksum_10h(unit: int) -> int:
     """The PRM byte that gives an 85h to ``unit`` the checksum 10h; 0, which cannot be asked, for unit 107."""
-    return (checksum(bytes((unit, ReadParameter.COMMAND))) - DLE) & 0xFF
+    return (checksum(bytes((unit, ReadParameterRequest.COMMAND))) - DLE) & 0xFF

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from bus.line.exchange.window import MARGIN_S
 from bus.settings import Dialect, wire_seconds
 from bus.wire.bodies import encode_request
-from bus.wire.commands import ReadStatus
+from bus.wire.commands import ReadStatusRequest
 
 PASSES = 2
 MOST_PASSES = 4
@@ -20,7 +20,7 @@ MOST_PASSES = 4
 
 def no_response_s(baud: int, turnaround_s: float) -> float:
     """What an address costs where nothing answers: the request, the turnaround, one byte, the margin."""
-    request = encode_request(ReadStatus(1), Dialect())
+    request = encode_request(ReadStatusRequest(1), Dialect())
     return wire_seconds(len(request) + 1, baud) + turnaround_s + MARGIN_S
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from bus.line.scan.examination import Probe, ProbeOutcome, examine
 from bus.line.scan.found import Checksum10h, Found
 from bus.line.scan.scan_port import Collected, ScanPort
-from bus.wire.commands import ReadStatus
+from bus.wire.commands import ReadStatusRequest
 from bus.wire.exchange import Answered, Doubled, ExchangeEvent, Foreign, Late, Unexpected
 from bus.wire.framing import DLE, DoubledChecksum, Noise
 
@@ -78,7 +78,7 @@ class Prober:
         if self._turnaround_s >= PATIENCE_S:
             return
         await self._line.listen(PATIENCE_S)
-        collected = await self._line.exchange(Probe(ReadStatus(unit)), PATIENCE_S)
+        collected = await self._line.exchange(Probe(ReadStatusRequest(unit)), PATIENCE_S)
         took_s = collected.turnaround_s
         if took_s is not None and ALLOWANCE * took_s > self._turnaround_s:
             raise SlowUnitError(took_s)

@@ -13,7 +13,7 @@ from bus.line.exchange.send import Send
 from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
 from bus.line.schedule.command_queue import CommandQueue
 from bus.line.schedule.poll_schedule import PollSchedule, Task, TaskKind
-from bus.wire.commands import Nak, ReadParameter, ReadStatus, Request
+from bus.wire.commands import Nak, ReadParameterRequest, ReadStatusRequest, Request
 from bus.wire.fence import PendingResponses
 
 COMMANDS_AT_A_STRETCH_S = 0.5
@@ -28,7 +28,7 @@ _TRIES = {TaskKind.FIRST: 1, TaskKind.PROBE: 1}
 class Arbiter:
     """``next_request``, then ``settle`` with what was heard.
 
-    ``doubt_of``: what a unit may still answer late. ``exchange_s``: what a read takes on the wire.
+    ``pending_of``: what a unit may still send late. ``exchange_s``: what a read takes on the wire.
     """
 
     def __init__(
@@ -102,9 +102,11 @@ class Arbiter:
             return self._settle_routine(*self._routine, exchange, began, ended)
         return False
 
-    def drop_routine(self) -> None:
-        """The port is gone, and the schedule's read with it."""
-        self._routine = None
+    def drop_routine(self, now: float) -> None:
+        """The port is gone, and the schedule's read with it: it gets another turn."""
+        if self._routine is not None:
+            (task, _), self._routine = self._routine, None
+            self._was_not_read(task, now)
 
     def moments(self) -> list[float]:
         """When something may become due that is not now."""
@@ -177,15 +179,18 @@ class Arbiter:
         if result is None:
             return again
         self._routine = None
-        if task.kind is TaskKind.FIRST and result.reply is None:
-            self.schedule.stopped_responding(task.unit, ended)
-        if task.kind is TaskKind.PARAMETER and task.unit in self.schedule.poll_order:
-            if result.reply is None:
-                self.schedule.parameters.was_not_read(task.unit, task.number)
-            else:
-                available = not isinstance(result.reply, Nak)
-                self.schedule.parameters.was_read(task.unit, task.number, available=available)
+        if result.reply is None:
+            self._was_not_read(task, ended)
+        elif task.kind is TaskKind.PARAMETER and task.unit in self.schedule.poll_order:
+            available = not isinstance(result.reply, Nak)
+            self.schedule.parameters.was_read(task.unit, task.number, available=available)
         return False
+
+    def _was_not_read(self, task: Task, now: float) -> None:
+        if task.kind is TaskKind.FIRST:
+            self.schedule.stopped_responding(task.unit, now)
+        if task.kind is TaskKind.PARAMETER and task.unit in self.schedule.poll_order:
+            self.schedule.parameters.was_not_read(task.unit, task.number)
 
     def _pace(self, request: Request, now: float) -> None:
         self._read_last = False
@@ -196,5 +201,5 @@ class Arbiter:
 def _routine(task: Task) -> tuple[Task, SendAttempts]:
     tries = _TRIES.get(task.kind, 0)
     if task.kind is TaskKind.PARAMETER:
-        return task, SendAttempts(Send(ReadParameter(task.unit, task.number), max_attempts=tries))
-    return task, SendAttempts(Send(ReadStatus(task.unit), max_attempts=tries))
+        return task, SendAttempts(Send(ReadParameterRequest(task.unit, task.number), max_attempts=tries))
+    return task, SendAttempts(Send(ReadStatusRequest(task.unit), max_attempts=tries))

@@ -5,6 +5,11 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText
 
 TEXTS: dict[str, EnglishText] = {
+    "holder_signed_out": "logged out, or rights changed",
+    "unknown_name": "unknown name",
+    "unknown_token": "unknown token",
+    "many_addresses": "several addresses",
+    "command_line": "command line",
     "account_of_token": "{name} (token)",
     "token_exists": "a token {name} exists already; revoke it or choose another name",
     "no_such_token": "there is no token {name}",
@@ -33,7 +38,7 @@ TEXTS: dict[str, EnglishText] = {
         "the password is easy to guess (common words, repetition, sequences, key runs); choose another"
     ),
     "pin_length": "a PIN is 6 to 12 digits",
-    "pin_easy_to_guess": "the PIN is easy to guess (repetition, sequences, key runs); choose another",
+    "pin_easy_to_guess": "the PIN is easy to guess (repetition, sequence, key run or date); choose another",
     "token_days_malformed": "the days until a token expires are an integer, or empty",
     "worker_token_without_bus": (
         "the token {called} has no bus; an admin can create one with --role worker --bus BUS"

@@ -5,6 +5,8 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {
+    "origin_token": "{origin}, token",
+    "origin_recipe": "recipe {name}",
     "event_mode": "mode",
     "event_estop_input": "emergency stop input",
     "event_run_input": "run input",
