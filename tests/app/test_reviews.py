@@ -194,7 +194,7 @@ async def test_in_german_too(house: House) -> None:
     texts = [re.sub(r"ist \d s", "ist N s", text.strip()) for _, _, text in NOTICE.findall(answer.text)]
     assert texts == [
         ": seine letzte Antwort ist N s alt",
-        ": Not-Halt ist aktiv: der Sollwert wirkt, sobald er aufgehoben ist",
+        ": Not\u2011Halt ist aktiv: der Sollwert wirkt, sobald er aufgehoben ist",
         ": Lauf-Eingang ist aus: der Sollwert wirkt, sobald er an ist",
         ": ändert sich sofort, ohne Rampe: #7 ist 0,0 s",
         "ausgelassen: nicht in REMOTE",

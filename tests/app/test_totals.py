@@ -14,13 +14,13 @@ from tests.app.screens import voice
         ({"line": "", "wet": ""}, "", ""),
         ({"line": "anna", "wet": "anna"}, "anna, every bus", "anna, jeder Bus"),
         ({"line": "anna", "wet": "ben"}, "line: anna, wet: ben", "line: anna, wet: ben"),
-        ({"line": "", "wet": "ben"}, "line: nobody, wet: ben", "line: niemand, wet: ben"),
+        ({"line": "", "wet": "ben"}, "line: free, wet: ben", "line: frei, wet: ben"),
         (
             {"line": "", "wet": "ben", "dry": ""},
-            "wet: ben, the others: nobody",
-            "wet: ben, die anderen: niemand",
+            "wet: ben, the others: free",
+            "wet: ben, die anderen: frei",
         ),
-        ({"line": "a (token)", "wet": ""}, "line: a (token), wet: nobody", "line: a (token), wet: niemand"),
+        ({"line": "a (token)", "wet": ""}, "line: a (token), wet: free", "line: a (token), wet: frei"),
     ],
 )
 def test_who_holds_control_is_said_with_the_bus(held_by: dict[str, str], said: str, german: str) -> None:

@@ -166,6 +166,8 @@ def virtual_trial(
         trial.complaints += too_late(trial.cases, bodies(line.written))
         return trial
 
+    # The delays of reconnecting are random too.
+    random.seed(seed)
     return run(scene, UNITS, seed=seed)
 
 
