@@ -126,7 +126,7 @@ def invalid(errors: Sequence[Any]) -> Problem:
     faults: list[int | str | Message] = [
         Message.of("fault_at", where=where, fault=fault) for where, fault in found
     ]
-    named = [{"where": where, "message": str(fault)} for where, fault in found]
+    named = [{"where": where, "message": str(fault), **msgspec.to_builtins(fault)} for where, fault in found]
     return Problem(422, "invalid", Message.of("fields_malformed", faults=faults), errors=named)
 
 

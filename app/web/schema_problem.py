@@ -66,10 +66,12 @@ _INVALID_FIELD = {
     "type": "object",
     "title": "InvalidField",
     "description": "One field of a request that is malformed.",
-    "required": ["where", "message"],
+    "required": ["where", "message", "code", "params"],
     "properties": {
         "where": {"type": "string", "description": "Its path in the body or query, steps joined by dots."},
-        "message": {"type": "string"},
+        "message": {"type": "string", "description": "Its fault, English."},
+        "code": {"type": "string", "description": "Which text message is."},
+        "params": {"type": "object", "additionalProperties": True, "description": "Its values, by name."},
     },
 }
 

@@ -165,7 +165,7 @@ def test_a_stranger_in_the_present_store_does_not_survive(plant: Plant) -> None:
 def test_a_panel_made_in_the_place_of_a_person_gives_the_person_no_pin(plant: Plant) -> None:
     async def replace(accounts: Accounts, _: Database) -> None:
         await accounts.remove_user("ann", by="t", origin="t")
-        await accounts.add_panel("ann", Role.VIEWER, "246813", "/", by="t", origin="t")
+        await accounts.add_panel("ann", Role.VIEWER, "471193", "/", by="t", origin="t")
 
     plant.change(replace)
     plant.restore()

@@ -38,7 +38,7 @@ TEXTS: dict[str, EnglishText] = {
         "the password is easy to guess (common words, repetition, sequences, key runs); choose another"
     ),
     "pin_length": "a PIN is 6 to 12 digits",
-    "pin_easy_to_guess": "the PIN is easy to guess (repetition, sequences, key runs); choose another",
+    "pin_easy_to_guess": "the PIN is easy to guess (repetition, sequence, key run or date); choose another",
     "token_days_malformed": "the days until a token expires are an integer, or empty",
     "worker_token_without_bus": (
         "the token {called} has no bus; an admin can create one with --role worker --bus BUS"

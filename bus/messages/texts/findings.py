@@ -5,8 +5,8 @@ from __future__ import annotations
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {
-    "suspect_by_address": "unit {unit} may respond for it (#17)",
-    "suspect_by_duplicates": "unit {unit} may respond for it (each response comes twice)",
+    "suspect_by_address": "unit {unit} may respond in its place (#17)",
+    "suspect_by_duplicates": "unit {unit} may respond in its place (each response comes twice)",
     # A scan.
     "scan_canceled": "canceled after {done} of {all} addresses",
     "scan_link_lost": "the link to the bus was lost after {done} of {all} addresses",
