@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from datetime import datetime
@@ -27,6 +26,7 @@ from app.sets.reading import ParameterReader
 from app.sets.schedule import SetSchedule
 from app.sets.store import SetStore
 from app.web.access import Person, Role
+from bus.instants import MonotonicClock, monotonic_now
 
 SERVER = Person("server", Role.ENGINEER, "worker")
 """Author of automatic actions: the schedule of parameter sets."""
@@ -58,7 +58,7 @@ class BusService:
         live: BusLive,
         site: BusDependencies,
         *,
-        monotonic: Callable[[], float] = time.monotonic,
+        monotonic: MonotonicClock = monotonic_now,
         timeout_ticks: int = TIMEOUT_TICKS,
     ) -> None:
         name = live.settings.name

@@ -12,6 +12,7 @@ from app.live.change_recorder import ChangeRecorder
 from app.live.changes import Changes, LineEvent
 from app.live.state.bus_live import BusLive
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
+from bus.instants import UnixTime
 from bus.messages import Message, number, term
 
 KEPT = (Reading, ParameterValue, UnitLink, BusLink)
@@ -29,10 +30,10 @@ class HistoryIntake(Protocol):
 class HistoryFaults(Protocol):
     """What goes wrong while readings are kept."""
 
-    def on_clock_step(self, subscriber: Callable[[float, float], None]) -> None:
+    def on_clock_step(self, subscriber: Callable[[float, UnixTime], None]) -> None:
         """Call ``subscriber`` when the app's own clock was stepped: by how many seconds, and when."""
 
-    def on_damage(self, subscriber: Callable[[Message, float], None]) -> None:
+    def on_damage(self, subscriber: Callable[[Message, UnixTime], None]) -> None:
         """Call ``subscriber`` when something stored cannot be read: what, and when that was found."""
 
 
@@ -71,27 +72,27 @@ class Pipeline:
         """As the worker last reported."""
         return self._live.link.link == "open"
 
-    def worker_connected(self, hello: Hello, at: float, *, again: bool) -> None:
+    def worker_connected(self, hello: Hello, at: UnixTime, *, again: bool) -> None:
         """A worker sent its hello: ``again``: the one that this app knew, else one that was started."""
         what = Message.of("event_worker_back" if again else "event_worker_started", port=hello.port)
         self._recorder.note(LineEvent("worker", None, at, what, "", term("connected")))
 
-    def worker_refused(self, at: float, holder: str, refused: str, reason: Message) -> None:
+    def worker_refused(self, at: UnixTime, holder: str, refused: str, reason: Message) -> None:
         """A worker's hello was refused. ``holder`` and ``refused``: the tokens and their addresses."""
         self._recorder.note(refusal_of_worker(at, holder, refused, reason))
 
-    def updates_refused(self, at: float, count: int) -> None:
+    def updates_refused(self, at: UnixTime, count: int) -> None:
         """Updates of a worker were not taken in: their time cannot be, or their unit is not configured."""
         what = Message("event_updates_refused")
         refused = LineEvent("worker", None, at, what, "", str(count), IMPLAUSIBLE, series=what.code)
         self._recorder.note(refused)
 
-    def worker_disconnected(self, at: float, cause: Message) -> None:
+    def worker_disconnected(self, at: UnixTime, cause: Message) -> None:
         """A worker's connection ended."""
         self._live.lose_worker(at, cause)
         self._recorder.note(LineEvent("worker", None, at, cause, term("connected"), term("gone")))
 
-    def clock_stepped(self, step_s: float, at: float) -> None:
+    def clock_stepped(self, step_s: float, at: UnixTime) -> None:
         """The worker's clock was set."""
         self._recorder.note(_clock_step("event_worker_clock_stepped", step_s, at))
 
@@ -107,11 +108,11 @@ def record_history_faults(history: HistoryFaults, recorder: ChangeRecorder) -> N
     history.on_damage(lambda what, at: recorder.note(LineEvent("server", None, at, what, "", "")))
 
 
-def refusal_of_worker(at: float, holder: str, refused: str, reason: Message) -> LineEvent:
+def refusal_of_worker(at: UnixTime, holder: str, refused: str, reason: Message) -> LineEvent:
     """The event of a worker whose hello was refused."""
     what = Message("event_worker_refused")
     return LineEvent("worker", None, at, what, holder, refused, reason, series=what.code)
 
 
-def _clock_step(code: str, step_s: float, at: float) -> LineEvent:
+def _clock_step(code: str, step_s: float, at: UnixTime) -> LineEvent:
     return LineEvent("clock", None, at, Message.of(code, step=number(f"{step_s:+.3f}")), "", "")

@@ -8,7 +8,6 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
-from time import time
 from zoneinfo import ZoneInfo
 
 import structlog
@@ -56,6 +55,7 @@ from app.swap.store import SwapStore
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from app.web.turns import Turns
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message, in_english
 
 log = structlog.get_logger()
@@ -113,7 +113,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
     rights = Rights(database, accounts)
     lifetimes = Lifetimes.of(settings.server.sessions)
     sign_in = SignIn(database, passwords, events, lifetimes, site=site.name)
-    live, history = LiveState(settings.bus, time()), History(settings)
+    live, history = LiveState(settings.bus, unix_now()), History(settings)
     recorder = ChangeRecorder(events)
     record_history_faults(history, recorder)
     sets = SetStore(database)
@@ -127,7 +127,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         control_required=site.control,
         sets=sets,
         local_time=partial(datetime.now, ZoneInfo(site.zone)),
-        record=CommandRecord(events, database, time),
+        record=CommandRecord(events, database, unix_now),
         idempotency=IdempotencyCache(),
     )
     buses = {name: BusService(bus, of_site) for name, bus in live.buses.items()}
@@ -143,7 +143,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         notices=partial(_notices, history, anchoring),
         history_fault=lambda: in_english(history.status.message),
     )
-    hub = Hub(live, sources, templates, {name: bus.feed.watch for name, bus in buses.items()}, time)
+    hub = Hub(live, sources, templates, {name: bus.feed.watch for name, bus in buses.items()}, unix_now)
     return Services(
         settings=settings,
         assets=assets,
@@ -166,10 +166,10 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         sets=sets,
         takings=Takings(),
         restores=restores,
-        swaps=SwapService(events, SwapStore(database), restores, time),
+        swaps=SwapService(events, SwapStore(database), restores, unix_now),
         recipes=recipes,
         measured=MetricSources(live, hub, Counts(events), partial(_anchor_status, anchoring)),
-        onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, time),
+        onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, unix_now),
         turns=Turns(),
     )
 
@@ -178,7 +178,7 @@ def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
     return AnchorStatus() if anchoring is None else anchoring.status
 
 
-def _notices(history: History, anchoring: Anchoring | None, translator: Translator, now: float) -> str:
+def _notices(history: History, anchoring: Anchoring | None, translator: Translator, now: UnixTime) -> str:
     """Faults of the records, in the reader's language; mostly none."""
     found = (
         store_notice(history.status, translator.formats, now),

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bus.instants import Monotonic
+
 
 @dataclass(slots=True)
 class Bucket:
@@ -13,35 +15,35 @@ class Bucket:
     per_s: float
     capacity: float
     _level: float = 0.0
-    _at: float = 0.0
+    _at: Monotonic = Monotonic(0.0)
 
-    def level(self, now: float) -> float:
+    def level(self, now: Monotonic) -> float:
         """What is in it."""
         self._level = max(0.0, self._level - max(0.0, now - self._at) * self.per_s)
         self._at = now
         return self._level
 
-    def has_room(self, now: float) -> bool:
+    def has_room(self, now: Monotonic) -> bool:
         """Whether one more fits."""
         return self.level(now) + 1 <= self.capacity
 
-    def take(self, now: float) -> bool:
+    def take(self, now: Monotonic) -> bool:
         """Add one, where it fits."""
         if not self.has_room(now):
             return False
         self._level += 1
         return True
 
-    def pour(self, amount: float, now: float) -> float:
+    def pour(self, amount: float, now: Monotonic) -> float:
         """Add ``amount`` (below 0: take out), beyond the capacity too; for how many seconds nothing more
         should come (0.0: at once)."""
         self._level = max(0.0, self.level(now) + amount)
         return max(0.0, self._level - self.capacity) / self.per_s
 
-    def wait_s(self, now: float) -> float:
+    def wait_s(self, now: Monotonic) -> float:
         """In how many seconds one more fits; 0.0: now."""
         return max(0.0, self.level(now) + 1 - self.capacity) / self.per_s
 
-    def fill(self, now: float) -> None:
+    def fill(self, now: Monotonic) -> None:
         """Leave no room."""
         self._level = max(self.level(now), self.capacity)

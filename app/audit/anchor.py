@@ -22,6 +22,7 @@ from app.audit.chain import Head
 from app.audit.keyring import KeyRing
 from app.database.private import restrict
 from app.errors import StoreError, system_error
+from bus.instants import UnixTime
 from bus.messages import Message
 
 _TAIL_BYTES, _TAIL_LINES = 4096, 5
@@ -59,9 +60,9 @@ class Anchors:
     unreadable: int = 0
 
 
-def anchor_line(head: Head, at: float, ring: KeyRing) -> bytes:
+def anchor_line(head: Head, at: UnixTime, ring: KeyRing) -> bytes:
     """A head as a line of the file. ``at``: Unix time in seconds."""
-    time = datetime.fromtimestamp(at, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    time = datetime.fromtimestamp(float(at), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     seal = ring.seal("anchor", str(head.id), head.hash, time)
     return msgspec.json.encode(_AnchorLine(head.id, head.hash, time, ring.newest, seal)) + b"\n"
 

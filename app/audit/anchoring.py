@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from app.audit.detached import Detached
 from app.audit.log import EventLog
 from app.audit.walk import not_anchored
 from app.errors import StoreError
+from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
 EVERY_S = 60.0
@@ -36,13 +36,13 @@ class AnchorStatus:
 
     altered: Message | None = None
     unwritten: Message | None = None
-    since: float = 0.0
+    since: UnixTime = UnixTime(0.0)
 
 
 class Anchoring:
     """Exports the head of ``events`` to a file. Never raises for what the medium does."""
 
-    def __init__(self, events: EventLog, path: Path, clock: Callable[[], float] = time.time) -> None:
+    def __init__(self, events: EventLog, path: Path, clock: Clock = unix_now) -> None:
         self.status = AnchorStatus()
         self._events = events
         self._path = path

@@ -24,6 +24,7 @@ from app.web.api_route import ApiRoute
 from app.web.services import service
 from app.web.shape import iso
 from app.web.turns import DOWNLOAD, SEARCH
+from bus.instants import UnixTime
 from bus.messages import in_english
 
 router = APIRouter(prefix="/api/v1", tags=["events"], route_class=ApiRoute)
@@ -41,7 +42,7 @@ COLUMNS = (
 class EventFrameShown(BaseModel):
     """One frame that carried a command."""
 
-    at: Annotated[float, Field(description="Seconds since 1970.")]
+    at: Annotated[UnixTime, Field(description="Seconds since 1970.")]
     direction: Annotated[str, Field(description="out: a request, in: a response.")]
     data: Annotated[str, Field(description="The bytes on the wire, hexadecimal.")]
     meaning: str
@@ -105,8 +106,8 @@ async def wanted_events(
     search: Annotated[str, Query(max_length=200)] = "",
 ) -> Filter:
     """The filter of the query."""
-    begin = since.timestamp() if since else None
-    end = until.timestamp() if until else None
+    begin = UnixTime(since.timestamp()) if since else None
+    end = UnixTime(until.timestamp()) if until else None
     return Filter(before, kind or None, bus or None, unit, who or None, begin, end, search)
 
 

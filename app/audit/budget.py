@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from bus.bucket import Bucket
+from bus.instants import Monotonic
 
 T = TypeVar("T")
 
@@ -40,9 +41,9 @@ class _Series(Generic[T]):
     bucket: Bucket
     last: T | None = None
     count: int = 0
-    first_at: float = 0.0
-    last_at: float = 0.0
-    due_at: float = 0.0
+    first_at: Monotonic = Monotonic(0.0)
+    last_at: Monotonic = Monotonic(0.0)
+    due_at: Monotonic = Monotonic(0.0)
     pause_s: float = FIRST_PAUSE_S
 
 
@@ -53,7 +54,7 @@ class EventBudget(Generic[T]):
         self._all = Bucket(1 / FORGIVEN_OF_ALL_EVERY_S, BURST_OF_ALL)
         self._series: dict[Hashable, _Series[T]] = {}
 
-    def admits(self, key: Hashable, event: T, now: float, *, burst: int = BURST) -> bool:
+    def admits(self, key: Hashable, event: T, now: Monotonic, *, burst: int = BURST) -> bool:
         """Whether to record this event of a series, of which ``burst`` are recorded one by one; where not, it
         is kept for a summary."""
         series = self._series.setdefault(key, _Series(Bucket(1 / FORGIVEN_EVERY_S, burst)))
@@ -65,7 +66,7 @@ class EventBudget(Generic[T]):
         series.last, series.count = event, series.count + 1
         return False
 
-    def due(self, now: float, *, everything: bool = False) -> list[Summary[T]]:
+    def due(self, now: Monotonic, *, everything: bool = False) -> list[Summary[T]]:
         """The summaries to record now; ``everything``: all that is kept, because the server ends."""
         found = [
             self._summary(series, now)
@@ -75,13 +76,13 @@ class EventBudget(Generic[T]):
         self._series = {key: series for key, series in self._series.items() if not self._is_over(series, now)}
         return found
 
-    def _has_room(self, series: _Series[T], now: float) -> bool:
+    def _has_room(self, series: _Series[T], now: Monotonic) -> bool:
         return series.bucket.has_room(now) and self._all.has_room(now)
 
-    def _is_due(self, series: _Series[T], now: float) -> bool:
+    def _is_due(self, series: _Series[T], now: Monotonic) -> bool:
         return now >= series.due_at or now - series.last_at >= QUIET_S
 
-    def _summary(self, series: _Series[T], now: float) -> Summary[T]:
+    def _summary(self, series: _Series[T], now: Monotonic) -> Summary[T]:
         assert series.last is not None
         summary = Summary(series.last, series.count, now - series.first_at)
         series.last, series.count = None, 0
@@ -92,5 +93,5 @@ class EventBudget(Generic[T]):
             series.bucket.fill(now)
         return summary
 
-    def _is_over(self, series: _Series[T], now: float) -> bool:
+    def _is_over(self, series: _Series[T], now: Monotonic) -> bool:
         return not series.count and not series.bucket.level(now)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from app.audit.anchoring import AnchorStatus
 from app.web.formats import Formats
+from bus.instants import UnixTime
 from bus.messages import Message
 
 
-def anchor_notice(status: AnchorStatus, formats: Formats, now: float) -> Message | None:
+def anchor_notice(status: AnchorStatus, formats: Formats, now: UnixTime) -> Message | None:
     """None while the log is anchored and whole. ``now``: Unix time in seconds."""
     if status.altered is not None:
         return Message("audit_altered_after_anchor")

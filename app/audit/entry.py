@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from bus.contract import Frame
+from bus.instants import UnixTime
 from bus.messages import Message
 
 Event = dict[str, Any]
@@ -22,7 +23,7 @@ MESSAGE_COLUMNS = ("who", "origin", "what", "old", "new", "message")
 """The fields that may be messages."""
 
 
-def new_entry(*, kind: str, time: float, frames: Iterable[Frame] = (), **given: Any) -> dict[str, Any]:
+def new_entry(*, kind: str, time: UnixTime, frames: Iterable[Frame] = (), **given: Any) -> dict[str, Any]:
     """All fields of an entry but its id. ``time``: Unix time in seconds; ``frames`` carried the command. Of a
     message the field has the text in English, and ``messages`` what it is."""
     shown = json.dumps([_frame(frame) for frame in frames], separators=(",", ":"), ensure_ascii=False)
@@ -34,9 +35,9 @@ def new_entry(*, kind: str, time: float, frames: Iterable[Frame] = (), **given: 
     return {name: _stored(value) for name, value in entry.items()} | {"time": float(time) + 0.0}
 
 
-def is_moment(time: float) -> bool:
+def is_moment(time: UnixTime) -> bool:
     """Whether a Unix time in seconds can be shown as a date; 0 means an unknown time."""
-    return math.isfinite(time) and 0 < time < LATEST
+    return math.isfinite(time) and 0 < float(time) < LATEST
 
 
 def _plain(message: Any) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
-import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from typing import Any
 
@@ -23,6 +22,7 @@ from app.audit.walk import Verdict
 from app.database import Database
 from app.errors import StoreError
 from bus.contract import Frame, Outcome
+from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
 log = structlog.get_logger()
@@ -45,9 +45,7 @@ class EventLog:
     """Append-only. Whatever returns from here is on disk. Without ``keys``, what seals the entries ends with
     the process: nothing that is kept may be written so."""
 
-    def __init__(
-        self, database: Database, clock: Callable[[], float] = time.time, keys: Keys | None = None
-    ) -> None:
+    def __init__(self, database: Database, clock: Clock = unix_now, keys: Keys | None = None) -> None:
         self.keys = keys or passing_keys()
         self.proof = LogProof(database, self.keys)
         self.repeated = RepeatedEvents(self.record, clock)
@@ -122,7 +120,7 @@ class EventLog:
         new_raw: int | None = None,
         outcome: str | None = None,
         message: str | Message = "",
-        at: float | None = None,
+        at: UnixTime | None = None,
         count: int = 1,
     ) -> int:
         """Store a complete event; ``at``: when, if not just now, and ``count``: how often. Returns the

@@ -19,6 +19,7 @@ from app.web.access import Viewer
 from app.web.services import service_of
 from app.web.templating import render, templates_of
 from app.web.turns import SEARCH
+from bus.instants import UnixTime
 
 router = APIRouter(include_in_schema=False)
 ON_A_PAGE = 100
@@ -77,11 +78,11 @@ def _number(text: str) -> int | None:
     return int(text) if text.isascii() and text.isdecimal() else None
 
 
-def _day(text: str, time_zone: str, later: timedelta = timedelta(0)) -> float | None:
+def _day(text: str, time_zone: str, later: timedelta = timedelta(0)) -> UnixTime | None:
     """The instant at which a day (2026-11-21) begins at the site; None for an invalid day."""
     try:
         day = datetime.fromisoformat(text).date() + later
-        return datetime.combine(day, time(), ZoneInfo(time_zone)).timestamp()
+        return UnixTime(datetime.combine(day, time(), ZoneInfo(time_zone)).timestamp())
     except (ValueError, OverflowError):
         return None
 
@@ -104,5 +105,5 @@ def _csv_link(wanted: Filter, time_zone: str) -> str:
     return "/api/v1/events.csv?" + urlencode({name: value for name, value in filters.items() if value})
 
 
-def _iso(at: float | None, time_zone: str) -> str:
-    return "" if at is None else datetime.fromtimestamp(at, ZoneInfo(time_zone)).isoformat()
+def _iso(at: UnixTime | None, time_zone: str) -> str:
+    return "" if at is None else datetime.fromtimestamp(float(at), ZoneInfo(time_zone)).isoformat()

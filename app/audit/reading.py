@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 
 from app.audit.entry import Event, is_moment
+from bus.instants import UnixTime
 from bus.messages import Message
 
 _MESSAGES = msgspec.json.Decoder(dict[str, Message])
@@ -16,7 +17,7 @@ _MESSAGES = msgspec.json.Decoder(dict[str, Message])
 class FrameRecord(msgspec.Struct):
     """One frame that carried a command. ``at``: Unix time in seconds; ``data``: hexadecimal."""
 
-    at: float
+    at: UnixTime
     direction: str
     data: str
     meaning: str

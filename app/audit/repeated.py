@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 
 from app.audit.kinds import EventKind
 from app.audit.tally import WINDOW_S, Counted, Tally
+from bus.instants import Clock
 from bus.messages import Message
 
 MANY = Message("many_addresses")
@@ -22,7 +23,7 @@ class RepeatedEvents:
     attack: ``who`` is one of a bounded number. ``record``: as `EventLog.record`; ``clock`` gives Unix time in
     seconds."""
 
-    def __init__(self, record: Callable[..., Awaitable[int]], clock: Callable[[], float]) -> None:
+    def __init__(self, record: Callable[..., Awaitable[int]], clock: Clock) -> None:
         self._record = record
         self._clock = clock
         self._tally: Tally[_RepeatedEvent] = Tally()

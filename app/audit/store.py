@@ -14,6 +14,7 @@ from app.audit.keyring import KeyRing
 from app.audit.keys import Keys
 from app.audit.reading import readable
 from app.audit.walk import Verdict, Walk
+from bus.instants import UnixTime
 
 _COLUMNS = (*FIELDS, "count", "messages", "key", "previous", "hash", "seal")
 """A further column must allow NULL and stand here; the hash covers it wherever it is not NULL."""
@@ -56,8 +57,8 @@ class Filter:
     bus: str | None = None
     unit: int | None = None
     who: str | None = None
-    since: float | None = None
-    until: float | None = None
+    since: UnixTime | None = None
+    until: UnixTime | None = None
     search: str = ""
     folded: bool = False
     parts_of: tuple[int, ...] | None = None

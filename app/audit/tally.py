@@ -6,6 +6,8 @@ from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from bus.instants import UnixTime
+
 WINDOW_S = 60.0
 MOST_KEYS = 20
 """How many of a group have events of their own in a minute."""
@@ -16,9 +18,9 @@ Item = TypeVar("Item", bound=Hashable)
 @dataclass(slots=True)
 class _Window(Generic[Item]):
     item: Item
-    began: float
+    began: UnixTime
     count: int = 0
-    last: float = 0.0
+    last: UnixTime = UnixTime(0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +30,7 @@ class Counted(Generic[Item]):
 
     item: Item
     count: int
-    last: float
+    last: UnixTime
     is_many: bool
 
 
@@ -38,7 +40,7 @@ class Tally(Generic[Item]):
     def __init__(self) -> None:
         self._groups: dict[str, dict[Item | None, _Window[Item]]] = {}
 
-    def note(self, group: str, item: Item, now: float) -> Counted[Item] | None:
+    def note(self, group: str, item: Item, now: UnixTime) -> Counted[Item] | None:
         """Count an item; return it where it must be recorded at once, else None."""
         windows = self._groups.setdefault(group, {})
         key = item if item in windows or len(windows) < MOST_KEYS else None
@@ -50,16 +52,16 @@ class Tally(Generic[Item]):
         window.count += 1
         return None
 
-    def due(self, now: float) -> list[Counted[Item]]:
+    def due(self, now: UnixTime) -> list[Counted[Item]]:
         """What was counted in windows that are over. A window in which nothing was is forgotten; one that
         began later than ``now`` is over too, for the clock was set back."""
         return list(self._take(lambda window: not 0 <= now - window.began < WINDOW_S, now))
 
-    def rest(self, now: float) -> list[Counted[Item]]:
+    def rest(self, now: UnixTime) -> list[Counted[Item]]:
         """Everything counted and not recorded yet."""
         return list(self._take(lambda _: True, now))
 
-    def _take(self, is_over: Callable[[_Window[Item]], bool], now: float) -> Iterator[Counted[Item]]:
+    def _take(self, is_over: Callable[[_Window[Item]], bool], now: UnixTime) -> Iterator[Counted[Item]]:
         for windows in self._groups.values():
             for key, window in list(windows.items()):
                 if not is_over(window):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from contextlib import suppress
 from urllib.parse import quote, urlsplit
 
@@ -21,6 +20,7 @@ from app.web.access import Person, Role, not_signed_in
 from app.web.hosts import LOOPBACK
 from app.web.problems import is_fragment, problem_json, wants_json
 from app.web.security import refuse
+from bus.instants import monotonic_now
 
 COOKIE = "lineside_session"
 PUBLIC_PATHS = frozenset(
@@ -63,7 +63,7 @@ class Identify:
         if person is not None:
             identify(scope, person.account)
             if scope["type"] == "websocket":
-                await asyncio.sleep(self._handshakes.wait_s(person.account, time.monotonic()))
+                await asyncio.sleep(self._handshakes.wait_s(person.account, monotonic_now()))
 
         async def is_still() -> bool:
             return await self._is_still(connection, person)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sqlite3
-import time
 from collections.abc import Callable, Collection
 
 from app.audit.kinds import EventKind
@@ -14,6 +13,7 @@ from app.auth.store import Token, User
 from app.database import Database
 from app.web.access import AccountSubscriber, Role, account_of, name_of
 from bus.errors import CallerError
+from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message, term
 
 
@@ -26,7 +26,7 @@ class Accounts:
         database: Database,
         passwords: Passwords,
         events: EventLog,
-        clock: Callable[[], float] = time.time,
+        clock: Clock = unix_now,
         *,
         buses: Collection[str] = (),
         site: str = "",
@@ -39,7 +39,7 @@ class Accounts:
         self._site = site
         self._subscribers: list[AccountSubscriber] = []
 
-    def now(self) -> float:
+    def now(self) -> UnixTime:
         """Unix time as this service has it, by which tokens expire."""
         return self._clock()
 

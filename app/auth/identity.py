@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hmac
 import sqlite3
-import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -16,6 +15,7 @@ from app.auth.store import Session, Token
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.web.access import Person, Role, account_of
+from bus.instants import Clock, unix_now
 from bus.messages import Message
 
 
@@ -27,7 +27,7 @@ class Identity:
         database: Database,
         sign_in: SignIn,
         worker_tokens: Mapping[str, str],
-        clock: Callable[[], float] = time.time,
+        clock: Clock = unix_now,
     ) -> None:
         self._database = database
         self._sign_in = sign_in
@@ -102,7 +102,7 @@ class ExpiredTokenError(Problem):
     """401 for the holder of an expired token; a stranger does not get it. ``account``: the token's."""
 
     def __init__(self, token: Token) -> None:
-        day = datetime.fromtimestamp(token.expires_at or 0.0, UTC).date().isoformat()
+        day = datetime.fromtimestamp(float(token.expires_at or 0.0), UTC).date().isoformat()
         super().__init__(401, "unauthorized", Message.of("token_expired", called=token.name, day=day))
         self.account = account_of(token.name, token=True)
         # RFC 6750, 3.1

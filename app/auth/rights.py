@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -21,6 +20,7 @@ from app.auth.store import Token, User
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.web.access import AccountSubscriber, Person, Role, account_of
+from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message
 
 WATCH_EVERY_S = 0.5
@@ -77,14 +77,14 @@ class Rights:
         self,
         database: Database,
         accounts: AccountChanges,
-        clock: Callable[[], float] = time.time,
-        monotonic: Callable[[], float] = time.monotonic,
+        clock: Clock = unix_now,
+        monotonic: MonotonicClock = monotonic_now,
     ) -> None:
         self._database = database
         self._clock = clock
         self._monotonic = monotonic
         self._standings: Mapping[str, Standing] = {}
-        self._read_at = float("-inf")
+        self._read_at = Monotonic(float("-inf"))
         self._withdrawn: list[AccountSubscriber] = []
         self.rechecks = Rechecks()
         accounts.on_changed(self._on_account_change)

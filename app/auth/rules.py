@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from app.settings import Sessions
 from app.web.access import Role
 from bus.errors import CallerError
+from bus.instants import UnixTime
 from bus.messages import Message, term
 
 _NAME = re.compile(r"[\w.@-]{1,40}")
@@ -26,7 +27,7 @@ class Lifetime:
     idle_s: float
     absolute_s: float
 
-    def ends_at(self, created_at: float, used_at: float) -> float:
+    def ends_at(self, created_at: UnixTime, used_at: UnixTime) -> UnixTime:
         """The instant from which it is no longer good."""
         return min(used_at + self.idle_s, created_at + self.absolute_s)
 
@@ -74,7 +75,7 @@ def check_token_bus(role: Role, bus: str, buses: Collection[str]) -> None:
         raise CallerError(Message.of("no_such_bus", bus=bus[:80], known=known))
 
 
-def token_expiry(now: float, days: int | None) -> float | None:
+def token_expiry(now: UnixTime, days: int | None) -> UnixTime | None:
     """When a token made at ``now`` expires; None where it does not. Raises CallerError."""
     if days is None:
         return None

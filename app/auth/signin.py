@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
-import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil
@@ -23,6 +21,7 @@ from app.server.addresses import source_of
 from app.server.fair_queue import FairQueue, TooManyWaitingError
 from app.web.access import AccountSubscriber, Person, Role
 from bus.errors import CallerError
+from bus.instants import Clock, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message, term
 
 _WRONG = {False: Message("name_or_password_wrong"), True: Message("name_or_pin_wrong")}
@@ -56,7 +55,8 @@ class SignIn:
         passwords: Passwords,
         events: EventLog,
         lifetimes: Lifetimes,
-        clock: Callable[[], float] = time.time,
+        clock: Clock = unix_now,
+        monotonic: MonotonicClock = monotonic_now,
         *,
         site: str = "",
     ) -> None:
@@ -65,6 +65,7 @@ class SignIn:
         self._passwords = passwords
         self._events = events
         self._clock = clock
+        self._monotonic = monotonic
         self._site = site
         self._throttle = Throttle()
         self._has_users = False
@@ -138,12 +139,12 @@ class SignIn:
         try:
             async with self._hashing.turn(attempt.place, known=attempt.known):
                 self._refuse_too_soon(attempt)
-                self._throttle.begin(attempt, self._clock())
+                self._throttle.begin(attempt, self._monotonic())
                 user = await self._verified(name, secret, panel)
                 if user is None:
-                    self._throttle.failed(attempt, self._clock())
+                    self._throttle.failed(attempt, self._monotonic())
                 else:
-                    self._throttle.succeeded(attempt, self._clock())
+                    self._throttle.succeeded(attempt, self._monotonic())
                 return user
         except TooManyWaitingError:
             raise _too_soon(1) from None
@@ -155,7 +156,7 @@ class SignIn:
         return Attempt(name, browser if browser in known else network, panel, bool(known))
 
     def _refuse_too_soon(self, attempt: Attempt) -> None:
-        wait_s = self._throttle.wait_s(attempt, self._clock())
+        wait_s = self._throttle.wait_s(attempt, self._monotonic())
         if wait_s > 0:
             raise _too_soon(ceil(wait_s))
 

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from app.web.access import Role
+from bus.instants import UnixTime
 
 MOST_PLACES = 50
 """Networks and browsers of one user."""
@@ -22,8 +23,8 @@ class User:
     home: str
     language: str
     disabled: bool
-    created_at: float
-    seen_at: float | None
+    created_at: UnixTime
+    seen_at: UnixTime | None
     weak_secret: bool = False
     """The password or PIN, as last used, is one that today's rules refuse."""
     secret_serial: int = 0
@@ -35,9 +36,9 @@ class Session:
     """A user's session."""
 
     user: User
-    created_at: float
-    used_at: float
-    expires_at: float
+    created_at: UnixTime
+    used_at: UnixTime
+    expires_at: UnixTime
 
 
 @dataclass(frozen=True)
@@ -48,13 +49,13 @@ class Token:
     name: str
     role: Role
     created_by: str
-    created_at: float
-    used_at: float | None
+    created_at: UnixTime
+    used_at: UnixTime | None
     bus: str | None = None
     """The one bus that a worker's token is for."""
-    expires_at: float | None = None
+    expires_at: UnixTime | None = None
 
-    def is_good(self, now: float) -> bool:
+    def is_good(self, now: UnixTime) -> bool:
         """Whether it has not expired."""
         return self.expires_at is None or now < self.expires_at
 
@@ -165,7 +166,13 @@ def admins_left(connection: sqlite3.Connection) -> int:
 
 
 def begin_session(
-    connection: sqlite3.Connection, hash_: bytes, name: str, now: float, ends: float, *, weak_secret: bool
+    connection: sqlite3.Connection,
+    hash_: bytes,
+    name: str,
+    now: UnixTime,
+    ends: UnixTime,
+    *,
+    weak_secret: bool,
 ) -> None:
     """Store a sign-in and forget the sessions that are over."""
     connection.execute("DELETE FROM sessions WHERE expires_at <= ?", (now,))
@@ -181,7 +188,7 @@ def known_places(connection: sqlite3.Connection, name: str, places: Collection[s
     return {row["place"] for row in connection.execute(query, (name, *places))}
 
 
-def note_places(connection: sqlite3.Connection, name: str, places: Iterable[str], now: float) -> None:
+def note_places(connection: sqlite3.Connection, name: str, places: Iterable[str], now: UnixTime) -> None:
     """A user has signed in from these; the newest of each user are kept."""
     note = "INSERT INTO known_places VALUES (?, ?, ?) ON CONFLICT DO UPDATE SET seen_at = excluded.seen_at"
     connection.executemany(note, [(name, place, now) for place in places])
@@ -204,13 +211,13 @@ def session(connection: sqlite3.Connection, hash_: bytes) -> Session | None:
     return Session(_user(row), row["begun_at"], row["used_at"], row["expires_at"])
 
 
-def prolong_session(connection: sqlite3.Connection, hash_: bytes, now: float, ends: float) -> None:
+def prolong_session(connection: sqlite3.Connection, hash_: bytes, now: UnixTime, ends: UnixTime) -> None:
     """Note that a session is used."""
     change = "UPDATE sessions SET used_at = ?, expires_at = ? WHERE hash = ?"
     connection.execute(change, (now, ends, hash_))
 
 
-def end_session(connection: sqlite3.Connection, hash_: bytes, name: str, now: float) -> bool:
+def end_session(connection: sqlite3.Connection, hash_: bytes, name: str, now: UnixTime) -> bool:
     """Sign out. Whether it was the user's last session."""
     connection.execute("DELETE FROM sessions WHERE hash = ?", (hash_,))
     query = "SELECT 1 FROM sessions WHERE name = ? AND expires_at > ?"
@@ -242,7 +249,7 @@ def add_token(connection: sqlite3.Connection, hash_: bytes, token: Token) -> Non
     )
 
 
-def note_token_used(connection: sqlite3.Connection, number: int, now: float) -> None:
+def note_token_used(connection: sqlite3.Connection, number: int, now: UnixTime) -> None:
     """For the list of tokens."""
     connection.execute("UPDATE tokens SET used_at = ? WHERE id = ?", (now, number))
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from bus.bucket import Bucket
+from bus.instants import Monotonic
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -38,9 +39,9 @@ class _Failures:
     """How many there were, and when the last was."""
 
     count: int = 0
-    at: float = 0.0
+    at: Monotonic = Monotonic(0.0)
 
-    def recent(self, now: float) -> int:
+    def recent(self, now: Monotonic) -> int:
         """How many of them still count."""
         return self.count if now - self.at < FORGOTTEN_AFTER_S else 0
 
@@ -99,7 +100,7 @@ class Throttle:
         self._names: _Bounded[str, Bucket] = _Bounded(most, lambda: Bucket(1 / OF_NAME_EVERY_S, OF_NAME))
         self._panels: _Bounded[str, Bucket] = _Bounded(most, lambda: Bucket(1 / OF_PANEL_EVERY_S, OF_NAME))
 
-    def wait_s(self, attempt: Attempt, now: float) -> float:
+    def wait_s(self, attempt: Attempt, now: Monotonic) -> float:
         """For how many seconds this is not to be tried; 0.0: now."""
         waits = [self._wait_of_pair(attempt, now)]
         if not attempt.known:
@@ -107,18 +108,18 @@ class Throttle:
             waits.append(self._names_of(attempt).get(attempt.name).wait_s(now))
         return max(waits)
 
-    def begin(self, attempt: Attempt, now: float) -> None:
+    def begin(self, attempt: Attempt, now: Monotonic) -> None:
         """It is tried. Noted before its end, lest many at once each be the last that is allowed."""
         if not attempt.known:
             self._names_of(attempt).kept(attempt.name).pour(1, now)
 
-    def failed(self, attempt: Attempt, now: float) -> None:
+    def failed(self, attempt: Attempt, now: Monotonic) -> None:
         """It was wrong."""
         failures = self._pairs.kept(attempt.pair)
         failures.count, failures.at = failures.recent(now) + 1, now
         self._places.kept(attempt.place).pour(1, now)
 
-    def succeeded(self, attempt: Attempt, now: float) -> None:
+    def succeeded(self, attempt: Attempt, now: Monotonic) -> None:
         """It was right: nothing of this name counts against this place; what others tried still does."""
         self._pairs.drop(attempt.pair)
         if not attempt.known:
@@ -127,7 +128,7 @@ class Throttle:
     def _names_of(self, attempt: Attempt) -> _Bounded[str, Bucket]:
         return self._panels if attempt.panel else self._names
 
-    def _wait_of_pair(self, attempt: Attempt, now: float) -> float:
+    def _wait_of_pair(self, attempt: Attempt, now: Monotonic) -> float:
         failures = self._pairs.get(attempt.pair)
         over = failures.recent(now) - (FREE_OF_PANEL if attempt.panel else FREE)
         if over < 0:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import stat
-import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +19,7 @@ from app.database.private import write_file
 from app.sets.document import write_document
 from app.sets.model import ParameterSet, UnitRows
 from bus.errors import CallerError
+from bus.instants import unix_now
 from bus.messages import Message
 
 AT_ONCE = 4
@@ -82,7 +82,7 @@ def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows]
 
 def _set(bus: str, units: list[UnitRows], missing: dict[int, str]) -> ParameterSet:
     comment = f"not read: unit {', '.join(str(unit) for unit in missing)}" if missing else ""
-    return ParameterSet(bus, time.time(), "lineside backup", "by hand", tuple(units), comment=comment)
+    return ParameterSet(bus, unix_now(), "lineside backup", "by hand", tuple(units), comment=comment)
 
 
 def _report(out: Path, read: list[UnitRows], missing: dict[int, str], as_json: bool) -> None:

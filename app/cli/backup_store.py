@@ -11,7 +11,6 @@ import json
 import sqlite3
 import tarfile
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from importlib.metadata import version
@@ -29,6 +28,7 @@ from app.database.private import make_file, make_private, restrict
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import load
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
 MANIFEST = "manifest.json"
@@ -99,7 +99,7 @@ def _copy(store: Path, folder: Path) -> Path:
 
 def _manifest(copies: list[Path]) -> str:
     stores = {copy.name: _digest(copy) for copy in copies}
-    return json.dumps({"lineside": version("lineside"), "time": time.time(), "stores": stores}, indent=1)
+    return json.dumps({"lineside": version("lineside"), "time": unix_now(), "stores": stores}, indent=1)
 
 
 def _digest(path: Path) -> str:
@@ -135,14 +135,14 @@ def read_backup(
     return [fresh.name for fresh in proved], withheld
 
 
-def _unpack(file: Path, folder: Path) -> tuple[list[Path], float]:
+def _unpack(file: Path, folder: Path) -> tuple[list[Path], UnixTime]:
     """The proved stores, and when they were backed up."""
     with _archive(file) as archive:
         extracted = archive.extractfile(MANIFEST)
         assert extracted is not None
         manifest = json.loads(extracted.read())
         stores: dict[str, str] = manifest["stores"]
-        taken_at = float(manifest["time"])
+        taken_at = UnixTime(manifest["time"])
         for name in stores:
             archive.extract(archive.getmember(name), folder, filter="data")
             restrict(folder / name)

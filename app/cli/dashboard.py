@@ -14,6 +14,7 @@ import httpx
 from app.errors import system_error
 from app.sets.model import ParameterRow, UnitRows
 from bus.errors import CallerError, LinesideError
+from bus.instants import UnixTime
 from bus.messages import Message
 
 _AUTHORITIES = ("SSL_CERT_FILE", "SSL_CERT_DIR")
@@ -121,7 +122,7 @@ def _is_untrusted(error: BaseException | None) -> bool:
 
 def _row(given: Mapping[str, Any]) -> ParameterRow:
     read_at = given.get("read_at")
-    at = datetime.fromisoformat(read_at).timestamp() if isinstance(read_at, str) else read_at
+    at = UnixTime(datetime.fromisoformat(read_at).timestamp()) if isinstance(read_at, str) else read_at
     return ParameterRow(given["number"], given["raw"], bool(given["available"]), at)
 
 

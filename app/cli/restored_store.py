@@ -19,6 +19,7 @@ from app.cli.accounts import ORIGIN, who_calls
 from app.commands.safeguards.in_force import Protection, keep_in_force, read_protection
 from app.database import Database
 from app.database.connection import open_for_reading
+from bus.instants import UnixTime
 from bus.messages import Message, joined
 
 WHAT = Message("event_stores_restored")
@@ -29,13 +30,13 @@ class Backup:
     """Which backup it is: the name of its file, when it was taken (Unix time), its SHA-256."""
 
     file: str
-    taken_at: float
+    taken_at: UnixTime
     digest: str
 
     @property
     def message(self) -> Message:
         """All of it."""
-        taken = datetime.fromtimestamp(self.taken_at, UTC).isoformat(timespec="seconds")
+        taken = datetime.fromtimestamp(float(self.taken_at), UTC).isoformat(timespec="seconds")
         return Message.of("backup_of", file=self.file, time=taken, digest=self.digest)
 
 

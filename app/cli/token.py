@@ -12,6 +12,7 @@ from app.cli.accounts import ORIGIN, who_calls, with_accounts
 from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
 from app.web.access import Role, role_named
+from bus.instants import UnixTime
 
 tokens = typer.Typer(help="Manage tokens of programs.", no_args_is_help=True)
 
@@ -63,5 +64,5 @@ def revoke(name: TokenName, config: Config = LINESIDE_TOML) -> None:
         with_accounts(config, lambda accounts: accounts.revoke_token(name, by=who_calls(), origin=ORIGIN))
 
 
-def _day(at: float) -> str:
-    return datetime.fromtimestamp(at, UTC).date().isoformat()
+def _day(at: UnixTime) -> str:
+    return datetime.fromtimestamp(float(at), UTC).date().isoformat()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-import time
 from asyncio.subprocess import Process
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import structlog
 
+from bus.instants import monotonic_now
 from bus.worker.parent import tied_environment
 
 log = structlog.get_logger()
@@ -54,9 +54,9 @@ class WorkerProcesses:
     async def _keep(self, bus: str) -> None:
         pause = FIRST_PAUSE_S
         while True:
-            started = time.monotonic()
+            started = monotonic_now()
             code = await self._run(bus)
-            if time.monotonic() - started > WELL_AFTER_S:
+            if monotonic_now() - started > WELL_AFTER_S:
                 pause = FIRST_PAUSE_S
             log.warning("bus worker ended, starts again", bus=bus, code=code, after_s=pause)
             await asyncio.sleep(pause)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import re
 import sqlite3
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from pathlib import Path
 
 from app.database.private import make_file, make_folder
 from app.errors import StoreError
+from bus.instants import unix_now
 from bus.messages import Message
 
 MIGRATIONS = Path(__file__).parent / "migrations"
@@ -92,7 +92,7 @@ def _copy(connection: sqlite3.Connection, path: Path, step: Migration) -> None:
 
 
 def _apply(connection: sqlite3.Connection, path: Path, step: Migration) -> None:
-    row = f"({step.number}, '{step.name}', {time.time():.3f})"
+    row = f"({step.number}, '{step.name}', {unix_now():.3f})"
     record = f"{_LEDGER};\nINSERT INTO migrations VALUES {row}"
     try:
         connection.executescript(f"BEGIN IMMEDIATE;\n{step.sql};\n{record};\nCOMMIT")

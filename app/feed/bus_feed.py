@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
-from collections.abc import Callable
 from typing import Protocol
 
 import structlog
@@ -16,6 +14,7 @@ from app.feed.rates import update_bucket
 from app.live.state.bus_live import NO_WORKER
 from app.pipeline import Pipeline
 from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome
+from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 
 _log = structlog.get_logger()
@@ -57,8 +56,8 @@ class BusFeed:
         self,
         channel: Channel,
         pipeline: Pipeline,
-        now: Callable[[], float] = time.time,
-        monotonic: Callable[[], float] = time.monotonic,
+        now: Clock = unix_now,
+        monotonic: MonotonicClock = monotonic_now,
         *,
         timeout_ticks: int = TIMEOUT_TICKS,
     ) -> None:
@@ -171,7 +170,7 @@ class BusFeed:
             self._pipeline.worker_disconnected(self._now(), cause)
 
 
-async def send_away(connection: WorkerConnection, reason: Message, now: float) -> None:
+async def send_away(connection: WorkerConnection, reason: Message, now: UnixTime) -> None:
     """Refuse a worker in English words, which one of another version can read too."""
     await connection.send(Welcome(CONTRACT_VERSION, 0, now, str(reason)))
     await connection.close(str(reason))

@@ -10,7 +10,6 @@ the command ends at once. The worker drops a late command by its own check of th
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -18,6 +17,7 @@ from typing import Protocol
 from app.feed.plausibility import result_for
 from app.live.state.bus_live import NO_WORKER
 from bus.contract import AppMessage, Cancel, Command, Outcome, Progress, ReserveTurn, Result, Watch
+from bus.instants import Monotonic, monotonic_now, unix_now
 from bus.messages import Message
 
 REASK_WITHIN_S = 10.0
@@ -46,9 +46,9 @@ class _OpenCommand:
     command: Command
     worker: str
     result: asyncio.Future[Result]
-    due_at: float
+    due_at: Monotonic
     """Its deadline, on the monotonic clock like ``give_up_at``."""
-    give_up_at: float
+    give_up_at: Monotonic
     listener: ProgressListener | None
     sent_to: MessageSink | None = None
     """Only what this connection reports of it counts."""
@@ -89,7 +89,7 @@ class Channel:
             return
         self._connection = None
         for open_command in self._open.values():
-            open_command.give_up_at = min(open_command.give_up_at, time.monotonic() + self._reask_s)
+            open_command.give_up_at = min(open_command.give_up_at, monotonic_now() + self._reask_s)
 
     def on_message(self) -> None:
         """Any message shows that the worker lives."""
@@ -98,7 +98,7 @@ class Channel:
     async def send(self, command: Command, listener: ProgressListener | None = None) -> Result:
         """Send ``command`` and wait for its result. Never raises for a failure on the way."""
         if self._connection is None:
-            return Result(id=command.id, at=time.time(), outcome="bus_closed", message=NO_WORKER)
+            return Result(id=command.id, at=unix_now(), outcome="bus_closed", message=NO_WORKER)
         result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
         open_command = _OpenCommand(
             command, self._worker, result, _due_at(command), self._last_moment(command), listener
@@ -135,11 +135,11 @@ class Channel:
         if isinstance(update, Result):
             open_command.result.set_result(result_for(update, open_command.command.action))
             return
-        open_command.give_up_at = max(open_command.give_up_at, time.monotonic() + self._patience_s)
+        open_command.give_up_at = max(open_command.give_up_at, monotonic_now() + self._patience_s)
         if open_command.listener is not None:
             open_command.listener(update)
 
-    def _last_moment(self, command: Command) -> float:
+    def _last_moment(self, command: Command) -> Monotonic:
         return _due_at(command) + self._patience_s
 
     async def _send_command(self, open_command: _OpenCommand) -> None:
@@ -170,7 +170,7 @@ class Channel:
         stuck = missed_looks >= (STUCK_AFTER_LOOKS if self.connected else AWAY_LOOKS)
         return (
             min(open_command.due_at, open_command.give_up_at) if stuck else open_command.give_up_at
-        ) - time.monotonic()
+        ) - monotonic_now()
 
     def _why_no_result(self, missed_looks: int) -> Message:
         if not self.connected:
@@ -180,12 +180,12 @@ class Channel:
         return Message("worker_no_result")
 
 
-def _due_at(command: Command) -> float:
-    return time.monotonic() + max(0.0, command.deadline - time.time())
+def _due_at(command: Command) -> Monotonic:
+    return monotonic_now() + max(0.0, command.deadline - unix_now())
 
 
 def _end(open_command: _OpenCommand, outcome: Outcome, message: Message) -> None:
     if not open_command.result.done():
         open_command.result.set_result(
-            Result(id=open_command.command.id, at=time.time(), outcome=outcome, message=message)
+            Result(id=open_command.command.id, at=unix_now(), outcome=outcome, message=message)
         )

@@ -14,6 +14,7 @@ import msgspec
 from app.history.intake.clock_watch import ClockWatch
 from bus.contract import TaggedStruct
 from bus.contract.clock_offset import ClockOffset
+from bus.instants import Monotonic, UnixTime
 
 SAME_CLOCK_S = 0.05
 """Clocks this near are one clock: most workers run on the app's own machine."""
@@ -33,9 +34,9 @@ class WorkerClock:
         self.offset_s = 0.0
         self._difference = ClockOffset()
         self._own: ClockWatch | None = None
-        self._settled_at = -inf
+        self._settled_at = Monotonic(-inf)
 
-    def observe(self, sent_at: float, received_at: float, running: float) -> float:
+    def observe(self, sent_at: UnixTime, received_at: UnixTime, running: Monotonic) -> float:
         """Take in one message; gives by how much a *known* clock has stepped, mostly 0.0. ``running``: when
         it was received by a clock that cannot be set."""
         if self._own_stepped(received_at, running):
@@ -44,7 +45,7 @@ class WorkerClock:
         self._difference.observe(sent_at, received_at)
         return self._settle(self._difference.seconds or 0.0, first)
 
-    def _own_stepped(self, received_at: float, running: float) -> bool:
+    def _own_stepped(self, received_at: UnixTime, running: Monotonic) -> bool:
         """Whether this is too soon after a step of the app's clock. A worker of another machine is off by
         that step now; one of this machine has made it too."""
         self._own = self._own or ClockWatch(received_at, running)

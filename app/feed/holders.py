@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from enum import Enum
 from math import inf
 
+from bus.instants import Monotonic
+
 
 class Ending(Enum):
     """How the connection of a worker ended. The value: seconds for which its bus is kept for it."""
@@ -44,9 +46,9 @@ class Holder:
     worker: str
     credential: Credential
     port_seen: bool = False
-    free_at: float = inf
+    free_at: Monotonic = Monotonic(inf)
 
-    def connection_ended(self, ending: Ending, now: float) -> None:
+    def connection_ended(self, ending: Ending, now: Monotonic) -> None:
         """Keep the bus for its worker for the time that ``ending`` allows."""
         self.free_at = now + ending.value
 
@@ -54,7 +56,7 @@ class Holder:
         """Whether this is the very process, come back."""
         return self.worker == worker and self.credential.token == credential.token
 
-    def yields_to(self, worker: str, credential: Credential, now: float) -> bool:
+    def yields_to(self, worker: str, credential: Credential, now: Monotonic) -> bool:
         """Whether the bus goes to this worker: to the same one always, to another when the holder is gone."""
         if self.is_same(worker, credential) or now >= self.free_at:
             return True
@@ -62,4 +64,4 @@ class Holder:
             # The child of a bus whose port is on another machine: the worker there must get it.
             return not credential.own
         # One process at most has the token of a child, and its next starts after its end.
-        return self.credential.own and credential.own and self.free_at < inf
+        return self.credential.own and credential.own and self.free_at < Monotonic(inf)

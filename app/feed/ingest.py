@@ -8,8 +8,7 @@ well-formed one only what is plausible (:mod:`app.feed.plausibility`).
 from __future__ import annotations
 
 import asyncio
-import time
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from app.feed.channel import Channel, MessageSink
@@ -31,6 +30,7 @@ from bus.contract import (
     WorkerMessage,
     decode_from_worker,
 )
+from bus.instants import Clock, UnixTime, monotonic_now, unix_now
 
 
 @dataclass(slots=True)
@@ -52,7 +52,7 @@ class Ingest:
         pipeline: Pipeline,
         connection: MessageSink,
         bucket: Bucket,
-        now: Callable[[], float] = time.time,
+        now: Clock = unix_now,
     ) -> None:
         self._hello = hello
         self._received = received
@@ -69,7 +69,7 @@ class Ingest:
         self.missed_ticks = 0
         """Ticks in a row in which nothing came, though more would have been read."""
         self._is_held_back = False
-        self._clock.observe(hello.sent_at, now(), time.monotonic())
+        self._clock.observe(hello.sent_at, now(), monotonic_now())
 
     async def receive(self, data: bytes) -> None:
         """Take in one message, and return once the next may come. Raises MalformedMessageError; nothing of
@@ -78,7 +78,7 @@ class Ingest:
         self._channel.on_message()
         message = decode_from_worker(data)
         await self._take(message)
-        await self._hold_back(self._bucket.pour(cost_of(message), time.monotonic()))
+        await self._hold_back(self._bucket.pour(cost_of(message), monotonic_now()))
 
     async def _take(self, message: WorkerMessage) -> None:
         match message:
@@ -146,8 +146,8 @@ class Ingest:
             self._delivered = seq
             await self._connection.send(Delivered(seq=seq))
 
-    def _note_time(self, sent_at: float) -> None:
+    def _note_time(self, sent_at: UnixTime) -> None:
         now = self._now()
-        step = self._clock.observe(sent_at, now, time.monotonic())
+        step = self._clock.observe(sent_at, now, monotonic_now())
         if step:
             self._pipeline.clock_stepped(step, now)

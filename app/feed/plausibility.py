@@ -32,6 +32,7 @@ from bus.contract import (
     UnitState,
     Update,
 )
+from bus.instants import UnixTime
 
 AHEAD_S = 5.0
 """The offset of a clock is known to within the delay of a message."""
@@ -49,7 +50,7 @@ class Sorted:
     refused: int = 0
 
 
-def sort_updates(updates: Iterable[Update], units: Collection[int], now: float, *, live: bool) -> Sorted:
+def sort_updates(updates: Iterable[Update], units: Collection[int], now: UnixTime, *, live: bool) -> Sorted:
     """Judge the updates of one batch for a bus of ``units``; ``live`` as the batch is marked."""
     sorted_ = Sorted()
     for update in updates:
@@ -63,7 +64,7 @@ def sort_updates(updates: Iterable[Update], units: Collection[int], now: float, 
     return sorted_
 
 
-def judge_snapshot(snapshot: Snapshot, units: Collection[int], now: float) -> Snapshot:
+def judge_snapshot(snapshot: Snapshot, units: Collection[int], now: UnixTime) -> Snapshot:
     """The snapshot without values from the future and units that are not configured. What it holds may be as
     old as the worker."""
     states = {state.unit: _judged_state(state, now) for state in snapshot.units if state.unit in units}
@@ -85,7 +86,7 @@ def result_for(result: Result, action: Action) -> Result:
     return replace(result, values=values, frames=result.frames[:MOST_FRAMES_OF_A_COMMAND])
 
 
-def _judged(update: Update, units: Collection[int], now: float) -> Update | None:
+def _judged(update: Update, units: Collection[int], now: UnixTime) -> Update | None:
     match update:
         case Reading() | ParameterValue() | Staged():
             return update if update.unit in units and _in_window(update.at, now) else None
@@ -103,19 +104,19 @@ def _judged(update: Update, units: Collection[int], now: float) -> Update | None
             return _judged_result(update, units, now)
 
 
-def _in_window(at: float, now: float) -> bool:
+def _in_window(at: UnixTime, now: UnixTime) -> bool:
     return now - BUFFER_AGE_S <= at <= now + AHEAD_S
 
 
-def _held_now(link: UnitLink | BusLink, now: float) -> UnitLink | BusLink:
+def _held_now(link: UnitLink | BusLink, now: UnixTime) -> UnitLink | BusLink:
     return link if _in_window(link.at, now) else replace(link, at=now)
 
 
-def _is_past(at: float, now: float) -> bool:
-    return 0.0 <= at <= now + AHEAD_S
+def _is_past(at: UnixTime, now: UnixTime) -> bool:
+    return UnixTime(0.0) <= at <= now + AHEAD_S
 
 
-def _judged_state(state: UnitState, now: float) -> UnitState:
+def _judged_state(state: UnitState, now: UnixTime) -> UnitState:
     def is_its_own(value: Reading | ParameterValue) -> bool:
         return value.unit == state.unit and _is_past(value.at, now)
 
@@ -126,14 +127,14 @@ def _judged_state(state: UnitState, now: float) -> UnitState:
     return replace(state, link=link, reading=reading, parameters=list(values.values()))
 
 
-def _judged_figures(figures: BusFigures, units: Collection[int], now: float) -> BusFigures:
+def _judged_figures(figures: BusFigures, units: Collection[int], now: UnixTime) -> BusFigures:
     """Figures are never kept: they describe the present, whatever the worker's clock."""
     known = {each.unit: each for each in figures.units if each.unit in units}
     at = figures.at if now - LIVE_S <= figures.at <= now + AHEAD_S else now
     return replace(figures, at=at, units=list(known.values()))
 
 
-def _judged_result(result: Result, units: Collection[int], now: float) -> Result:
+def _judged_result(result: Result, units: Collection[int], now: UnixTime) -> Result:
     outcomes = {each.unit: _judged_outcome(each, now) for each in result.units if each.unit in units}
     return replace(
         result,
@@ -144,13 +145,13 @@ def _judged_result(result: Result, units: Collection[int], now: float) -> Result
     )
 
 
-def _read_now(value: ParameterValue, now: float) -> ParameterValue:
+def _read_now(value: ParameterValue, now: UnixTime) -> ParameterValue:
     """A value that was requested a moment ago, whatever the worker's clock."""
     return value if _in_window(value.at, now) else replace(value, at=now)
 
 
-def _judged_outcome(outcome: UnitOutcome, now: float) -> UnitOutcome:
-    def known(at: float | None) -> float | None:
+def _judged_outcome(outcome: UnitOutcome, now: UnixTime) -> UnitOutcome:
+    def known(at: UnixTime | None) -> UnixTime | None:
         return at if at is not None and _in_window(at, now) else None
 
     return replace(
@@ -161,6 +162,6 @@ def _judged_outcome(outcome: UnitOutcome, now: float) -> UnitOutcome:
     )
 
 
-def _is_of_before(update: Update, now: float) -> bool:
+def _is_of_before(update: Update, now: UnixTime) -> bool:
     """Whether a value is too old to be shown as live. A state is not: its time is when it began."""
     return isinstance(update, Reading | ParameterValue | Staged) and update.at < now - LIVE_S

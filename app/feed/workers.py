@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from app.feed.admission import refusal
 from app.feed.bus_feed import BusFeed, WorkerConnection, send_away
@@ -15,6 +14,7 @@ from app.live.change_recorder import ChangeRecorder
 from app.pipeline import refusal_of_worker
 from bus.bucket import Bucket
 from bus.contract import Hello, MalformedMessageError, decode_from_worker
+from bus.instants import Clock, MonotonicClock, monotonic_now, unix_now
 
 TOO_OFTEN = "this bus was connected to too often; wait a minute"
 HELLO_WITHIN_S = 10.0
@@ -29,8 +29,8 @@ class Workers:
         self,
         feeds: Mapping[str, BusFeed],
         recorder: ChangeRecorder,
-        now: Callable[[], float] = time.time,
-        monotonic: Callable[[], float] = time.monotonic,
+        now: Clock = unix_now,
+        monotonic: MonotonicClock = monotonic_now,
     ) -> None:
         self._feeds = feeds
         self._recorder = recorder

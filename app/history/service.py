@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
@@ -21,6 +20,7 @@ from app.history.store.damage import BlockKey
 from app.history.store.inspection import damaged_blocks, pages_are_intact
 from app.settings import Settings
 from bus.contract import Update
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
 FILE = "history.db"
@@ -30,9 +30,9 @@ T = TypeVar("T")
 log = structlog.get_logger()
 
 
-ClockStepSubscriber = Callable[[float, float], None]
+ClockStepSubscriber = Callable[[float, UnixTime], None]
 """Called with the seconds by which the clock was stepped, and the Unix time."""
-DamageSubscriber = Callable[[Message, float], None]
+DamageSubscriber = Callable[[Message, UnixTime], None]
 """Called with what was damaged, in words, and the Unix time."""
 
 
@@ -57,7 +57,7 @@ class History:
         """Call ``subscriber`` when something stored cannot be read."""
         self._damage_subscribers.append(subscriber)
 
-    def _publish_clock_step(self, step_s: float, at: float) -> None:
+    def _publish_clock_step(self, step_s: float, at: UnixTime) -> None:
         """Called on the writer's thread."""
         for subscriber in self._clock_step_subscribers:
             self._loop.call_soon_threadsafe(subscriber, step_s, at)
@@ -65,7 +65,7 @@ class History:
     def _publish_damage(self, what: Message) -> None:
         """Called on the writer's thread."""
         for subscriber in self._damage_subscribers:
-            self._loop.call_soon_threadsafe(subscriber, what, time.time())
+            self._loop.call_soon_threadsafe(subscriber, what, unix_now())
 
     def start(self) -> None:
         """Open the store and begin to write."""
@@ -128,6 +128,6 @@ class History:
             raise StoreError(Message.of("store_damaged", path=str(self.path), error=str(error))) from error
 
 
-def seconds(at: int) -> float:
+def seconds(at: int) -> UnixTime:
     """µs as seconds since the epoch."""
-    return at / SECOND
+    return UnixTime(at / SECOND)

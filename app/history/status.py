@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from app.web.formats import Formats
+from bus.instants import UnixTime
 from bus.messages import Message
 
 StoreState = Literal["ok", "low", "scarce", "paused", "failed"]
@@ -20,10 +21,10 @@ class Status:
     message: Message | None = None
     cause: Message | None = None
     """Why the store cannot be used."""
-    since: float = 0.0
+    since: UnixTime = UnixTime(0.0)
     size_bytes: int = 0
     free_bytes: int = 0
-    oldest_reading: float | None = None
+    oldest_reading: UnixTime | None = None
     waiting: int = 0
     """Updates that are not on disk yet."""
     lost: int = 0
@@ -48,7 +49,7 @@ def store_message(state: StoreState, cause: Message | None = None) -> Message | 
     return Message.of("history_because", notice=NOTICES[state], cause=cause)
 
 
-def store_notice(status: Status, formats: Formats, now: float) -> Message | None:
+def store_notice(status: Status, formats: Formats, now: UnixTime) -> Message | None:
     """What people are told on the pages; None while history is well."""
     since = formats.since(status.since, now)
     match status.state:

@@ -7,13 +7,16 @@ from app.history.series.intervals import Interval
 from app.history.series.runs import micros
 from app.history.service import History, seconds
 from app.history.store import tables
+from bus.instants import UnixTime
 
 MOST_SPANS = 50_000
 """Bits that change more often than this over a span are not read."""
-StatusSpan = tuple[float, float, int]
+StatusSpan = tuple[UnixTime, UnixTime, int]
 
 
-async def status_words(history: History, bus: str, unit: int, start: float, end: float) -> list[StatusSpan]:
+async def status_words(
+    history: History, bus: str, unit: int, start: UnixTime, end: UnixTime
+) -> list[StatusSpan]:
     """From when until when (Unix time, seconds) which bits, ST2 * 256 + ST1, in order of time. Raises
     StoreError."""
     wanted = micros(start), micros(end)

@@ -4,8 +4,6 @@ them: what cannot be written now waits."""
 from __future__ import annotations
 
 import asyncio
-import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import structlog
@@ -14,6 +12,7 @@ from app.audit.budget import BURST, EventBudget, Summary
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.live.changes import LineEvent
+from bus.instants import MonotonicClock, monotonic_now
 from bus.messages import Message
 
 RETRY_AFTER_S = 1.0
@@ -29,7 +28,7 @@ class ChangeRecorder:
     """Of one bus; of the site without ``bus``. ``monotonic`` times the budget, in seconds."""
 
     def __init__(
-        self, events: EventLog, bus: str | None = None, monotonic: Callable[[], float] = time.monotonic
+        self, events: EventLog, bus: str | None = None, monotonic: MonotonicClock = monotonic_now
     ) -> None:
         self._events = events
         self._bus = bus

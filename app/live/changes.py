@@ -8,6 +8,7 @@ from app.audit.kinds import EventKind
 from app.live.state.conditions import Condition, status_conditions
 from bus.catalogue.status import status_bits
 from bus.contract import BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
+from bus.instants import UnixTime
 from bus.messages import Message, term
 from bus.settings import BusSettings
 
@@ -18,7 +19,7 @@ class LineEvent:
 
     kind: EventKind
     unit: int | None
-    at: float
+    at: UnixTime
     what: Message
     old: Message | str
     new: Message | str

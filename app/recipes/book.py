@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from functools import partial
 
@@ -23,8 +22,9 @@ from app.recipes.rules import (
 )
 from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person
-from app.web.deadline import Deadline, Instant
+from app.web.deadline import Deadline
 from bus.contract import Result, SetLine, SetSpeed
+from bus.instants import Monotonic, unix_now
 from bus.messages import Message
 
 MOST_RECIPES = 1000
@@ -69,7 +69,7 @@ class RecipeBook:
         if await self.store.is_full(bus, name, MOST_RECIPES):
             raise Problem(422, "invalid", Message.of("too_many_recipes", bus=bus, most=MOST_RECIPES))
         rows = tuple(_setpoint(live, unit, raw) for unit, raw in sorted(setpoints.items()))
-        recipe = await self.store.save(Recipe(bus, name, comment, person.name, time.time(), rows))
+        recipe = await self.store.save(Recipe(bus, name, comment, person.name, unix_now(), rows))
         await self._record(
             person, recipe, Message.of("event_recipe_saved", name=recipe.name, version=recipe.version)
         )
@@ -91,10 +91,10 @@ class RecipeBook:
         """What loading it now would do; nothing is sent."""
         bus = self._bus(recipe)
         refusal = partial(self._refusal, person, recipe.bus)
-        return dry_run(recipe, bus, refusal, time.time())
+        return dry_run(recipe, bus, refusal, unix_now())
 
     async def load(
-        self, person: Person, recipe: Recipe, made_at: Instant, *, confirm: bool, command_id: str | None
+        self, person: Person, recipe: Recipe, made_at: Monotonic, *, confirm: bool, command_id: str | None
     ) -> Result:
         """Load it as one change: staged, broadcast, proven. Problem 409 where a unit cannot take it."""
         run = self.try_out(person, recipe)
@@ -130,7 +130,7 @@ class RecipeBook:
         return None
 
     async def _mark(self, person: Person, recipe: Recipe) -> None:
-        now = time.time()
+        now = unix_now()
         await self.store.mark_loaded(recipe.bus, recipe.id, person.name, now)
         self._loaded[recipe.bus] = Loaded(recipe, person.name, now)
         await self._record(

@@ -25,6 +25,7 @@ from app.web.templating import render
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError
+from bus.instants import UnixTime
 from bus.messages import Message
 from bus.text import Lines, OneLine
 
@@ -115,7 +116,7 @@ async def load(
     book: Book,
     recipe_id: int,
     id: Annotated[str, Form(min_length=8)],
-    reviewed_at: Annotated[float, Form()],
+    reviewed_at: Annotated[UnixTime, Form()],
 ) -> Response:
     """Stage every unit, broadcast once, read back each unit."""
     recipe = await recipe_or_404(book, recipe_id)

@@ -13,6 +13,7 @@ from app.live.state.bus_live import BusLive, UnitLive
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
 from bus.catalogue.values import ratio_text, speed_text
 from bus.contract.durations import change_s
+from bus.instants import UnixTime
 from bus.messages import Message, number, term
 
 RecipeKind = Literal["speed", "ratio"]
@@ -38,7 +39,7 @@ class Recipe:
     name: str
     comment: str
     who: str
-    saved_at: float
+    saved_at: UnixTime
     setpoints: tuple[RecipeSetpoint, ...]
     version: int = 0
     id: int = 0
@@ -105,7 +106,7 @@ def setpoint_text(unit: UnitLive, setpoint: RecipeSetpoint) -> str:
     return str(setpoint.raw) if decimals is None else speed_text(setpoint.raw, decimals)
 
 
-def dry_run(recipe: Recipe, bus: BusLive, refusal: SetpointRefusal, now: float) -> DryRun:
+def dry_run(recipe: Recipe, bus: BusLive, refusal: SetpointRefusal, now: UnixTime) -> DryRun:
     """``refusal(unit, raw)`` returns why a setpoint would be refused now, None when it would not.
     ``now``: seconds since the epoch."""
     steps = tuple(_step(setpoint, bus, refusal, now) for setpoint in recipe.setpoints)
@@ -113,13 +114,13 @@ def dry_run(recipe: Recipe, bus: BusLive, refusal: SetpointRefusal, now: float) 
     return DryRun(steps, change_s(len(steps), bus.baud), max(ramps, default=None))
 
 
-def departures(recipe: Recipe, bus: BusLive, since: float = 0.0) -> list[RecipeDeparture]:
+def departures(recipe: Recipe, bus: BusLive, since: UnixTime = UnixTime(0.0)) -> list[RecipeDeparture]:
     """Units whose command no longer equals the recipe. ``since``: when it was loaded."""
     found = (_departure(setpoint, bus.units.get(setpoint.unit), since) for setpoint in recipe.setpoints)
     return [departure for departure in found if departure is not None]
 
 
-def _step(setpoint: RecipeSetpoint, bus: BusLive, refusal: SetpointRefusal, now: float) -> LoadStep:
+def _step(setpoint: RecipeSetpoint, bus: BusLive, refusal: SetpointRefusal, now: UnixTime) -> LoadStep:
     unit = bus.units.get(setpoint.unit)
     if unit is None:
         name, new = Message.of("unit_address", unit=setpoint.unit), str(setpoint.raw)
@@ -187,7 +188,7 @@ def present_raw(unit: UnitLive, kind: RecipeKind) -> int | None:
     return unit.reading.commanded if unit.reading is not None else None
 
 
-def _departure(setpoint: RecipeSetpoint, unit: UnitLive | None, since: float) -> RecipeDeparture | None:
+def _departure(setpoint: RecipeSetpoint, unit: UnitLive | None, since: UnixTime) -> RecipeDeparture | None:
     if unit is None:
         name = Message.of("unit_address", unit=setpoint.unit)
         return RecipeDeparture(setpoint.unit, name, str(setpoint.raw), NOT_CONFIGURED)
@@ -200,7 +201,7 @@ def _departure(setpoint: RecipeSetpoint, unit: UnitLive | None, since: float) ->
     return RecipeDeparture(setpoint.unit, unit.settings.name, setpoint_text(unit, setpoint), shown)
 
 
-def _commanded_since(unit: UnitLive, kind: RecipeKind, moment: float) -> bool:
+def _commanded_since(unit: UnitLive, kind: RecipeKind, moment: UnixTime) -> bool:
     """#37 is read in the slow scan: a value from before the recipe was loaded does not count."""
     if kind == "speed":
         return unit.reading is not None

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from app.database import Database
 from app.recipes.rules import Recipe, RecipeSetpoint
+from bus.instants import UnixTime
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +16,7 @@ class Loaded:
 
     recipe: Recipe
     who: str
-    at: float
+    at: UnixTime
 
 
 class RecipeStore:
@@ -68,7 +69,7 @@ class RecipeStore:
             )
         )
 
-    async def mark_loaded(self, bus: str, recipe_id: int, who: str, at: float) -> None:
+    async def mark_loaded(self, bus: str, recipe_id: int, who: str, at: UnixTime) -> None:
         """Remember that a recipe was loaded and proven. ``at``: seconds since the epoch."""
         await self._database.write(
             lambda connection: connection.execute(

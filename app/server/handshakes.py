@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bus.bucket import Bucket
+from bus.instants import Monotonic
 
 A_SECOND = 20.0
 MOST_AT_ONCE = 300
@@ -17,7 +18,7 @@ class Handshakes:
     def __init__(self) -> None:
         self._buckets: dict[str, tuple[Bucket, Bucket]] = {}
 
-    def wait_s(self, account: str, now: float) -> float:
+    def wait_s(self, account: str, now: Monotonic) -> float:
         """How long one more handshake of ``account`` waits; ``now`` in seconds on any steady clock."""
         fresh = Bucket(A_SECOND, MOST_AT_ONCE), Bucket(AT_ONCE_A_SECOND, MOST_TOGETHER)
         return max(bucket.pour(1, now) for bucket in self._buckets.setdefault(account, fresh))

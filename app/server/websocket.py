@@ -15,6 +15,7 @@ from app.server.connections import Connection
 from app.server.counted_protocol import CountedProtocol
 from app.server.frames import EXTENSION, OUTLET
 from bus.bucket import Bucket
+from bus.instants import Monotonic
 
 FEED_PATH = "/feed"
 """Where bus workers say what they have read: large messages, and many after a break."""
@@ -125,7 +126,7 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
     def _is_allowed(self) -> bool:
         if self.close_sent or self.transport.is_closing():
             return False
-        if self._is_trusted() or self._bucket.take(self.loop.time()):
+        if self._is_trusted() or self._bucket.take(Monotonic(self.loop.time())):
             return True
         self.conn.fail(CloseCode.POLICY_VIOLATION, "too many messages")
         self.handle_parser_exception()

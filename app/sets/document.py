@@ -15,6 +15,7 @@ from app.web.faults import fault_message
 from app.web.shape import StrictBody
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
+from bus.instants import UnixTime
 from bus.messages import Message, term
 
 DOCUMENT_FORMAT = "lineside parameter set"
@@ -170,10 +171,10 @@ def _unreadable(source: str | Message, error: Exception) -> DocumentError:
     return DocumentError(Message.of("source_not_toml", source=source, why=why))
 
 
-def _seconds(moment: datetime, source: str | Message) -> float:
+def _seconds(moment: datetime, source: str | Message) -> UnixTime:
     """Seconds since the epoch. Raises DocumentError for a year that this machine cannot count."""
     try:
-        return moment.timestamp()
+        return UnixTime(moment.timestamp())
     except (ValueError, OverflowError, OSError) as error:
         raise DocumentError(
             Message.of("source_time_unknown", source=source, time=moment.isoformat())
@@ -216,5 +217,5 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 
-def _time(seconds: float) -> str:
-    return datetime.fromtimestamp(round(seconds), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+def _time(at: UnixTime) -> str:
+    return datetime.fromtimestamp(round(float(at)), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

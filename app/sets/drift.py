@@ -18,6 +18,7 @@ from app.sets.store import SetStore
 from app.web.formats import Formats
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, Update
+from bus.instants import UnixTime
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ class BusDrift:
         known = self._live.units[unit].parameters
         return sum(number not in known for number in PARAMETERS)
 
-    def summary(self, unit: int, translator: Translator, now: float) -> Drifted:
+    def summary(self, unit: int, translator: Translator, now: UnixTime) -> Drifted:
         """The same for the line, and what the list of them on the unit's page depends on."""
         if unit not in self._golden:
             return Drifted()
@@ -142,7 +143,7 @@ def _known_before(departure: DriftedParameter, before: dict[int, DriftedParamete
     return DriftedParameter(departure.row, earlier.change, earlier.traced)
 
 
-def _summary_text(found: list[DriftedParameter], translator: Translator, now: float) -> str:
+def _summary_text(found: list[DriftedParameter], translator: Translator, now: UnixTime) -> str:
     number, n, tn = found[0].row.number, len(found), translator.tn
     if not all(one.traced for one in found):
         return tn(
@@ -188,5 +189,5 @@ def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
     return sorted(latest, key=lambda each: -float(each[0]["time"]))
 
 
-def _by(change: Event, formats: Formats, now: float) -> dict[str, str]:
+def _by(change: Event, formats: Formats, now: UnixTime) -> dict[str, str]:
     return {"who": change["who"], "when": formats.since(change["time"], now)}

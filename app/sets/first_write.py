@@ -18,6 +18,7 @@ from app.sets.model import SetOrigin, UnitRows
 from app.sets.reading import known_rows
 from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
+from bus.instants import UnixTime
 
 _log = structlog.get_logger(__name__)
 
@@ -74,7 +75,7 @@ class FirstWrites:
 
     async def _keep(self, person: Person, known: list[UnitRows]) -> None:
         now = self._clock()
-        midnight = now.replace(hour=0, minute=0, second=0, microsecond=0).timestamp()
+        midnight = UnixTime(now.replace(hour=0, minute=0, second=0, microsecond=0).timestamp())
         fresh = [rows for rows in known if not await self._has_set(rows.unit, midnight)]
         if not fresh:
             return
@@ -91,7 +92,7 @@ class FirstWrites:
             if len(rows.rows) < len(PARAMETERS):
                 self._background.begin(self._complete(person, rows.unit), f"rest of unit {rows.unit}")
 
-    async def _has_set(self, unit: int, midnight: float) -> bool:
+    async def _has_set(self, unit: int, midnight: UnixTime) -> bool:
         """Whether a set of today exists; then none is needed today."""
         today = self._clock().date()
         if self._kept.get(unit) == today:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Sequence
 
 import structlog
@@ -17,6 +16,7 @@ from app.sets.model import ParameterSet, SetOrigin, UnitRows
 from app.sets.reading import ParameterReader
 from app.sets.store import SetStore
 from app.web.access import Person
+from bus.instants import unix_now
 from bus.messages import Message, term
 
 _log = structlog.get_logger(__name__)
@@ -67,7 +67,7 @@ class SetKeeper:
         """Make this set the golden set of the unit. Raises Problem 404 where it does not hold it."""
         if stored.unit(unit) is None:
             raise Problem(404, "unknown_set", Message.of("set_lacks_unit", set=stored.id, unit=unit))
-        await self.store.mark_golden(self.bus, unit, stored.id, person.name, time.time())
+        await self.store.mark_golden(self.bus, unit, stored.id, person.name, unix_now())
         await self._drift.load()
         await self._events.record(
             kind="parameter_set",
@@ -100,7 +100,7 @@ class SetKeeper:
         rights of the person were withdrawn meanwhile."""
         await self._rights.check(person)
         kept = await self.store.save(
-            ParameterSet(self.bus, time.time(), person.name, origin, tuple(rows), name=name, comment=comment)
+            ParameterSet(self.bus, unix_now(), person.name, origin, tuple(rows), name=name, comment=comment)
         )
         await self._events.record(
             kind="parameter_set",

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from bus.instants import UnixTime
+
 SetOrigin = Literal[
     "by hand",
     "on schedule",
@@ -28,7 +30,7 @@ class ParameterRow:
     number: int
     raw: int | None
     available: bool = True
-    read_at: float | None = None
+    read_at: UnixTime | None = None
     frame: bytes = b""
 
 
@@ -51,7 +53,7 @@ class ParameterSet:
     """Immutable once stored; ``id`` 0 before that. ``taken_at`` seconds since the epoch."""
 
     bus: str
-    taken_at: float
+    taken_at: UnixTime
     who: str
     origin: SetOrigin
     units: tuple[UnitRows, ...]

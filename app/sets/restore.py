@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-import time
 from collections.abc import Awaitable, Callable, Mapping
 
 import structlog
@@ -25,6 +24,7 @@ from app.sets.restore_run import RestoreRun
 from app.sets.restore_store import RestoreStore
 from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from app.web.access import Person
+from bus.instants import unix_now
 from bus.messages import Message, joined, term
 
 EndSubscriber = Callable[[Restore], Awaitable[None]]
@@ -99,7 +99,7 @@ class RestoreService:
             before=before,
             plan=plan,
             rows=[RowResult(write) for write in plan.writes],
-            planned_at=time.time(),
+            planned_at=unix_now(),
             selection=selection,
             running=running,
             remote=remote,

@@ -12,6 +12,7 @@ from app.sets.plan import CHOSEN, LeftOut, RestorePlan
 from app.sets.remarks import remarks
 from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from bus.contract import Outcome
+from bus.instants import UnixTime
 from bus.messages import Message, joined, listed
 
 RestoreState = Literal["planned", "running", "proving", "equal", "different", "stopped"]
@@ -49,7 +50,7 @@ class Restore:
     before: UnitRows
     plan: RestorePlan
     rows: list[RowResult]
-    planned_at: float
+    planned_at: UnixTime
     state: RestoreState = "planned"
     cause: Message | None = None
     cause_code: str | None = None

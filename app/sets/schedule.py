@@ -16,6 +16,7 @@ from app.sets.keeper import SetKeeper
 from app.sets.model import UnitRows
 from app.sets.taking import read_together
 from app.web.access import Person
+from bus.instants import UnixTime
 from bus.messages import Message
 
 _log = structlog.get_logger(__name__)
@@ -88,7 +89,7 @@ class SetSchedule:
         return self._live.units[unit].link.link == "online"
 
     async def _without_set(self, due: datetime) -> list[int]:
-        since, store = due.timestamp(), self._keeper.store
+        since, store = UnixTime(due.timestamp()), self._keeper.store
         return [
             unit
             for unit in self._live.units

@@ -17,6 +17,7 @@ from app.sets.model import UnitRows
 from app.sets.reading import known_rows
 from app.sets.store import SetStore, SetSummary
 from app.web.numbers import parse_integer
+from bus.instants import UnixTime
 from bus.messages import Message
 
 
@@ -39,7 +40,7 @@ class SideOption:
     bus: str
     unit: int
     name: str
-    taken_at: float | None = None
+    taken_at: UnixTime | None = None
     title: str = ""
     golden: bool = False
     origin: str = ""

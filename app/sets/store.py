@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from app.database import Database
 from app.sets.model import ParameterRow, ParameterSet, SetOrigin, UnitRows
+from bus.instants import UnixTime
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +19,7 @@ class SetSummary:
     bus: str
     name: str
     comment: str
-    taken_at: float
+    taken_at: UnixTime
     who: str
     origin: str
     units: tuple[int, ...]
@@ -46,7 +47,7 @@ class SetStore:
         """Newest first, filtered by bus or unit; at most so many, of those stored before one."""
         return await self._database.read(lambda connection: _summaries(connection, bus, unit, before, most))
 
-    async def mark_golden(self, bus: str, unit: int, set_id: int, who: str, now: float) -> None:
+    async def mark_golden(self, bus: str, unit: int, set_id: int, who: str, now: UnixTime) -> None:
         """From now on this set is what the unit ought to be. ``now``: seconds since the epoch."""
         await self._database.write(
             lambda connection: connection.execute(
@@ -60,7 +61,9 @@ class SetStore:
         """The golden rows of every unit of a bus that has some, by its address."""
         return await self._database.read(lambda connection: _golden(connection, bus))
 
-    async def has_set_since(self, bus: str, unit: int, since: float, origin: SetOrigin | None = None) -> bool:
+    async def has_set_since(
+        self, bus: str, unit: int, since: UnixTime, origin: SetOrigin | None = None
+    ) -> bool:
         """Whether a set of this unit, of this origin if given, was stored at or after ``since`` (seconds
         since the epoch)."""
         return await self._database.read(

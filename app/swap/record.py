@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from app.sets.restore_record import Restore
 from app.swap.rules import SwapState, finding
+from bus.instants import UnixTime
 from bus.messages import Message, listed
 
 
@@ -34,7 +35,7 @@ class Swap:
     unit: int
     who: str
     source: SwapSource | None
-    began_at: float
+    began_at: UnixTime
     is_new: bool = False
     seen: list[Message] = field(default_factory=list)
     restore: Restore | None = None

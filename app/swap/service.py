@@ -16,6 +16,7 @@ from app.swap.record import Swap, SwapSource
 from app.swap.rules import Advice, SwapState
 from app.swap.store import SwapStore
 from app.web.access import Person, account_shown
+from bus.instants import Clock
 from bus.messages import Message, joined, listed
 
 LOOK_WAIT_S = 2.0
@@ -35,9 +36,7 @@ class RestoreLookup(Protocol):
 class SwapService:
     """Keeps the swap of each unit, until it is ended or another of the unit begins."""
 
-    def __init__(
-        self, events: EventLog, store: SwapStore, restores: RestoreLookup, clock: Callable[[], float]
-    ) -> None:
+    def __init__(self, events: EventLog, store: SwapStore, restores: RestoreLookup, clock: Clock) -> None:
         self._events = events
         self._store = store
         self._clock = clock

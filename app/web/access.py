@@ -17,6 +17,7 @@ from starlette.requests import HTTPConnection
 from app.errors import Problem
 from app.web.arrival import refuse_late
 from bus.errors import CallerError
+from bus.instants import UnixTime
 from bus.messages import Message, term
 
 Via = Literal["session", "token", "worker", "demo"]
@@ -65,7 +66,7 @@ class Person:
     language: str = ""
     panel: bool = False
     home: str = "/"
-    created_at: float = 0.0
+    created_at: UnixTime = UnixTime(0.0)
     """When the account was made, Unix time in seconds: a later one of the same name is another."""
     bus: str = ""
     """The one bus that a worker speaks for."""

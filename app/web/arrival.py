@@ -8,7 +8,6 @@ sends the form itself, in the query ``asked_at`` (static/js/review.js).
 
 from __future__ import annotations
 
-import time
 from contextlib import suppress
 from datetime import datetime
 
@@ -17,11 +16,12 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.errors import Problem
 from app.server.stamping import ARRIVED_AT
-from app.web.deadline import DEFAULT_TIMEOUT_S, Deadline, Instant, instant_now
+from app.web.deadline import DEFAULT_TIMEOUT_S, Deadline
+from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, number
 
 BEGUN_AT = "lineside.begun_at"
-"""Key in the ``state`` of an ASGI scope: the Instant at which the app began with a request."""
+"""Key in the ``state`` of an ASGI scope: the moment at which the app began with a request."""
 SENT_AT = "lineside-sent-at"
 MOST_AHEAD_S = 5.0
 """How far a program's clock may be ahead of the server's."""
@@ -38,23 +38,23 @@ class Begun:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http":
             state = scope.setdefault("state", {})
-            state[BEGUN_AT] = instant_now()
+            state[BEGUN_AT] = monotonic_now()
             state.setdefault(ARRIVED_AT, state[BEGUN_AT])
         await self._app(scope, receive, send)
 
 
-def made_at(connection: HTTPConnection) -> Instant:
+def made_at(connection: HTTPConnection) -> Monotonic:
     """When this request was made; of one that only reads, when it arrived.
 
     Raises Problem 422 where the ``Lineside-Sent-At`` of a write cannot be.
     """
-    now = instant_now()
-    arrived = Instant(connection.scope.get("state", {}).get(ARRIVED_AT, now))
+    now = monotonic_now()
+    arrived = Monotonic(connection.scope.get("state", {}).get(ARRIVED_AT, now))
     if _only_reads(connection):
         return arrived
     sent = (_program_sent_at(connection), _page_requested_at(connection))
-    age_s = max((time.time() - at for at in sent if at is not None), default=0.0)
-    return Instant(min(arrived, now - age_s))
+    age_s = max((unix_now() - at for at in sent if at is not None), default=0.0)
+    return min(arrived, now - age_s)
 
 
 def refuse_late(connection: HTTPConnection) -> None:
@@ -69,7 +69,7 @@ def _only_reads(connection: HTTPConnection) -> bool:
     return connection.scope.get("method", "GET") in SAFE_METHODS
 
 
-def _program_sent_at(connection: HTTPConnection) -> float | None:
+def _program_sent_at(connection: HTTPConnection) -> UnixTime | None:
     """Seconds since the epoch."""
     given = connection.headers.getlist(SENT_AT)
     if not given:
@@ -81,7 +81,7 @@ def _program_sent_at(connection: HTTPConnection) -> float | None:
             "invalid",
             Message("sent_at_malformed"),
         )
-    ahead_s = at - time.time()
+    ahead_s = at - unix_now()
     if ahead_s > MOST_AHEAD_S:
         raise Problem(
             422,
@@ -91,18 +91,18 @@ def _program_sent_at(connection: HTTPConnection) -> float | None:
     return at
 
 
-def _moment(text: str) -> float | None:
+def _moment(text: str) -> UnixTime | None:
     try:
         at = datetime.fromisoformat(text.strip())
-        return at.timestamp() if at.tzinfo is not None else None
+        return UnixTime(at.timestamp()) if at.tzinfo is not None else None
     except (ValueError, OverflowError):
         return None
 
 
-def _page_requested_at(connection: HTTPConnection) -> float | None:
+def _page_requested_at(connection: HTTPConnection) -> UnixTime | None:
     """Seconds since the epoch by the server's clock, as sent to the page; None without one."""
     value = connection.headers.get("lineside-asked-at") or connection.query_params.get("asked_at", "")
     with suppress(ValueError, OverflowError):
-        at = float(value)
+        at = UnixTime(float(value))
         return at if at == at else None
     return None

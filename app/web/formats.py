@@ -12,6 +12,7 @@ from babel.dates import format_date, format_datetime, format_skeleton, format_ti
 from babel.numbers import get_decimal_symbol
 
 from app.time_zone import UTC
+from bus.instants import UnixTime
 
 HALF_DAY_S = 43_200
 UNKNOWN = "\N{EN DASH}"
@@ -45,27 +46,27 @@ class Formats:
         """A measured value with a fixed count of digits after the sign."""
         return UNKNOWN if value is None else self.point(f"{value:.{digits}f}")
 
-    def local(self, at: float | datetime) -> datetime:
+    def local(self, at: UnixTime | datetime) -> datetime:
         """An instant (seconds since the epoch, or aware) at the site."""
         if isinstance(at, datetime):
             return at.astimezone(self._zone)
-        return datetime.fromtimestamp(at, self._zone)
+        return datetime.fromtimestamp(float(at), self._zone)
 
-    def moment(self, at: float | datetime | None) -> str:
+    def moment(self, at: UnixTime | datetime | None) -> str:
         """Date and time to the second."""
         if at is None:
             return UNKNOWN
         return format_datetime(self.local(at), "medium", locale=self.locale)
 
-    def day(self, at: float | datetime) -> str:
+    def day(self, at: UnixTime | datetime) -> str:
         """The date."""
         return format_date(self.local(at).date(), "medium", locale=self.locale)
 
-    def clock(self, at: float | datetime) -> str:
+    def clock(self, at: UnixTime | datetime) -> str:
         """The time of day to the second."""
         return format_time(self.local(at).time(), "medium", locale=self.locale)
 
-    def since(self, at: float, now: float) -> str:
+    def since(self, at: UnixTime, now: UnixTime) -> str:
         """The time of day to the minute, with its date where that was neither today nor half a day ago."""
         then, today = self.local(at), self.local(now)
         clock = f"{then:%H:%M}"
@@ -74,6 +75,6 @@ class Formats:
         day = format_skeleton("MMMd" if then.year == today.year else "yMMMd", then, locale=self.locale)
         return f"{day}, {clock}"
 
-    def iso(self, at: float | datetime) -> str:
+    def iso(self, at: UnixTime | datetime) -> str:
         """ISO 8601 with zone, for ``<time datetime>``."""
         return self.local(at).isoformat(timespec="milliseconds")

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from bus.instants import UnixTime
 from bus.messages import Message
 
 
@@ -33,6 +34,6 @@ Numbers = Annotated[
 """Of parameters."""
 
 
-def iso(at: float) -> str:
+def iso(at: UnixTime) -> str:
     """An instant, seconds since the epoch, as the API writes it: ISO 8601, UTC, milliseconds."""
-    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds")
+    return datetime.fromtimestamp(float(at), UTC).isoformat(timespec="milliseconds")

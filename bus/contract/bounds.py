@@ -11,6 +11,8 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from bus.instants import UnixTime
+
 MOST_UNITS = 255
 MOST_UPDATES = 500
 """In a batch, so that no message takes the app's loop for long."""
@@ -34,7 +36,7 @@ BaudRate = Annotated[int, Meta(ge=300, le=9600)]
 Total = Annotated[int, Meta(ge=0, le=2**53)]
 Sequence = Annotated[int, Meta(ge=0, le=2**53)]
 
-Stamp = Annotated[float, Meta(ge=0.0, le=32_503_680_000.0)]
+Stamp = Annotated[UnixTime, Meta(ge=0.0, le=32_503_680_000.0)]
 """Seconds since the epoch, to the year 3000; whether it is near enough to now, the receiver judges."""
 DurationSeconds = Annotated[float, Meta(ge=0.0, le=1e7)]
 Hertz = Annotated[float, Meta(ge=0.0, le=1e6)]

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from math import inf
 
+from bus.instants import UnixTime
+
 WINDOW_S = 10.0
 
 
@@ -19,11 +21,11 @@ class ClockOffset:
     """Estimates what to add to the other machine's times. Times are seconds since the epoch."""
 
     def __init__(self) -> None:
-        self._window_began = -inf
+        self._window_began = UnixTime(-inf)
         self._least = inf
         self._least_before = inf
 
-    def observe(self, sent_at: float, received_at: float) -> None:
+    def observe(self, sent_at: UnixTime, received_at: UnixTime) -> None:
         """Take in one message. ``sent_at`` is of the other clock, ``received_at`` of this one."""
         if not 0 <= received_at - self._window_began <= WINDOW_S:
             self._window_began = received_at
@@ -36,6 +38,6 @@ class ClockOffset:
         least = min(self._least, self._least_before)
         return None if least == inf else least
 
-    def here(self, time: float) -> float:
+    def here(self, time: UnixTime) -> UnixTime:
         """The moment ``time`` of the other clock on this one; the same before the first message."""
         return time + (self.seconds or 0.0)

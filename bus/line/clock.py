@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
+from bus.instants import UnixTime
+
 SLEW_S = 0.001
 """How far the wall clock's drift is followed in one ``settle``; a step of more than a second at once."""
 STEP_S = 1.0
@@ -25,7 +27,7 @@ class LineClock(Protocol):
     def now(self) -> float:
         """The line's own time."""
 
-    def epoch(self, now: float) -> float:
+    def epoch(self, now: float) -> UnixTime:
         """The same moment in seconds since 1970."""
 
     def settle(self) -> None:
@@ -48,8 +50,8 @@ class RealClock:
     def now(self) -> float:
         return time.monotonic()
 
-    def epoch(self, now: float) -> float:
-        return now + self._offset
+    def epoch(self, now: float) -> UnixTime:
+        return UnixTime(now + self._offset)
 
     def settle(self) -> None:
         error = time.time() - time.monotonic() - self._offset

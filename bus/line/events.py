@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bus.contract import BusLink
+from bus.instants import UnixTime
 from bus.line.commands.procedure import ReportProgress
 from bus.line.commands.result import ProcedureResult
 from bus.line.roster import UnitUpdate
@@ -17,7 +18,7 @@ class CommandProgressed:
     """How far a command is. ``at``: Unix time in seconds."""
 
     command_id: str
-    at: float
+    at: UnixTime
     progress: ReportProgress
 
 
@@ -26,7 +27,7 @@ class CommandFinished:
     """What became of a command, and the frames that carried it. ``at``: Unix time in seconds."""
 
     command_id: str
-    at: float
+    at: UnixTime
     result: ProcedureResult
     frames: list[TracedFrame]
 

@@ -19,6 +19,7 @@ from bus.contract import (
     UnitState,
 )
 from bus.errors import UnitErrorCode
+from bus.instants import UnixTime
 from bus.line.statistics.unit_statistics import UnitStatistics
 from bus.messages import Message
 from bus.wire.commands import (
@@ -49,7 +50,7 @@ class UnitRecord:
     unit: int
     link: UnitLink
     misses: int = 0
-    responded_at: float | None = None
+    responded_at: UnixTime | None = None
     reading: Reading | None = None
     parameters: dict[int, ParameterValue] = field(default_factory=dict)
     staged: int | None = None
@@ -63,7 +64,7 @@ class UnitRecord:
         """Whether it need not be asked in every round any more."""
         return self.misses >= MISSES_TO_OFFLINE
 
-    def lost(self, at: float) -> bool:
+    def lost(self, at: UnixTime) -> bool:
         """Whether it has been unresponsive for long enough; a clock that was set back counts as long."""
         return self.unresponsive and (
             self.responded_at is None or not 0 <= at - self.responded_at < LOST_AFTER_S
@@ -78,7 +79,7 @@ class UnitRecord:
 class Roster:
     """Every configured unit in floor order, and any other that a command was sent to."""
 
-    def __init__(self, units: Iterable[int], at: float) -> None:
+    def __init__(self, units: Iterable[int], at: UnixTime) -> None:
         self._configured = tuple(units)
         self._known = frozenset(self._configured)
         self._records = {unit: _stranger(unit, at) for unit in self._configured}
@@ -89,7 +90,7 @@ class Roster:
     def __getitem__(self, unit: int) -> UnitRecord:
         record = self._records.get(unit)
         if record is None:
-            record = self._records[unit] = _stranger(unit, 0.0)
+            record = self._records[unit] = _stranger(unit, UnixTime(0.0))
         return record
 
     @property
@@ -117,7 +118,7 @@ class Roster:
     # --- what a unit said ----------------------------------------------------------------------
 
     def take_response(
-        self, request: Request, reply: Reply, at: float, frame: bytes, *, is_probe: bool = False
+        self, request: Request, reply: Reply, at: UnixTime, frame: bytes, *, is_probe: bool = False
     ) -> list[UnitUpdate]:
         """``reply`` is the answer to ``request``. A probe is not written in the unit's own dialect: that the
         unit answers is true of it, and a parameter's number and value need not be."""
@@ -137,11 +138,11 @@ class Roster:
                 updates += self._stage(record, None, at)
         return updates if self.is_configured(record.unit) else []
 
-    def unstage(self, unit: int, at: float) -> list[UnitUpdate]:
+    def unstage(self, unit: int, at: UnixTime) -> list[UnitUpdate]:
         """``unit`` holds no staged speed any more."""
         return self._stage(self[unit], None, at)
 
-    def missed(self, unit: int, at: float) -> list[UnitUpdate]:
+    def missed(self, unit: int, at: UnixTime) -> list[UnitUpdate]:
         """``unit`` did not answer one question."""
         record = self[unit]
         record.misses += 1
@@ -151,21 +152,21 @@ class Roster:
             return self._link(record, "stale", at, Message("response_overdue"))
         return []
 
-    def port_closed(self, at: float, cause: Message | None) -> list[UnitUpdate]:
+    def port_closed(self, at: UnixTime, cause: Message | None) -> list[UnitUpdate]:
         """No unit can be asked: whoever was online is stale from now on."""
         return self._all("online", "stale", at, cause)
 
-    def port_stays_closed(self, at: float, cause: Message | None) -> list[UnitUpdate]:
+    def port_stays_closed(self, at: UnixTime, cause: Message | None) -> list[UnitUpdate]:
         """It has lasted: whoever was stale counts as lost."""
         return self._all("stale", "offline", at, cause)
 
     def _all(
-        self, was: UnitLinkState, becomes: UnitLinkState, at: float, cause: Message | None
+        self, was: UnitLinkState, becomes: UnitLinkState, at: UnixTime, cause: Message | None
     ) -> list[UnitUpdate]:
         records = [record for record in self._records.values() if record.link.link == was]
         return [update for record in records for update in self._link(record, becomes, at, cause)]
 
-    def _answered(self, record: UnitRecord, at: float) -> list[UnitUpdate]:
+    def _answered(self, record: UnitRecord, at: UnixTime) -> list[UnitUpdate]:
         record.misses, record.responded_at = 0, at
         return self._link(record, "online", at, None) if record.link.link != "online" else []
 
@@ -175,14 +176,14 @@ class Roster:
         record.parameters[value.number] = value
         return [value]
 
-    def _stage(self, record: UnitRecord, raw: int | None, at: float) -> list[UnitUpdate]:
+    def _stage(self, record: UnitRecord, raw: int | None, at: UnixTime) -> list[UnitUpdate]:
         if record.staged == raw:
             return []
         record.staged = raw
         return [Staged(unit=record.unit, at=at, raw=raw)]
 
     def _link(
-        self, record: UnitRecord, link: UnitLinkState, at: float, cause: Message | None
+        self, record: UnitRecord, link: UnitLinkState, at: UnixTime, cause: Message | None
     ) -> list[UnitUpdate]:
         if record.link.link == link:
             return []
@@ -190,11 +191,11 @@ class Roster:
         return [record.link] if self.is_configured(record.unit) else []
 
 
-def _stranger(unit: int, at: float) -> UnitRecord:
+def _stranger(unit: int, at: UnixTime) -> UnitRecord:
     return UnitRecord(unit, UnitLink(unit=unit, at=at, link="unknown", cause=Message("no_response_yet")))
 
 
-def _reading(reply: StatusReply, at: float) -> Reading:
+def _reading(reply: StatusReply, at: UnixTime) -> Reading:
     return Reading(
         unit=reply.unit,
         at=at,
@@ -207,7 +208,7 @@ def _reading(reply: StatusReply, at: float) -> Reading:
 
 
 def parameter_value(
-    unit: int, number: int, reply: Reply | None, at: float, frame: bytes
+    unit: int, number: int, reply: Reply | None, at: UnixTime, frame: bytes
 ) -> ParameterValue | None:
     """What a response to 85h says of parameter ``number``; None where it says nothing of it.
 

@@ -14,6 +14,7 @@ from itertools import chain
 from msgspec.structs import replace
 
 from bus.contract import MOST_UPDATES, Batch, BusFigures, Frames, Progress, Reading, Result, Update
+from bus.instants import UnixTime
 
 MOST_READINGS = 30_000
 """13 minutes of one bus at 9600 baud (38.4 readings a second)."""
@@ -72,7 +73,7 @@ class Outbox:
         """The app is away."""
         self.connected = False
 
-    def resume(self, delivered: int, *, oldest: float = 0.0) -> None:
+    def resume(self, delivered: int, *, oldest: UnixTime = UnixTime(0.0)) -> None:
         """The app is back and has every batch up to ``delivered``; all else is backlog now, except what is
         from before ``oldest`` (seconds since the epoch), which it would refuse."""
         self.delivered(delivered)
@@ -91,7 +92,7 @@ class Outbox:
         self._backlog = len(kept)
         self.connected = True
 
-    def next_batch(self, at: float) -> Batch | None:
+    def next_batch(self, at: UnixTime) -> Batch | None:
         """The next to send, at epoch second ``at``; None when nothing waits."""
         updates = self._take()
         if not updates:

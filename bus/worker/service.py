@@ -27,6 +27,7 @@ from bus.contract import (
     Watch,
 )
 from bus.contract.clock_offset import ClockOffset
+from bus.instants import UnixTime
 from bus.line.clock import LineClock, RealClock
 from bus.line.commands.catalogue import command_run_of
 from bus.line.events import LineUpdate
@@ -147,7 +148,7 @@ class BusWorker:
 
     def _begin(self, command: Command) -> None:
         now = self.clock.now()
-        deadline = now + self.app_clock.here(command.deadline) - self.clock.epoch(now)
+        deadline = now + (self.app_clock.here(command.deadline) - self.clock.epoch(now))
         refusal = self._refusal(command, deadline - now)
         run = command_run_of(self.poller, command.id, command.action, deadline)
         if refusal is None and run is None:
@@ -236,7 +237,7 @@ class BusWorker:
                 await asyncio.sleep(0)
         self._emit([Result(command_id, self._epoch(), "verified", frames=frames)])
 
-    def _epoch(self) -> float:
+    def _epoch(self) -> UnixTime:
         return self.clock.epoch(self.clock.now())
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 from urllib.parse import urlsplit, urlunsplit
@@ -36,6 +35,7 @@ from bus.contract import (
     encode,
 )
 from bus.contract.clock_offset import ClockOffset
+from bus.instants import Clock, Monotonic
 from bus.reconnect_delay import ReconnectDelay
 from bus.worker.outbox import Outbox
 
@@ -98,7 +98,7 @@ class Uplink:
         outbox: Outbox,
         duty: Duty,
         app_clock: ClockOffset,
-        epoch: Callable[[], float],
+        epoch: Clock,
     ) -> None:
         self._url = feed_url(url)
         self._headers = {"Authorization": f"Bearer {token}"}
@@ -203,7 +203,7 @@ class Uplink:
                         "the dashboard sent a malformed message; ignored", error=str(error)[:MOST_DETAIL]
                     )
                 is_new = False
-            await asyncio.sleep(bucket.pour(1.0, loop.time()))
+            await asyncio.sleep(bucket.pour(1.0, Monotonic(loop.time())))
 
     def _take(self, message: AppMessage) -> None:
         match message:

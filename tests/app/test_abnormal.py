@@ -59,7 +59,7 @@ def test_a_broken_rung_comes_before_what_else_is_abnormal(
         (BusFigures(NOW, 1.0, 1.0, 1.0, 1.0, answers_for_all=1), None),
         (
             BusFigures(NOW, 1.0, 1.0, 1.0, 1.0, answers_for_all=2),
-            "perhaps unit 2 answers for it (each answer comes twice)",
+            "unit 2 may respond in its place (each response comes twice)",
         ),
     ],
 )
@@ -82,7 +82,7 @@ def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:
     live.buses["dry"].apply([ParameterValue(3, 17, NOW, 3)])
     assert suspicion(bus, bus.units[1]) is None, "units whose #17 says something else"
     live.buses["dry"].apply([ParameterValue(2, 17, NOW, 2)])
-    assert str(suspicion(bus, bus.units[1])) == "perhaps unit 3 answers for it (#17)"
+    assert str(suspicion(bus, bus.units[1])) == "unit 3 may respond in its place (#17)"
     assert suspicion(bus, bus.units[2]) is None
 
 

@@ -4,8 +4,9 @@ import pytest
 
 from app.commands.forms.outcome import outcome_text, problem_text
 from app.errors import Problem
-from app.web.deadline import Deadline, Instant, instant_now
+from app.web.deadline import Deadline
 from bus.contract import Result, UnitOutcome
+from bus.instants import monotonic_now
 from bus.messages import Message, term
 from tests.app.screens import translator
 
@@ -46,6 +47,6 @@ def test_a_part_of_a_change_that_was_taken_back_says_so_in_the_reader_s_language
 
 def test_a_refusal_before_sending_is_said_in_the_reader_s_language() -> None:
     with pytest.raises(Problem) as late:
-        Deadline(Instant(instant_now() - 4), 2.0).refuse_passed()
+        Deadline(monotonic_now() - 4, 2.0).refuse_passed()
     text = problem_text(late.value, translator("de")).text
     assert text.startswith("der Befehl kam zu spät: er ist 4,0 s alt, erlaubt waren 2 s")

@@ -12,8 +12,8 @@ from app.live.state.live_state import LiveState
 from app.recipes.book import RecipeBook
 from app.recipes.rules import NOT_CONFIGURED, LoadStep, Recipe, RecipeSetpoint, dry_run, setpoints_now
 from app.recipes.store import RecipeStore
-from app.web.deadline import instant_now
 from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
+from bus.instants import monotonic_now, unix_now
 from bus.messages import Message, in_english
 from tests.app.played_commands import ANNA, HEALTHY, REMOTE, Noted, PlayedCommands, a_bus, answering, fresh
 
@@ -94,7 +94,7 @@ async def test_what_stands_in_the_way_is_said_and_nothing_is_sent(
     answering(scene.live, remote=remote)
     scene.live.buses["dry-end"].apply([ParameterValue(unit=2, number=8, at=2.0, raw=mode)])
     with pytest.raises(Problem, match=says):
-        await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id=None)
+        await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id=None)
     assert scene.commands.sent == []
 
 
@@ -102,7 +102,7 @@ async def test_a_refusal_says_once_that_nothing_was_sent(scene: Scene) -> None:
     answering(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100, 2: 95000})
     with pytest.raises(Problem) as refused:
-        await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id=None)
+        await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id=None)
     assert str(refused.value).count("nothing was sent") == 1
 
 
@@ -118,7 +118,7 @@ async def test_a_silent_line_cannot_be_loaded(scene: Scene) -> None:
 async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None:
     answering(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
-    await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id="one")
+    await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id="one")
     assert scene.commands.sent == [SetLine(setpoints={1: 1200, 2: 1210})]
     loaded = scene.book.loaded("dry-end")
     assert loaded is not None
@@ -133,7 +133,7 @@ async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None
 async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_departed(scene: Scene) -> None:
     answering(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
-    await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id="one")
+    await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id="one")
     live = a_bus()
     again = RecipeBook(live, {"dry-end": scene.commands}, scene.book.store, scene.events)  # type: ignore[arg-type]
     await again.load_marks()
@@ -165,7 +165,7 @@ async def test_a_ratio_read_before_the_recipe_was_loaded_is_no_departure(scene: 
     follower = [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()]
     scene.live.buses["dry-end"].apply(follower)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {2: 10100})
-    await scene.book.load(ANNA, recipe, instant_now(), confirm=True, command_id="one")
+    await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id="one")
     assert scene.book.departed("dry-end") == []
     loaded = scene.book.loaded("dry-end")
     assert loaded is not None
@@ -181,7 +181,7 @@ def a_recipe(*setpoints: RecipeSetpoint) -> Recipe:
 
 
 def steps_of(live: LiveState, *setpoints: RecipeSetpoint) -> tuple[LoadStep, ...]:
-    return dry_run(a_recipe(*setpoints), live.buses["dry-end"], lambda _unit, _raw: None, instant_now()).steps
+    return dry_run(a_recipe(*setpoints), live.buses["dry-end"], lambda _unit, _raw: None, unix_now()).steps
 
 
 def test_a_unit_that_is_not_configured_is_named_by_its_address() -> None:

@@ -175,7 +175,7 @@ async def test_a_long_body_makes_no_write_late(house: House, monkeypatch: pytest
     """A file of parameter sets on a slow network: what counts is when it began to come."""
     browser = await house.signed_in(Role.ENGINEER)
     now = 5000.0
-    monkeypatch.setattr(arrival, "instant_now", lambda: now)
+    monkeypatch.setattr(arrival, "monotonic_now", lambda: now)
 
     async def slowly() -> AsyncIterator[bytes]:
         nonlocal now

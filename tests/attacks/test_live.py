@@ -139,12 +139,12 @@ def test_pages_that_turn_without_end_do_not_flood_the_workers(
     hub, told = hub_of(client), list[Any]()
     watchers = {"dry-end": lambda *watched: told.append(("dry-end", *watched))}
     monkeypatch.setattr(hub, "_watchers", watchers)
-    monkeypatch.setattr(hub, "_clock", lambda: 100.0)
+    monkeypatch.setattr(hub, "_monotonic", lambda: 100.0)
     browser = Browser("anna", "viewer", "en")
     for turn in range(1000):
         hub.follow(browser, frozenset({("dry-end", turn % 2 + 1)}), "")
     assert len(told) <= MAX_WATCH_BURST
-    monkeypatch.setattr(hub, "_clock", lambda: 101.0)
+    monkeypatch.setattr(hub, "_monotonic", lambda: 101.0)
     hub.tick()
     assert told[-1] == ("dry-end", [2], False)
 

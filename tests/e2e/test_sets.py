@@ -200,7 +200,7 @@ def test_a_restore_is_reviewed_first_and_proven_afterwards(site: Site, browser_p
     said = "The unit equals the set, verified by a full read."
     expect(page.locator("#restore .outcome")).to_have_text(said, timeout=PROCEDURE_MS)
     expect(page.locator("#verdict")).to_have_text(said)
-    expect(page.get_by_role("heading", name=re.compile("^Proof"))).to_be_visible()
+    expect(page.get_by_role("heading", name=re.compile("^Read-back"))).to_be_visible()
     assert len(writes(site, 0x86)) == before + 2
 
 

@@ -128,10 +128,10 @@ def test_a_press_without_an_answer_has_an_unknown_fate(site: Site, browser_page:
     page.evaluate("document.dispatchEvent(new CustomEvent('lineside:lost'))")
     expect(page.locator("dialog[open]")).to_have_count(0)
     page.evaluate("document.dispatchEvent(new CustomEvent('lineside:found'))")
-    expect(page.locator("[data-review-end]")).to_contain_text("the result is not known")
+    expect(page.locator("[data-review-end]")).to_contain_text("result is not known")
     page.get_by_role("button", name="Close").click()
     page.locator(".nudges button").first.click()
-    expect(page.locator("#setpoint-error")).to_contain_text("the result is not known")
+    expect(page.locator("#setpoint-error")).to_contain_text("result is not known")
     assert writes(site) == before
 
 

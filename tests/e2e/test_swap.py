@@ -114,7 +114,7 @@ def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensP
     expect(page.locator("#restore [role=status]")).to_contain_text("Nothing has been written")
     expect(page.get_by_text("accelerates in 3.3 s instead of 10.0 s")).to_be_visible()
     page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
-    expect(page.get_by_role("heading", name=re.compile("^Proof"))).to_be_visible(timeout=PROCEDURE_MS)
+    expect(page.get_by_role("heading", name=re.compile("^Read-back"))).to_be_visible(timeout=PROCEDURE_MS)
     page.get_by_role("link", name="Back to the swap").click()
     says(page, "The new unit has the parameters of the old unit, verified by a full read.")
     expect(page.get_by_role("link", name="Open the report")).to_be_visible()

@@ -47,7 +47,7 @@ from app.live.state.live_state import LiveState
 from app.web.access import Person
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
-from app.web.deadline import Deadline, Instant
+from app.web.deadline import Deadline
 from app.web.schema_problem import problems
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS
@@ -63,6 +63,7 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
+from bus.instants import Monotonic
 from bus.messages import Message
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"], route_class=ApiRoute)
@@ -83,7 +84,7 @@ class CommandCall:
     commands: CommandService
     bus: str
     key: str | None
-    made_at: Instant
+    made_at: Monotonic
     query_timeout_s: float | None
 
     def deadline(self, body: Body, staged_units: int = 0) -> Deadline:

@@ -15,6 +15,7 @@ from app.web.problems import respond
 from app.web.shape import iso
 from bus.contract import Frame, Result, UnitOutcome
 from bus.errors import unit_error, unit_error_name
+from bus.instants import UnixTime
 from bus.messages import Message
 
 STATUS = {
@@ -103,7 +104,7 @@ def _outcome_json(result: Result | UnitOutcome, secret: bool) -> OutcomeMembers:
     }
 
 
-def _moment(at: float | None) -> str | None:
+def _moment(at: UnixTime | None) -> str | None:
     return None if at is None else iso(at)
 
 

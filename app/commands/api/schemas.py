@@ -8,6 +8,7 @@ from pydantic import Field
 from typing_extensions import TypeAliasType, TypedDict
 
 from bus.contract import Direction, Outcome
+from bus.instants import UnixTime
 
 OutcomeShown = TypeAliasType("OutcomeShown", Outcome)
 """Named, so that clients have one enumeration of it."""
@@ -19,7 +20,7 @@ class FrameShown(TypedDict):
     """One frame as it passed the port."""
 
     at: Annotated[str, Field(description="ISO 8601 in UTC, milliseconds.")]
-    time: Annotated[float, Field(description="The same in seconds since 1970.")]
+    time: Annotated[UnixTime, Field(description="The same in seconds since 1970.")]
     direction: Annotated[Direction, Field(description="out: a request, in: a response.")]
     hex: Annotated[str, Field(description="The bytes on the wire, hexadecimal, separated by blanks.")]
     meaning: str

@@ -5,7 +5,6 @@ The frames show every value that passed, so this needs an engineer.
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import AsyncIterator
 from datetime import UTC, datetime
@@ -24,6 +23,7 @@ from app.errors import Problem
 from app.web.access import Person
 from app.web.api_route import ApiRoute
 from bus.contract import Frame, ReadTrace
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
 router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["trace"], route_class=ApiRoute)
@@ -49,7 +49,7 @@ async def get_trace(
 ) -> Response:
     """The last ``limit`` frames as JSON; with ``seconds`` all of that time as a text file, one frame a
     line, which ``lineside decode`` reads back."""
-    now = time.time()
+    now = unix_now()
     if seconds is None:
         frames: deque[Frame] = deque(maxlen=limit)
         async for piece in _pieces(commands, person, now - RECENT_S):
@@ -57,12 +57,12 @@ async def get_trace(
         return JSONResponse({"bus": bus, "frames": [frame_json(frame) for frame in frames]})
     pieces = _pieces(commands, person, now - seconds)
     first: list[Frame] = await anext(pieces, [])
-    name = f"{bus}-{datetime.fromtimestamp(now, UTC):%Y%m%dT%H%M%SZ}.trace.txt"
+    name = f"{bus}-{datetime.fromtimestamp(float(now), UTC):%Y%m%dT%H%M%SZ}.trace.txt"
     headers = {"Content-Disposition": f'attachment; filename="{name}"'}
     return StreamingResponse(_lines(first, pieces), headers=headers, media_type="text/plain; charset=utf-8")
 
 
-async def _pieces(commands: CommandService, person: Person, since: float) -> AsyncIterator[list[Frame]]:
+async def _pieces(commands: CommandService, person: Person, since: UnixTime) -> AsyncIterator[list[Frame]]:
     for _ in range(MOST_PIECES):
         result = await commands.send(person, ReadTrace(since=since, limit=PIECE))
         if result.outcome not in ("verified", "acknowledged"):

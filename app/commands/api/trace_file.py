@@ -12,6 +12,7 @@ from typing import cast
 
 from bus.contract import Direction, Frame
 from bus.errors import CallerError
+from bus.instants import UnixTime
 from bus.messages import Message
 
 _DIRECTIONS = ("out", "in")
@@ -19,7 +20,7 @@ _DIRECTIONS = ("out", "in")
 
 def trace_line(frame: Frame) -> str:
     """One line without its end."""
-    time = datetime.fromtimestamp(frame.at, UTC).isoformat(timespec="microseconds")
+    time = datetime.fromtimestamp(float(frame.at), UTC).isoformat(timespec="microseconds")
     meaning = " ".join(frame.meaning.split())
     return f"{time}\t{frame.direction}\t{frame.data.hex(' ').upper()}\t{meaning}"
 
@@ -35,7 +36,7 @@ def parse_trace_line(line: str) -> Frame:
         time, direction, data, meaning = line.rstrip("\r\n").split("\t")
         if direction not in _DIRECTIONS:
             raise ValueError(f"direction {direction!r}")
-        at = datetime.fromisoformat(time).timestamp()
+        at = UnixTime(datetime.fromisoformat(time).timestamp())
         recorded = Message.of("frame_recorded", text=meaning)
         return Frame(at, cast(Direction, direction), bytes.fromhex(data), [recorded])
     except ValueError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import uuid
 from typing import Annotated, Any
 
@@ -29,6 +28,7 @@ from app.web.deadline import Deadline
 from app.web.services import bus_service_of, service_of
 from app.web.templating import render, templates_of
 from bus.contract import Action, Result, UnitOutcome
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
 REVIEW_LASTS_S = 45.0
@@ -80,7 +80,7 @@ class PageContext:
 
     def review(self, template: str, /, **context: Any) -> Response:
         """The second step: what will be done once this is confirmed, and the id it will be done under."""
-        return self.render(template, command_id=new_id(), reviewed_at=time.time(), **context)
+        return self.render(template, command_id=new_id(), reviewed_at=unix_now(), **context)
 
     def not_so(self, reason: str, place: str, *, nearest: str = "", status: int = 422) -> Response:
         """Why what was typed gets no review, in the reader's language, at the CSS selector ``place``;
@@ -89,9 +89,9 @@ class PageContext:
         response.headers["HX-Retarget"] = place
         return response
 
-    def refuse_lapsed(self, reviewed_at: float) -> None:
+    def refuse_lapsed(self, reviewed_at: UnixTime) -> None:
         """Raises Problem 409 for a review that is over. Nothing is sent."""
-        if not time.time() - reviewed_at <= REVIEW_LASTS_S:  # of NaN too
+        if not unix_now() - reviewed_at <= REVIEW_LASTS_S:  # of NaN too
             raise Problem(409, "lapsed", Message("review_lapsed"))
 
     def deadline(self, bus: BusLive, staged_units: int = 0) -> Deadline:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Iterable
 from contextlib import suppress
 
@@ -16,6 +15,7 @@ from app.errors import Problem
 from app.web.access import Person
 from app.web.deadline import Deadline
 from bus.contract import Action
+from bus.instants import unix_now
 from bus.messages import Message
 
 
@@ -46,13 +46,13 @@ async def know_ramps(page: PageContext, person: Person, bus: str, units: Iterabl
 def change(page: PageContext, bus: str, unit: int, raw: int) -> SetpointChange:
     """What a new setpoint means for a unit."""
     limits, block = page.guards(bus).limits.of(unit), page.guards(bus).block_reason(unit)
-    return change_of(page.bus(bus), page.unit(bus, unit), raw, limits, time.time(), block=block)
+    return change_of(page.bus(bus), page.unit(bus, unit), raw, limits, unix_now(), block=block)
 
 
 def facts(page: PageContext, bus: str, unit: int) -> RiskInputs:
     """The inputs of the risk rules for a unit, without a ramp."""
     block = page.guards(bus).block_reason(unit)
-    return facts_of(page.bus(bus), page.unit(bus, unit), time.time(), block=block)
+    return facts_of(page.bus(bus), page.unit(bus, unit), unix_now(), block=block)
 
 
 def keep_their_setpoint(

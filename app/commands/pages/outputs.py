@@ -21,6 +21,7 @@ from bus.catalogue.status import output_is_on
 from bus.catalogue.values import analog_output_volts
 from bus.contract import WriteAnalogOutput, WriteOutput
 from bus.errors import CallerError
+from bus.instants import UnixTime
 from bus.messages import Message
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
@@ -65,7 +66,7 @@ async def set_output(
     number: OutputPath,
     on: Annotated[bool, Form()],
     id: Annotated[str, Form(max_length=64)],
-    reviewed_at: Annotated[float, Form()],
+    reviewed_at: Annotated[UnixTime, Form()],
 ) -> Response:
     """87h, verified by the bit in ST2."""
     live = page.unit(bus, unit)
@@ -115,7 +116,7 @@ async def set_analog(
     unit: int,
     raw: Annotated[int, Form(ge=0)],
     id: Annotated[str, Form(max_length=64)],
-    reviewed_at: Annotated[float, Form()],
+    reviewed_at: Annotated[UnixTime, Form()],
 ) -> Response:
     """88h. The best outcome is acknowledged: there is nothing to read back."""
     live = page.unit(bus, unit)

@@ -27,6 +27,7 @@ from bus.catalogue.parameter import Parameter, danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ReadParameters, WriteParameter
 from bus.errors import CallerError
+from bus.instants import UnixTime
 from bus.messages import Message
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}/parameters", include_in_schema=False)
@@ -117,7 +118,7 @@ async def write_parameter(
     number: ParameterPath,
     raw: Annotated[int, Form(ge=0)],
     id: Annotated[str, Form(max_length=64)],
-    reviewed_at: Annotated[float, Form()],
+    reviewed_at: Annotated[UnixTime, Form()],
     typed: Annotated[str, Form(max_length=20)] = "",
 ) -> Response:
     """86h, read back by 85h; a dangerous one only with the word typed."""

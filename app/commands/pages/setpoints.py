@@ -28,6 +28,7 @@ from app.web.access import Person, Viewer
 from bus.catalogue.numbers import DECIMALS
 from bus.contract import SetLine
 from bus.errors import CallerError
+from bus.instants import UnixTime
 from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)
@@ -120,7 +121,7 @@ async def set_setpoints(
     page: Page,
     bus: Annotated[str, Form()],
     id: Annotated[str, Form(max_length=64)],
-    reviewed_at: Annotated[float, Form()],
+    reviewed_at: Annotated[UnixTime, Form()],
 ) -> Response:
     """Stage all, require every acknowledgement, one broadcast, prove each: all of them or none."""
     live = page.bus(bus)

@@ -23,6 +23,7 @@ from app.live.state.bus_live import UnitLive, follower
 from app.web.access import Person
 from bus.contract import ExecuteSpeed, Result, SetSpeed
 from bus.errors import CallerError
+from bus.instants import UnixTime
 from bus.messages import Message
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
@@ -86,7 +87,7 @@ async def set_speed(
     raw: SetpointField,
     id: Annotated[str, Form(max_length=64)],
     how: Annotated[Literal["now", "stage"], Form()],
-    reviewed_at: Annotated[float, Form()],
+    reviewed_at: Annotated[UnixTime, Form()],
     was: Was = "",
 ) -> Response:
     """Send the reviewed setpoint, once, and show its result."""
@@ -187,7 +188,7 @@ async def execute(
     unit: int,
     id: Annotated[str, Form(max_length=64)],
     raw: SetpointField,
-    reviewed_at: Annotated[float, Form()],
+    reviewed_at: Annotated[UnixTime, Form()],
 ) -> Response:
     """Send 83h to one unit if the staged value is still the reviewed one."""
     live = page.unit(bus, unit)

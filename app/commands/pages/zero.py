@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from typing import Annotated
 
 from fastapi import APIRouter, Form
@@ -22,6 +21,7 @@ from app.live.state.bus_live import BusLive
 from app.web.access import Person, Viewer
 from app.web.deadline import Deadline
 from bus.contract import Result, SetLine, SetSpeed, UnitOutcome
+from bus.instants import UnixTime, unix_now
 
 router = APIRouter(prefix="/line/zero", include_in_schema=False)
 
@@ -32,7 +32,7 @@ async def review_zero(person: Viewer, page: Page) -> Response:
     A viewer sees the same button, in the same place on every page, and is told why it has no effect."""
     if not person.role.includes(SET_LINE.role):
         return page.render("line/_zero_not_yours.html")
-    now = time.time()
+    now = unix_now()
     objections = {bus: page.guards(bus).control.objection(person.account, now) for bus in page.live.buses}
     plans = [plan for plan in _plans(page) if not objections[plan.bus]]
     return page.review(
@@ -56,7 +56,7 @@ def _longest_s(bus: BusLive, units: int) -> float:
 
 
 def _plans(page: PageContext) -> list[ZeroPlan]:
-    now = time.time()
+    now = unix_now()
     return [plan_zero(bus, page.guards(name).block_reason, now) for name, bus in page.live.buses.items()]
 
 
@@ -65,7 +65,7 @@ async def set_zero(
     person: Annotated[Person, permitted(SET_LINE)],
     page: Page,
     id: Annotated[str, Form(max_length=64)],
-    reviewed_at: Annotated[float, Form()],
+    reviewed_at: Annotated[UnixTime, Form()],
 ) -> Response:
     """Set the speed of every reachable unit to 0, all at once where all acknowledge, else one by one.
 

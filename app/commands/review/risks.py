@@ -18,6 +18,7 @@ from app.live.state.conditions import bits_of
 from bus.catalogue.numbers import ACCELERATION, DECELERATION
 from bus.catalogue.status import StatusBits
 from bus.contract import UnitLinkState
+from bus.instants import UnixTime
 from bus.messages import Message, ParamValue
 
 
@@ -77,7 +78,7 @@ def risks_of_writing(number: int, raw: int) -> tuple[Message, ...]:
 def facts_of(
     bus: BusLive,
     unit: UnitLive,
-    now: float,
+    now: UnixTime,
     *,
     block: str = "",
     ramp: Ramp | None = None,

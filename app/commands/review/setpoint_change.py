@@ -11,6 +11,7 @@ from app.commands.rules.setpoint_range import setpoint_range
 from app.commands.safeguards.limits import Limits
 from app.commands.values import shown_setpoint
 from app.live.state.bus_live import BusLive, UnitLive
+from bus.instants import UnixTime
 from bus.messages import Message
 
 
@@ -33,7 +34,7 @@ class SetpointChange:
 
 
 def change_of(
-    bus: BusLive, unit: UnitLive, new_raw: int, limits: Limits, now: float, *, block: str = ""
+    bus: BusLive, unit: UnitLive, new_raw: int, limits: Limits, now: UnixTime, *, block: str = ""
 ) -> SetpointChange:
     """What setting ``new_raw`` means for a unit. ``block``: why commands to it are blocked, if they are."""
     old_raw, allowed = present_setpoint(bus, unit), setpoint_range(unit, limits)

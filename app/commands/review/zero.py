@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from app.commands.review.ramp import present_setpoint, ramp_of
 from app.commands.review.risks import facts_of, obstacle_of, risks_of
 from app.live.state.bus_live import BusLive, follower
+from bus.instants import UnixTime
 from bus.messages import Message
 
 
@@ -28,7 +29,7 @@ class ZeroPlan:
     """The longest ramp, as far as #2 and #7 are known."""
 
 
-def plan_zero(bus: BusLive, block: Callable[[int], str], now: float) -> ZeroPlan:
+def plan_zero(bus: BusLive, block: Callable[[int], str], now: UnixTime) -> ZeroPlan:
     """Every master that can take it; the others each with a reason. ``block``: why commands to a unit are
     blocked, empty where they are not."""
     plan = ZeroPlan(bus.settings.name)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from app.database import Database
+from bus.instants import UnixTime
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +16,7 @@ class CommandBlock:
 
     reason: str
     set_by: str
-    set_at: float
+    set_at: UnixTime
 
 
 class BlockStore:

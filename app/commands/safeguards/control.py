@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from app.web.access import account_shown
 from bus.errors import LinesideError
+from bus.instants import UnixTime
 from bus.messages import Message
 
 LAPSES_AFTER_S = 600.0
@@ -19,11 +20,11 @@ class Holding:
     """Control of one bus. It lapses after :data:`LAPSES_AFTER_S` without a command of its holder."""
 
     holder: str
-    since: float
-    used_at: float
+    since: UnixTime
+    used_at: UnixTime
 
     @property
-    def lapses_at(self) -> float:
+    def lapses_at(self) -> UnixTime:
         """When control lapses unless its holder sends another command."""
         return self.used_at + LAPSES_AFTER_S
 
@@ -39,12 +40,12 @@ class Control:
         self.required = required
         self._holding: Holding | None = None
 
-    def holding(self, now: float) -> Holding | None:
+    def holding(self, now: UnixTime) -> Holding | None:
         """The holder of control; None where it is free."""
         holding = self._holding
         return holding if holding is not None and now < holding.lapses_at else None
 
-    def take(self, who: str, now: float) -> Holding:
+    def take(self, who: str, now: UnixTime) -> Holding:
         """Take control, if it is free. Raises ControlledError."""
         holding = self.holding(now)
         if holding is not None and holding.holder != who:
@@ -53,7 +54,7 @@ class Control:
         self._holding = Holding(who, since, now)
         return self._holding
 
-    def hand_over(self, who: str, to: str, now: float, *, by_force: bool = False) -> Holding:
+    def hand_over(self, who: str, to: str, now: UnixTime, *, by_force: bool = False) -> Holding:
         """Hand control over. Raises ControlledError for a user who does not hold it."""
         holding = self.holding(now)
         if not by_force and (holding is None or holding.holder != who):
@@ -61,14 +62,14 @@ class Control:
         self._holding = Holding(to, now, now)
         return self._holding
 
-    def release(self, who: str, now: float) -> None:
+    def release(self, who: str, now: UnixTime) -> None:
         """Release control. Raises ControlledError for one who does not hold it."""
         holding = self.holding(now)
         if holding is None or holding.holder != who:
             raise ControlledError(_who_holds(holding))
         self._holding = None
 
-    def revoke(self, who: str, now: float) -> bool:
+    def revoke(self, who: str, now: UnixTime) -> bool:
         """Free what this account held, as it may hold nothing more. Returns whether it held control now."""
         if self._holding is None or self._holding.holder != who:
             return False
@@ -76,14 +77,14 @@ class Control:
         self._holding = None
         return held
 
-    def objection(self, who: str, now: float) -> Message | None:
+    def objection(self, who: str, now: UnixTime) -> Message | None:
         """Why ``account`` may not write now; None where it may."""
         holding = self.holding(now)
         if not self.required or (holding is not None and holding.holder == who):
             return None
         return _who_holds(holding)
 
-    def use(self, who: str, now: float) -> None:
+    def use(self, who: str, now: UnixTime) -> None:
         """Require control for a write, and renew it. Raises ControlledError."""
         objection = self.objection(who, now)
         if objection:

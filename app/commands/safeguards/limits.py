@@ -11,6 +11,7 @@ from dataclasses import astuple, dataclass
 from functools import partial
 
 from app.database import Database
+from bus.instants import UnixTime
 from bus.messages import Message, listed, term
 
 HIGHEST_SETPOINT = 99999
@@ -64,7 +65,7 @@ class LimitsStore:
         """The limits of a unit; without any, all that the protocol allows."""
         return self._limits.get(unit, NO_LIMITS)
 
-    async def put(self, unit: int, limits: Limits, set_by: str, set_at: float) -> None:
+    async def put(self, unit: int, limits: Limits, set_by: str, set_at: UnixTime) -> None:
         """Replace the limits of a unit."""
         await self._database.write(lambda store: _replace(store, self._bus, unit, limits, set_by, set_at))
         self._limits[unit] = limits
@@ -77,7 +78,7 @@ def _select(store: sqlite3.Connection, bus: str) -> dict[int, Limits]:
 
 
 def _replace(
-    store: sqlite3.Connection, bus: str, unit: int, limits: Limits, set_by: str, set_at: float
+    store: sqlite3.Connection, bus: str, unit: int, limits: Limits, set_by: str, set_at: UnixTime
 ) -> None:
     store.execute(
         "INSERT OR REPLACE INTO limits (bus, unit, lowest, highest, largest_step, per_minute, set_by, set_at)"

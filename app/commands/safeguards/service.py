@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Awaitable, Callable
 
 from app.audit.kinds import EventKind
@@ -15,6 +14,7 @@ from app.database import Database
 from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber
 from app.web.access import Person, Role, name_of
+from bus.instants import Clock, unix_now
 from bus.messages import Message, term
 
 SIGNED_OUT = Message("holder_signed_out")
@@ -35,7 +35,7 @@ class Safeguards:
         find: AccountLookup,
         rights: Withdrawals,
         sessions: SessionEnds,
-        now: Callable[[], float] = time.time,
+        now: Clock = unix_now,
     ) -> None:
         self._bus = bus
         self.limits = LimitsStore(database, bus)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import time
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any, Protocol
 
@@ -31,6 +30,7 @@ from app.live.state.bus_live import BusLive
 from app.web.access import Person, account_shown
 from app.web.deadline import Deadline
 from bus.contract import Action, Command, Result
+from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
 STATUS_OF_OBJECTION = {"invalid": 422, "dangerous": 409, "confirm_needed": 409, "blocked": 423}
@@ -55,7 +55,7 @@ class CommandService:
         cache: IdempotencyCache,
         guards: Safeguards,
         rights: Authority,
-        now: Callable[[], float] = time.time,
+        now: Clock = unix_now,
     ) -> None:
         self._live = live
         self._bus = live.settings.name
@@ -203,7 +203,7 @@ class CommandService:
             self._cache.keep(request.person, request.key, kept)
         return kept
 
-    async def _follow(self, request: CommandRequest, steps: dict[int, int], at: float) -> Result:
+    async def _follow(self, request: CommandRequest, steps: dict[int, int], at: UnixTime) -> Result:
         """Carry it out; its steps, which were noted for ``at``, count no more when no unit acted."""
         acted = False
         try:

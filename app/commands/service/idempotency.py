@@ -16,6 +16,7 @@ import msgspec
 from app.audit.keyring import KeyRing
 from app.commands.service.command_request import CommandRequest
 from bus.contract import Action, Result
+from bus.instants import UnixTime
 from bus.messages import Message, term
 
 KEPT_S = 7 * 86_400.0
@@ -59,7 +60,7 @@ def _parts(bus: str, action: Action) -> tuple[str, str]:
     return json.dumps(bus), json.dumps(fields, sort_keys=True)
 
 
-def begin(connection: sqlite3.Connection, request: CommandRequest, ring: KeyRing, now: float) -> None:
+def begin(connection: sqlite3.Connection, request: CommandRequest, ring: KeyRing, now: UnixTime) -> None:
     """The result of a command with a key is open from here on. Raises sqlite3.IntegrityError for a key that
     its sender has used."""
     if request.key is None:

@@ -14,6 +14,7 @@ from app.live.state.bus_live import BusLive
 from app.web.access import Person
 from app.web.deadline import Deadline
 from bus.contract import Action, Outcome, ReadParameters, Result, UnitOutcome
+from bus.instants import UnixTime
 from bus.messages import Message
 
 _ROUNDS = 2
@@ -23,7 +24,7 @@ _ROUNDS = 2
 class UnreadError(Problem):
     """What a command needs to know of a unit cannot be read: 503 ``bus_closed`` or 504 ``unverified``."""
 
-    def result(self, id: str, at: float, units: Sequence[int]) -> Result:
+    def result(self, id: str, at: UnixTime, units: Sequence[int]) -> Result:
         """The same as what became of a command for ``units`` of which nothing was sent."""
         outcome: Outcome = "bus_closed" if self.code == "bus_closed" else "unverified"
         parts = [UnitOutcome(unit, "not_sent", Message("unit_untouched")) for unit in units]

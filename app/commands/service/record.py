@@ -6,7 +6,6 @@ A change of several units is one event for the line and one for each unit, all i
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -23,6 +22,7 @@ from app.database import Database
 from app.errors import Problem, StoreError
 from app.live.state.bus_live import BusLive
 from bus.contract import Action, Outcome, Result
+from bus.instants import Clock
 from bus.messages import Message, term
 
 log = structlog.get_logger()
@@ -39,7 +39,7 @@ class Intent:
 class CommandRecord:
     """Writes commands into the events, and their ids beside them."""
 
-    def __init__(self, events: EventLog, database: Database, now: Callable[[], float]) -> None:
+    def __init__(self, events: EventLog, database: Database, now: Clock) -> None:
         self._events = events
         self._database = database
         self._now = now

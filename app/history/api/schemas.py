@@ -10,6 +10,7 @@ from typing_extensions import TypedDict
 from app.history.query.query import Resolution
 from app.history.status import StoreState
 from app.web.schema_problem import problems
+from bus.instants import UnixTime
 
 Column = Annotated[list[float | None], Field(description="In display units; null: a gap.")]
 TimeList = Annotated[
@@ -54,7 +55,7 @@ class MarkTextShown(TypedDict, total=False):
 class MarkShown(TypedDict):
     """One event to be drawn into a chart."""
 
-    t: Annotated[float, Field(description="Seconds since 1970.")]
+    t: Annotated[UnixTime, Field(description="Seconds since 1970.")]
     id: Annotated[int, Field(description="Number of the event.")]
     kind: str
     what: str
@@ -82,10 +83,10 @@ class StatusShown(TypedDict):
     ]
     message: Annotated[str, Field(description="What to do; empty: nothing.")]
     cause: Annotated[str, Field(description="Why the store cannot be used; empty while it can.")]
-    since: Annotated[float, Field(description="Since when, seconds since 1970.")]
+    since: Annotated[UnixTime, Field(description="Since when, seconds since 1970.")]
     size_bytes: int
     free_bytes: Annotated[int, Field(description="Free space on the disk.")]
-    oldest_reading: Annotated[float | None, Field(description="Seconds since 1970; null: none is stored.")]
+    oldest_reading: Annotated[UnixTime | None, Field(description="Seconds since 1970; null: none is stored.")]
     waiting: Annotated[int, Field(description="Updates that are not on disk yet.")]
     lost: Annotated[int, Field(description="Updates that could not be stored.")]
     damaged: Annotated[int, Field(description="Damages found in the last seven days.")]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Annotated
@@ -12,12 +11,13 @@ from fastapi import Depends, Query
 
 from app.errors import Problem
 from app.history.query.query import SeriesQuery
-from app.history.series.runs import HOUR, SECOND
+from app.history.series.runs import HOUR, micros
 from app.history.series.values import VALUES
 from app.history.service import History
 from app.web.absent import unknown_bus, unknown_unit
 from app.web.numbers import parse_integer
 from app.web.services import service
+from bus.instants import unix_now
 from bus.messages import Message
 from bus.settings import BusSettings
 
@@ -70,7 +70,7 @@ async def wanted_span(
     until: Annotated[str | None, Query(alias="to", max_length=40)] = None,
 ) -> Span:
     """The requested span; the last hour by default."""
-    end = round(time.time() * SECOND) if until is None else moment(until, "to")
+    end = micros(unix_now()) if until is None else moment(until, "to")
     start = end - HOUR if since is None else moment(since, "from")
     if start >= end:
         raise Problem(422, "invalid", Message("span_reversed"))

@@ -7,7 +7,6 @@ with a note and no values.
 
 from __future__ import annotations
 
-import time
 from collections.abc import AsyncIterator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,11 +18,12 @@ from app.history.intake.updates import BUS
 from app.history.query import labels, unit_history
 from app.history.query.query import SeriesQuery, scale_of
 from app.history.series.gaps import holes, usual_interval
-from app.history.series.runs import DAY, HOUR, SECOND, Run
+from app.history.series.runs import DAY, HOUR, Run, micros
 from app.history.series.scaling import LinearScale
 from app.history.service import History
 from app.history.store import tables
 from app.history.store.damage import BlockKey
+from bus.instants import unix_now
 
 Fineness = Literal["readings", "minutes", "hours"]
 PIECE: dict[Fineness, int] = {"readings": HOUR, "minutes": 7 * DAY, "hours": 90 * DAY}
@@ -87,7 +87,7 @@ async def pieces(history: History, table: Table) -> AsyncIterator[list[ExportRow
 
 def _extent(connection: tables.StoreConnection) -> tuple[int, int]:
     """From when to when anything can be kept, µs: the tail's minutes are not in the store yet."""
-    now = round(time.time() * SECOND)
+    now = micros(unix_now())
     first, last = tables.extent(connection) or (now - DAY, now)
     return first, max(last, now) + DAY
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from bus.instants import Monotonic, UnixTime
+
 LEAST_STEP_S = 1.0
 
 
 class ClockWatch:
     """Compares the wall clock with one that only runs. A slow correction is no step."""
 
-    def __init__(self, wall: float, running: float) -> None:
-        self._difference = wall - running
+    def __init__(self, wall: UnixTime, running: Monotonic) -> None:
+        self._difference = float(wall) - float(running)
 
-    def step(self, wall: float, running: float) -> float:
+    def step(self, wall: UnixTime, running: Monotonic) -> float:
         """By how many seconds the wall clock was set since the last look; 0.0 when it was not."""
-        before, self._difference = self._difference, wall - running
+        before, self._difference = self._difference, float(wall) - float(running)
         moved = self._difference - before
         return moved if abs(moved) >= LEAST_STEP_S else 0.0

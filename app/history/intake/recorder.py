@@ -6,7 +6,6 @@ Everything here runs on the one thread that writes (:mod:`app.history.intake.wri
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
 from collections.abc import Sequence
 
@@ -18,6 +17,7 @@ from app.history.series.runs import MINUTE, SECOND, Run
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock
 from app.history.store.repair import FoundDamage, Repair
+from bus.instants import Monotonic, monotonic_now
 from bus.messages import Message
 
 GRACE = 2 * SECOND
@@ -77,18 +77,18 @@ class Recorder:
             raise
         self._intake.keep(taken)
 
-    def fold(self, now: int, deadline: float) -> None:
+    def fold(self, now: int, deadline: Monotonic) -> None:
         """Fold minutes and hours complete at ``now`` (µs) until ``deadline`` (monotonic seconds)."""
         if not self._folding and self._is_due(now):
             self._folded_minute = now - now % MINUTE
             self._folding.extend(self._tail.over(self._folded_minute))
-        while self._folding and time.monotonic() < deadline:
+        while self._folding and monotonic_now() < deadline:
             self._fold_some(self._next_to_fold())
 
-    def fold_everything(self, deadline: float = math.inf) -> None:
+    def fold_everything(self, deadline: Monotonic = Monotonic(math.inf)) -> None:
         """The current minute too, until ``deadline`` (monotonic seconds); the journal holds the rest."""
         self._folding = deque(self._tail.over(current=-1))
-        while self._folding and time.monotonic() < deadline:
+        while self._folding and monotonic_now() < deadline:
             self._fold_some(self._next_to_fold())
 
     def _next_to_fold(self) -> list[tuple[int, int]]:

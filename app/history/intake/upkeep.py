@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from app.history.series.runs import DAY, HOUR, MINUTE
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock
 from app.history.store.repair import Repair
+from bus.instants import Monotonic, monotonic_now
 
 SETTLED_S = 3600.0
 """After a start or a clock step nothing is given up for its age for so long: the clock may be wrong."""
@@ -42,24 +42,24 @@ class Upkeep:
         self._database = database
         self._repair = repair
         self._keep = keep
-        self._settled_at = time.monotonic() + SETTLED_S
+        self._settled_at = monotonic_now() + SETTLED_S
         self._to_sweep = True
 
     def clock_stepped(self) -> None:
         """Old readings are uncertain for a while."""
-        self._settled_at = time.monotonic() + SETTLED_S
+        self._settled_at = monotonic_now() + SETTLED_S
 
     def look(self) -> tuple[int, Space]:
         """Free bytes where the store is, and what they mean."""
         free = shutil.disk_usage(self._database.path.parent).free
         return free, space(free, self._keep.reserve)
 
-    def compact(self, now: int, deadline: float) -> None:
+    def compact(self, now: int, deadline: Monotonic) -> None:
         """Pack hours that are over until ``deadline`` (monotonic seconds)."""
         before = now - now % HOUR
         if now - before < LATE:
             before -= HOUR
-        while time.monotonic() < deadline:
+        while monotonic_now() < deadline:
             found = self._database.read_now(lambda c: tables.next_to_compact(c, before))
             if found is None:
                 return
@@ -70,7 +70,7 @@ class Upkeep:
 
     def give_up_old(self, now: int) -> None:
         """Choose the readings past their retention; :meth:`sweep` then deletes them."""
-        if time.monotonic() < self._settled_at:
+        if monotonic_now() < self._settled_at:
             return
         horizon = now - self._keep.raw_days * DAY
         self._give_up_before(horizon - horizon % HOUR)
@@ -83,9 +83,9 @@ class Upkeep:
         if oldest is not None and oldest - oldest % HOUR + HOUR <= now - HOUR:
             self._give_up_before(oldest - oldest % HOUR + HOUR)
 
-    def sweep(self, deadline: float) -> None:
+    def sweep(self, deadline: Monotonic) -> None:
         """Take away what was given up, until ``deadline`` (monotonic seconds)."""
-        while self._to_sweep and time.monotonic() < deadline:
+        while self._to_sweep and monotonic_now() < deadline:
             dropped = self._database.write_now(lambda c: tables.drop_raw(c, tables.raw_from(c), DROP_AT_ONCE))
             self._to_sweep = dropped == DROP_AT_ONCE
             self._database.write_now(lambda c: c.execute(_VACUUM).fetchall())

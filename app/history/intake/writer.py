@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import shutil
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import closing, suppress
@@ -28,6 +27,7 @@ from app.history.store import tables
 from app.history.store.damage import BlockKey
 from app.history.store.repair import FoundDamage, Repair
 from app.history.store.salvage import copies, put_aside
+from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english
 
 MIGRATIONS = Path(__file__).parents[1] / "migrations"
@@ -49,7 +49,7 @@ SHOWN_FOR = 7 * DAY
 """How long damage is shown on the pages; in the events it stays."""
 
 log = structlog.get_logger()
-ClockStepped = Callable[[float, float], None]
+ClockStepped = Callable[[float, UnixTime], None]
 """Called from the writer's thread: by how many seconds, and at what time."""
 
 
@@ -71,7 +71,7 @@ class Writer:
         self._on_damage = on_damage
         self._reported: deque[BlockKey] = deque(maxlen=MOST_REPORTED)
         self._torn = False
-        self._rebuilt_at = -math.inf
+        self._rebuilt_at = Monotonic(-math.inf)
         self.tail = Tail()
         self._queue: deque[Delivery] = deque()
         self._waiting = 0
@@ -79,10 +79,10 @@ class Writer:
         self._lost = 0
         self._open: _Open | None = None
         self._writable = False
-        self._status = Status(since=time.time())
+        self._status = Status(since=unix_now())
         self._space: Space = "enough"
-        self._clock = ClockWatch(time.time(), time.monotonic())
-        self._retry_at = self._look_at = self._give_up_at = 0.0
+        self._clock = ClockWatch(unix_now(), monotonic_now())
+        self._retry_at = self._look_at = self._give_up_at = Monotonic(0.0)
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="history-writer", daemon=True)
 
@@ -137,9 +137,9 @@ class Writer:
     def _run(self) -> None:
         took = 0.0
         while not self._ending.wait(max(0.0, COMMIT_EVERY_S - took)):
-            began = time.monotonic()
+            began = monotonic_now()
             self._guard(self._tick)
-            took = time.monotonic() - began
+            took = monotonic_now() - began
         self._guard(self._end)
 
     def _guard(self, work: Callable[[], None]) -> None:
@@ -163,7 +163,7 @@ class Writer:
         if self._torn and self._open is not None and not self._ending.is_set():
             self._rebuild()
         if not self._writable:
-            if time.monotonic() < self._retry_at:
+            if monotonic_now() < self._retry_at:
                 return
             self._open_store()
         if self._space != "none":
@@ -176,13 +176,13 @@ class Writer:
         self._commit(opened.recorder)
         with suppress(IndexError):
             opened.repair.set_aside(self._reported.popleft())
-        now = micros(time.time())
-        opened.recorder.fold(now, time.monotonic() + BUSY_S)
-        deadline = time.monotonic() + BUSY_S
+        now = micros(unix_now())
+        opened.recorder.fold(now, monotonic_now() + BUSY_S)
+        deadline = monotonic_now() + BUSY_S
         opened.upkeep.sweep(deadline)
         opened.upkeep.compact(now, deadline)
-        if time.monotonic() >= self._give_up_at:
-            self._give_up_at = time.monotonic() + GIVE_UP_EVERY_S
+        if monotonic_now() >= self._give_up_at:
+            self._give_up_at = monotonic_now() + GIVE_UP_EVERY_S
             opened.upkeep.give_up_old(now)
 
     def _commit(self, recorder: Recorder) -> None:
@@ -205,7 +205,7 @@ class Writer:
         try:
             if self._writable:
                 self._commit(self._open.recorder)
-                self._open.recorder.fold_everything(time.monotonic() + END_S)
+                self._open.recorder.fold_everything(monotonic_now() + END_S)
         finally:
             self._open.database.close()
 
@@ -218,7 +218,7 @@ class Writer:
             database.close()
             raise
         before, self._open = self._open, opened
-        self._writable, self._look_at = True, 0.0
+        self._writable, self._look_at = True, Monotonic(0.0)
         if before is not None:
             before.database.close()
 
@@ -235,9 +235,9 @@ class Writer:
         time within the hour it is the machine that is at fault, and nothing more is tried."""
         self._torn = False
         opened = self._open
-        if opened is None or time.monotonic() - self._rebuilt_at < REBUILD_EVERY_S:
+        if opened is None or monotonic_now() - self._rebuilt_at < REBUILD_EVERY_S:
             return
-        self._rebuilt_at = time.monotonic()
+        self._rebuilt_at = monotonic_now()
         self._writable, self._open = False, None
         opened.database.close()
         aside = put_aside(self._path)
@@ -252,14 +252,14 @@ class Writer:
     def _fail(self, cause: Message) -> None:
         """Stored history can still be read, until the store is opened again."""
         self._writable = False
-        self._retry_at = time.monotonic() + RETRY_S
+        self._retry_at = monotonic_now() + RETRY_S
         self._set_state("failed", cause)
         with suppress(OSError):
             self._status = replace(self._status, free_bytes=shutil.disk_usage(self._path.parent).free)
 
     def _watch_clock(self) -> None:
-        now = time.time()
-        step = self._clock.step(now, time.monotonic())
+        now = unix_now()
+        step = self._clock.step(now, monotonic_now())
         if not step:
             return
         self._on_clock_step(step, now)
@@ -268,14 +268,14 @@ class Writer:
 
     def _watch_disk(self) -> None:
         opened = self._open
-        if opened is None or time.monotonic() < self._look_at:
+        if opened is None or monotonic_now() < self._look_at:
             return
-        self._look_at = time.monotonic() + LOOK_EVERY_S
+        self._look_at = monotonic_now() + LOOK_EVERY_S
         free, self._space = opened.upkeep.look()
         if self._space in ("scarce", "none"):
-            opened.upkeep.trim(micros(time.time()))
+            opened.upkeep.trim(micros(unix_now()))
         oldest = opened.database.read_now(tables.oldest_raw)
-        lately = micros(time.time()) - SHOWN_FOR
+        lately = micros(unix_now()) - SHOWN_FOR
         damaged = opened.database.read_now(lambda c: tables.damaged_since(c, lately))
         state: dict[Space, StoreState] = {"enough": "ok", "low": "low", "scarce": "scarce", "none": "paused"}
         self._set_state(state[self._space])
@@ -283,13 +283,13 @@ class Writer:
             self._status,
             free_bytes=free,
             size_bytes=self._path.stat().st_size,
-            oldest_reading=None if oldest is None else oldest / SECOND,
+            oldest_reading=None if oldest is None else UnixTime(oldest / SECOND),
             damaged=damaged,
         )
 
     def _set_state(self, state: StoreState, cause: Message | None = None) -> None:
         message = store_message(state, cause)
-        since = self._status.since if state == self._status.state else time.time()
+        since = self._status.since if state == self._status.state else unix_now()
         if message != self._status.message:
             log.log(30 if message else 20, "history", state=state, message=in_english(message))
         self._status = replace(self._status, state=state, message=message, cause=cause, since=since)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 from fastapi import APIRouter
@@ -19,6 +18,7 @@ from app.history.service import History
 from app.history.status import store_notice
 from app.web.access import Viewer
 from app.web.templating import render, templates_of
+from bus.instants import unix_now
 
 router = APIRouter(include_in_schema=False)
 
@@ -34,8 +34,8 @@ async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
         catalogue=_catalogue(history),
         values=VALUES,
         has_parquet=parquet_file.is_available(),
-        memory=store_notice(history.status, templates.formats(language.tag), time.time()),
-        preload=preload_address(history, request.query_params, micros(time.time())),
+        memory=store_notice(history.status, templates.formats(language.tag), unix_now()),
+        preload=preload_address(history, request.query_params, micros(unix_now())),
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 
 from app.errors import Problem, StoreError
 from app.history.api.spans import Span, questions
@@ -12,6 +11,7 @@ from app.history.series.runs import DAY, micros
 from app.history.service import History
 from app.web.assets import Assets
 from app.web.templating import Templates
+from bus.instants import unix_now
 
 AFTER_S = 1.0
 """Later than the start itself, which needs the machine: a person takes longer to find the page."""
@@ -32,7 +32,7 @@ async def warm(history: History, templates: Templates, assets: Assets, language:
 
 
 async def _query_a_day(history: History) -> None:
-    now = micros(time.time())
+    now = micros(unix_now())
     names = usual_series(history)
     try:
         await history.query(questions(history, names, Span(now - DAY, now), POINTS))

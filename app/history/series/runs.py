@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from app.history.series import columns
 from bus.contract import Reading
+from bus.instants import UnixTime
 
 SECOND = 1_000_000
 MINUTE = 60 * SECOND
@@ -38,9 +39,9 @@ class Run(NamedTuple):
 COLUMNS = {name: position for position, name in enumerate(Run._fields)}
 
 
-def micros(seconds: float) -> int:
+def micros(at: UnixTime) -> int:
     """Seconds since the epoch as whole µs."""
-    return round(seconds * SECOND)
+    return round(float(at) * SECOND)
 
 
 def run_of(reading: Reading) -> Run:

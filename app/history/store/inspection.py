@@ -7,12 +7,12 @@ know its content.
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import AsyncIterator
 
 from app.database.connection import Database
 from app.history.store import tables
 from app.history.store.damage import BlockKey, StoredTier, sound
+from bus.instants import monotonic_now
 
 TIERS: tuple[StoredTier, ...] = ("raw", "minutes", "hours")
 TABLES = (*TIERS, "bits", "link", "parameter", "journal")
@@ -36,7 +36,7 @@ async def damaged_blocks(database: Database) -> AsyncIterator[BlockKey]:
     for tier in TIERS:
         after = (-1, 0)
         while True:
-            begun = time.monotonic()
+            begun = monotonic_now()
             rows = await database.read(lambda c, tier=tier, after=after: _look(c, tier, after))  # type: ignore[misc]
             if not rows:
                 break
@@ -44,7 +44,7 @@ async def damaged_blocks(database: Database) -> AsyncIterator[BlockKey]:
                 if not block:
                     yield BlockKey(tier, unit, start)
             after = rows[-1][:2]
-            await asyncio.sleep(REST * (time.monotonic() - begun))
+            await asyncio.sleep(REST * (monotonic_now() - begun))
 
 
 def _look(

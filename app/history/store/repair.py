@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 
@@ -11,6 +10,7 @@ from app.history.series.rollup import Rollup, combine, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, SECOND, Run, micros
 from app.history.store import tables
 from app.history.store.damage import BlockKey, DamagedBlock, StoredTier
+from bus.instants import unix_now
 from bus.messages import Message
 
 FoundDamage = Callable[[Message], None]
@@ -45,7 +45,7 @@ def _event_of(connection: tables.StoreConnection, block: BlockKey) -> Message | 
     """Set it aside where it is damaged, as an event."""
     if not tables.is_damaged(connection, block):
         return None
-    missing = set_aside(connection, block, micros(time.time()))
+    missing = set_aside(connection, block, micros(unix_now()))
     since = datetime.fromtimestamp(block.start / SECOND, UTC).isoformat(timespec="minutes")
     code = "event_history_block_lost" if missing else "event_history_block_rebuilt"
     return Message.of(code, what=_HELD[block.tier], unit=tables.name_of(connection, block.unit), since=since)

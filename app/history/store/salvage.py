@@ -18,6 +18,7 @@ from app.database.connection import Database
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.history.store import tables
 from app.history.store.damage import sound
+from bus.instants import unix_now
 
 _SMALL = ("unit", "parameter", "fact", "journal")
 _SUFFIXES = ("", "-wal", "-shm")
@@ -55,7 +56,7 @@ def copies(damaged: Path, new: Database) -> Iterator[Copy]:
 
 
 def _note(new: tables.StoreConnection) -> int:
-    new.execute("INSERT INTO damaged VALUES ('store', 0, 0, ?, NULL)", (micros(time.time()),))
+    new.execute("INSERT INTO damaged VALUES ('store', 0, 0, ?, NULL)", (micros(unix_now()),))
     return 0
 
 

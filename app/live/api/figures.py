@@ -9,6 +9,7 @@ from typing_extensions import TypedDict
 
 from bus.contract import BusFigures, UnitFigures
 from bus.errors import unit_error_name
+from bus.instants import UnixTime
 
 EventCount = Annotated[int, Field(description="Since the bus worker started.")]
 ResponseSeconds = Annotated[float | None, Field(description="Seconds; null: no response yet.")]
@@ -49,7 +50,7 @@ class BusFiguresShown(TypedDict):
 
     bus: str
     measured: Annotated[bool, Field(description="Whether a worker measures; without one all else is null.")]
-    at: Annotated[float | None, Field(description="Seconds since 1970.")]
+    at: Annotated[UnixTime | None, Field(description="Seconds since 1970.")]
     scan_hz: Annotated[float | None, Field(description="Scans per second.")]
     scan_s: Annotated[
         float | None, Field(description="Duration of one scan, seconds; null while no unit responds.")

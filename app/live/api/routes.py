@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Annotated, Any
 
 from fastapi import APIRouter
@@ -21,6 +20,7 @@ from app.web.access import Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import looked_up, service
 from app.web.templating import templates_of
+from bus.instants import unix_now
 
 router = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
 
@@ -43,14 +43,14 @@ async def get_line(
 ) -> dict[str, Any]:
     """Current state of every bus and unit. ``history``: empty, or why no values are stored."""
     blocks, fault = {bus: of.block_reason for bus, of in sources.guards.items()}, sources.history_fault()
-    return line_json(settings.site.name, live, time.time(), blocks, fault, english)
+    return line_json(settings.site.name, live, unix_now(), blocks, fault, english)
 
 
 @router.get("/buses/{bus}", response_model=BusShown)
 async def get_bus(_: Viewer, live: Live, sources: LineSources, english: English, bus: str) -> dict[str, Any]:
     """One bus with its units."""
     found = bus_or_404(live, bus)
-    return bus_json(found, time.time(), sources.guards[bus].block_reason, english)
+    return bus_json(found, unix_now(), sources.guards[bus].block_reason, english)
 
 
 @router.get("/buses/{bus}/units/{unit:int}", response_model=UnitShown)
@@ -59,7 +59,7 @@ async def get_unit(
 ) -> dict[str, Any]:
     """One unit, with the age of its values."""
     found = unit_or_404(live, bus, unit)
-    return unit_json(live.buses[bus], found, time.time(), sources.guards[bus].block_reason, english)
+    return unit_json(live.buses[bus], found, unix_now(), sources.guards[bus].block_reason, english)
 
 
 @router.get("/buses/{bus}/figures")

@@ -37,6 +37,7 @@ from bus.catalogue.values import (
     speed_text,
 )
 from bus.contract import Reading
+from bus.instants import UnixTime
 from bus.messages import Message, in_english
 
 Json = dict[str, Any]
@@ -63,7 +64,7 @@ _NEVER_READ = dict.fromkeys(
 def line_json(
     site: str,
     live: LiveState,
-    now: float,
+    now: UnixTime,
     blocks: Mapping[str, BlockReason],
     history: str,
     english: Translator,
@@ -74,7 +75,7 @@ def line_json(
     return {"site": site, "time": iso(now), "history": history, "buses": buses}
 
 
-def bus_json(bus: BusLive, now: float, block: BlockReason, english: Translator) -> Json:
+def bus_json(bus: BusLive, now: UnixTime, block: BlockReason, english: Translator) -> Json:
     """One bus. Figures are null while no worker measures them."""
     figures = bus.figures
     return {
@@ -95,7 +96,7 @@ def bus_json(bus: BusLive, now: float, block: BlockReason, english: Translator) 
     }
 
 
-def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason, english: Translator) -> Json:
+def unit_json(bus: BusLive, unit: UnitLive, now: UnixTime, block: BlockReason, english: Translator) -> Json:
     """One unit with the age of its reading, by the server's clock."""
     window = unit.parameter_raw(AT_SPEED_WINDOW)
     shown: Json = {
@@ -117,7 +118,7 @@ def unit_json(bus: BusLive, unit: UnitLive, now: float, block: BlockReason, engl
     return shown | (_NEVER_READ if unit.reading is None else _reading_json(bus, unit, unit.reading, now))
 
 
-def cause_json(cause: Cause | None, now: float, english: Translator) -> Json | None:
+def cause_json(cause: Cause | None, now: UnixTime, english: Translator) -> Json | None:
     """A cause as a code with parameters, in words, and since when; None where there is none."""
     if cause is None:
         return None
@@ -170,7 +171,7 @@ def _parameter_text(unit: UnitLive, number: int, raw: int) -> str:
     return parameter_text(PARAMETERS[number], raw, decimals, follower=bool(follower(unit)))
 
 
-def _reading_json(bus: BusLive, unit: UnitLive, reading: Reading, now: float) -> Json:
+def _reading_json(bus: BusLive, unit: UnitLive, reading: Reading, now: UnixTime) -> Json:
     bits = bits_of(bus, reading)
     error = reading.actual - reading.commanded
     size = _shown(bus, unit, abs(error))

@@ -17,6 +17,7 @@ import msgspec
 
 from app.live.screen.screen import Groups
 from app.server.frames import NoOutlet, Outlet, text_frame
+from bus.instants import UnixTime
 
 MOST_FRAMES = 300
 """Frames of the trace kept for a browser that cannot keep up; older ones are dropped and counted."""
@@ -33,7 +34,7 @@ class Diff:
 
     before: int
     after: int
-    at: float
+    at: UnixTime
     groups: Groups
     _payload: bytes = b""
     _text: str = ""

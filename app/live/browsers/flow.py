@@ -4,9 +4,9 @@ Pure but for the clock, which is passed in."""
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
+
+from bus.instants import Monotonic, MonotonicClock, monotonic_now
 
 FLOOD = 60
 WINDOW_S = 0.25
@@ -23,12 +23,12 @@ load. 200 pages get ten updates a second, 40 and fewer one for each response."""
 class Flow:
     """Counts recent changes, by a monotonic clock in seconds."""
 
-    clock: Callable[[], float] = time.monotonic
+    clock: MonotonicClock = monotonic_now
     _gap_s: float = 0.0
-    _began: float = 0.0
+    _began: Monotonic = Monotonic(0.0)
     _count: int = 0
     _flooded: bool = False
-    _sent_at: float = -math.inf
+    _sent_at: Monotonic = Monotonic(-math.inf)
 
     def share(self, pages: int) -> None:
         """So many pages are open in all."""

@@ -25,6 +25,7 @@ from app.live.state.live_state import LiveState
 from app.web.templating import Templates
 from bus.bucket import Bucket
 from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
+from bus.instants import Clock, MonotonicClock, monotonic_now
 
 HEARTBEAT_S = 1.0
 WATCH_UPDATES_A_SECOND = 5.0
@@ -54,13 +55,15 @@ class Hub:
         sources: Sources,
         templates: Templates,
         watchers: Mapping[str, Watcher],
-        clock: Callable[[], float],
+        clock: Clock,
+        monotonic: MonotonicClock = monotonic_now,
     ) -> None:
         self.live = live
         self._sources = sources
         self._templates = templates
         self._watchers = watchers
         self._clock = clock
+        self._monotonic = monotonic
         self._readers: dict[str, Readers] = {}
         """Readers of every language requested so far; most are empty now."""
         self._watched: dict[str, tuple[list[int], bool]] = {}
@@ -229,7 +232,7 @@ class Hub:
 
     def _notify_watchers(self) -> None:
         """At once, but not as often as pages can turn; the next tick makes up for it."""
-        self._watched_is_due = not self._watch_limit.take(self._clock())
+        self._watched_is_due = not self._watch_limit.take(self._monotonic())
         if self._watched_is_due:
             return
         for bus, live in self.live.buses.items():

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from app.live.browsers.browser import Browser, Diff
 from app.live.browsers.flow import Flow
 from app.live.screen.screen import Groups, Screen
+from bus.instants import Clock
 
 
 @dataclass(eq=False, slots=True)
@@ -22,7 +22,7 @@ class Readers:
     """Who reads a language, and how far all of them are. ``clock``: seconds since the epoch."""
 
     screen: Screen
-    clock: Callable[[], float]
+    clock: Clock
     flow: Flow = field(default_factory=Flow)
     browsers: deque[Browser] = field(default_factory=deque)
     """Each browser is the first in its turn: writing to all takes a while; none is always the last."""

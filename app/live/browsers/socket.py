@@ -6,7 +6,6 @@ Commands never come this way: one that was clicked while a socket was down must 
 from __future__ import annotations
 
 import asyncio
-import time
 from contextlib import suppress
 from functools import lru_cache
 from typing import Annotated, Literal
@@ -26,6 +25,7 @@ from app.web.problems import refuse_socket
 from app.web.services import service_of
 from app.web.templating import templates_of
 from bus.bucket import Bucket
+from bus.instants import monotonic_now
 from bus.messages import Message
 
 router = APIRouter()
@@ -101,12 +101,12 @@ async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
     while True:
         async with asyncio.timeout(IDLE_TIMEOUT_S):
             text = await websocket.receive_text()
-        if not messages.take(time.monotonic()):
+        if not messages.take(monotonic_now()):
             await asyncio.sleep(1 / MESSAGES_A_SECOND)
         wants_snapshot = _follow(hub, browser, text)
         del text  # up to 32 KiB of each open page, until its next message
         if wants_snapshot:
-            if not snapshots.take(time.monotonic()):
+            if not snapshots.take(monotonic_now()):
                 await asyncio.sleep(1 / SNAPSHOTS_A_SECOND)
             hub.send_snapshot(browser)
 

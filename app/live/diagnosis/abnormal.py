@@ -11,6 +11,7 @@ from app.live.diagnosis.suspicion import suspicion
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.onset import Onset
 from bus.contract import UnitLinkState
+from bus.instants import UnixTime
 from bus.messages import Message
 
 LEVELS: tuple[Level, ...] = ("urgent", "high", "low")
@@ -59,7 +60,7 @@ class StateCounts:
         self.off_speed += state in ("off_speed", "stopped", "stopping", "turning")
 
 
-def shown_cause(bus: BusLive, unit: UnitLive, now: float, *, blocked: str, drifted: str) -> Cause | None:
+def shown_cause(bus: BusLive, unit: UnitLive, now: UnixTime, *, blocked: str, drifted: str) -> Cause | None:
     """What the first line of a unit names: the first broken rung, else what else is abnormal about it.
 
     ``blocked``: why commands are blocked, ``drifted``: in what it departs from its golden set; "": not so.

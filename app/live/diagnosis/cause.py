@@ -11,6 +11,7 @@ from app.live.diagnosis.rungs import RUNGS, Level, UnitFacts
 from app.live.state.age import offline_after_s, scan_s_of, unit_link_now, worker_timed_out
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.onset import Onset
+from bus.instants import UnixTime
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +24,7 @@ class Cause:
     params: Mapping[str, Any] = field(default_factory=dict)
 
 
-def unit_cause(bus: BusLive, unit: UnitLive, now: float) -> Cause | None:
+def unit_cause(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
     """The first broken rung of a unit; None: at speed or at a commanded zero, and open to commands.
 
     Of a unit that does not respond nothing is known but that. Where its bus is the cause, that is named, and
@@ -44,7 +45,7 @@ def unit_cause(bus: BusLive, unit: UnitLive, now: float) -> Cause | None:
     return None
 
 
-def _never_read(bus: BusLive, unit: UnitLive, now: float) -> Cause:
+def _never_read(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause:
     """A unit that was there before a restart has its time to respond, then it is as lost as it was."""
     waited_s = now - bus.link_onset.at
     if unit.last_response is None or waited_s < offline_after_s(scan_s_of(bus)):
@@ -52,7 +53,7 @@ def _never_read(bus: BusLive, unit: UnitLive, now: float) -> Cause:
     return Cause("unit_offline", "high", Onset(unit.last_response))
 
 
-def bus_cause(bus: BusLive, now: float) -> Cause | None:
+def bus_cause(bus: BusLive, now: UnixTime) -> Cause | None:
     """Why no unit of a bus can be read."""
     if bus.worker_lost is not None:
         return Cause("worker_lost", "urgent", bus.worker_lost)

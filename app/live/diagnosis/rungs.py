@@ -13,6 +13,7 @@ from app.live.state.conditions import Condition, bits_of, is_driven, mode_of
 from app.live.state.onset import Onset, later
 from app.live.state.ramp_time import ramp_seconds
 from bus.contract import Reading, UnitLinkState
+from bus.instants import UnixTime
 
 Level = Literal["", "urgent", "high", "low"]
 """How soon it needs a person (ISA-18.2, priority). Empty: not abnormal."""
@@ -26,7 +27,7 @@ class UnitFacts:
     unit: UnitLive
     reading: Reading
     link: UnitLinkState
-    now: float
+    now: UnixTime
 
     def holds(self, name: Condition) -> bool:
         return name in self.unit.onsets.of

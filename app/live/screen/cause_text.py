@@ -7,6 +7,7 @@ from typing import Any
 
 from app.live.diagnosis.cause import Cause
 from app.live.screen.fields import Translator
+from bus.instants import UnixTime
 from bus.messages import Message
 
 MINUTE_S, LONG_RAMP_S = 60, 120
@@ -58,13 +59,13 @@ def cause_text(cause: Cause, translator: Translator) -> str:
     return joined(_motion(cause, translator), _what(cause, translator), _why(cause, translator))
 
 
-def cause_line(cause: Cause, translator: Translator, now: float) -> str:
+def cause_line(cause: Cause, translator: Translator, now: UnixTime) -> str:
     """The condition and its time: ``Stopped: run input off since 02:22``."""
     what = f"{_what(cause, translator)} {since_text(cause, translator, now)}".rstrip()
     return joined(_motion(cause, translator), what, _why(cause, translator))
 
 
-def since_text(cause: Cause, translator: Translator, now: float) -> str:
+def since_text(cause: Cause, translator: Translator, now: UnixTime) -> str:
     """``since 02:22``; empty where no time is known. A ramp shows the time left instead."""
     onset = cause.onset
     if onset is None or cause.code == "ramping":

@@ -27,6 +27,7 @@ from bus.catalogue.status import StatusBits
 from bus.catalogue.values import RATIO_DECIMALS, analog_input_value
 from bus.contract import Reading, UnitFigures, UnitLinkState
 from bus.errors import unit_error
+from bus.instants import UnixTime
 from bus.messages import Message
 
 DEVIATION_WINDOWS = 3
@@ -94,7 +95,7 @@ def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, translator: T
     return fields
 
 
-def bus_fields(bus: BusLive, translator: Translator, now: float) -> Fields:
+def bus_fields(bus: BusLive, translator: Translator, now: UnixTime) -> Fields:
     """The figures of one bus, and for how long its units' readings count as fresh."""
     scan_s = scan_s_of(bus)
     cause = translator.t(bus.link.cause) if bus.link.cause is not None and bus.link.link == "closed" else ""

@@ -18,6 +18,7 @@ from app.live.screen.totals import AbnormalItem, entries_of, line_fields
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.live_state import LiveState
+from bus.instants import UnixTime
 from bus.messages import listed
 
 Groups = dict[str, Fields]
@@ -40,7 +41,7 @@ class Screen:
     entries: list[AbnormalItem] = field(default_factory=list)
     _views: dict[str, UnitView] = field(default_factory=dict)
 
-    def see(self, bus_name: str, units: Iterable[int], now: float, *, include_bus: bool) -> Groups:
+    def see(self, bus_name: str, units: Iterable[int], now: UnixTime, *, include_bus: bool) -> Groups:
         """Render the units of a report; return the changed fields."""
         bus = self.live.buses[bus_name]
         changed: Groups = {}
@@ -53,7 +54,7 @@ class Screen:
             self._put(changed, LINE_GROUP, self._line(now))
         return changed
 
-    def settle(self, now: float) -> Groups:
+    def settle(self, now: UnixTime) -> Groups:
         """Render everything whose quality has changed by time alone."""
         changed: Groups = {}
         for name, bus in self.live.buses.items():
@@ -67,7 +68,7 @@ class Screen:
                 changed.setdefault(group, {}).update(fields)
         return changed
 
-    def refresh(self, now: float) -> Groups:
+    def refresh(self, now: UnixTime) -> Groups:
         """Render everything again."""
         changed: Groups = {}
         for name, bus in self.live.buses.items():
@@ -94,7 +95,7 @@ class Screen:
             shown.update(different)
             changed.setdefault(group, {}).update(different)
 
-    def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: float) -> Fields:
+    def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: UnixTime) -> Fields:
         number = unit.settings.id
         blocked = self.sources.guards[bus_name].block_reason(number)
         drifted = self.sources.drift[bus_name].summary(number, self.translator, now)
@@ -125,6 +126,6 @@ class Screen:
             "{name}, drift: {units}", name=name, units=self.translator.t(listed(departed))
         )
 
-    def _line(self, now: float) -> Fields:
+    def _line(self, now: UnixTime) -> Fields:
         self.entries = entries_of(self.live, self._views, self.translator, now)
         return line_fields(self.live, self._views, self.entries, self.translator, now)

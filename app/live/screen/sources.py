@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from app.live.screen.fields import Translator
+from bus.instants import UnixTime
 from bus.messages import Message
 
 UnitSubscriber = Callable[[int], None]
@@ -37,7 +38,7 @@ class UnitGuards(Protocol):
 class GoldenDrift(Protocol):
     """How the units of a bus differ from their golden sets."""
 
-    def summary(self, unit: int, translator: Translator, now: float) -> Drifted:
+    def summary(self, unit: int, translator: Translator, now: UnixTime) -> Drifted:
         """The differences of a unit in the reader's language. ``now``: Unix time in seconds."""
 
     def on_change(self, subscriber: UnitSubscriber) -> None:
@@ -60,5 +61,5 @@ class Sources:
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
     recipes: LoadedRecipes
-    notices: Callable[[Translator, float], str]
+    notices: Callable[[Translator, UnixTime], str]
     history_fault: Callable[[], str]

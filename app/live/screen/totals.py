@@ -13,6 +13,7 @@ from app.live.screen.fields import Fields, Translator, scan_text, unit_key
 from app.live.state.age import figures_now
 from app.live.state.live_state import LiveState
 from app.web.formats import UNKNOWN
+from bus.instants import UnixTime
 
 MOST_ENTRIES = 30
 """In the strip; with more abnormal ones, the verdict has their number."""
@@ -40,7 +41,7 @@ class AbnormalItem:
         return f"/units/{self.key}" if "/" in self.key else f"/bus/{self.key}"
 
 
-def entries_of(live: LiveState, views: Views, translator: Translator, now: float) -> list[AbnormalItem]:
+def entries_of(live: LiveState, views: Views, translator: Translator, now: UnixTime) -> list[AbnormalItem]:
     """Everything abnormal, the worst first, in floor order; one cause is named once."""
     found: list[tuple[str, str, Cause]] = []
     for name, bus in live.buses.items():
@@ -74,7 +75,7 @@ def strip_of(entries: list[AbnormalItem]) -> list[AbnormalItem]:
 
 
 def line_fields(
-    live: LiveState, views: Views, entries: list[AbnormalItem], translator: Translator, now: float
+    live: LiveState, views: Views, entries: list[AbnormalItem], translator: Translator, now: UnixTime
 ) -> Fields:
     """The fields of the line. The verdict is the worst cause, after the name of its unit."""
     tally = StateCounts()
@@ -142,7 +143,7 @@ def _named(entries: list[AbnormalItem], views: Views, translator: Translator) ->
     return " · ".join(buses + blocks)
 
 
-def _figures(live: LiveState, translator: Translator, now: float) -> Fields:
+def _figures(live: LiveState, translator: Translator, now: UnixTime) -> Fields:
     """The slowest scan and the fullest wire of all buses."""
     known = [figures for bus in live.buses.values() if (figures := figures_now(bus, now)) is not None]
     if not known:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from bus.contract import BusFigures, UnitLinkState
 from bus.contract.durations import POLL_BYTES
+from bus.instants import UnixTime
 from bus.settings import BusSettings, wire_seconds
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def scan_s_at_best(settings: BusSettings) -> float:
     return wire_seconds(len(settings.unit) * POLL_BYTES, settings.baud)
 
 
-def unit_link_now(bus: BusLive, unit: UnitLive, now: float) -> UnitLinkState:
+def unit_link_now(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnitLinkState:
     """The worker's opinion, made worse by the age of the reading and by a closed port, never better."""
     if unit.reading is None:
         return "unknown"
@@ -54,7 +55,7 @@ def unit_link_now(bus: BusLive, unit: UnitLive, now: float) -> UnitLinkState:
     return "online"
 
 
-def worker_timed_out(bus: BusLive, now: float) -> bool:
+def worker_timed_out(bus: BusLive, now: UnixTime) -> bool:
     """Whether a connected worker has stopped sending: its process hangs, or its network is cut."""
     if not bus.worker_connected or bus.figures is None:
         return False
@@ -64,6 +65,6 @@ def worker_timed_out(bus: BusLive, now: float) -> bool:
     )
 
 
-def figures_now(bus: BusLive, now: float) -> BusFigures | None:
+def figures_now(bus: BusLive, now: UnixTime) -> BusFigures | None:
     """The figures of a bus as far as they are of this moment."""
     return None if bus.link.link == "closed" or worker_timed_out(bus, now) else bus.figures

@@ -24,6 +24,7 @@ from bus.contract import (
     UnitLink,
     Update,
 )
+from bus.instants import UnixTime
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
 
@@ -45,7 +46,7 @@ class UnitLive:
     staged: int | None = None
     motion: Motion = field(default_factory=Motion)
     onsets: Onsets = field(default_factory=Onsets)
-    last_response: float | None = None
+    last_response: UnixTime | None = None
     """Unix time, before this server started; None while it is not known."""
 
     def parameter_raw(self, number: int) -> int | None:
@@ -109,7 +110,7 @@ class BusLive:
         self.apply(updates)
         return updates
 
-    def lose_worker(self, at: float, cause: Message = NO_WORKER) -> None:
+    def lose_worker(self, at: UnixTime, cause: Message = NO_WORKER) -> None:
         """The worker's connection ended: the port counts as closed, nothing counts as fresh."""
         self.worker_lost = Onset(at)
         self.figures = None
@@ -169,7 +170,7 @@ def speed_decimals(bus: BusLive, unit: UnitLive) -> int | None:
     return RATIO_DECIMALS if reads_ratio(bus, unit) else unit.parameter_raw(DECIMALS)
 
 
-def never_seen(settings: BusSettings, at: float) -> BusLive:
+def never_seen(settings: BusSettings, at: UnixTime) -> BusLive:
     """A bus that no worker has reported yet; first seen so at ``at``."""
     units = {
         unit.id: UnitLive(settings=unit, link=UnitLink(unit=unit.id, at=at, link="unknown"))

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from app.live.state.bus_live import NO_WORKER, BusLive, BusSubscriber, UnitLive, follower, never_seen
+from bus.instants import UnixTime
 from bus.settings import BusSettings
 
 __all__ = ["NO_WORKER", "BusLive", "BusSubscriber", "LiveState", "UnitLive", "follower"]
@@ -16,5 +17,5 @@ __all__ = ["NO_WORKER", "BusLive", "BusSubscriber", "LiveState", "UnitLive", "fo
 class LiveState:
     """Every configured bus, by its name."""
 
-    def __init__(self, buses: Iterable[BusSettings], started_at: float) -> None:
+    def __init__(self, buses: Iterable[BusSettings], started_at: UnixTime) -> None:
         self.buses = {settings.name: never_seen(settings, started_at) for settings in buses}

@@ -13,6 +13,7 @@ from typing import Literal
 from app.live.state.conditions import is_driven
 from bus.catalogue.status import StatusBits
 from bus.contract import Reading
+from bus.instants import UnixTime
 
 MotionState = Literal[
     "", "at_speed", "at_zero", "ramping_up", "ramping_down", "off_speed", "stopped", "stopping", "turning"
@@ -31,7 +32,7 @@ class Motion:
     state: MotionState = ""
     _goal: int | None = None
     _least_error: int = 0
-    _nearer_at: float = 0.0
+    _nearer_at: UnixTime = UnixTime(0.0)
 
     def see(self, reading: Reading, bits: StatusBits, *, scan_s: float, ratio: bool = False) -> MotionState:
         """The state after this reading. ``ratio``: its speeds are ratios to a master, which do not show

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from app.live.state.conditions import Condition
+from bus.instants import UnixTime
 
 UNSEEN_S = 60.0
 """A condition before and after a gap of at most this, such as a restart, counts as uninterrupted."""
@@ -17,11 +18,11 @@ _NOTHING: frozenset[Condition] = frozenset()
 class Onset:
     """When something began. Not ``exact``: it was first seen then and may have begun earlier."""
 
-    at: float
+    at: UnixTime
     exact: bool = True
 
 
-WordSpan = tuple[float, float, int]
+WordSpan = tuple[UnixTime, UnixTime, int]
 """From when until when the status bits of a unit were the same, and those: ST2 * 256 + ST1."""
 
 
@@ -31,9 +32,9 @@ class Onsets:
 
     of: dict[Condition, Onset] = field(default_factory=dict)
     _held: frozenset[Condition] = _NOTHING
-    _seen_at: float = -math.inf
+    _seen_at: UnixTime = UnixTime(-math.inf)
 
-    def see(self, at: float, holding: frozenset[Condition], change_seen_s: float) -> None:
+    def see(self, at: UnixTime, holding: frozenset[Condition], change_seen_s: float) -> None:
         """Take in a reading. ``change_seen_s``: a change between two readings that are at most so far apart,
         the time after which a unit counts as offline, has its time from the later one; else it has none."""
         gap, self._seen_at = at - self._seen_at, at

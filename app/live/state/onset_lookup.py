@@ -12,6 +12,7 @@ from app.live.state.conditions import STATUS_CONDITIONS, Condition
 from app.live.state.live_state import LiveState
 from app.live.state.onset import Onset, WordSpan, onset_in
 from bus.catalogue.status import status_bits
+from bus.instants import Clock, UnixTime
 
 LOOK_EVERY_S = 1.0
 LOOK_AFTER_S = (1.0, 10.0, 60.0)
@@ -21,7 +22,7 @@ HOUR_S, DAY_S = 3600.0, 86_400.0
 BACK_S = (HOUR_S, DAY_S, 7 * DAY_S, 31 * DAY_S, 366 * DAY_S)
 """How far to look back, step by step until the beginning is found."""
 
-StatusWords = Callable[[str, int, float, float], Awaitable[Sequence[WordSpan]]]
+StatusWords = Callable[[str, int, UnixTime, UnixTime], Awaitable[Sequence[WordSpan]]]
 """The stored status bits of a unit of a bus from one time to another, in order of time. Raises StoreError."""
 OnsetKey = tuple[str, int, Condition, Onset]
 
@@ -34,7 +35,7 @@ class OnsetLookup:
         live: LiveState,
         words: StatusWords,
         changed: Callable[[str, int], None],
-        clock: Callable[[], float],
+        clock: Clock,
     ) -> None:
         self._live = live
         self._words = words
@@ -94,7 +95,7 @@ class OnsetLookup:
         if bus.units[number].onsets.correct(name, seen, found):
             self._changed(bus_name, number)
 
-    async def _last_end(self, bus: str, number: int) -> float | None:
+    async def _last_end(self, bus: str, number: int) -> UnixTime | None:
         now = self._clock()
         for back_s in BACK_S:
             if spans := await self._words(bus, number, now - back_s, now):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bus.contract import Snapshot, Staged, UnitState, Update
+from bus.instants import UnixTime
 
 
 def updates_of(snapshot: Snapshot) -> list[Update]:
@@ -15,7 +16,7 @@ def updates_of(snapshot: Snapshot) -> list[Update]:
     return updates
 
 
-def _updates_of_unit(state: UnitState, at: float) -> list[Update]:
+def _updates_of_unit(state: UnitState, at: UnixTime) -> list[Update]:
     updates: list[Update] = [state.link]
     if state.reading is not None:
         updates.append(state.reading)

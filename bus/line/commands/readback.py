@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from bus.catalogue.numbers import FOLLOWER_MODE, RATIO_SETPOINT, SPEED_SETPOINT
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, output_is_on, status_bits
+from bus.instants import UnixTime
 from bus.line.commands.procedure import Subprocedure, Wait, send
 from bus.line.exchange.send import Send, SendResult
 from bus.line.roster import UnitRecord
@@ -33,7 +34,7 @@ class Readback:
 
     shown: bool
     read_back: int | None = None
-    at: float | None = None
+    at: UnixTime | None = None
     why: Message | None = None
 
 

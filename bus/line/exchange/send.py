@@ -6,6 +6,7 @@ from enum import StrEnum
 
 import msgspec
 
+from bus.instants import UnixTime
 from bus.settings import Dialect
 from bus.wire.commands import Nak, Reply, Request, is_write
 
@@ -67,9 +68,9 @@ class SendResult(msgspec.Struct, frozen=True):
     status: SendStatus
     reply: Reply | None = None
     attempts: int = 0
-    sent_at: float | None = None
+    sent_at: UnixTime | None = None
     """The request's last byte on the wire."""
-    responded_at: float | None = None
+    responded_at: UnixTime | None = None
     frame: bytes = b""
     noise: LineNoise = NO_NOISE
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 from msgspec.structs import replace
 
+from bus.instants import UnixTime
 from bus.line.exchange.send import NO_NOISE, LineNoise, Send, SendResult, SendStatus
 from bus.settings import Dialect
 from bus.wire.commands import Reply, Request, is_write
@@ -19,8 +20,8 @@ class ExchangeResult(msgspec.Struct, frozen=True):
 
     request: Request
     reply: Reply | None
-    sent_at: float
-    responded_at: float | None = None
+    sent_at: UnixTime
+    responded_at: UnixTime | None = None
     frame: bytes = b""
     noise: LineNoise = NO_NOISE
     dialect: Dialect | None = None
@@ -43,7 +44,7 @@ class SendAttempts:
         self._attempts = 0
         self._fences = 0
         self._unanswered = 0
-        self._sent_at: float | None = None
+        self._sent_at: UnixTime | None = None
         self._noise = NO_NOISE
         self._late = 0
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from bus.catalogue.numbers import OWN_ADDRESS
 from bus.contract import BusFigures, UnitFigures
+from bus.instants import UnixTime
 from bus.line.roster import Roster, UnitRecord
 from bus.line.schedule.poll_schedule import PollSchedule
 from bus.line.statistics.diagnosis import UnitSymptoms, answers_for_all, diagnose
@@ -31,7 +32,7 @@ class Figures:
         self._marks: deque[_Mark] = deque()
 
     def take(
-        self, now: float, at: float, counts: WireCounts, roster: Roster, schedule: PollSchedule
+        self, now: float, at: UnixTime, counts: WireCounts, roster: Roster, schedule: PollSchedule
     ) -> BusFigures:
         """The figures of this moment: ``now`` on the line's clock, ``at`` since the epoch."""
         units = {unit: roster[unit].statistics.figures() for unit in roster.configured}

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from bus.contract import LONGEST_FRAME, MOST_MEANINGS, Direction, Frame
+from bus.instants import UnixTime
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.describe import Describer
@@ -27,7 +28,7 @@ _VALID, _HIDDEN = 1, 2
 class TracedFrame(NamedTuple):
     """One frame or piece of rubbish as it passed the port; ``at``: seconds since the epoch."""
 
-    at: float
+    at: UnixTime
     direction: Direction
     data: bytes
     valid: bool = True
@@ -36,7 +37,7 @@ class TracedFrame(NamedTuple):
 
 @dataclass(slots=True)
 class _Piece:
-    began: float
+    began: UnixTime
     packed: bytearray
 
 
@@ -67,7 +68,7 @@ class Trace:
         if self.follower is not None:
             self.follower(passed._replace(data=data))
 
-    def since(self, at: float) -> Iterator[TracedFrame]:
+    def since(self, at: UnixTime) -> Iterator[TracedFrame]:
         """What is kept from ``at`` on, oldest first. New frames may come while it is read."""
         pieces = list(self._pieces)
         for place, piece in enumerate(pieces):
@@ -79,7 +80,7 @@ class Trace:
         """Bytes in use."""
         return sum(len(piece.packed) for piece in self._pieces)
 
-    def _drop_old(self, now: float) -> None:
+    def _drop_old(self, now: UnixTime) -> None:
         while len(self._pieces) > 1 and (
             self._pieces[1].began < now - self._kept_s or self.size > self._kept_bytes
         ):
