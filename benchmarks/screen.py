@@ -103,9 +103,9 @@ def _sent(served: Site, since: int, offset: float) -> dict[int, list[tuple[float
     """For each unit the times (epoch) at which its status answers were out, and the actual speed in them."""
     found: dict[int, list[tuple[float, int]]] = {}
     said: tuple[int, int] | None = None
-    for entry in served.line.remote.do("record", since=since, kinds=["said", "sent"]):
+    for entry in served.line.remote.do("record", since=since, kinds=["responded", "sent"]):
         data = bytes.fromhex(entry["hex"])
-        if entry["what"] == "said":
+        if entry["what"] == "responded":
             said = (entry["unit"], int.from_bytes(data[6:10])) if len(data) > 10 else None
         elif said is not None:
             found.setdefault(said[0], []).append((entry["at"] + offset, said[1]))

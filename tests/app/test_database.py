@@ -88,7 +88,9 @@ async def test_closed_says_so(tmp_path: Path, steps: Path) -> None:
 def test_a_damaged_store_is_said(tmp_path: Path, steps: Path) -> None:
     path = tmp_path / "x.db"
     path.write_bytes(b"this is no store at all, and long enough to be looked at " * 20)
-    with pytest.raises(StoreError, match=r"x\.db: it is not a Lineside store, or damaged; restore a backup"):
+    with pytest.raises(
+        StoreError, match=r"x\.db: it is not a Lineside store, or it is damaged; restore a backup"
+    ):
         Database(path, steps)
 
 

@@ -175,7 +175,7 @@ async def test_control_is_handed_over_released_and_taken_by_an_admin(controlled:
     assert by_ben.status_code == 409
     await controlled.request("POST", "/control/hand-over", {"to": "ben"}, role="operator", name="anna")
     assert await speed(controlled, 5, name="ben") == (200, "verified")
-    for nobody, word in (("nobody", "there is no user nobody"), ("vera", "vera is viewer")):
+    for nobody, word in (("nobody", "there is no user nobody"), ("vera", "vera has the role viewer")):
         refused = await controlled.request(
             "POST", "/control/hand-over", {"to": nobody}, role="operator", name="ben"
         )

@@ -103,7 +103,7 @@ def panel(browser: Browser, site: Site, panels: dict[str, Any]) -> Iterator[Call
 
 def heard(site: Site) -> int:
     """How many requests that write the units have heard."""
-    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["heard"])
+    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
     return sum(bytes.fromhex(entry["hex"])[1] in (0x82, 0x83, 0x84, 0x86, 0x87, 0x88) for entry in entries)
 
 

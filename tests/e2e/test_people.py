@@ -69,7 +69,7 @@ def pages(site: Site) -> list[str]:
 
 def heard(site: Site) -> list[str]:
     """Every request that writes, as the units heard it."""
-    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["heard"])
+    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
     return [entry["hex"] for entry in entries if bytes.fromhex(entry["hex"])[1] in WRITES]
 
 

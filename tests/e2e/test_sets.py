@@ -279,7 +279,7 @@ def test_sets_that_nobody_asked_for_with_a_unit_that_is_silent_when_they_are_due
 
 
 def asked(served: Site, command: int, unit: int) -> list[dict[str, Any]]:
-    entries = served.line.remote.do("record", kinds=["heard"])
+    entries = served.line.remote.do("record", kinds=["received"])
     return [entry for entry in entries if entry["unit"] == unit and bytes.fromhex(entry["hex"])[1] == command]
 
 

@@ -17,7 +17,7 @@ WRITES = (0x82, 0x83, 0x84, 0x86, 0x87, 0x88)
 
 def writes(site: Site) -> list[str]:
     """Every request that writes, as the units heard it."""
-    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["heard"])
+    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
     return [entry["hex"] for entry in entries if bytes.fromhex(entry["hex"])[1] in WRITES]
 
 

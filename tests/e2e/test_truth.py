@@ -38,7 +38,7 @@ def opened(page: Page, path: str) -> Page:
 
 def heard(site: Site) -> int:
     """How many requests that write the units have heard."""
-    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["heard"])
+    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
     return sum(bytes.fromhex(entry["hex"])[1] in (0x82, 0x83, 0x84, 0x86, 0x87, 0x88) for entry in entries)
 
 
