@@ -50,7 +50,7 @@ async def test_pages_programs_and_recipes_give_a_change_the_same_time_at_any_bau
         given.append(deadline.timeout_s)
         return Result("x", time.time(), "verified")
 
-    monkeypatch.setattr(house.services.buses["dry-end"].commands, "ask", send)
+    monkeypatch.setattr(house.services.buses["dry-end"].commands, "send", send)
     house.services.live.buses["dry-end"].apply([BusLink(at=1.0, link="open", baud=300)])
     operator = await house.signed_in(Role.OPERATOR)
     setpoints = {"raw-1": "700", "was-1": "1000", "raw-2": "800", "was-2": "1000"}
