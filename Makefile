@@ -31,7 +31,7 @@ test: development
 	$(MAKE) --no-print-directory --jobs=3 --keep-going --output-sync=target browser-tests other-tests check
 
 browser-tests: development
-	$(BIN)/pytest tests/e2e
+	$(BIN)/pytest -n 2 --dist loadfile tests/e2e
 
 other-tests: development
 	node --test tests/js/*.test.js
