@@ -58,7 +58,9 @@ def line(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[LineServer]
 def config(line: LineServer, folder: Path, units: int = UNITS) -> Path:
     rows = [f'[[bus.unit]]\nid = {unit}\nname = "Unit {unit}"' for unit in range(1, units + 1)]
     file = folder / "lineside.toml"
-    file.write_text(f'[[bus]]\nname = "b"\nport = "{line.port.name}"\n' + "\n".join(rows) + "\n")
+    # The simulated units share this process: on a busy machine a response may begin late.
+    bus = f'[[bus]]\nname = "b"\nport = "{line.port.name}"\nturnaround_ms = 500\n'
+    file.write_text(bus + "\n".join(rows) + "\n")
     return file
 
 

@@ -121,7 +121,7 @@ def test_zero_reaches_the_others_when_a_unit_refuses_the_stage(site: Site, brows
         page.locator("[data-review-act]").click()
         done = page.locator("[data-review-done=bad]")
         expect(done).to_contain_text("4 of 5 units accepted speed 0")
-        expect(done.locator("tbody tr").nth(1)).to_contain_text("refused")
+        expect(done.locator("tbody tr").nth(1)).to_contain_text("rejected")
         assert (state(site.line, 1)["setpoint"], state(wet(site), 1)["setpoint"]) == (0, 0)
     finally:
         site.line.remote.do("clear")
@@ -153,7 +153,7 @@ def test_a_blocked_unit_with_something_staged_holds_up_nobody(site: Site, browse
             go_to_zero(page, 4)
             done = page.locator("[data-review-done=bad]")
             expect(done).to_contain_text("4 of 5 units accepted speed 0")
-            expect(done).to_contain_text("left out: blocked")
+            expect(done).to_contain_text("left out: commands blocked")
             assert state(site.line, 1)["setpoint"] == 0
             assert state(site.line, 2)["setpoint"] != 900
         finally:

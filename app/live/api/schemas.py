@@ -129,7 +129,7 @@ class LineShown(TypedDict):
 
     site: str
     time: Time
-    history: Annotated[str, Field(description="Why no history is kept; empty while it is.")]
+    history: Annotated[str, Field(description="Why no history is stored; empty while it is.")]
     buses: list[BusShown]
 
 

@@ -9,7 +9,9 @@ TEXTS: dict[str, EnglishText] = {
     "history_disk_scarce": ("the disk with the history is nearly full: the oldest values are being deleted"),
     "history_disk_full": "the disk is full: no values are stored until space is free",
     "history_failed": "no history is stored; everything else works",
-    "history_failed_since": ("Since {time} no history is kept, everything else works. The reason: {reason}"),
+    "history_failed_since": (
+        "Since {time} no history is stored, everything else works. The reason: {reason}"
+    ),
     "history_paused_since": ("No history is stored since {time}: the disk is full. Free some space."),
     "history_notice": "History: {notice}",
     "history_because": "{notice}: {cause}",
