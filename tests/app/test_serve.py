@@ -221,9 +221,10 @@ def test_a_demo_on_a_busy_port_names_its_option() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         done = subprocess.run([LINESIDE, "demo", "--port", port], capture_output=True, text=True)
-        made = subprocess.run(
-            ["make", "--no-print-directory", "demo", f"PORT={port}"], capture_output=True, text=True, cwd=ROOT
-        )
+        # These tests may run under a make of their own, whose options it hands down.
+        environment = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
+        command = ["make", "--no-print-directory", "demo", f"PORT={port}"]
+        made = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
     assert "lineside demo --port 8100, or make demo PORT=8100" in done.stderr
     assert made.returncode != 0
