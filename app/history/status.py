@@ -50,7 +50,7 @@ def store_message(state: StoreState, cause: Message | None = None) -> Message | 
 
 
 def store_notice(status: Status, formats: Formats, now: UnixTime) -> Message | None:
-    """What people are told on the pages; None while history is well."""
+    """The notice on the pages; None while history is stored."""
     since = formats.since(status.since, now)
     match status.state:
         case "ok":

@@ -41,7 +41,7 @@ class DriftedParameter:
         return f"{self.row.number}={left}>{right}@{self.change['id'] if self.change else ''}"
 
     def same(self, other: DriftedParameter) -> bool:
-        """Whether both state the same difference, whoever caused it."""
+        """Return whether both state the same difference, regardless of its cause."""
         return self._target == other._target
 
 

@@ -202,8 +202,8 @@ export function start() {
     const named = event.detail.ctx.target;
     const target = typeof named === "string" ? document.querySelector(named) : named;
     if (target === content) opened();
-    // A message beside a field may be out of sight: on a phone the button is a pad below it. Only to whoever
-    // has pressed: a page never moves by itself.
+    // A message beside a field may be out of sight: on a phone the button is a pad below it. A page scrolls only for
+    // the person who pressed.
     else if (target?.matches("[role=status]") && target.firstElementChild && !isByItself(event.detail.ctx.sourceElement))
       target.scrollIntoView({ block: "nearest" });
   });

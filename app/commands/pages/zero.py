@@ -29,7 +29,7 @@ router = APIRouter(prefix="/line/zero", include_in_schema=False)
 @router.get("")
 async def review_zero(person: Viewer, page: Page) -> Response:
     """What setting the line to zero will do, to which units; a bus that another user controls is one item.
-    A viewer sees the same button, in the same place on every page, and is told why it has no effect."""
+    A viewer sees the same button, in the same place on every page, with the reason why it has no effect."""
     if not person.role.includes(SET_LINE.role):
         return page.render("line/_zero_not_yours.html")
     now = unix_now()

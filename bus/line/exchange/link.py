@@ -241,7 +241,7 @@ class Link:
 
     def _take_stray_frame(self, event: StrayFrame, addressed: int) -> None:
         """Another unit's frame is overdue where that unit has not responded to an earlier request. It ends no
-        doubt about that unit, for it may be of a third one that responds to a wrong address."""
+        uncertainty about that unit: it may be of a third one that responds to a wrong address."""
         is_overdue = isinstance(event, Foreign) and bool(self.pending(event.unit).outstanding)
         if is_overdue:
             self._overdue.append(event.frame.body[0])

@@ -1,4 +1,4 @@
-"""What a review says of a unit: why it cannot take a command, and what somebody might not expect."""
+"""What a review says of a unit: why it cannot take a command, and what may be unexpected."""
 
 from __future__ import annotations
 
