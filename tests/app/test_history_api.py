@@ -22,6 +22,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from app.audit.log import EventLog
 from app.database import Database
 from app.history.api.routes import router
+from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.series.runs import Run
 from app.history.service import History
@@ -222,6 +223,18 @@ async def test_csv_names_units_and_time_zone(client: httpx.AsyncClient, history:
     holes = [row for row in rows[1:] if row[-1]]
     assert [(row[1], row[3]) for row in holes] == [("", "no readings of dry-end/1")]
     assert len(rows) == 1 + 50 + 1 + 35
+
+
+async def test_an_export_before_anything_is_folded_holds_what_a_worker_kept_for_days(
+    client: httpx.AsyncClient, history: History, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Recorder, "fold", lambda *_: None)
+    two_days_ago = time.time() // 60 * 60 - 2 * 86_400
+    history.append("dry-end", [parameter(3, 1), parameter(23, 100), *polls(two_days_ago, two_days_ago + 2)])
+    until(lambda: history.status.waiting == 0)
+    params = {"series": ["dry-end/1/actual"], "from": datetime.fromtimestamp(two_days_ago, UTC).isoformat()}
+    rows = list(csv.reader(io.StringIO((await client.get("/history/export", params=params)).text)))
+    assert len(rows) == 1 + 10
 
 
 async def test_parquet_holds_the_same(client: httpx.AsyncClient, history: History) -> None:

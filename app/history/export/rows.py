@@ -72,7 +72,7 @@ def _measure(question: SeriesQuery) -> str:
 async def pieces(history: History, table: Table) -> AsyncIterator[list[ExportRow]]:
     """All rows in order of time, piece by piece; each piece is its own short read of the store."""
     start, end, step = table.questions[0].start, table.questions[0].end, PIECE[table.fineness]
-    begun, ended = await history.read(lambda c, _: _extent(c))
+    begun, ended = await history.read(_extent)
     since, end = max(start, begun), min(end, ended)
     last_until: dict[tuple[str, int], int] = {}
     while since < end:
@@ -85,11 +85,12 @@ async def pieces(history: History, table: Table) -> AsyncIterator[list[ExportRow
         since = until
 
 
-def _extent(connection: tables.StoreConnection) -> tuple[int, int]:
-    """From when to when anything can be kept, µs: the tail's minutes are not in the store yet."""
+def _extent(connection: tables.StoreConnection, tail: Tail) -> tuple[int, int]:
+    """From when to when anything can be kept, µs: what the tail holds is not in the store yet, and may
+    become older or newer than all that is, until the export ends."""
     now = micros(unix_now())
-    first, last = tables.extent(connection) or (now - DAY, now)
-    return first, max(last, now) + DAY
+    spans = [span for span in (tail.extent(), tables.extent(connection), (now - DAY, now)) if span]
+    return min(first for first, _ in spans), max(last for _, last in spans) + DAY
 
 
 def _rows(

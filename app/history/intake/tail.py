@@ -77,6 +77,12 @@ class Tail:
         with self._lock:
             return sorted(key for key in self._minutes if key[1] != current)
 
+    def extent(self) -> tuple[int, int] | None:
+        """From when to when its minutes are, µs; None when it holds nothing."""
+        with self._lock:
+            minutes = [minute for _, minute in self._minutes]
+        return (min(minutes), max(minutes) + MINUTE) if minutes else None
+
     def drop(self, unit: int, minute: int) -> None:
         """Forget runs that are stored elsewhere."""
         with self._lock:
