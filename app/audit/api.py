@@ -53,7 +53,7 @@ class EventFrameShown(BaseModel):
     at: Annotated[UnixTime, Field(description="Seconds since 1970.")]
     direction: Annotated[str, Field(description="out: a request, in: a response.")]
     data: Annotated[str, Field(description="The bytes on the wire, hexadecimal.")]
-    meaning: Annotated[str, Field(description="What it says, English.")]
+    meaning: Annotated[str, Field(description="Its meaning, English.")]
     meanings: Annotated[list[EventMessage], Field(description="meaning as data; none in older events.")] = []
 
 

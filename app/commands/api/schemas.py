@@ -24,7 +24,7 @@ class FrameShown(TypedDict):
     time: Annotated[UnixTime, Field(description="The same in seconds since 1970.")]
     direction: Annotated[Direction, Field(description="out: a request, in: a response.")]
     hex: Annotated[str, Field(description="The bytes on the wire, hexadecimal, separated by blanks.")]
-    meaning: Annotated[str, Field(description="What it says, English.")]
+    meaning: Annotated[str, Field(description="Its meaning, English.")]
     meanings: Annotated[list[MessageShown], Field(description="meaning as data.")]
     valid: Annotated[bool, Field(description="Whether it is a complete frame with the right checksum.")]
 
