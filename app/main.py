@@ -10,6 +10,7 @@ from importlib.metadata import version
 from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
 
+from app.alarms import api as alarms_api
 from app.audit import api as audit_api
 from app.audit import pages as audit_pages
 from app.auth import api as auth_api
@@ -64,6 +65,7 @@ FEATURES = (
     audit_pages,
     feed,
     live_api,
+    alarms_api,
     live_socket,
     install,
     live_pages,

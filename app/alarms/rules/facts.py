@@ -25,6 +25,10 @@ class AlarmAttributes:
     needs_acknowledgement: bool = True
 
 
+PLAIN = AlarmAttributes()
+"""No delay, no latch, to be acknowledged."""
+
+
 @dataclass(frozen=True, slots=True)
 class AlarmFacts:
     """``occurrence`` counts how often it has risen; an acknowledgement names one of them."""
