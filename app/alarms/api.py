@@ -31,12 +31,12 @@ MOST_MINUTES = 720
 """A shift: what is to be hidden longer goes out of service."""
 MOST_ENTRIES = 1000
 Alarms = Annotated[LineAlarms, service(LineAlarms)]
-Reason = Annotated[OneLine, Field(min_length=1, max_length=200)]
+ActReason = Annotated[OneLine, Field(min_length=1, max_length=200)]
 Comment = Annotated[OneLine, Field(max_length=200)]
 
 
 class CommentBody(StrictBody):
-    """What a person has to say about it."""
+    """A remark for the journal and the audit log."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
@@ -48,13 +48,13 @@ class ShelveBody(StrictBody):
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
-    reason: Reason
+    reason: ActReason
     minutes: Annotated[int, Field(ge=1, le=MOST_MINUTES, description="At most a shift, 720.")]
     once: Annotated[bool, Field(description="Or until its condition has ended, if that is sooner.")] = False
 
 
 class UnshelveBody(StrictBody):
-    """Why, if there is something to say."""
+    """Why, for the journal and the audit log."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
@@ -66,7 +66,7 @@ class OutOfServiceBody(StrictBody):
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
-    reason: Reason
+    reason: ActReason
 
 
 class AlarmsShown(TypedDict):

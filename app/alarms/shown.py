@@ -21,7 +21,7 @@ AlarmStateShown = TypeAliasType("AlarmStateShown", AlarmState)
 AlarmPriorityShown = TypeAliasType("AlarmPriorityShown", AlarmPriority)
 AlarmTriggerShown = TypeAliasType("AlarmTriggerShown", AlarmTrigger)
 """Named, so that clients have one enumeration of each."""
-MaybeTime = Annotated[str | None, Field(description="ISO 8601 in UTC, milliseconds; null: it is not.")]
+WhenOrNull = Annotated[str | None, Field(description="ISO 8601 in UTC, milliseconds; null: it is not.")]
 BusName = Annotated[str | None, Field(description="null: it belongs to the site.")]
 UnitNumber = Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255; null: the bus.")]
 
@@ -45,7 +45,7 @@ class AlarmShown(TypedDict):
     value: Annotated[str | None, Field(description="The present value where it is about one.")]
     message: Annotated[str, Field(description="What it is and what to do, English.")]
     first_out: Annotated[bool, Field(description="It was the first of several that rose together.")]
-    shelved_until: MaybeTime
+    shelved_until: WhenOrNull
     hidden_by: Annotated[str | None, Field(description="Who shelved it or took it out of service.")]
     reason: Annotated[str | None, Field(description="Why.")]
 

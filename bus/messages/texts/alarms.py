@@ -36,7 +36,7 @@ TEXTS: dict[str, EnglishText] = {
     "alarm_not_in_remote": "Not in REMOTE",
     "alarm_not_in_remote_cause": "A person has switched the unit to LOCAL or KEYLOCK at its keypad.",
     "alarm_not_in_remote_consequence": "The unit rejects commands from here, also a change of the line.",
-    "alarm_not_in_remote_response": "Ask who operates the unit, and return it to REMOTE at its keypad.",
+    "alarm_not_in_remote_response": "Check who operates the unit, and return it to REMOTE at its keypad.",
     "alarm_parameter_drift": "Differs from the golden set",
     "alarm_parameter_drift_cause": "A parameter was changed at the keypad or by a command.",
     "alarm_parameter_drift_consequence": "The unit ramps, follows or limits otherwise than approved.",
