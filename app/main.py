@@ -11,6 +11,7 @@ from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
 
 from app.alarms import api as alarms_api
+from app.alarms import pages as alarms_pages
 from app.audit import api as audit_api
 from app.audit import pages as audit_pages
 from app.auth import api as auth_api
@@ -66,6 +67,7 @@ FEATURES = (
     feed,
     live_api,
     alarms_api,
+    alarms_pages,
     live_socket,
     install,
     live_pages,

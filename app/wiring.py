@@ -12,6 +12,7 @@ from zoneinfo import ZoneInfo
 
 import structlog
 
+from app.alarms.banner import AlarmBanner
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.site_alarms import SiteAlarms, site_conditions
 from app.alarms.store import AlarmStore
@@ -149,6 +150,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         guards={name: bus.safeguards for name, bus in buses.items()},
         drift={name: bus.drift for name, bus in buses.items()},
         recipes=recipes,
+        alarms=AlarmBanner(alarms),
         notices=partial(_notices, history, anchoring),
         history_fault=lambda: history.status.message,
     )

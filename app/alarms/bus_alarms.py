@@ -42,6 +42,7 @@ class BusAlarms:
         self._live = live
         self._clock, self._monotonic = clock, monotonic
         self._own = {own_key(each.bus, each.unit, each.name): OwnCondition(each) for each in own}
+        self._unit_names = {number: unit.settings.name for number, unit in live.units.items()}
         self.list = AlarmList(self._definitions(), store)
         self._monitors = {unit: self._monitor(unit, has_drift) for unit in live.units}
         self._foreign = CountWindow()
@@ -77,9 +78,9 @@ class BusAlarms:
             return None
         return own.present(self._live, self._live.units[unit])
 
-    def unit_name(self, unit: int) -> str:
-        """Its name on the floor."""
-        return self._live.units[unit].settings.name
+    def unit_names(self) -> Mapping[int, str]:
+        """The name of each unit on the floor."""
+        return self._unit_names
 
     async def follow(self) -> None:
         """Run what time brings, and keep the journal, without end."""

@@ -49,6 +49,9 @@ class LineAlarms:
         self._events = events
         self._clock = clock
         self._lists = (site.list, *(bus.list for bus in buses.values()))
+        self._present: dict[str, Alarm] = {}
+        self._of_unit: dict[tuple[str, int], dict[str, Alarm]] = {}
+        self.subscribe(self._note)
 
     async def load(self) -> None:
         """Take up the states that the last run left; once at start."""
@@ -56,6 +59,19 @@ class LineAlarms:
         self.site.load(stored)
         for bus in self.buses.values():
             bus.load(stored)
+        for alarm in self.every():
+            self._note(alarm)
+
+    def _note(self, alarm: Alarm) -> None:
+        definition, is_present = alarm.definition, alarm.facts.state != "normal"
+        indexes = [self._present]
+        if definition.bus is not None and definition.unit is not None:
+            indexes.append(self._of_unit.setdefault((definition.bus, definition.unit), {}))
+        for index in indexes:
+            if is_present:
+                index[definition.key] = alarm
+            else:
+                index.pop(definition.key, None)
 
     async def write(self) -> None:
         """Bring to disk what is not there yet, as far as it can be; the server ends."""
@@ -75,8 +91,21 @@ class LineAlarms:
 
     def present(self) -> list[Alarm]:
         """Those that are not normal, the most important and newest first."""
-        found = [alarm for alarm in self.every() if alarm.facts.state != "normal"]
-        return sorted(found, key=_rank)
+        return sorted(self._present.values(), key=_rank)
+
+    def annunciated(self, bus: str, unit: int) -> list[Alarm]:
+        """Those of a unit that nothing hides, the most important first."""
+        of_unit = self._of_unit.get((bus, unit))
+        if not of_unit:
+            return []
+        return sorted((alarm for alarm in of_unit.values() if not alarm.facts.is_hidden), key=_rank)
+
+    def place(self, bus: str | None, unit: int | None) -> str:
+        """The name of a unit or bus, which may be configured no longer; empty for the site."""
+        if bus is None:
+            return ""
+        names = self.buses[bus].unit_names() if bus in self.buses else {}
+        return bus if unit is None else names.get(unit, f"{bus}/{unit}")
 
     def find(self, alarm_id: str) -> FoundAlarm:
         """The alarm of an id. Raises Problem 404, or 409 where the id names an earlier occurrence."""

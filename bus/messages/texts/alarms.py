@@ -91,6 +91,7 @@ TEXTS: dict[str, EnglishText] = {
     ),
     "alarm_unknown": "there is no alarm '{id}'",
     "alarm_not_in_state": "{name} is {state} by now. Nothing was changed.",
+    "alarm_needs_reason": "a reason is missing; nothing was changed",
     "event_alarm_acknowledged": "Alarm acknowledged: {name}",
     "event_alarm_reset": "Alarm reset: {name}",
     "event_alarm_shelved": "Alarm shelved: {name}",
