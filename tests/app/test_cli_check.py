@@ -93,7 +93,7 @@ def test_what_cannot_work_is_a_fault(config: Path, text: str, words: str) -> Non
     assert result.stderr.startswith("lineside: ")
 
 
-def test_every_fault_is_said_at_once(config: Path) -> None:
+def test_every_fault_is_reported_at_once(config: Path) -> None:
     result = run(config, '[server]\nhost = "a..b"\n' + bus("/dev/null") + bus("socket://a..b:1", "b"))
     assert result.exit_code == 1
     assert result.stderr.count("lineside: ") == 3

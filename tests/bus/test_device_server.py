@@ -1,4 +1,4 @@
-"""``socket://`` while the device server misbehaves: said in words, recovered alone, nothing sent late."""
+"""``socket://`` with a faulty device server: reported, recovered automatically, nothing sent late."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ async def test_one_that_accepts_and_drops_is_left_in_peace_and_found_when_it_ser
         assert (await app.perform(SetSpeed(1, 778))).outcome == "verified"
 
 
-async def test_one_that_goes_away_is_told_and_so_is_what_it_says_then(line: LineServer) -> None:
+async def test_a_lost_device_server_is_reported_with_its_cause(line: LineServer) -> None:
     async with working(line) as app:
         line.unplug()
         await app.until(lambda: any("refuses the connection" in cause for cause in causes(app)))

@@ -57,7 +57,7 @@ async def test_bytes_go_and_come_whatever_they_are(server: DeviceServer) -> None
 
 
 @on_both_loops
-async def test_a_server_that_hangs_up_is_told_once_and_found_again(server: DeviceServer) -> None:
+async def test_a_server_that_closes_is_reported_once_and_found_again(server: DeviceServer) -> None:
     ear = Ear()
     port = await open_port(server.url, 9600, ear)
     port.write(POLL)
@@ -78,7 +78,7 @@ async def test_a_server_that_hangs_up_is_told_once_and_found_again(server: Devic
 
 
 @on_both_loops
-async def test_nobody_there_is_said_in_words() -> None:
+async def test_a_missing_server_is_reported() -> None:
     with pytest.raises(PortUnavailable, match=r"rfc2217://127\.0\.0\.1:1 (refuses|cannot be)"):
         await open_port("rfc2217://127.0.0.1:1", 9600, Ear())
 
