@@ -1,4 +1,4 @@
-"""A long span as a file does not fill memory: measured in a process of its own."""
+"""Exporting a long span does not fill memory: measured in a separate process."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_months_do_not_fill_memory(months: tuple[Path, int], file: str) -> None:
         [sys.executable, "-c", EXPORT, str(folder), file, *span], capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    said = json.loads(done.stdout.splitlines()[-1])
+    measured = json.loads(done.stdout.splitlines()[-1])
     if file == "csv":
         with (folder / "export").open() as lines:
             assert sum(1 for _ in lines) == ROWS + 1
@@ -100,4 +100,4 @@ def test_months_do_not_fill_memory(months: tuple[Path, int], file: str) -> None:
         from pyarrow import parquet
 
         assert parquet.ParquetFile(folder / "export").metadata.num_rows == ROWS
-    assert said["grown"] < MOST_MB, said
+    assert measured["grown"] < MOST_MB, measured

@@ -27,7 +27,7 @@ ASK = b"GET / HTTP/1.1\r\nHost: here\r\n\r\n"
 
 
 @ON_EACH_LOOP
-def test_the_kernel_says_how_long_bytes_have_waited(run: Run) -> None:
+def test_the_kernel_reports_how_long_bytes_have_waited(run: Run) -> None:
     """Nothing is read here: the bytes stay in the socket, and only the kernel counts."""
 
     async def at_the_socket() -> None:
@@ -58,7 +58,7 @@ def test_the_kernel_says_how_long_bytes_have_waited(run: Run) -> None:
     run(at_the_socket())
 
 
-def test_where_the_system_does_not_say_nothing_is_made_up() -> None:
+def test_without_the_systems_report_nothing_is_assumed() -> None:
     one, other = socket.socketpair()
     with one, other:
         assert tcp_wait(one) is None
@@ -106,7 +106,7 @@ async def served(stamps: list[float], watch: LoopWatch) -> AsyncIterator[socket.
 
 
 class PlayedWatch(LoopWatch):
-    """Says what the test says."""
+    """Returns the delay that the test sets."""
 
     at = polled_at = 0.0
 

@@ -94,34 +94,34 @@ def terminal() -> Iterator[str]:
 
 @on_both_loops
 async def test_bytes_go_and_come(line: LineServer) -> None:
-    ear = Receiver()
-    port = await open_port(line.port.name, 9600, ear)
+    receiver = Receiver()
+    port = await open_port(line.port.name, 9600, receiver)
     for count in (18, 36):
         port.write(POLL)
-        await ear.until(count)
+        await receiver.until(count)
     port.check()
     port.drop_output()
     port.close()
     await asyncio.sleep(0)
-    assert not ear.lost, "who closes a port is not told that it was lost"
+    assert not receiver.lost, "who closes a port is not told that it was lost"
 
 
 @on_both_loops
 async def test_a_pulled_port_is_reported_once_and_found_again(line: LineServer) -> None:
-    ear = Receiver()
-    port = await open_port(line.port.name, 9600, ear)
+    receiver = Receiver()
+    port = await open_port(line.port.name, 9600, receiver)
     port.write(POLL)
-    await ear.until(18)
+    await receiver.until(18)
     line.unplug()
     async with asyncio.timeout(PATIENCE_S):
-        while not ear.lost:
+        while not receiver.lost:
             try:
                 port.check()
                 port.write(POLL)
             except WireError as error:
-                ear.connection_lost(error.message)
+                receiver.connection_lost(error.message)
             await asyncio.sleep(0.05)
-    assert line.port.name in str(ear.lost[0])
+    assert line.port.name in str(receiver.lost[0])
     port.close()
     with pytest.raises(PortUnavailable) as absent:
         await open_port(line.port.name, 9600, Receiver())
@@ -150,21 +150,21 @@ async def test_closing_never_waits_for_undelivered_bytes() -> None:
 @on_both_loops
 async def test_bytes_without_a_reader_gather_and_a_lost_port_is_noticed() -> None:
     master, slave = pty.openpty()
-    ear = Receiver()
-    port = await open_port(os.ttyname(slave), 9600, ear)
+    receiver = Receiver()
+    port = await open_port(os.ttyname(slave), 9600, receiver)
     port.listen(now=False)
     for byte in (b"a", b"b", b"c"):
         os.write(master, byte)
         await asyncio.sleep(0.01)
-    assert not ear.data
+    assert not receiver.data
     port.listen(now=True)
-    await ear.until(3)
-    assert ear.data == b"abc"
+    await receiver.until(3)
+    assert receiver.data == b"abc"
     port.listen(now=False)
     os.close(slave)
     os.close(master)
-    await ear.until(3, lost=True)
-    assert ear.data == b"abc"
+    await receiver.until(3, lost=True)
+    assert receiver.data == b"abc"
     port.listen(now=True)
     port.close()
 
