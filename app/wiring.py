@@ -56,7 +56,7 @@ from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from app.web.turns import Turns
 from bus.instants import UnixTime, unix_now
-from bus.messages import Message, in_english
+from bus.messages import Message
 
 log = structlog.get_logger()
 
@@ -141,7 +141,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         drift={name: bus.drift for name, bus in buses.items()},
         recipes=recipes,
         notices=partial(_notices, history, anchoring),
-        history_fault=lambda: in_english(history.status.message),
+        history_fault=lambda: history.status.message,
     )
     hub = Hub(live, sources, templates, {name: bus.feed.watch for name, bus in buses.items()}, unix_now)
     return Services(
