@@ -175,7 +175,7 @@ async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
     browser = world.join()
     world.hub.follow(browser, frozenset({("dry", 2)}), "")
     await sent(browser)
-    units = [UnitFigures(unit=n, polls=5, responses=5) for n in (1, 2)]
+    units = [UnitFigures(unit=n, polls=5, answers=5) for n in (1, 2)]
     world.live.buses["dry"].apply(
         [
             BusFigures(

@@ -104,7 +104,7 @@ def test_each_outcome_of_a_command_is_accessible_and_names_the_request(
     expect(page.locator("[data-review-done=bad]")).to_contain_text(
         "rejected by the unit: illegal speed value"
     )
-    expect(page.locator(".done__asked")).to_have_text(f"requested 999.0 · reads {before}")
+    expect(page.locator(".done__requested")).to_have_text(f"requested 999.0 · reads {before}")
     assert judged(page, axe) == []
     page.keyboard.press("Escape")
     with site.api("engineer") as client:
