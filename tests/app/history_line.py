@@ -66,8 +66,8 @@ class Shelf:
         self, value: str, start: float, end: float, most: int = 20_000, bus: BusSettings = BUS
     ) -> QueryResult:
         """What a value was."""
-        question = SeriesQuery(bus, 1, VALUES[value], micros(start), micros(end), most)
-        return self.database.read_now(lambda connection: run_query(connection, self.tail, question))
+        query = SeriesQuery(bus, 1, VALUES[value], micros(start), micros(end), most)
+        return self.database.read_now(lambda connection: run_query(connection, self.tail, query))
 
     def close(self) -> None:
         """The journal keeps what is in the tail."""

@@ -157,8 +157,8 @@ async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: P
         await arrived(lambda: bool(words), "the damage")
         history.append(BUS.name, polls(NOON + 1200, NOON + 1260))
         until(lambda: history.status.state == "ok" and history.status.waiting == 0)
-        question = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON + 1200), micros(NOON + 1260), 1000)
-        assert len((await history.query([question]))[0].series.at) == 300
+        query = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON + 1200), micros(NOON + 1260), 1000)
+        assert len((await history.query([query]))[0].series.at) == 300
     finally:
         history.close()
     with closing(sqlite3.connect(tmp_path / FILE)) as connection:
@@ -180,8 +180,8 @@ def overwrite_pages(path: Path, chance: random.Random) -> None:
 
 
 def readings_of(writer: Writer) -> int:
-    question = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 3600), 20_000)
-    found = writer.database.read_now(lambda connection: run_query(connection, writer.tail, question))
+    query = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 3600), 20_000)
+    found = writer.database.read_now(lambda connection: run_query(connection, writer.tail, query))
     return sum(value is not None for value in found.series.average)
 
 

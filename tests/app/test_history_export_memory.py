@@ -29,7 +29,7 @@ from pathlib import Path
 import pyarrow.parquet
 from app.history.export.download import response
 from app.history.service import History
-from app.history.api.spans import Span, questions
+from app.history.api.spans import Span, series_queries
 from app.settings import Server, Settings
 from bus.settings import BusSettings, UnitSettings
 
@@ -40,9 +40,9 @@ async def main(folder, file, start, end):
     bus = BusSettings(name="line", port="/dev/null", unit=(UnitSettings(id=1, name="Nip"),))
     history = History(Settings(server=Server(data=Path(folder)), bus=(bus,)))
     history.start()
-    asked = questions(history, ["line/1/actual", "line/1/analog", "line/1/run"], Span(start, end), 1)
+    queries = series_queries(history, ["line/1/actual", "line/1/analog", "line/1/run"], Span(start, end), 1)
     before, count = peak(), 0
-    answer = await response(history, asked, file, "minutes")
+    answer = await response(history, queries, file, "minutes")
     with open(Path(folder) / "export", "wb") as out:
         async for part in answer.body_iterator:
             count += out.write(part.encode() if isinstance(part, str) else part)

@@ -106,8 +106,8 @@ def _full(*_: object) -> None:
 
 
 def readings_of(writer: Writer) -> int:
-    question = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 60), 1000)
-    found = writer.database.read_now(lambda connection: run_query(connection, writer.tail, question))
+    query = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 60), 1000)
+    found = writer.database.read_now(lambda connection: run_query(connection, writer.tail, query))
     return len(found.series.at)
 
 

@@ -22,9 +22,9 @@ from app.history.api.spans import (
     PointsOf,
     Span,
     SpanOf,
-    named_question,
-    question,
-    questions,
+    named_series_query,
+    series_queries,
+    series_query,
 )
 from app.history.export import download
 from app.history.export.download import ExportResolution, Format
@@ -97,7 +97,7 @@ async def get_history(
     fits; equal readings one after the other are given as the first and the last. A null between is a
     hole. ``format=epoch`` gives times in seconds since the epoch.
     """
-    requested = question(history, bus, unit, value, span, points)
+    requested = series_query(history, bus, unit, value, span, points)
     (found,) = await history.query([requested])
     return await json_response(lambda: shown(requested, found, times))
 
@@ -112,7 +112,7 @@ async def get_series(
     times: TimeFormat = "iso",
 ) -> Response:
     """Several values at once, each named ``bus/unit/value`` (1 to 32): a list of what GET /history gives."""
-    requested = questions(history, series, span, points)
+    requested = series_queries(history, series, span, points)
     found = await history.query(requested)
     return await json_response(lambda: [shown(q, a, times) for q, a in zip(requested, found, strict=True)])
 
@@ -125,7 +125,7 @@ async def get_sparks(
     since the epoch) and ``avg``, about 120 points."""
     if len(series) > MOST_SPARKS:
         raise Problem(422, "invalid", Message.of("too_many_sparklines", most=MOST_SPARKS, count=len(series)))
-    requested = [named_question(history, name, span, SPARK_POINTS) for name in series]
+    requested = [named_series_query(history, name, span, SPARK_POINTS) for name in series]
     found = await history.query(requested)
     return await json_response(lambda: {name: _small(a) for name, a in zip(series, found, strict=True)})
 
@@ -185,5 +185,5 @@ async def get_export(
 
     ``resolution`` auto: values if they are stored for the complete span, else minutes.
     """
-    requested = questions(history, series, Span(span.start, span.end), 1)
+    requested = series_queries(history, series, Span(span.start, span.end), 1)
     return await download.response(history, requested, file, resolution)
