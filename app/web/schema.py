@@ -27,7 +27,7 @@ async def openapi(request: Request, _: Viewer) -> JSONResponse:
 
 
 def leave_bodies_out(document: dict[str, Any]) -> None:
-    """A body that is not required can be left out, so it need not be null too: generated clients fail on both."""
+    """A body that is not required can be left out, so it need not be null: generated clients fail on both."""
     for path in document["paths"].values():
         for operation in path.values():
             for content in operation.get("requestBody", {}).get("content", {}).values():
