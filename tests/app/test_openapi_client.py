@@ -166,9 +166,8 @@ async def test_a_body_that_may_be_left_out(client: Generated, worker: PlayedWork
     for operation, path in (("execute_speed", (BUS, 1)), ("execute_all_speeds", (BUS,))):
         result = await client.call(f"commands.{operation}", *path)
         assert isinstance(result, client.models.CommandResult)
-    later = await client.call(
-        "commands.execute_speed", BUS, 1, body=client.models.CommandRequest(timeout_s=5)
-    )
+    body = client.models.CommandRequest(timeout_s=5)
+    later = await client.call("commands.execute_speed", BUS, 1, body=body)
     assert later.outcome == client.models.Outcome.ACKNOWLEDGED
 
 
