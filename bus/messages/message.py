@@ -1,4 +1,4 @@
-"""What is said to people, before it is in any language: a code and the values of its text. Pure."""
+"""A message to people, before it is in any language: a code and the values of its text. Pure."""
 
 from __future__ import annotations
 

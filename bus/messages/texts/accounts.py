@@ -1,4 +1,4 @@
-"""What is said of users, tokens, passwords and PINs."""
+"""Texts about users, tokens, passwords and PINs."""
 
 from __future__ import annotations
 

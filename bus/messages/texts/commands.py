@@ -1,4 +1,4 @@
-"""What is said of commands, and the values typed into them."""
+"""Texts about commands, and the values typed into them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of events: what people and programs did."""
+"""Texts about events: what people and programs did."""
 
 from __future__ import annotations
 

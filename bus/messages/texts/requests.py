@@ -1,4 +1,4 @@
-"""What is said of requests: what they address, how they are written, how large they are."""
+"""Texts about requests: what they address, how they are written, how large they are."""
 
 from __future__ import annotations
 
