@@ -56,6 +56,8 @@ TEXTS: dict[str, EnglishText] = {
     ),
     "at_row": "#{number}: {why}",
     "nothing_more_sent": "nothing more was sent",
+    "changed_at_panel": "at the panel",
+    "changed_by": "by {who}",
     "no_golden_set": "unit {unit} on {bus} has no golden set",
     "set_numbered": "set {set}",
     "set_of_unit": "set {set} of unit {unit}",
