@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from tests.app.whole_app import settings_in
 
 from app.main import create_app
 from app.web.schema import openapi_document
+from tests.app.complete_app import settings_in
 
 AS_DATA = {
     "Bus.diagnosis": "diagnosis_messages",

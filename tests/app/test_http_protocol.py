@@ -155,7 +155,7 @@ async def test_what_cannot_be_met_is_refused(
     writer.write_eof()
     response = await everything(reader)
     assert response.startswith(b"HTTP/1.1 " + status)
-    assert site.asked == (b"200" in status)
+    assert site.requests == (b"200" in status)
 
 
 async def test_only_a_client_that_knows_it_gets_100_continue(site: Site) -> None:
