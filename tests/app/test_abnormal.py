@@ -1,4 +1,4 @@
-"""What is abnormal about a unit besides the rungs, and what is said once for a whole bus."""
+"""What is abnormal about a unit besides the run conditions, and what is reported once for a bus."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from app.live.diagnosis.cause import Cause, bus_cause
 from app.live.diagnosis.suspicion import suspicion
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
-from bus.messages import term
+from bus.messages import Message, term
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, translator
 
 NOW = 100.0
@@ -23,7 +23,13 @@ def shown(
     live = line()
     live.buses["dry"].apply([UnitLink(unit=1, at=NOW, link=link), reading(**changes)])  # type: ignore[arg-type]
     bus = live.buses["dry"]
-    found = shown_cause(bus, bus.units[1], NOW, blocked=blocked, drifted=drifted)
+    found = shown_cause(
+        bus,
+        bus.units[1],
+        NOW,
+        blocked=Message.of("block_by", reason=blocked, who="anna") if blocked else None,
+        drifted=drifted,
+    )
     return (found.level, found.code) if found else None
 
 
@@ -51,7 +57,7 @@ def test_a_broken_rung_comes_before_what_else_is_abnormal(
 
 
 @pytest.mark.parametrize(
-    ("said", "found"),
+    ("update", "found"),
     [
         (ParameterValue(1, 17, NOW, 1), None),
         (ParameterValue(1, 17, NOW, None, available=False), None),
@@ -63,15 +69,15 @@ def test_a_broken_rung_comes_before_what_else_is_abnormal(
         ),
     ],
 )
-def test_a_unit_in_whose_name_another_may_answer_is_abnormal(
-    said: ParameterValue | BusFigures, found: str | None
+def test_a_unit_for_which_another_may_respond_is_abnormal(
+    update: ParameterValue | BusFigures, found: str | None
 ) -> None:
     live = line()
     bus = live.buses["dry"]
-    live.buses["dry"].apply([reading(), said])
-    cause = shown_cause(bus, bus.units[1], NOW, blocked="", drifted="")
+    live.buses["dry"].apply([reading(), update])
+    cause = shown_cause(bus, bus.units[1], NOW, blocked=None, drifted="")
     assert (cause and (cause.level, str(cause.params["why"]))) == (found and ("high", found))
-    assert unit_json(bus, bus.units[1], NOW, lambda _unit: "", translator())["suspect"] == found
+    assert unit_json(bus, bus.units[1], NOW, lambda _unit: None, translator())["suspect"] == found
 
 
 def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:
@@ -86,7 +92,7 @@ def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:
     assert suspicion(bus, bus.units[2]) is None
 
 
-def test_a_bus_says_worker_or_port_and_since_when() -> None:
+def test_a_bus_names_worker_or_port_and_since_when() -> None:
     live = line()
     bus = live.buses["dry"]
     assert bus_cause(bus, 100.5) is None

@@ -24,16 +24,15 @@ NULL_BEFORE_READ = CONTRACT_UNIT - {"id", "name", "link"}
 
 
 def live_with(**settings: Any) -> LiveState:
-    """Three units that were heard."""
+    """Return the state of three units that responded."""
     live = LiveState([bus_settings(**settings)], time.time())
     live.buses["dry-end"].take_snapshot(snapshot(), "1.0")
     return live
 
 
-def not_blocked(unit: int) -> str:
+def not_blocked(unit: int) -> None:
     """No unit is."""
     assert unit > 0
-    return ""
 
 
 def shown(live: LiveState, unit: int = 1, later_s: float = 0.0) -> dict[str, Any]:
@@ -95,7 +94,7 @@ def test_output_bits(outputs: int, inputs: int, expected: dict[str, Any]) -> Non
     assert shown(live).items() >= expected.items()
 
 
-def test_keylock_is_told_from_local_by_its_parameter() -> None:
+def test_keylock_is_distinguished_from_local_by_its_parameter() -> None:
     live = live_with()
     live.buses["dry-end"].apply([reading(1, outputs=0), parameter(19, 2)])
     assert shown(live)["mode"] == "KEYLOCK"
@@ -141,7 +140,9 @@ def test_a_bus_with_and_without_figures() -> None:
 
 
 def test_the_line_has_every_bus() -> None:
-    line = line_json("Paper machine 2", live_with(), time.time(), {"dry-end": not_blocked}, "", translator())
+    line = line_json(
+        "Paper machine 2", live_with(), time.time(), {"dry-end": not_blocked}, None, translator()
+    )
     assert line["site"] == "Paper machine 2"
     assert [bus["name"] for bus in line["buses"]] == ["dry-end"]
 

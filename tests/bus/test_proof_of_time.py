@@ -14,7 +14,7 @@ from tests.bus.virtual_line import VirtualLine, run
 UNITS = 4
 RATE = 0.05
 BLOCKING = (FaultKind.EVERYBODY, FaultKind.HUGE, FaultKind.FLOOD)
-"""These block the whole line by themselves."""
+"""Each of these blocks all traffic on the line."""
 SET_AND_EXECUTE = 0x84
 
 
@@ -61,7 +61,7 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 
 
 @pytest.mark.parametrize(("units", "minutes"), [(3, 3.5), pytest.param(8, 10, marks=pytest.mark.soak)])
-def test_minutes_without_a_fault_read_every_unit_alike(units: int, minutes: float) -> None:
+def test_minutes_without_a_fault_report_every_unit_alike(units: int, minutes: float) -> None:
     """Long enough to read every parameter beside the scan."""
     seconds = 60 * minutes
 
