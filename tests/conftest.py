@@ -80,5 +80,7 @@ def passwords_hashed_cheaply() -> Iterator[None]:
     """A hash in this process takes 0.1 ms instead of 28: in hundreds of tests somebody signs in. The servers
     that tests start hash as they do everywhere."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app.auth.passwords, "_hasher", PasswordHasher(time_cost=1, memory_cost=8, parallelism=1))
+        patch.setattr(
+            app.auth.passwords, "_hasher", PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
+        )
         yield

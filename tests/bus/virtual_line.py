@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import selectors
+from collections import defaultdict
 from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from typing import Any, TypeVar
 
@@ -182,7 +183,8 @@ class VirtualLine:
         self.written: list[tuple[float, bytes]] = []
         self.updates: list[Update] = []
         self.worker = BusWorker(self.bus, VirtualClock(loop), self._open, seed)
-        self._results: dict[str, asyncio.Future[Result]] = {}
+        self._results: defaultdict[str, list[Result]] = defaultdict(list)
+        self._came = asyncio.Event()
         self.worker.outbox.put = self._put  # type: ignore[method-assign]
         self._count = 0
 
@@ -190,14 +192,8 @@ class VirtualLine:
         for update in updates:
             self.updates.append(update)
             if isinstance(update, Result):
-                future = self._result(update.id)
-                assert not future.done(), "one command, one result"
-                future.set_result(update)
-
-    def _result(self, command_id: str) -> asyncio.Future[Result]:
-        if command_id not in self._results:
-            self._results[command_id] = self.loop.create_future()
-        return self._results[command_id]
+                self._results[update.id].append(update)
+                self._came.set()
 
     async def _open(self, _port: str, baud: int, receiver: Receiver) -> OpenPort:
         if not self.plugged:
@@ -240,17 +236,21 @@ class VirtualLine:
 
     def result_of(self, command_id: str) -> Result | None:
         """Return the result reported for ``command_id``, if any."""
-        future = self._result(command_id)
-        return future.result() if future.done() else None
+        results = self._results[command_id]
+        assert len(results) <= 1, "one command, one result"
+        return results[0] if results else None
 
     async def perform(self, action: Action, *, timeout_s: float = 2.0, within_s: float = 60.0) -> Result:
         """Command the worker and wait for the result."""
         command_id = self.command(action, timeout_s=timeout_s)
         try:
             async with asyncio.timeout(within_s):
-                return await self._result(command_id)
+                while (result := self.result_of(command_id)) is None:
+                    self._came.clear()
+                    await self._came.wait()
         except TimeoutError:
             raise AssertionError(f"no result of {action} within {within_s} s") from None
+        return result
 
     def readings(self, unit: int | None = None) -> list[Reading]:
         """Return all reported readings, or those of one unit."""
