@@ -12,7 +12,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from app.cli.audit_findings import audit_findings
-from app.cli.finding import Finding, fault, is_visible, user
+from app.cli.finding import Finding, can_make_folder, fault, is_visible, user
 from app.cli.listening import ListenError, listen
 from app.settings import ServerSettings, Settings
 from bus.line.port.open_error import why_not
@@ -45,7 +45,7 @@ def _data(folder: Path) -> Finding:
     existing = next(each for each in (folder, *folder.parents) if is_visible(each))
     if not existing.is_dir():
         return fault("check_data_is_file", folder=str(existing))
-    if not os.access(existing, os.W_OK | os.X_OK):
+    if not can_make_folder(folder):
         code = "check_data_not_writable" if existing == folder else "check_data_not_creatable"
         return fault(code, user=user(), folder=str(folder))
     return Finding(Message.of("check_data" if existing == folder else "check_data_later", folder=str(folder)))
