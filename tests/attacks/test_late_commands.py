@@ -206,7 +206,7 @@ async def test_of_every_route_that_writes(house: House) -> None:
     assert len(writes) > 50
     in_time = []
     for method, path in sorted(writes):
-        for headers in (sent(60), {"Lineside-Asked-At": "1.0"}):
+        for headers in (sent(60), {"Lineside-Clicked-At": "1.0"}):
             url = _filled_in(path, recipe.id)
             response = await browser.request(method, url, json=BODIES.get(url, {}), headers=headers)
             if response.status_code != 503 or "too late" not in response.text:

@@ -385,7 +385,7 @@ def test_a_form_that_was_held_up_on_the_way_is_not_carried_out(site: Site, brows
     page.locator("#reason").fill("held up")
     page.route(
         "**/block*",
-        lambda route: route.continue_(url=re.sub(r"asked_at=[\d.]+", "asked_at=1", route.request.url)),
+        lambda route: route.continue_(url=re.sub(r"clicked_at=[\d.]+", "clicked_at=1", route.request.url)),
     )
     page.get_by_role("button", name=re.compile("^Block ")).click()
     expect(page.locator("[role=alert]")).to_contain_text("too late")

@@ -140,7 +140,7 @@ def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
     expect(act).to_be_visible()
     page.route(
         "**/speed",
-        lambda route: route.continue_(headers={**route.request.headers, "lineside-asked-at": "1.0"}),
+        lambda route: route.continue_(headers={**route.request.headers, "lineside-clicked-at": "1.0"}),
     )
     act.click()
     expect(page.locator("#review-body [role=alert]")).to_contain_text("too late")
