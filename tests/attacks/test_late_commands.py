@@ -14,8 +14,8 @@ from app.web.access import Role
 from app.web.arrival import SAFE_METHODS
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA
-from tests.app.played_commands import answering as answering_units
-from tests.app.stage import PlayedWorker, Stage, answering, staged
+from tests.app.played_commands import responding as answering_units
+from tests.app.stage import PlayedWorker, Stage, responding, staged
 
 WRITES = [
     ("POST", "/units/1/speed", {"raw": 5}),
@@ -46,7 +46,7 @@ async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
 async def worker(stage: Stage) -> PlayedWorker:
     """Every unit takes everything."""
     played = await stage.worker()
-    played.play = answering("verified", read_back=1)
+    played.play = responding("verified", read_back=1)
     return played
 
 
