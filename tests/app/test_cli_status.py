@@ -82,10 +82,10 @@ def test_another_program_at_that_port_is_no_dashboard(code: int, body: bytes, se
             """Nothing is printed."""
 
     with HTTPServer(("127.0.0.1", 0), Responder) as server:
-        answering = threading.Thread(target=server.handle_request)
-        answering.start()
+        responding = threading.Thread(target=server.handle_request)
+        responding.start()
         assert status.is_serving(f"http://127.0.0.1:{server.server_port}") is serves
-        answering.join()
+        responding.join()
 
 
 @pytest.mark.parametrize(
