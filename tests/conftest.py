@@ -77,7 +77,7 @@ def stores_made_once() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def passwords_hashed_cheaply() -> Iterator[None]:
-    """A hash in this process takes 0.1 ms instead of 28: in hundreds of tests somebody signs in. The servers
+    """A hash in this process takes 0.1 ms instead of 28: hundreds of tests sign a user in. The servers
     that tests start hash as they do everywhere."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
