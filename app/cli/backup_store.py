@@ -20,7 +20,7 @@ from typing import Annotated
 import typer
 
 from app.auth.withheld import Withheld
-from app.cli.ending import ending
+from app.cli.ending import ending, report
 from app.cli.restored_store import Backup, consequences, make_ready
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
@@ -49,7 +49,7 @@ def backup_store(
     """Copy every store (events, users, sets, history) of this configuration into one file while it runs."""
     with ending():
         names = write_backup(load(config).server.data, file)
-    typer.echo(f"{file}: {', '.join(names)}")
+    report(Message.of("stores_backed_up", file=str(file), names=[*names]))
 
 
 def restore_store(
@@ -63,11 +63,13 @@ def restore_store(
         settings = load(config)
         server = settings.server
         if not yes:
-            typer.confirm(f"Replace the stores in {server.data} by those of {file}?", abort=True)
+            typer.confirm(
+                str(Message.of("stores_replace", folder=str(server.data), file=str(file))), abort=True
+            )
         names, withheld = read_backup(file, server.data, settings.key_files, server.store.name)
-    typer.echo(f"{server.data}: {', '.join(names)} restored; what was there ends in {ASIDE}")
+    report(Message.of("stores_restored", folder=str(server.data), names=[*names], suffix=ASIDE))
     for consequence in consequences(withheld) if withheld is not None else ():
-        typer.echo(str(consequence))
+        report(consequence)
 
 
 def write_backup(data: Path, file: Path) -> list[str]:
@@ -117,11 +119,13 @@ def _add_text(archive: tarfile.TarFile, name: str, text: str) -> None:
 def read_backup(
     file: Path, data: Path, key_files: Sequence[Path], main: str = "lineside.db"
 ) -> tuple[list[str], Withheld | None]:
-    """Put the stores of a backup into a data folder; gives their names, and what was withheld from the
-    ``main`` one where the backup holds it, whose log goes on under the key in the first of ``key_files``.
+    """Put the stores of a backup into a data folder; return their names, and what was withheld from the
+    ``main``
+    one where the backup contains it, whose log continues under the key in the first of ``key_files``.
 
-    Raises StoreError; then all is as it was: every store of the backup is proved, and the main one made
-    ready, before the first is put in its place."""
+    Raises StoreError, and then leaves everything unchanged: every store of the backup is checked, and the
+    main one prepared, before the first is put in its place.
+    """
     make_private(data)
     with in_words(file), tempfile.TemporaryDirectory(dir=data) as folder:
         proved, taken_at = _unpack(file, Path(folder))
@@ -136,7 +140,7 @@ def read_backup(
 
 
 def _unpack(file: Path, folder: Path) -> tuple[list[Path], UnixTime]:
-    """The proved stores, and when they were backed up."""
+    """Return the checked stores, and the time of the backup."""
     with _archive(file) as archive:
         extracted = archive.extractfile(MANIFEST)
         assert extracted is not None

@@ -5,19 +5,28 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from functools import partial
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from app.server.connections import EXTENSION, Connection
 from app.server.counted_protocol import CountedProtocol
 from app.server.pace import Awaited, Pace
-from app.server.refusal import MALFORMED, TOO_LONG, TOO_MANY, TOO_SLOW, Refusal
+from app.server.refusal import (
+    MALFORMED,
+    NO_SUCH_EXPECTATION,
+    NO_SUCH_VERSION,
+    TOO_LONG,
+    TOO_MANY,
+    TOO_SLOW,
+    Refusal,
+)
 
 MOST_HEAD_BYTES = 32 * 1024
 MOST_HEADERS = 100
 MOST_PIPELINED = 8
 """Requests that wait for the response to one before them."""
+VERSIONS = ("1.0", "1.1")
 
 
 class BeyondBoundsError(Exception):
@@ -92,7 +101,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
     # --- of the parser -------------------------------------------------------------------------------
 
     def on_message_begin(self) -> None:
-        """A request, perhaps before the one before it is answered."""
+        """A request starts, perhaps before the response to the previous one."""
         if len(self.pipeline) >= MOST_PIPELINED:
             raise BeyondBoundsError("too many requests wait for a response")
         super().on_message_begin()
@@ -105,12 +114,20 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         super().on_url(url)
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """A whole header."""
+        """A header is complete."""
         self._count_head(len(name) + len(value))
         super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """It is known what is asked; the app may begin."""
+        """The headers are complete; the app may start."""
+        version = self.parser.get_http_version()
+        if version not in VERSIONS:
+            self._give_up(NO_SUCH_VERSION)
+        if version == "1.0":
+            # RFC 9110, 10.1.1: its clients do not know what they would get.
+            self.expect_100_continue = False
+        elif not all(map(_is_met, self.headers)):
+            self._give_up(NO_SUCH_EXPECTATION)
         self._pace.expect(Awaited.BODY, self.loop.time())
         self._offered[EXTENSION] = self._identify
         self.scope["extensions"] = self._offered
@@ -122,18 +139,18 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         super().on_body(body)
 
     def on_message_complete(self) -> None:
-        """The whole request is here."""
+        """The request is complete."""
         self._pace.expect(Awaited.NOTHING, self.loop.time())
         super().on_message_complete()
         if self.cycle is not None and self.cycle.response_complete:
             self._pace.expect(Awaited.NEXT, self.loop.time())
 
     def on_response_complete(self) -> None:
-        """The client may ask for more, and must not send for ever what nobody reads."""
+        """The client may send the next request, but not endlessly without reading."""
         super().on_response_complete()
         if self.cycle.response_complete and self._pace.awaited in (Awaited.BODY, Awaited.NOTHING):
-            is_whole = self._pace.awaited is Awaited.NOTHING
-            self._pace.expect(Awaited.NEXT if is_whole else Awaited.REST, self.loop.time())
+            is_complete = self._pace.awaited is Awaited.NOTHING
+            self._pace.expect(Awaited.NEXT if is_complete else Awaited.REST, self.loop.time())
 
     # --- how it stands -------------------------------------------------------------------------------
 
@@ -151,8 +168,12 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
     def _count_head(self, size: int) -> None:
         self._head_bytes += size
         if self._head_bytes > MOST_HEAD_BYTES or len(self.headers) >= MOST_HEADERS:
-            self._refusal = TOO_LONG
-            raise BeyondBoundsError("the headers are too long or too many")
+            self._give_up(TOO_LONG)
+
+    def _give_up(self, refusal: Refusal) -> NoReturn:
+        """End the parsing: the parser has uvicorn send a 400, which becomes ``refusal``."""
+        self._refusal = refusal
+        raise BeyondBoundsError(refusal.detail)
 
     # --- its end -------------------------------------------------------------------------------------
 
@@ -167,8 +188,9 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
             self.transport.close()
 
     def _refuse(self, refusal: Refusal) -> None:
-        """End the connection. Requests that are whole are answered before, and nothing is read after them;
-        else the refusal is the response where one is awaited and none has begun."""
+        """End the connection. Complete requests get their responses first, and nothing is read after them;
+        otherwise the refusal is the response where one is awaited and none has begun.
+        """
         if self._is_answering() and not self.cycle.more_body:
             self.cycle.keep_alive = False
         elif self._is_answering() and (self.pipeline or self.cycle.response_started):
@@ -187,3 +209,11 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         if is_awaited:
             self.transport.write(refusal.response())
         return is_awaited
+
+
+def _is_met(header: tuple[bytes, bytes]) -> bool:
+    """Whether it is no expectation (RFC 9110, 10.1.1), or the only one there is."""
+    name, value = header
+    return name != b"expect" or all(
+        each.strip().lower() in (b"", b"100-continue") for each in value.split(b",")
+    )

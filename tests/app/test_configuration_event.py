@@ -1,4 +1,4 @@
-"""A changed configuration is an event that says what changed."""
+"""A changed configuration is an event with its changes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from app.audit.configuration import FILE, change_since_last, differences
 from app.audit.store import Filter
 from app.main import create_app
 from app.wiring import running
-from tests.app.whole_app import settings_in
+from tests.app.complete_app import settings_in
 
 LINE: dict[str, Any] = {
     "site": {"name": "Mill 7"},
@@ -42,6 +42,16 @@ def test_the_first_time_nothing_changed(tmp_path: Path) -> None:
     assert change_since_last(tmp_path, LINE) == ""
     (tmp_path / FILE).write_text("nonsense")
     assert change_since_last(tmp_path, LINE) == ""
+
+
+async def test_a_new_store_is_one_event_without_its_steps(tmp_path: Path) -> None:
+    found = []
+    for _ in range(2):
+        app = create_app(settings_in(tmp_path))
+        async with running(app.state.services):
+            found, _ = await app.state.services.events.page(Filter(kind="server"), 10)
+    made = [event for event in found if event["messages"]["what"].code.startswith("event_store")]
+    assert [event["what"] for event in made] == ["store created"]
 
 
 async def test_the_server_notes_it_at_its_start(tmp_path: Path) -> None:

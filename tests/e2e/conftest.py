@@ -31,11 +31,12 @@ FLAGS = [
 AXE = Path(__file__).resolve().parents[2] / "node_modules" / "axe-core" / "axe.min.js"
 expect.set_options(timeout=PAGE_MS)
 REQUEST_FAILED = ("Failed to load resource", "An unknown error occurred when fetching the script.")
-"""In Chromium's words. The script is the service worker's, asked for after the page was opened: where a test
-stops the server or the network at once, it comes in vain. That it can be had is proven in test_kiosk."""
+"""In Chromium's words. The script is the service worker's, requested after the page was opened: where a test
+stops the server or the network at once, the request fails. That it is served is tested in test_kiosk.
+"""
 AXE_RUN = """async options => (await axe.run(document, options)).violations.flatMap(broken =>
     broken.nodes.map(node => `${broken.id} (${broken.help}): ${node.html.slice(0, 200)}`))"""
-"""Only violations leave the page: the whole report of axe is megabytes."""
+"""Only violations leave the page: the complete report of axe is megabytes."""
 ENGLISH, GERMAN = "en-GB", "de-DE"
 SIZES = ((360, 740), (1280, 800), (1920, 1080))
 SCHEMES: dict[str, tuple[Literal["light", "dark"], ...]] = {
@@ -47,7 +48,7 @@ AXE_RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-pract
 
 
 class OpensPages(Protocol):
-    """``browser_page("operator", viewport={"width": 360, "height": 740})``; no role: nobody signed in."""
+    """``browser_page("operator", viewport={"width": 360, "height": 740})``; no role: not signed in."""
 
     def __call__(self, role: str | None = ..., site: Site | None = ..., **context: Any) -> Page: ...
 
@@ -63,7 +64,7 @@ def line_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[.
 
 @pytest.fixture(scope="module")
 def site(line_server: Callable[..., Site]) -> Site:
-    """Eight units that nobody but the test works on."""
+    """Return eight units that only the test operates."""
     return line_server(8, line_options=AT_REST)
 
 
@@ -101,7 +102,9 @@ def browser_page(browser: Browser, request: pytest.FixtureRequest) -> Iterator[O
             stack.callback(opened.close)
             page = opened.new_page()
             page.on("pageerror", lambda error: complaints.append(str(error)))
-            page.on("console", lambda said: complaints.append(said.text) if is_complaint(said) else None)
+            page.on(
+                "console", lambda message: complaints.append(message.text) if is_complaint(message) else None
+            )
             return page
 
         yield open_page
@@ -110,19 +113,21 @@ def browser_page(browser: Browser, request: pytest.FixtureRequest) -> Iterator[O
     assert [text for text in complaints if not any(part in text for part in allowed)] == []
 
 
-def is_complaint(said: Any) -> bool:
+def is_complaint(message: Any) -> bool:
     """An error or a broken content policy; a failed request is the page's business, not the console's."""
-    return said.type == "error" and not any(words in said.text for words in REQUEST_FAILED)
+    return message.type == "error" and not any(words in message.text for words in REQUEST_FAILED)
 
 
 def signed_in(browser: Browser, site: Site, role: str) -> Any:
-    """The cookies of a role, asked for once for each site: signing in is slow on purpose."""
+    """Return the cookies of a role, requested once for each site: signing in is slow on purpose."""
     if role not in site.sessions:
         context: BrowserContext = browser.new_context(base_url=site.url)
-        answer = context.request.post(
+        response = context.request.post(
             "/login", form={"name": role, "password": PASSWORD}, headers={"Origin": site.url}, max_redirects=0
         )
-        assert answer.status in (200, 204, 303), f"{role} could not sign in: {answer.status} {answer.text()}"
+        assert response.status in (200, 204, 303), (
+            f"{role} could not sign in: {response.status} {response.text()}"
+        )
         site.sessions[role] = context.storage_state()
         context.close()
     return site.sessions[role]

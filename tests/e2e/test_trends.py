@@ -1,4 +1,4 @@
-"""The memory of a real line: what is drawn, how it is moved, what a silence and a crash leave."""
+"""The history of a real line: what is drawn, how it is moved, what missing responses and a crash leave."""
 
 from __future__ import annotations
 
@@ -82,10 +82,10 @@ def history(served: Site, value: str = "actual", seconds: float = 60, unit: int 
         name: datetime.fromtimestamp(t, UTC).isoformat() for name, t in (("from", now - seconds), ("to", now))
     }
     with served.api("viewer") as client:
-        asked: dict[str, str | int] = {"bus": "line", "unit": unit, "value": value, "points": 20_000, **span}
-        answer = client.get("/history", params=asked)
-    assert answer.status_code == 200, answer.text
-    found: dict[str, Any] = answer.json()
+        params: dict[str, str | int] = {"bus": "line", "unit": unit, "value": value, "points": 20_000, **span}
+        response = client.get("/history", params=params)
+    assert response.status_code == 200, response.text
+    found: dict[str, Any] = response.json()
     return found
 
 
@@ -99,7 +99,7 @@ def view_of(page: Page) -> dict[str, str]:
     return dict(re.findall(r"[?&](\w+)=([^&]*)", page.evaluate("location.search")))
 
 
-def test_the_history_says_what_the_unit_said(site: Site) -> None:
+def test_the_history_equals_what_the_unit_sent(site: Site) -> None:
     raw = site.unit(2)["commanded_raw"]
     with site.api("operator") as client:
         client.post("/buses/line/units/2/speed", json={"raw": raw + 55, "execute": True}).raise_for_status()
@@ -112,7 +112,7 @@ def test_the_history_says_what_the_unit_said(site: Site) -> None:
     assert set(found["avg"][place:]) == {(raw + 55) / 10}
 
 
-def test_a_unit_that_was_silent_leaves_a_hole_and_its_neighbour_none(site: Site) -> None:
+def test_a_unit_that_did_not_respond_leaves_a_gap_and_its_neighbor_none(site: Site) -> None:
     site.line.remote.do("fault", kind="dead", rate=1, unit=4)
     eventually(lambda: site.unit(4)["link"] == "offline", "unit 4 is lost")
     site.line.remote.do("clear")
@@ -197,7 +197,7 @@ def test_the_axis_of_a_value_is_chosen_by_keyboard_and_keeps_the_focus(browser_p
     expect(page.locator("#trend-values th button").nth(1)).to_be_focused()
 
 
-def test_a_value_is_taken_away_by_keyboard_and_the_cursor_said_aloud(browser_page: OpensPages) -> None:
+def test_a_value_is_removed_by_keyboard_and_the_cursor_announced(browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=OFFICE), "?s=line/1/actual&s=line/2/actual")
     rows = page.locator("#trend-values tr")
     page.locator("#trend-values button[aria-label]").first.press("Enter")
@@ -211,7 +211,7 @@ def test_a_value_is_taken_away_by_keyboard_and_the_cursor_said_aloud(browser_pag
 
 
 def test_gaps_are_gaps_and_a_band_is_drawn_between_least_and_greatest(browser_page: OpensPages) -> None:
-    """What uPlot is given is what the history answered; the colours are read from its canvas."""
+    """uPlot's data is what the history returned; the colors are read from its canvas."""
     page = browser_page("viewer", viewport=OFFICE)
     t = [1_700_000_000 + i for i in range(100)]
     flat = [None if 40 <= i < 60 else 50.0 for i in range(100)]
@@ -219,8 +219,8 @@ def test_gaps_are_gaps_and_a_band_is_drawn_between_least_and_greatest(browser_pa
         "min": [None if v is None else 10.0 for v in flat],
         "max": [None if v is None else 90.0 for v in flat],
     }
-    answer = {"bus": "line", "unit": 1, "value": "actual", "measure": "", "decimals": 1, "bucket_s": 1}
-    body = [{**answer, "t": t, "avg": flat, **spread}]
+    response = {"bus": "line", "unit": 1, "value": "actual", "measure": "", "decimals": 1, "bucket_s": 1}
+    body = [{**response, "t": t, "avg": flat, **spread}]
     page.route("**/api/v1/history/series*", lambda route: route.fulfill(json=body))
     moments = [datetime.fromtimestamp(at, UTC).isoformat().replace("+00:00", "Z") for at in (t[0], t[-1])]
     opened(page, f"?s=line/1/actual&from={moments[0]}&to={moments[1]}&marks=0")
@@ -229,7 +229,7 @@ def test_gaps_are_gaps_and_a_band_is_drawn_between_least_and_greatest(browser_pa
     assert painted["90"] > painted["50"] * 3, painted
 
 
-def test_a_bit_is_a_lane_high_while_it_is_on_and_nothing_where_nothing_was_heard(
+def test_a_bit_is_a_lane_high_while_it_is_on_and_empty_in_gaps(
     browser_page: OpensPages,
 ) -> None:
     """Two lanes of 1 in a scale from -0.2 to 2, the first above; on is 0.7 above the floor of its lane."""
@@ -337,15 +337,15 @@ def test_a_killed_server_loses_a_second_at_most_and_no_event(own_site: Site) -> 
         began = time.time()
         raw = own_site.unit(1)["commanded_raw"]
         with own_site.api("operator") as client:
-            answer = client.post("/buses/line/units/1/speed", json={"raw": raw + 7, "execute": True})
+            response = client.post("/buses/line/units/1/speed", json={"raw": raw + 7, "execute": True})
             events = client.get("/events", params={"kind": "command"}).json()["events"]
-        assert answer.status_code == 200
-        heard_after(own_site, began + 1)
+        assert response.status_code == 200
+        wait_for_reading_after(own_site, began + 1)
         killed = time.time()
         own_site.stop(signal.SIGKILL)
         own_site.start()
         own_site.wait_for_units()
-        heard_after(own_site, killed + 1)
+        wait_for_reading_after(own_site, killed + 1)
         assert max(t for t in times_of(own_site) if t <= killed) > killed - 1.2
         for value in ("actual", "run"):
             assert history(own_site, value, 300)["avg"].count(None) >= kill
@@ -357,18 +357,16 @@ def test_a_killed_server_loses_a_second_at_most_and_no_event(own_site: Site) -> 
         assert connection.execute("PRAGMA quick_check").fetchone() == ("ok",)
 
 
-def heard_after(served: Site, moment: float) -> None:
+def wait_for_reading_after(served: Site, moment: float) -> None:
     eventually(lambda: max(times_of(served)) > moment, "new history")
 
 
 def times_of(served: Site) -> list[float]:
-    """When unit 1 was heard, over the last five minutes."""
+    """Return when unit 1 responded, over the last five minutes."""
     return [datetime.fromisoformat(t).timestamp() for t in history(served, "actual", 300)["t"]] or [0.0]
 
 
-def test_a_store_that_is_damaged_is_said_and_the_line_goes_on(
-    own_site: Site, browser_page: OpensPages
-) -> None:
+def test_a_damaged_store_is_reported_and_the_line_goes_on(own_site: Site, browser_page: OpensPages) -> None:
     own_site.stop()
     store = own_site.folder / "data" / "history.db"
     for path in store.parent.glob("history.db*"):

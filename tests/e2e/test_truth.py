@@ -1,5 +1,6 @@
-"""What the page says when something is gone: unit, cable, worker, server, browser. And that nothing clicked
-while the link was down is ever sent."""
+"""What the page shows when something is gone: unit, cable, worker, server, browser. A click while the link
+was down is never sent.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +37,8 @@ def opened(page: Page, path: str) -> Page:
     return page
 
 
-def heard(site: Site) -> int:
-    """How many requests that write the units have heard."""
+def received_writes(site: Site) -> int:
+    """Return how many requests that write the units have received."""
     entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
     return sum(bytes.fromhex(entry["hex"])[1] in (0x82, 0x83, 0x84, 0x86, 0x87, 0x88) for entry in entries)
 
@@ -89,11 +90,11 @@ def test_a_dead_worker_is_named_and_comes_back(own_site: Site, browser_page: Ope
     expect(page.locator("[data-live='whole_line.abnormal']")).to_have_text("0", timeout=START_MS)
 
 
-def test_a_silent_server_takes_the_controls_away_and_the_page_returns_by_itself(
+def test_a_server_that_does_not_respond_disables_the_controls_and_the_page_recovers(
     own_site: Site, browser_page: OpensPages
 ) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
-    before = heard(own_site)
+    before = received_writes(own_site)
     page.locator("#setpoint").fill("55.5")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
@@ -110,7 +111,7 @@ def test_a_silent_server_takes_the_controls_away_and_the_page_returns_by_itself(
     expect(page.locator(LIVE)).to_be_attached()
     expect(page.locator("#setpoint")).to_be_visible()
     assert page.locator("dialog[open]").count() == 0
-    assert heard(own_site) == before
+    assert received_writes(own_site) == before
 
 
 def test_a_typed_setpoint_stays_while_the_connection_is_lost(
@@ -132,22 +133,22 @@ def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
     own_site: Site, browser_page: OpensPages
 ) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
-    before = heard(own_site)
+    before = received_writes(own_site)
     page.locator("#setpoint").fill("44.5")
     page.get_by_role("button", name="Set now").click()
     act = page.locator("[data-review-act]")
     expect(act).to_be_visible()
     page.route(
         "**/speed",
-        lambda route: route.continue_(headers={**route.request.headers, "lineside-asked-at": "1.0"}),
+        lambda route: route.continue_(headers={**route.request.headers, "lineside-clicked-at": "1.0"}),
     )
     act.click()
     expect(page.locator("#review-body [role=alert]")).to_contain_text("too late")
-    assert heard(own_site) == before
+    assert received_writes(own_site) == before
 
 
 @pytest.mark.provokes("WebSocket")
-def test_a_killed_server_is_said_and_the_whole_comes_back_with_it(
+def test_a_killed_server_is_shown_and_everything_comes_back_with_it(
     own_site: Site, browser_page: OpensPages
 ) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/")
@@ -162,7 +163,7 @@ def test_a_killed_server_is_said_and_the_whole_comes_back_with_it(
 
 
 @pytest.mark.provokes("WebSocket")
-def test_a_page_that_slept_asks_for_everything_again(own_site: Site, browser_page: OpensPages) -> None:
+def test_a_page_that_slept_requests_a_snapshot(own_site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/")
     page.context.set_offline(True)
     expect(page.locator(LOST)).to_be_attached()
@@ -199,7 +200,7 @@ def test_a_frozen_tab_comes_back_with_the_present_and_sends_nothing(
     page.locator("#setpoint").fill("38.5")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
-    before = heard(own_site)
+    before = received_writes(own_site)
     devtools = page.context.new_cdp_session(page)
     other = page.context.new_page()
     other.bring_to_front()
@@ -211,10 +212,10 @@ def test_a_frozen_tab_comes_back_with_the_present_and_sends_nothing(
     expect(page.locator(LIVE)).to_be_attached()
     expect(page.locator('[data-live="line/3.commanded"]').first).to_have_text("36.6")
     expect(page.locator("[data-review-act]")).to_have_count(0)
-    assert heard(own_site) == before + 1
+    assert received_writes(own_site) == before + 1
 
 
-def test_a_hidden_tab_is_told_everything_when_it_is_shown(own_site: Site, browser_page: OpensPages) -> None:
+def test_a_hidden_tab_gets_a_snapshot_when_it_is_shown(own_site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/")
     other = page.context.new_page()
     other.bring_to_front()
@@ -231,8 +232,8 @@ def test_two_posts_of_one_review_are_one_command(own_site: Site, browser_page: O
     page.get_by_role("button", name="Set now").click()
     form = page.locator("form[data-review]")
     expect(form).to_be_visible()
-    before = heard(own_site)
-    answers = page.evaluate(
+    before = received_writes(own_site)
+    outcomes = page.evaluate(
         """async () => {
             const form = document.querySelector("form[data-review]");
             const body = new URLSearchParams(new FormData(form));
@@ -242,8 +243,8 @@ def test_two_posts_of_one_review_are_one_command(own_site: Site, browser_page: O
             return [await one.text(), await two.text()];
         }"""
     )
-    assert all("verified" in text for text in answers)
-    assert heard(own_site) == before + 1
+    assert all("verified" in text for text in outcomes)
+    assert received_writes(own_site) == before + 1
 
 
 def test_the_offline_page_is_honest(own_site: Site, browser_page: OpensPages) -> None:

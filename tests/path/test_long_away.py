@@ -25,11 +25,11 @@ from tests.e2e.site import LINESIDE, command, end, eventually, free_port, people
 UNITS = (1, 2, 3, 4)
 AWAY_S = 600
 EACH_S = 25 * 10 / 9600
-"""A poll and its answer at 9600 baud."""
+"""A poll and its response at 9600 baud."""
 
 
 class Polling:
-    """What a worker says of itself; its line is imagined, its buffer and its link are real."""
+    """A worker with a simulated line, and a real buffer and link."""
 
     def __init__(self) -> None:
         self.since = time.time() - AWAY_S
@@ -51,13 +51,13 @@ class Polling:
         return Snapshot(seq=seq, sent_at=time.time(), bus=BusLink(self.since, "open", baud=9600), units=[])
 
     def command(self, command: contract.Command) -> None:
-        """Nobody asks for one."""
+        """Unused."""
 
     def reserve(self) -> None:
-        """Nobody asks for it."""
+        """Unused."""
 
     def cancel(self, command_id: str) -> None:
-        """Nobody asks for it."""
+        """Unused."""
 
     def watch(self, watch: Watch) -> None:
         """Whatever people look at."""
@@ -87,16 +87,16 @@ def test_ten_minutes_are_delivered_at_their_own_times(tmp_path: Path) -> None:
     with at_work(uplink), served(config):
         eventually(lambda: outbox.connected and not len(outbox), "everything delivered", within=PROCEDURE_S)
         for unit in UNITS:
-            said = _history(url, tokens["viewer"], unit, line.since)
+            series = _history(url, tokens["viewer"], unit, line.since)
             own = [reading for reading in kept if reading.unit == unit]
-            assert [round(at, 3) for at in said["t"]] == [round(each.at, 3) for each in own]
-            assert said["max"] == [each.actual for each in own]
-            assert said["bucket_s"] == 0, "every reading itself"
+            assert [round(at, 3) for at in series["t"]] == [round(each.at, 3) for each in own]
+            assert series["max"] == [each.actual for each in own]
+            assert series["bucket_s"] == 0, "every reading itself"
 
 
 @contextmanager
 def at_work(uplink: Uplink) -> Iterator[None]:
-    """On a loop of its own."""
+    """Run it on a separate event loop."""
     loop = asyncio.new_event_loop()
     running = loop.create_task(uplink.run())
     thread = threading.Thread(target=lambda: loop.run_until_complete(asyncio.wait([running])))
@@ -133,12 +133,12 @@ def served(config: Path) -> Iterator[None]:
 
 def _history(url: str, token: str, unit: int, since: float) -> dict[str, Any]:
     span = {"from": _iso(since - 1), "to": _iso(since + AWAY_S + 1)}
-    asked = {"bus": "far", "unit": unit, "value": "actual", "points": 20_000, "format": "epoch", **span}
+    query = {"bus": "far", "unit": unit, "value": "actual", "points": 20_000, "format": "epoch", **span}
     headers = {"Authorization": f"Bearer {token}"}
-    answer = httpx.get(f"{url}/api/v1/history", params=asked, headers=headers, timeout=60, trust_env=False)
-    assert answer.status_code == 200, answer.text
-    said: dict[str, Any] = answer.json()
-    return said
+    response = httpx.get(f"{url}/api/v1/history", params=query, headers=headers, timeout=60, trust_env=False)
+    assert response.status_code == 200, response.text
+    series: dict[str, Any] = response.json()
+    return series
 
 
 def _iso(at: float) -> str:

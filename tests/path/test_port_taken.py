@@ -25,7 +25,7 @@ fcntl.flock(port, fcntl.LOCK_EX)
 print("held", flush=True)
 sys.stdin.read()
 """
-"""As programs do that ask first; waits until the lock is free."""
+"""As programs do that check first; waits until the lock is free."""
 CLAIM = """
 import fcntl, os, sys, termios
 port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
@@ -33,8 +33,9 @@ fcntl.ioctl(port, termios.TIOCEXCL)
 print("held", flush=True)
 sys.stdin.read()
 """
-"""As programs do that do not ask, while the worker has it open. The other end of the cable has the terminal
-open, so the claim outlives the program."""
+"""As programs do that do not check, while the worker has it open. The other end of the cable has the terminal
+open, so the claim outlives the program.
+"""
 
 
 @pytest.fixture
@@ -83,8 +84,8 @@ def nothing_is_sent_and_it_comes_back(plant: Dashboard) -> None:
 
 def refused_meanwhile(plant: Dashboard) -> None:
     """A write finds the bus closed."""
-    answer = plant.bus("POST", "/units/1/speed", {"raw": 4000})
-    assert (answer.status_code, answer.json()["code"]) == (503, "bus_closed")
+    response = plant.bus("POST", "/units/1/speed", {"raw": 4000})
+    assert (response.status_code, response.json()["code"]) == (503, "bus_closed")
 
 
 def test_a_port_that_is_locked_when_the_worker_starts(plant: Dashboard) -> None:
