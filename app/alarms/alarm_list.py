@@ -28,7 +28,7 @@ log = structlog.get_logger()
 
 
 class AlarmList:
-    """Applies what the rules say. A change holds at once; the journal has it a moment later, in order, and
+    """Applies the rules. A change holds at once; the journal has it a moment later, in order, and
     waits where the store cannot be written."""
 
     def __init__(self, definitions: Iterable[AlarmDefinition], store: AlarmStore) -> None:
@@ -138,7 +138,7 @@ class AlarmList:
         self._changed = {alarm.definition.key: alarm for alarm in alarms} | self._changed
 
     async def write(self) -> None:
-        """Bring to disk what is not there yet. Raises StoreError; it then waits."""
+        """Write everything that is not on disk yet. Raises StoreError; it then waits."""
         entries, alarms = self.take_unwritten()
         if not entries and not alarms:
             return

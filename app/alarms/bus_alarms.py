@@ -126,7 +126,7 @@ class BusAlarms:
             self._monitors[unit].see_parameters(now)
 
     def _observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:
-        """What is suppressed is so before it rises: it is never annunciated."""
+        """A suppression begins before the alarm rises, so that it is never annunciated."""
         if holds and not alarm.holds and self._suppresses(alarm):
             self.list.suppress(alarm, True, now)
         self.list.observe(alarm, holds, now)

@@ -92,7 +92,7 @@ async def alarms_page(
     place: AlarmFilter = "",
     left_out: Annotated[int, Query(ge=0, le=MOST_ROWS)] = 0,
 ) -> Response:
-    """What is present, filtered; it draws itself again when an alarm changes."""
+    """The present alarms, filtered; the list draws itself again when one changes."""
     chosen = {"state": state, "priority": priority, "place": place}
     screen = service_of(request, Hub).screen(templates_of(request).language_of(request).tag)
     return render(

@@ -83,7 +83,7 @@ class AlarmStore:
         self._database = database
 
     async def load(self) -> dict[str, StoredAlarm]:
-        """What is kept of each alarm, by its key."""
+        """The stored facts of each alarm, by its key."""
         return await self._database.read(_load)
 
     async def write(self, entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) -> None:

@@ -53,7 +53,7 @@ class UnitMonitor:
         self._read_at += step_s
 
     def see_reading(self, now: UnixTime) -> None:
-        """A reading came. One that is late, or repeats one from before, says nothing about now."""
+        """A reading came. One that is late, or repeats one from before, is no evidence of the present."""
         bus, unit, reading = self._bus, self._unit, self._unit.reading
         if reading is None or reading.at <= self._read_at or unit.link.link != "online":
             return

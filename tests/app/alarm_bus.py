@@ -58,9 +58,9 @@ class AlarmBus:
 
     def read(self, *units: int, **changes: Any) -> None:
         """A reading of each unit, now."""
-        said: dict[str, Any] = {"commanded": 1000, "actual": 1000, "analog": 51, "inputs": RUN | HEALTHY}
-        said |= {"outputs": REMOTE | AT_SPEED, "at": self.now + self.step_s, **changes}
-        self.apply(*(Reading(unit=unit, **said) for unit in units))
+        fields: dict[str, Any] = {"commanded": 1000, "actual": 1000, "analog": 51, "inputs": RUN | HEALTHY}
+        fields |= {"outputs": REMOTE | AT_SPEED, "at": self.now + self.step_s, **changes}
+        self.apply(*(Reading(unit=unit, **fields) for unit in units))
 
     def wait(self, seconds: float, *units: int, **changes: Any) -> None:
         """Time passes in steps of half a second, with readings of ``units`` and the ticks of the app."""

@@ -71,7 +71,7 @@ class ModelAlarm:
         return self.latching and bool(marks) and max(marks)[1] == "clear"
 
     def is_acknowledged(self, at: float) -> bool:
-        """By the newest of all reasons to say that it is or is not."""
+        """By the newest of all reasons for and against."""
         if not self.needs_ack:
             return True
         reasons = [(t, False) for t, rises in self.detections(at) if rises]

@@ -91,7 +91,7 @@ def test_random_histories_equal_the_model_of_the_standard(
     ]
 
 
-def test_every_base_state_has_its_own_facts_and_leads_only_where_the_table_says() -> None:
+def test_every_base_state_has_its_own_facts_and_leads_only_where_the_table_does() -> None:
     assert len(set(FACTS_OF.values())) == len(FACTS_OF)
     for base in FACTS_OF:
         facts = AlarmFacts().with_base(base)

@@ -15,16 +15,16 @@ from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
 from app.web.access import Role
 from bus.contract import Reading
+from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
 from tests.app.screens import translator
-from tests.app.whole_app import House, whole_app
 
 ESTOP = f"{BUS}.1.estop_active"
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         await played_line(house.services)
         house.services.buses[BUS].alarms.tick()
         yield house
@@ -45,7 +45,7 @@ def state(house: House, key: str = ESTOP) -> str:
     return house.services.alarms.buses[BUS].list.alarms[key].facts.state
 
 
-async def test_the_summary_has_what_is_present_and_only_an_operator_may_act(house: House) -> None:
+async def test_the_summary_has_the_present_alarms_and_only_an_operator_may_act(house: House) -> None:
     estop(house, active=True)
     viewer, operator = await house.signed_in(Role.VIEWER), await house.signed_in(Role.OPERATOR)
     for_viewer, for_operator = await page(viewer, "/alarms"), await page(operator, "/alarms")
@@ -154,7 +154,7 @@ async def test_the_banner_names_at_most_three_the_most_important_first(house: Ho
     assert (banner.banner(translator())["waiting"], banner.mark(BUS, 1)) == ("", "urgent")
 
 
-async def test_an_open_page_gets_the_alarm_without_being_asked(house: House) -> None:
+async def test_an_open_page_gets_the_alarm_without_a_request(house: House) -> None:
     hub = house.services.hub
     assert isinstance(hub, Hub)
     screen = hub.screen("en")

@@ -13,7 +13,7 @@ OWN = '[[alarm]]\nname = "Dryer too slow"\nbus = "dry-end"\nunit = 4\n'
 
 
 def read(folder: Path, text: str) -> str:
-    """What is wrong with it; empty where nothing is."""
+    """Its faults; empty where there is none."""
     path = folder / "lineside.toml"
     path.write_text(BUS + text)
     try:

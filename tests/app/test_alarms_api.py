@@ -15,8 +15,8 @@ from app.errors import StoreError
 from app.web.access import Role
 from bus.contract import Reading
 from bus.messages import Message
+from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
-from tests.app.whole_app import House, whole_app
 
 API = "/api/v1/alarms"
 OWN_FIELDS = {"id", "name", "code", "bus", "unit", "priority", "state", "active", "acknowledged", "since"}
@@ -24,7 +24,7 @@ OWN_FIELDS = {"id", "name", "code", "bus", "unit", "priority", "state", "active"
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         await played_line(house.services)
         house.services.buses[BUS].alarms.tick()
         yield house
@@ -77,7 +77,9 @@ async def test_an_acknowledgement_names_the_occurrence(house: House) -> None:
     assert second["state"] == "unack_active"
 
 
-async def test_of_two_people_who_acknowledge_at_once_the_second_is_told_in_words(house: House) -> None:
+async def test_of_two_people_who_acknowledge_at_once_the_second_gets_its_refusal_in_words(
+    house: House,
+) -> None:
     operator = await house.program(Role.OPERATOR)
     estop(house, active=True)
     (alarm,) = await present(operator)

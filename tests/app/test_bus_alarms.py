@@ -52,7 +52,7 @@ def test_a_unit_off_speed_is_an_alarm_unless_its_emergency_stop_is_active(bus: A
     assert bus.state("1.not_at_speed") == "unack_active"
 
 
-def test_a_line_at_rest_suppresses_what_is_about_speed(bus: AlarmBus) -> None:
+def test_a_line_at_rest_suppresses_the_alarms_about_speed(bus: AlarmBus) -> None:
     bus.wait(20, 1, 2, 3, actual=700, outputs=REMOTE)
     bus.wait(1, 1, 2, 3, commanded=0, actual=600, outputs=REMOTE)
     assert bus.state("1.not_at_speed") == "suppressed"
