@@ -127,7 +127,7 @@ class AlarmList:
     # --- to the disk ----------------------------------------------------------------------------------
 
     def take_unwritten(self) -> tuple[list[JournalEntry], list[Alarm]]:
-        """What is not on disk yet; the caller writes it, or gives it back."""
+        """Everything that is not on disk yet; the caller writes it, or gives it back."""
         entries, alarms = self._entries, list(self._changed.values())
         self._entries, self._changed = [], {}
         return entries, alarms

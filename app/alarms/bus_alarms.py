@@ -22,7 +22,8 @@ from bus.messages import Message
 
 CLOCK_STEP_S = 1.0
 """A greater difference between the two clocks of this machine is a step of the one that can be set."""
-_SUPPRESSING = frozenset(("worker_lost", "port_lost", "estop_active"))
+_OF_BUS = frozenset(("worker_lost", "port_lost"))
+"""Alarms that suppress on all of the bus."""
 
 
 class BusAlarms:
@@ -46,7 +47,16 @@ class BusAlarms:
         self.list = AlarmList(self._definitions(), store)
         self._monitors = {unit: self._monitor(unit, has_drift) for unit in live.units}
         self._foreign = CountWindow()
-        self._suppressors: Suppressors | None = None
+        self._worker_lost, self._port_lost, self._second_master = (
+            self.list.alarms[key_of(self.bus, None, code)]
+            for code in ("worker_lost", "port_lost", "second_master")
+        )
+        self._by_unit: dict[int, list[Alarm]] = {unit: [] for unit in live.units}
+        for alarm in self.list.alarms.values():
+            if alarm.definition.unit is not None:
+                self._by_unit[alarm.definition.unit].append(alarm)
+        self._estops: set[int] = set()
+        self._suppressors = Suppressors()
         self._ahead_s = clock() - UnixTime(float(monotonic()))
         self.list.subscribe(self._on_alarm)
         live.subscribe(self._see)
@@ -69,7 +79,15 @@ class BusAlarms:
 
     def load(self, stored: Mapping[str, StoredAlarm]) -> None:
         """Take up the states that the last run left."""
-        self.list.load(stored, self._clock())
+        now = self._clock()
+        self.list.load(stored, now)
+        self._estops |= {
+            unit
+            for unit in self._by_unit
+            if self.list.alarms[key_of(self.bus, unit, "estop_active")].facts.active
+        }
+        self._suppressors = self._suppressing()
+        self._suppress(self.list.alarms.values(), now)
 
     def present(self, alarm: Alarm) -> Message | None:
         """The present value of what an alarm of the configuration is about."""
@@ -140,39 +158,40 @@ class BusAlarms:
             if unit.unit in self._monitors:
                 self._monitors[unit.unit].see_figures(unit, now)
         self._foreign.see(0, sum(unit.foreign for unit in figures.units), now)
-        alarm = self.list.alarms[key_of(self.bus, None, "second_master")]
-        self._observe(alarm, has_foreign(self._foreign), now)
+        self._observe(self._second_master, has_foreign(self._foreign), now)
 
     # --- suppression ----------------------------------------------------------------------------------
 
     def _on_alarm(self, alarm: Alarm) -> None:
-        if alarm.definition.code in _SUPPRESSING:
+        code, unit = alarm.definition.code, alarm.definition.unit
+        if code in _OF_BUS:
             self._suppress_again(self._clock())
+        elif code == "estop_active" and unit is not None and alarm.facts.active != (unit in self._estops):
+            self._estops ^= {unit}
+            self._suppress(self._by_unit[unit], self._clock())
 
     def _suppress_again(self, now: UnixTime) -> None:
-        """Where what suppresses has changed. What is neither active nor about to be is left alone."""
-        suppressors = self._suppressing()
-        if suppressors == self._suppressors:
-            return
-        self._suppressors = suppressors
-        for alarm in self.list.alarms.values():
+        """Where what suppresses on the bus has changed, every alarm is concerned."""
+        found = self._suppressing()
+        if found != self._suppressors:
+            self._suppressors = found
+            self._suppress(self.list.alarms.values(), now)
+
+    def _suppress(self, alarms: Iterable[Alarm], now: UnixTime) -> None:
+        """An alarm that is neither active nor about to be is left alone."""
+        for alarm in alarms:
             concerned = alarm.facts.suppressed or alarm.facts.active or bool(alarm.holds)
             self.list.suppress(alarm, concerned and self._suppresses(alarm), now)
 
     def _suppresses(self, alarm: Alarm) -> bool:
         definition = alarm.definition
-        return self._suppressors is not None and self._suppressors.suppress(definition.group, definition.unit)
+        return self._suppressors.suppress(definition.group, definition.unit)
 
     def _suppressing(self) -> Suppressors:
-        def is_active(code: str, unit: int | None = None) -> bool:
-            return self.list.alarms[key_of(self.bus, unit, code)].facts.active
-
-        commanded = (
-            None if unit.reading is None else unit.reading.commanded for unit in self._live.units.values()
-        )
+        readings = (unit.reading for unit in self._live.units.values())
         return Suppressors(
-            worker_lost=is_active("worker_lost"),
-            port_lost=is_active("port_lost"),
-            at_rest=is_at_rest(commanded),
-            estops=frozenset(unit for unit in self._monitors if is_active("estop_active", unit)),
+            worker_lost=self._worker_lost.facts.active,
+            port_lost=self._port_lost.facts.active,
+            at_rest=is_at_rest(None if reading is None else reading.commanded for reading in readings),
+            estops=self._estops,
         )

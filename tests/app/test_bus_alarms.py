@@ -233,3 +233,17 @@ async def test_a_restart_goes_on_with_the_same_states_and_loses_and_repeats_noth
         ("2.estop_active", "clear"),
         ("2.estop_active", "rise"),
     ]
+
+
+async def test_a_suppression_whose_reason_is_gone_after_a_restart_ends(database: Database) -> None:
+    bus = AlarmBus(database)
+    bus.connect()
+    bus.wait(20, 1, 2, 3, actual=700, outputs=REMOTE)
+    bus.wait(1, 1, 2, 3, commanded=0, actual=600, outputs=REMOTE)
+    bus.wait(1, 2, commanded=0, inputs=RUN)
+    assert bus.state("1.not_at_speed") == "suppressed"
+    await bus.alarms.list.write()
+    again = AlarmBus(database)
+    again.alarms.load(await again.store.load())
+    assert again.state("1.not_at_speed") == "unack_active"
+    assert again.state("2.estop_active") == "unack_active"
