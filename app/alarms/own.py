@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from decimal import Decimal
 
@@ -63,14 +64,35 @@ def _own_code(settings: AlarmSettings) -> str:
     return _CODES.get(settings.value, "value_out_of_limits")
 
 
+def _analog(unit: UnitLive, reading: Reading) -> int | None:
+    low, high = unit.parameter_raw(ANALOG_IN_LOW), unit.parameter_raw(ANALOG_IN_HIGH)
+    if low is None or high is None:
+        return None
+    return round(1000 * analog_input_value(reading.analog, low, high))
+
+
+_VALUES: dict[str, Callable[[UnitLive, Reading], int | None]] = {
+    "actual": lambda _, reading: reading.actual,
+    "commanded": lambda _, reading: reading.commanded,
+    "deviation": lambda _, reading: abs(reading.actual - reading.commanded),
+}
+
+
 @dataclass(slots=True)
 class OwnCondition:
     """One of them. Limits are compared in integers; they are made again when the unit's decimals change."""
 
     settings: AlarmSettings
+    of_state: bool = field(init=False)
+    """Whether it is about an input or an output: only a change of the status bytes can change it."""
+    _value: Callable[[UnitLive, Reading], int | None] = field(init=False)
     _rate: ChangeRate = field(default_factory=ChangeRate)
     _decimals: int | None = None
     _rule: LimitRule = _NO_LIMIT
+
+    def __post_init__(self) -> None:
+        self.of_state = self.settings.state is not None
+        self._value = _VALUES.get(self.settings.value, _analog)
 
     def holds(
         self, bus: BusLive, unit: UnitLive, reading: Reading, decimals: int | None, active: bool
@@ -78,7 +100,7 @@ class OwnCondition:
         """Whether it holds by a reading; None while what it needs was not read. ``decimals``: of the unit's
         speeds, None while they are not known."""
         settings = self.settings
-        if settings.state is not None:
+        if self.of_state:
             return self._bit(bus, reading) == (settings.state == "on")
         value = self._value(unit, reading)
         if settings.value == "analog":
@@ -100,7 +122,7 @@ class OwnCondition:
         """The present value as the unit shows it; None while it is not known."""
         if unit.reading is None:
             return None
-        if self.settings.state is not None:
+        if self.of_state:
             return term("on") if self._bit(bus, unit.reading) else term("off")
         value = self._value(unit, unit.reading)
         decimals = ANALOG_DECIMALS if self.settings.value == "analog" else known_decimals(bus, unit)
@@ -108,19 +130,6 @@ class OwnCondition:
             return None
         shown = Decimal(value).scaleb(-decimals)
         return number(shown.normalize() if self.settings.value == "analog" else shown)
-
-    def _value(self, unit: UnitLive, reading: Reading) -> int | None:
-        match self.settings.value:
-            case "actual":
-                return reading.actual
-            case "commanded":
-                return reading.commanded
-            case "deviation":
-                return abs(reading.actual - reading.commanded)
-        low, high = unit.parameter_raw(ANALOG_IN_LOW), unit.parameter_raw(ANALOG_IN_HIGH)
-        if low is None or high is None:
-            return None
-        return round(1000 * analog_input_value(reading.analog, low, high))
 
     def _bit(self, bus: BusLive, reading: Reading) -> bool:
         bits, value = bits_of(bus, reading), self.settings.value

@@ -16,6 +16,7 @@ from bus.instants import UnixTime
 
 Observe = Callable[[Alarm, bool | None, UnixTime], None]
 """Takes an alarm, whether its condition holds, and the time."""
+OwnAlarms = Sequence[tuple[Alarm, OwnCondition]]
 _NEVER = UnixTime(0.0)
 
 
@@ -27,7 +28,7 @@ class UnitMonitor:
         bus: BusLive,
         unit: UnitLive,
         alarms: dict[UnitAlarm, Alarm],
-        own: Sequence[tuple[Alarm, OwnCondition]],
+        own: OwnAlarms,
         observe: Observe,
         has_drift: Callable[[int], bool],
     ) -> None:
@@ -35,6 +36,8 @@ class UnitMonitor:
         self._unit = unit
         self._alarms = alarms
         self._own = own
+        self._own_states = [each for each in own if each[1].of_state]
+        self._own_values = [each for each in own if not each[1].of_state]
         self._observe = observe
         self._has_drift = has_drift
         self._by_reading = [(alarms[code], holds) for code, holds in BY_READING.items()]
@@ -67,13 +70,13 @@ class UnitMonitor:
             self._status = status
             for alarm, condition in self._by_reading:
                 self._observe(alarm, condition(bus, unit), now)
-        if self._own:
-            self._see_own(reading, now)
+            self._see_own(self._own_states, reading, None, now)
+        if self._own_values:
+            self._see_own(self._own_values, reading, known_decimals(bus, unit), now)
 
-    def _see_own(self, reading: Reading, now: UnixTime) -> None:
+    def _see_own(self, several: OwnAlarms, reading: Reading, decimals: int | None, now: UnixTime) -> None:
         bus, unit = self._bus, self._unit
-        decimals = known_decimals(bus, unit)
-        for alarm, own in self._own:
+        for alarm, own in several:
             holds = own.holds(bus, unit, reading, decimals, alarm.facts.active)
             if holds is not alarm.holds:
                 self._observe(alarm, holds, now)
