@@ -48,20 +48,20 @@ class Texts(HTMLParser):
     def __init__(self, page: str) -> None:
         super().__init__()
         self.found: list[str] = []
-        self._silent = 0
+        self._hidden = 0
         self.feed(page)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self._silent += tag in ("script", "style")
+        self._hidden += tag in ("script", "style")
         for name, value in attrs:
             if name in SHOWN or (name.startswith("data-") and name not in NO_TEXT and " " in (value or "")):
                 self.found.append(value or "")
 
     def handle_endtag(self, tag: str) -> None:
-        self._silent -= tag in ("script", "style")
+        self._hidden -= tag in ("script", "style")
 
     def handle_data(self, data: str) -> None:
-        if not self._silent:
+        if not self._hidden:
             self.found.append(data)
 
 
